@@ -1,0 +1,251 @@
+"""Where in a type the numbers stand that JSON cannot carry as they are.
+
+msgspec validates; what it leaves open is compiled here into a tree beside the type: floats that
+may be non-finite, integers past 2^53, and the names of fields. It is walked only when a value
+holds such a number, never for an ordinary one.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import msgspec
+from msgspec import inspect as mi
+
+from rcp_kernel.types import NONFINITE
+
+__all__ = ["SAFE_INTEGER", "Node", "Shape"]
+
+SAFE_INTEGER = 2**53 - 1
+_NAMES = {"NaN": math.nan, "Infinity": math.inf, "-Infinity": -math.inf}
+
+Node = Callable[[Any, str], Any]
+"""Rebuild a builtin value found at a JSON Pointer; `ValueError(pointer, why)` if it is not legal."""
+
+
+class Shape:
+    """What msgspec's type information says about the numbers and fields of one type."""
+
+    def __init__(self, type_: Any) -> None:
+        self._out: dict[type, Node] = {}
+        self._in: dict[type, Node] = {}
+        self._fields: dict[type, dict[str, mi.Type]] = {}
+        self.has_float = False
+        self.has_wide_int = False
+        self._info = mi.type_info(type_)
+        self.outward = self._node(self._info, self._out, outward=True)
+        self.inward = self._node(self._info, self._in, outward=False)
+
+    def has_field(self, dotted: str) -> bool:
+        """Tell whether `position.x` leads to a part of the type."""
+        found = [self._info]
+        for name in dotted.split("."):
+            found = [child for info in found for child in self._children(info, name)]
+        return bool(found)
+
+    def unit(self, pointer: str) -> str | None:
+        """Return the unit of the number at a JSON Pointer, if its type names one."""
+        found, unit = [self._info], None
+        for name in [p for p in pointer.split("/") if p]:
+            found = [child for info in found for child in self._children(info, name)]
+        for info in found:
+            if isinstance(info, mi.Metadata) and info.extra_json_schema:
+                unit = info.extra_json_schema.get("unit", unit)
+        return unit
+
+    def _children(self, info: mi.Type, name: str) -> list[mi.Type]:
+        match info:
+            case mi.Metadata():
+                return self._children(info.type, name)
+            case mi.StructType() | mi.TypedDictType() | mi.DataclassType() | mi.NamedTupleType():
+                return [f.type for f in info.fields if f.encode_name == name]
+            case mi.DictType():
+                return [info.value_type]
+            case mi.UnionType():
+                return [c for option in info.types for c in self._children(option, name)]
+            case mi.ListType() | mi.VarTupleType():
+                return [info.item_type] if name.isdigit() else []
+            case mi.TupleType():
+                return [info.item_types[int(name)]] if name.isdigit() else []
+            case mi.AnyType():
+                return [info]
+            case _:
+                return []
+
+    def _node(self, info: mi.Type, memo: dict[type, Node], *, outward: bool) -> Node:
+        extra: dict[str, Any] = {}
+        while isinstance(info, mi.Metadata):
+            extra |= info.extra_json_schema or {}
+            info = info.type
+        match info:
+            case mi.FloatType():
+                self.has_float = True
+                return _float_node(bool(extra.get(NONFINITE)), outward)
+            case mi.IntType():
+                return self._int_node(info, extra, outward)
+            case mi.ListType() | mi.VarTupleType() | mi.SetType() | mi.FrozenSetType():
+                return _list_node(self._node(info.item_type, memo, outward=outward))
+            case mi.TupleType():
+                return _tuple_node([self._node(t, memo, outward=outward) for t in info.item_types])
+            case mi.DictType():
+                return _dict_node(self._node(info.value_type, memo, outward=outward))
+            case mi.StructType() | mi.TypedDictType() | mi.DataclassType():
+                return self._struct_node(info, memo, outward)
+            case mi.UnionType():
+                return self._union_node(info, memo, outward)
+            case mi.AnyType():
+                self.has_float = self.has_wide_int = True
+                return _any_node if outward else _same
+            case _:
+                return _same
+
+    def _int_node(self, info: mi.IntType, extra: dict[str, Any], outward: bool) -> Node:
+        low = info.ge if info.ge is not None else info.gt
+        high = info.le if info.le is not None else info.lt
+        if low is not None and high is not None and -SAFE_INTEGER <= low and high <= SAFE_INTEGER:
+            return _same
+        self.has_wide_int = True
+        top = extra.get("maximum", high if high is not None else 2**63 - 1)
+        bottom = extra.get("minimum", low if low is not None else -(2**63))
+        return _int_node(bottom, top, outward)
+
+    def _struct_node(self, info: Any, memo: dict[type, Node], outward: bool) -> Node:
+        fields: dict[str, Node] = {}
+        if (known := memo.get(info.cls)) is not None:
+            return known
+        node = _struct_node(fields)
+        memo[info.cls] = node
+        for field in info.fields:
+            child = self._node(field.type, memo, outward=outward)
+            if child is not _same:
+                fields[field.encode_name] = child
+        return node
+
+    def _union_node(self, info: mi.UnionType, memo: dict[type, Node], outward: bool) -> Node:
+        nodes = [self._node(option, memo, outward=outward) for option in info.types]
+        live = [node for node in nodes if node is not _same]
+        if not live:
+            return _same
+        return live[0] if len(live) == 1 else _first_of(live)
+
+
+def _same(value: Any, _pointer: str) -> Any:
+    return value
+
+
+def _float_node(free: bool, outward: bool) -> Node:
+    def out(value: Any, pointer: str) -> Any:
+        if isinstance(value, float) and not math.isfinite(value):
+            if not free:
+                raise ValueError(pointer, "is not a finite number")
+            return "NaN" if value != value else ("Infinity" if value > 0 else "-Infinity")
+        return value
+
+    def into(value: Any, pointer: str) -> Any:
+        if isinstance(value, str) and value in _NAMES:
+            value = _NAMES[value]
+        if isinstance(value, float) and not free and not math.isfinite(value):
+            raise ValueError(pointer, "is not a finite number")
+        return value
+
+    return out if outward else into
+
+
+def _int_node(bottom: int, top: int, outward: bool) -> Node:
+    def checked(value: int, pointer: str) -> int:
+        if not bottom <= value <= top:
+            raise ValueError(pointer, f"lies outside {bottom}…{top}")
+        return value
+
+    def out(value: Any, pointer: str) -> Any:
+        if isinstance(value, int) and not isinstance(value, bool):
+            checked(value, pointer)
+            return str(value) if abs(value) > SAFE_INTEGER else value
+        return value
+
+    def into(value: Any, pointer: str) -> Any:
+        if isinstance(value, str) and len(value) <= 21 and value.lstrip("-").isdecimal():
+            value = int(value) if value.isascii() else value
+        if isinstance(value, int) and not isinstance(value, bool):
+            return checked(value, pointer)
+        return value
+
+    return out if outward else into
+
+
+def _list_node(item: Node) -> Node:
+    if item is _same:
+        return _same
+
+    def node(value: Any, pointer: str) -> Any:
+        if isinstance(value, (list, tuple)):
+            return [item(v, f"{pointer}/{i}") for i, v in enumerate(value)]
+        return value
+
+    return node
+
+
+def _tuple_node(items: list[Node]) -> Node:
+    def node(value: Any, pointer: str) -> Any:
+        if isinstance(value, (list, tuple)) and len(value) == len(items):
+            pairs = zip(items, value, strict=True)
+            return [n(v, f"{pointer}/{i}") for i, (n, v) in enumerate(pairs)]
+        return value
+
+    return node
+
+
+def _dict_node(item: Node) -> Node:
+    if item is _same:
+        return _same
+
+    def node(value: Any, pointer: str) -> Any:
+        if isinstance(value, dict):
+            return {k: item(v, f"{pointer}/{k}") for k, v in value.items()}
+        return value
+
+    return node
+
+
+def _struct_node(fields: dict[str, Node]) -> Node:
+    def node(value: Any, pointer: str) -> Any:
+        if isinstance(value, dict):
+            return {
+                k: fields[k](v, f"{pointer}/{k}") if k in fields else v for k, v in value.items()
+            }
+        return value
+
+    return node
+
+
+def _first_of(nodes: list[Node]) -> Node:
+    def node(value: Any, pointer: str) -> Any:
+        trouble: ValueError | None = None
+        for option in nodes:
+            try:
+                return option(value, pointer)
+            except ValueError as error:
+                trouble = error
+        raise trouble or ValueError(pointer, "fits none of the options")
+
+    return node
+
+
+def _any_node(value: Any, pointer: str) -> Any:
+    match value:
+        case float() if not math.isfinite(value):
+            return "NaN" if value != value else ("Infinity" if value > 0 else "-Infinity")
+        case bool():
+            return value
+        case int() if abs(value) > SAFE_INTEGER:
+            return str(value)
+        case dict():
+            return {k: _any_node(v, pointer) for k, v in value.items()}
+        case list() | tuple():
+            return [_any_node(v, pointer) for v in value]
+        case msgspec.Struct():
+            return _any_node(msgspec.to_builtins(value), pointer)
+        case _:
+            return value

@@ -1,0 +1,98 @@
+"""The hooks, one page. All are synchronous, run once before the event loop starts, and declare.
+
+An async hook, a name that is no hook, or two records with one name stop the start-up with the
+culprits' names. Nothing asynchronous and no message ever goes through a hook.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from typing import TYPE_CHECKING
+
+import pluggy
+
+if TYPE_CHECKING:
+    from rcp_kernel.config import GatewayConfig
+    from rcp_kernel.identity import Principal
+    from rcp_kernel.sessions import Handler
+    from rcp_kernel.spi import AdapterKind, BackendKind, TransportKind
+
+__all__ = ["PROJECT", "hookimpl"]
+
+PROJECT = "rcp"
+hookspec = pluggy.HookspecMarker(PROJECT)
+hookimpl = pluggy.HookimplMarker(PROJECT)
+
+
+@hookspec
+def rcp_backends() -> Iterable[BackendKind]:  # pyright: ignore[reportReturnType]
+    """Offer kinds of robots, used by `[[backends]] use = "<name>"`.
+
+    Example::
+
+        @hookimpl
+        def rcp_backends():
+            return [BackendKind("turtle", TurtleConfig, open_turtle)]
+    """
+
+
+@hookspec
+def rcp_transports() -> Iterable[TransportKind]:  # pyright: ignore[reportReturnType]
+    """Offer wires that clients come in by, used by `[transports.<name>]`.
+
+    Example::
+
+        @hookimpl
+        def rcp_transports():
+            return [TransportKind("asgi", AsgiConfig, open_asgi)]
+    """
+
+
+@hookspec
+def rcp_adapters() -> Iterable[AdapterKind]:  # pyright: ignore[reportReturnType]
+    """Offer translations for one kind of client, used by `[plugins.<name>]`.
+
+    Example::
+
+        @hookimpl
+        def rcp_adapters():
+            return [AdapterKind("mcp", McpConfig, open_mcp)]
+    """
+
+
+@hookspec
+def rcp_interceptors(
+    config: GatewayConfig,
+) -> Iterable[Callable[[Handler], Handler]]:  # pyright: ignore[reportReturnType]
+    """Offer functions that wrap the handling of every request; composed once, by plugin name.
+
+    An interceptor runs on the hot path: it must not await, and must call on or refuse.
+
+    Example::
+
+        @hookimpl
+        def rcp_interceptors(config):
+            def count(handler):
+                def handle(session, request, answer):
+                    seen[request.type] += 1
+                    handler(session, request, answer)
+                return handle
+            return [count]
+    """
+
+
+@hookspec(firstresult=True)
+def rcp_authenticator(config: GatewayConfig) -> Callable[[str], Principal | None] | None:
+    """Offer a function from a bearer token to its principal; it is asked before the API keys.
+
+    It returns None for a token that is not its own, and raises `Unauthenticated` or
+    `TokenExpired` for one that is and is not good. The first plugin to offer one wins.
+
+    Example::
+
+        @hookimpl
+        def rcp_authenticator(config):
+            return lambda token: directory.get(token)
+    """
+
+

@@ -1,0 +1,223 @@
+"""What a plugin implements and what it is given: the narrow waist on both sides.
+
+A robot-facing plugin offers `BackendKind` records and implements `Backend` (through
+`BaseBackend`); a client-facing one offers `TransportKind` or `AdapterKind` records and talks to
+the gateway through `Door` and `Session` only. Nothing here runs by itself: hooks declare,
+context managers live, method calls work.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from contextlib import AbstractAsyncContextManager, nullcontext
+from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
+
+import msgspec
+
+from rcp_kernel.errors import AdapterUnavailable, UnsupportedOperation
+from rcp_kernel.model import Resource
+
+if TYPE_CHECKING:
+    from rcp_kernel.sessions import Door
+
+__all__ = [
+    "AdapterKind",
+    "Backend",
+    "BackendKind",
+    "BaseBackend",
+    "Host",
+    "Native",
+    "Progress",
+    "Publication",
+    "TransportKind",
+]
+
+
+@runtime_checkable
+class Native(Protocol):
+    """A value still in the backend's own serialised form; decoded only if somebody asks.
+
+    A backend that publishes one vouches for it: what `decode` returns is not validated again.
+    """
+
+    data: bytes
+    """The serialised bytes, as a subscription with `encoding: native` receives them."""
+
+    def decode(self) -> Any:
+        """Return the value; called at most once, on the event loop."""
+        ...
+
+
+class Publication(msgspec.Struct, frozen=True, gc=False):
+    """One value for `Host.publish_batch`."""
+
+    name: str
+    value: Any
+    timestamp: int | None = None
+    """Source time, ns since the UNIX epoch; None takes the time of receipt."""
+
+
+class Progress(Protocol):
+    """Report feedback of a running command; newest wins for a slow client, none are reordered."""
+
+    def __call__(self, feedback: Any = None, *, fraction: float | None = None) -> None:
+        """Send `feedback` (of the resource's feedback type) and the part done, 0…1."""
+        ...
+
+
+class Host(Protocol):
+    """What a backend is given: the tree below its tenant and robot, and nothing else.
+
+    Names are the backend's own (`sensor/pose`). Every method is for the event loop's thread
+    except `call_soon` and `publish_batch`.
+    """
+
+    tenant: str
+    robot: str | None
+
+    def declare(self, *resources: Resource) -> None:
+        """Add resources, or replace those of the same name.
+
+        :raises PluginError: if a name is taken by another backend, or a type has no schema.
+        """
+        ...
+
+    def withdraw(self, *names: str) -> None:
+        """Remove resources; their commands and subscriptions are told. Unknown names are ignored."""
+        ...
+
+    def publish(self, name: str, value: Any, timestamp: int | None = None) -> None:
+        """Hand over a new value; never blocks, never raises for a bad value (that is a fault)."""
+        ...
+
+    def publish_batch(self, batch: Sequence[Publication]) -> None:
+        """Hand over values from any thread, with one wake-up of the event loop for all of them."""
+        ...
+
+    def call_soon(self, function: Callable[..., object], *args: Any) -> None:
+        """Run a function on the event loop, from any thread."""
+        ...
+
+    def report(self, detail: str | None, *, down: bool = False) -> None:
+        """Say that the link is degraded (or down), with a sentence why; None: all is well again."""
+        ...
+
+
+@runtime_checkable
+class Backend(Protocol):
+    """A robot, as the kernel sees it. Every name is one the backend declared itself.
+
+    All coroutines run on the event loop and may be cancelled at any await: deadlines and clients'
+    cancels arrive as cancellation. Values that come in fit the declared type already. Anything
+    raised should be an `RcpError`; anything else is `internal`.
+    """
+
+    async def read(self, name: str) -> Any:
+        """Return the present value; asked only where no fresh sample is at hand.
+
+        :raises AdapterUnavailable: the link is down.
+        :raises DeviceTimeout: the robot did not answer.
+        """
+        ...
+
+    async def write(self, name: str, value: Any) -> Any:
+        """Bring a value into force; return the value now in force, or None if it is `value`.
+
+        :raises DeviceRejected: the robot refused, with its reason.
+        """
+        ...
+
+    async def execute(self, name: str, value: Any, progress: Progress) -> Any:
+        """Run an action or service to its end and return its result.
+
+        Returning means that the robot confirmed it. A cancellation must reach the robot before
+        the coroutine ends.
+
+        :raises DeviceRejected: the robot refused or aborted.
+        """
+        ...
+
+    def watch(self, name: str, rate: float | None) -> AbstractAsyncContextManager[object]:
+        """Keep `name` published while entered; `rate` is the most that anybody wants, in Hz.
+
+        Entered at the first subscriber and left after the last. When the wanted rate changes, the
+        new one is entered before the old one is left. None: as fast as the source goes.
+        """
+        ...
+
+    async def halt(self) -> None:
+        """Bring everything that moves to rest, at once; return when the robot confirmed it.
+
+        Called by the e-stop and before the backend closes; called again until it returns.
+        """
+        ...
+
+
+class BaseBackend:
+    """A backend that refuses everything: a subclass writes only what its robot has."""
+
+    async def read(self, name: str) -> Any:
+        """Refuse: there is nothing but what was published."""
+        raise AdapterUnavailable(
+            f"no value of '{name}' has arrived yet",
+            remedy="Wait for the robot to send it, or subscribe to it.",
+        )
+
+    async def write(self, name: str, value: Any) -> Any:
+        """Refuse."""
+        raise UnsupportedOperation(f"'{name}' cannot be written")
+
+    async def execute(self, name: str, value: Any, progress: Progress) -> Any:
+        """Refuse."""
+        raise UnsupportedOperation(f"'{name}' cannot be executed")
+
+    def watch(self, name: str, rate: float | None) -> AbstractAsyncContextManager[object]:
+        """Do nothing: what is published unasked needs no watching."""
+        return nullcontext()
+
+    async def halt(self) -> None:
+        """Do nothing: a robot without moving parts is at rest."""
+
+
+class BackendKind(msgspec.Struct, frozen=True):
+    """A kind of robot that a plugin can front; offered by the hook `rcp_backends`.
+
+    `open(config, host)` is an async context manager that yields the `Backend`. Entering it
+    connects; it declares resources through the host at any time. Inside it `NotReady` means try
+    again with backoff, `ConfigError` stop for good.
+    """
+
+    name: str
+    """The word of the configuration: `use = "<name>"`."""
+    config: type[msgspec.Struct]
+    """Type of the plugin's table; decoded strictly by the kernel before `open` is called."""
+    open: Callable[[Any, Host], AbstractAsyncContextManager[Backend]]
+    description: str = ""
+    """One line for `rcpd plugins`."""
+
+
+class TransportKind(msgspec.Struct, frozen=True):
+    """A wire that clients come in by; offered by the hook `rcp_transports`.
+
+    `open(config, door)` is an async context manager: entered, it accepts clients; left, it has
+    let go of them. It is yielded to as a mapping of facts for `/system/status` (its address).
+    """
+
+    name: str
+    """Its table in the configuration: `[transports.<name>]`."""
+    config: type[msgspec.Struct]
+    open: Callable[[Any, Door], AbstractAsyncContextManager[dict[str, Any]]]
+    description: str = ""
+
+
+class AdapterKind(msgspec.Struct, frozen=True):
+    """A translation for one kind of client; offered by the hook `rcp_adapters`.
+
+    Opened like a transport, before the transports are.
+    """
+
+    name: str
+    """Its table in the configuration: `[plugins.<name>]`."""
+    config: type[msgspec.Struct]
+    open: Callable[[Any, Door], AbstractAsyncContextManager[dict[str, Any]]]
+    description: str = ""
