@@ -34,6 +34,7 @@ class Shape:
         self._fields: dict[type, dict[str, mi.Type]] = {}
         self.has_float = False
         self.has_wide_int = False
+        self.grows = False
         self._info = mi.type_info(type_)
         self.outward = self._node(self._info, self._out, outward=True)
         self.inward = self._node(self._info, self._in, outward=False)
@@ -85,18 +86,23 @@ class Shape:
                 return _float_node(bool(extra.get(NONFINITE)), outward)
             case mi.IntType():
                 return self._int_node(info, extra, outward)
+            case mi.BytesType() | mi.ByteArrayType() | mi.MemoryViewType():
+                self.grows = True
+                return _same
             case mi.ListType() | mi.VarTupleType() | mi.SetType() | mi.FrozenSetType():
+                self.grows = True
                 return _list_node(self._node(info.item_type, memo, outward=outward))
             case mi.TupleType():
                 return _tuple_node([self._node(t, memo, outward=outward) for t in info.item_types])
             case mi.DictType():
+                self.grows = True
                 return _dict_node(self._node(info.value_type, memo, outward=outward))
             case mi.StructType() | mi.TypedDictType() | mi.DataclassType():
                 return self._struct_node(info, memo, outward)
             case mi.UnionType():
                 return self._union_node(info, memo, outward)
             case mi.AnyType():
-                self.has_float = self.has_wide_int = True
+                self.has_float = self.has_wide_int = self.grows = True
                 return _any_node if outward else _same
             case _:
                 return _same

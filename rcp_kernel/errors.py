@@ -123,6 +123,7 @@ class RcpError(Exception):
         self.remedy = remedy if remedy is not None else self.default_remedy
         self.retry_after = retry_after
         self.details = details
+        self.trace_id: str | None = None
 
 
 class Refused(RcpError):

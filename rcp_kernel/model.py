@@ -33,7 +33,7 @@ MAX_DEEP = 3  # `**` in one pattern
 _SEGMENT = re.compile(r"[A-Za-z0-9_.-]+\Z")
 _PATH = re.compile(r"(?:/[A-Za-z0-9_.-]+)+\Z")
 
-Policy = Literal["reject", "queue", "preempt"]
+Policy = Literal["reject", "queue", "preempt", "parallel"]
 
 
 class Kind(StrEnum):
@@ -213,8 +213,8 @@ class Resource(msgspec.Struct, frozen=True, kw_only=True):
     """Seconds after which a value without a successor counts as stale."""
     timeout: float | None = None
     """Seconds a read, write or execute may take; None takes the gateway's default for its kind."""
-    policy: Policy = "reject"
-    """What an execute does while another one runs."""
+    policy: Policy | None = None
+    """What an execute does while another one runs; None: actions reject, services run beside."""
     outlives: bool = True
     """A command goes on when the session that sent it ends."""
     max_age: float | None = None

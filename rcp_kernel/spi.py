@@ -18,7 +18,7 @@ from rcp_kernel.errors import AdapterUnavailable, UnsupportedOperation
 from rcp_kernel.model import Resource
 
 if TYPE_CHECKING:
-    from rcp_kernel.sessions import Door
+    from rcp_kernel.door import Door
 
 __all__ = [
     "AdapterKind",

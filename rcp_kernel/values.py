@@ -61,6 +61,7 @@ class ValueType:
         "_schema",
         "_schema_id",
         "_shape",
+        "grows",
         "probes_null",
         "type",
     )
@@ -74,6 +75,8 @@ class ValueType:
         except (TypeError, ValueError) as error:
             raise PluginError(f"{type_!r} is not a type that msgspec decodes: {error}") from error
         self.probes_null = self._shape.has_float
+        self.grows = self._shape.grows
+        """Whether values may be of any length: text, bytes, lists, maps."""
         self._schema: dict[str, Any] | None = None
         self._schema_id: str | None = None
 

@@ -236,7 +236,7 @@ def error_body(error: RcpError) -> dict[str, Any]:
         "retryable": error.retryable,
         "retry_after": error.retry_after,
         "details": error.details,
-        "trace_id": getattr(error, "trace_id", None) or uuid.uuid4().hex,
+        "trace_id": error.trace_id or uuid.uuid4().hex,
     }
     return {key: value for key, value in body.items() if value is not None}
 

@@ -1,0 +1,410 @@
+"""The life of an execute: accepted → pending → in_progress → completed | failed | rejected | cancelled.
+
+The kernel derives every status from the life of one coroutine, `Backend.execute`, so that no
+plugin can send an illegal sequence. A command has an id of the gateway's own, outlives its
+connection, and is remembered after its end.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import secrets
+from collections import OrderedDict, deque
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+import structlog
+
+from rcp_kernel.clock import iso, now
+from rcp_kernel.errors import (
+    AdapterUnavailable,
+    AlreadyRunning,
+    Cancelled,
+    DeadlineExceeded,
+    DeviceRejected,
+    InternalError,
+    QueueFull,
+    RcpError,
+)
+from rcp_kernel.metrics import Histogram
+from rcp_kernel.model import Kind
+from rcp_kernel.registry import Entry
+from rcp_kernel.values import to_plain
+from rcp_kernel.wire import FINAL, NO_BODY, Reply, Status, error_body
+
+__all__ = ["Command", "Commands", "Keeper", "Record"]
+
+log = structlog.get_logger("rcp.commands")
+_QUEUE = 16  # commands that wait for one path
+_HISTORY = 64  # replies kept of one command; first and last are always among them
+_FINISHED = 1000  # commands remembered after their end
+_CANCEL_GRACE = 5.0  # s a backend has to bring a cancelled command to rest
+
+Follower = Callable[[Reply], None]
+
+
+@dataclass(slots=True)
+class Record:
+    """What is remembered of one step of a command."""
+
+    status: Status
+    time: int
+    body: Any = NO_BODY
+    progress: float | None = None
+    message: str | None = None
+    error: dict[str, Any] | None = None
+
+    def plain(self) -> dict[str, Any]:
+        """Write the step as plain data."""
+        out: dict[str, Any] = {"status": self.status, "timestamp": iso(self.time)}
+        if self.body is not NO_BODY:
+            out["body"] = to_plain(self.body)
+        for key in ("progress", "message", "error"):
+            if (value := getattr(self, key)) is not None:
+                out[key] = value
+        return out
+
+
+class Keeper(Protocol):
+    """Where commands are written down so that a restart finds them."""
+
+    def save(self, command: Command) -> None:
+        """Note the command's present state; must not block."""
+        ...
+
+
+@dataclass(slots=True, eq=False)
+class Command:
+    """One execute, from request to its one final status."""
+
+    id: str
+    path: str
+    principal: str
+    tenant: str | None
+    request_id: str | None = None
+    custom: dict[str, Any] | None = None
+    input: Any = None
+    created: int = field(default_factory=now)
+    finished: int | None = None
+    history: list[Record] = field(default_factory=list[Record])
+    session: str | None = None
+    entry: Entry | None = None
+    task: asyncio.Task[Any] | None = None
+    followers: list[Follower] = field(default_factory=list[Follower])
+    cancelling: str | None = None
+    """Why a cancel was asked for."""
+    expired: bool = False
+
+    @property
+    def status(self) -> Status:
+        """The present status."""
+        return self.history[-1].status
+
+    @property
+    def final(self) -> bool:
+        """Whether the command has ended."""
+        return self.status in FINAL
+
+    def reply(self, record: Record | None = None) -> Reply:
+        """Write a step (the latest if not given) as a reply envelope."""
+        record = record or self.history[-1]
+        return Reply(
+            type="execute",
+            id=self.request_id,
+            path=self.path,
+            status=record.status,
+            body=record.body,
+            message=record.message,
+            error=record.error,
+            command=self.id,
+            progress=record.progress,
+            timestamp=iso(record.time),
+            custom=self.custom,
+        )
+
+    def plain(self) -> dict[str, Any]:
+        """Write the command with its history as plain data, for lists and `/system/commands`."""
+        last = self.history[-1]
+        out: dict[str, Any] = {
+            "command": self.id,
+            "path": self.path,
+            "status": last.status,
+            "principal": self.principal,
+            "created": iso(self.created),
+            "updated": iso(last.time),
+        }
+        facts = {"id": self.request_id, "finished": self.finished and iso(self.finished)}
+        facts |= {"progress": self.progress, "message": last.message, "error": last.error}
+        out |= {key: value for key, value in facts.items() if value is not None}
+        if last.body is not NO_BODY:
+            out["body"] = to_plain(last.body)
+        if self.input is not None:
+            out["input"] = to_plain(self.input)
+        out["history"] = [record.plain() for record in self.history]
+        return out
+
+    @property
+    def progress(self) -> float | None:
+        """The last fraction that the backend reported, 0…1."""
+        return next((r.progress for r in reversed(self.history) if r.progress is not None), None)
+
+
+class Commands:
+    """Every command of the gateway: running, queued, and the recently finished."""
+
+    def __init__(self, keeper: Keeper | None = None) -> None:
+        self.running: dict[str, Command] = {}
+        self.finished: OrderedDict[str, Command] = OrderedDict()
+        self.counts: dict[str, int] = {}
+        """Ended commands by final status."""
+        self.seconds = Histogram()
+        self.keeper = keeper
+        self._active: dict[str, Command] = {}
+        """The command that holds each path, where the policy allows only one."""
+        self._queues: dict[str, deque[Command]] = {}
+        self._starts: dict[str, Callable[[], None]] = {}
+
+    def find(self, id_: str) -> Command | None:
+        """Return a command by the gateway's id."""
+        return self.running.get(id_) or self.finished.get(id_)
+
+    def every(self) -> Iterable[Command]:
+        """Go through all that are known, newest first."""
+        yield from reversed(list(self.running.values()))
+        yield from reversed(self.finished.values())
+
+    @property
+    def queued(self) -> int:
+        """How many wait for a path."""
+        return sum(len(queue) for queue in self._queues.values())
+
+    def admit(self, entry: Entry) -> None:
+        """Refuse a command that the path's policy does not allow now.
+
+        :raises AlreadyRunning: one is running and the policy is `reject`.
+        :raises QueueFull: too many wait already.
+        """
+        busy = self._active.get(entry.path)
+        if busy is None or entry.resource.policy == "preempt":
+            return
+        if entry.resource.policy == "queue":
+            if len(self._queues.get(entry.path, ())) >= _QUEUE:
+                raise QueueFull(f"{_QUEUE} commands wait for {entry.path} already", path=entry.path)
+            return
+        raise AlreadyRunning(
+            f"action '{entry.path}' is currently in progress; rejecting duplicate request",
+            path=entry.path,
+            details={"command": busy.id},
+        )
+
+    def start(self, command: Command, entry: Entry, value: Any, timeout: float | None) -> None:
+        """Accept an admitted command and run it, now or when the path is free."""
+        command.entry = entry
+        self.running[command.id] = command
+        self._note(command, Record("accepted", now(), message="Command accepted."))
+
+        def begin() -> None:
+            self._run(command, entry, value, timeout)
+
+        busy = self._active.get(entry.path)
+        if busy is None or self._shared(entry):
+            begin()
+            return
+        self._note(
+            command,
+            Record("pending", now(), message=f"Waiting for command {busy.id} on {entry.path}."),
+        )
+        queue = self._queues.setdefault(entry.path, deque())
+        self._starts[command.id] = begin
+        if entry.resource.policy == "preempt":
+            for waiting in list(queue):
+                self.cancel(waiting, "preempted by a newer command")
+            self.cancel(busy, "preempted by a newer command")
+        self._queues.setdefault(entry.path, deque()).append(command)
+
+    @staticmethod
+    def _shared(entry: Entry) -> bool:
+        """Whether the path runs any number at once: services do unless they say otherwise."""
+        policy = entry.resource.policy
+        return policy == "parallel" or (policy is None and entry.kind is Kind.SERVICE)
+
+    def _run(self, command: Command, entry: Entry, value: Any, timeout: float | None) -> None:
+        if not self._shared(entry):
+            self._active[entry.path] = command
+        loop = asyncio.get_running_loop()
+        command.task = loop.create_task(self._call(command, entry, value), name=f"command {command.id}")
+        timer = loop.call_later(timeout, self._expire, command, timeout) if timeout else None
+        command.task.add_done_callback(lambda task: self._ended(command, task, timer))
+
+    async def _call(self, command: Command, entry: Entry, value: Any) -> Any:
+        backend = entry.owner.backend
+        if backend is None:
+            raise entry.owner.unavailable()
+
+        def progress(feedback: Any = None, *, fraction: float | None = None) -> None:
+            if not command.final:
+                self._progress(command, entry, feedback, fraction)
+
+        result = await backend.execute(entry.name, value, progress)
+        try:
+            return entry.output_type.check(result)[0] if result is not None else None
+        except RcpError as error:
+            entry.owner.fault(f"result of {entry.path}: {error.message}")
+            raise DeviceRejected(
+                f"the robot finished, and its result does not fit its type: {error.message}",
+                remedy="Mend the backend or the type that it declares.",
+            ) from error
+
+    def _progress(self, command: Command, entry: Entry, feedback: Any, fraction: float | None) -> None:
+        body: Any = NO_BODY
+        if feedback is not None:
+            try:
+                body = entry.feedback_type.check(feedback)[0]
+            except RcpError as error:
+                entry.owner.fault(f"feedback of {entry.path}: {error.message}")
+                return
+        if fraction is not None:
+            fraction = min(1.0, max(0.0, fraction))
+        self._note(command, Record("in_progress", now(), body, fraction))
+
+    def _expire(self, command: Command, timeout: float) -> None:
+        """End a command in time for its client, whatever the backend makes of the cancel."""
+        if command.final:
+            return
+        command.expired = True
+        assert command.task is not None
+        command.task.cancel()
+        self._end(
+            command,
+            DeadlineExceeded(
+                f"{command.path} did not finish within {timeout:g} s; the robot was told to stop",
+                path=command.path,
+            ),
+        )
+
+    def cancel(self, command: Command, reason: str) -> None:
+        """Have a command cancelled: the robot is told at once, the final status follows."""
+        if command.final or command.cancelling is not None:
+            return
+        command.cancelling = reason
+        if command.id in self._starts:
+            del self._starts[command.id]
+            self._queues[command.path].remove(command)
+            self._end(command, Cancelled(f"{command.path} was cancelled: {reason}", path=command.path))
+        elif command.task is not None:
+            command.task.cancel()
+            asyncio.get_running_loop().call_later(_CANCEL_GRACE, self._give_up, command)
+
+    def _give_up(self, command: Command) -> None:
+        if not command.final:
+            self._end(
+                command,
+                DeadlineExceeded(
+                    f"{command.path} was cancelled and the backend has not confirmed it for "
+                    f"{_CANCEL_GRACE:g} s",
+                    path=command.path,
+                    remedy="Look at the robot: it may still be moving. Use the e-stop if in doubt.",
+                ),
+            )
+
+    def _ended(
+        self, command: Command, task: asyncio.Task[Any], timer: asyncio.TimerHandle | None
+    ) -> None:
+        if timer is not None:
+            timer.cancel()
+        if not command.final:
+            self._end(command, _outcome(command, task))
+        elif not task.cancelled():
+            task.exception()  # looked at, so that asyncio does not report it as lost
+        if self._active.get(command.path) is command:
+            del self._active[command.path]
+            self._next(command.path)
+
+    def _next(self, path: str) -> None:
+        queue = self._queues.get(path)
+        if not queue:
+            self._queues.pop(path, None)
+            return
+        following = queue.popleft()
+        if not queue:
+            del self._queues[path]
+        self._starts.pop(following.id)()
+
+    def _end(self, command: Command, outcome: Any) -> None:
+        if isinstance(outcome, RcpError):
+            outcome.path = outcome.path or command.path
+            if outcome.origin is None and command.entry is not None:
+                outcome.origin = command.entry.owner.name
+            status: Any = _status(command, outcome)
+            record = Record(status, now(), message=outcome.message, error=error_body(outcome))
+        else:
+            body = NO_BODY if outcome is None else outcome
+            text = f"Command {command.path} executed successfully."
+            record = Record("completed", now(), body, message=text)
+        command.finished = record.time
+        self._note(command, record)
+        command.followers.clear()
+
+    def _note(self, command: Command, record: Record) -> None:
+        history = command.history
+        history.append(record)
+        if len(history) > _HISTORY:
+            del history[1]
+        if record.status in FINAL:
+            self.running.pop(command.id, None)
+            self.finished[command.id] = command
+            while len(self.finished) > _FINISHED:
+                self.finished.popitem(last=False)
+            self.counts[record.status] = self.counts.get(record.status, 0) + 1
+            self.seconds.observe((record.time - command.created) / 1e9)
+        if self.keeper is not None and record.status != "in_progress":
+            self.keeper.save(command)
+        if command.followers:
+            reply = command.reply(record)
+            for follower in list(command.followers):
+                follower(reply)
+
+    def interrupt(self, path: str, error: RcpError) -> None:
+        """End what runs on a path whose backend is gone, with the reason."""
+        for command in [c for c in self.running.values() if c.path == path]:
+            if command.id in self._starts:
+                del self._starts[command.id]
+                self._queues[path].remove(command)
+            elif command.task is not None:
+                command.task.cancel()
+            self._end(command, error)
+
+    async def close(self) -> None:
+        """Cancel everything that runs, and wait a bounded time for it."""
+        tasks = [c.task for c in self.running.values() if c.task is not None]
+        for command in list(self.running.values()):
+            self.cancel(command, "the gateway is closing")
+        if tasks:
+            await asyncio.wait(tasks, timeout=_CANCEL_GRACE)
+
+
+def _outcome(command: Command, task: asyncio.Task[Any]) -> Any:
+    if task.cancelled():
+        reason = command.cancelling or "the backend gave it up"
+        return Cancelled(f"{command.path} was cancelled: {reason}", path=command.path)
+    error = task.exception()
+    if error is None:
+        return task.result()
+    if isinstance(error, RcpError):
+        return error
+    if isinstance(error, (ConnectionError, TimeoutError)):
+        return AdapterUnavailable(f"the link to the robot failed: {error or type(error).__name__}")
+    trace = secrets.token_hex(8)
+    log.error("command_crashed", command=command.id, path=command.path, trace_id=trace, exc_info=error)
+    failure = InternalError("the backend failed; the gateway's log has the reason")
+    failure.trace_id = trace
+    return failure
+
+
+def _status(command: Command, error: RcpError) -> Status:
+    """A refusal by the robot before anything was seen to move is `rejected`, later it is `failed`."""
+    if isinstance(error, Cancelled):
+        return "cancelled"
+    moved = any(record.status == "in_progress" for record in command.history)
+    return "rejected" if isinstance(error, DeviceRejected) and not moved else "failed"

@@ -1,0 +1,297 @@
+"""One TOML file, decoded strictly: a wrong key or type is an error with file, table and way out.
+
+Each plugin's table is decoded by the type that the plugin declares, so that no plugin parses.
+`${NAME}` in a text is taken from the environment, for secrets.
+"""
+
+from __future__ import annotations
+
+import difflib
+import os
+import re
+import tomllib
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import msgspec
+from msgspec import Meta
+
+from rcp_kernel.acl import BUILTIN_ROLES, Role
+from rcp_kernel.errors import ConfigError
+
+__all__ = [
+    "Anonymous",
+    "BackendConfig",
+    "GatewayConfig",
+    "KeyConfig",
+    "Limits",
+    "LogConfig",
+    "StoreConfig",
+    "TenantConfig",
+    "decode_table",
+    "load",
+    "parse",
+]
+
+_Name = Annotated[str, Meta(pattern=r"^[A-Za-z0-9_.-]+$", max_length=64)]
+_SECRET = re.compile(r"\$\{([A-Za-z_][A-Za-z0-9_]*)\}")
+
+
+class Table(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Base of the tables of the configuration: no unknown keys."""
+
+
+class Limits(Table):
+    """What one client may ask for; sizes in bytes, times in seconds."""
+
+    message: Annotated[int, Meta(ge=1024)] = 16 * 1024 * 1024
+    """Longest message or request body, after reassembly."""
+    subscriptions: Annotated[int, Meta(ge=1)] = 1000
+    """Subscriptions of one session."""
+    paths: Annotated[int, Meta(ge=1)] = 20_000
+    """Paths that one subscription's patterns may match."""
+    in_flight: Annotated[int, Meta(ge=1)] = 4096
+    """Unanswered requests of one session."""
+    batch: Annotated[int, Meta(ge=1)] = 256
+    """Envelopes in one `batch`."""
+    sessions: Annotated[int, Meta(ge=1)] = 2000
+    """Sessions at once, those waiting for a client's return included."""
+    session_ttl: Annotated[float, Meta(ge=0)] = 60.0
+    """How long a session waits for its client's return."""
+    heartbeat: Annotated[float, Meta(gt=0)] = 15.0
+    """Between pings of an idle connection; two unanswered ones close it."""
+    deadline: Annotated[float, Meta(gt=0, le=3600)] = 10.0
+    """For a request that names none."""
+    action_timeout: Annotated[float, Meta(gt=0)] = 3600.0
+    """For an action that declares none."""
+
+
+class TenantConfig(Table):
+    """A tenant; one that only stands in `[[backends]]` needs no table of its own."""
+
+    description: str = ""
+
+
+class BackendConfig(Table):
+    """One robot (or several) behind one plugin; further keys belong to the plugin."""
+
+    use: str
+    """The plugin's word: `sim`, `ros2`, …"""
+    name: _Name
+    tenant: _Name
+    robot: _Name | None = None
+    """Puts the robot one level deeper: `/tenant/<tenant>/sensor/<robot>/…`."""
+    options: dict[str, Any] = {}
+    """The keys that the plugin's own type decodes."""
+
+
+class KeyConfig(Table):
+    """A static API key: the text itself (by `${NAME}`) or its SHA-256 in hex."""
+
+    name: str
+    role: str | tuple[str, ...]
+    tenants: tuple[str, ...] = ("*",)
+    key: Annotated[str, Meta(min_length=16)] | None = None
+    sha256: Annotated[str, Meta(pattern="^[0-9a-f]{64}$")] | None = None
+
+
+class Anonymous(Table):
+    """What those may do who prove nothing; no role refuses them."""
+
+    role: str | None = "viewer"
+    tenants: tuple[str, ...] = ("*",)
+
+
+class LogConfig(Table):
+    """Logging: a console on a terminal, JSON lines otherwise."""
+
+    level: Literal["debug", "info", "warning", "error"] = "info"
+    format: Literal["auto", "console", "json"] = "auto"
+
+
+class StoreConfig(Table):
+    """Where command history and idempotency keys are kept; without a path only in memory."""
+
+    path: str | None = None
+
+
+class GatewayConfig(Table):
+    """The whole file."""
+
+    name: str = "rcp-gateway"
+    tenants: dict[_Name, TenantConfig] = {}
+    backends: tuple[BackendConfig, ...] = ()
+    transports: dict[str, dict[str, Any]] = {}
+    plugins: dict[str, dict[str, Any]] = {}
+    roles: dict[str, Role] = {}
+    keys: tuple[KeyConfig, ...] = ()
+    anonymous: Anonymous = Anonymous()
+    limits: Limits = Limits()
+    log: LogConfig = LogConfig()
+    store: StoreConfig = StoreConfig()
+
+    @property
+    def tenant_names(self) -> list[str]:
+        """Every tenant, those named only by a backend included, in order of appearance."""
+        return list(dict.fromkeys([*self.tenants, *(b.tenant for b in self.backends)]))
+
+
+def load(path: Path) -> GatewayConfig:
+    """Read a configuration file.
+
+    :raises ConfigError: it is not there, not TOML, or says something that is not allowed.
+    """
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{path}: cannot be read: {error}") from None
+    return parse(text, str(path))
+
+
+def parse(text: str, source: str) -> GatewayConfig:
+    """Read a configuration from text; `source` is named in errors.
+
+    :raises ConfigError: as `load` does.
+    """
+    try:
+        raw = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise ConfigError(f"{source}: not TOML: {error}") from None
+    raw = _with_secrets(raw, source, "")
+    backends = raw.get("backends", [])
+    if not isinstance(backends, list):
+        raise ConfigError(f"{source}: write [[backends]] in double brackets, once for each robot")
+    raw["backends"] = [_split(table, i, source) for i, table in enumerate(backends)]
+    for group in ("transports", "plugins"):
+        if not all(isinstance(table, dict) for table in raw.get(group, {}).values()):
+            raise ConfigError(f"{source}: [{group}] holds tables: write [{group}.<name>]")
+    config = decode_table(raw, GatewayConfig, f"{source}: ")
+    _check(config, source)
+    return config
+
+
+_KERNEL_KEYS = ("use", "name", "tenant", "robot")
+
+
+def _split(table: Any, place: int, source: str) -> dict[str, Any]:
+    if not isinstance(table, dict):
+        raise ConfigError(f"{source}: [[backends]] number {place + 1} is not a table")
+    kept = {key: item for key, item in table.items() if key in _KERNEL_KEYS}
+    kept.setdefault("name", kept.get("use"))
+    kept["options"] = {key: item for key, item in table.items() if key not in _KERNEL_KEYS}
+    return kept
+
+
+def _with_secrets(node: Any, source: str, where: str) -> Any:
+    if isinstance(node, dict):
+        return {k: _with_secrets(v, source, f"{where}.{k}" if where else k) for k, v in node.items()}
+    if isinstance(node, list):
+        return [_with_secrets(item, source, f"{where}[{i}]") for i, item in enumerate(node)]
+    if not isinstance(node, str):
+        return node
+
+    def found(match: re.Match[str]) -> str:
+        value = os.environ.get(match[1])
+        if value is None:
+            raise ConfigError(
+                f"{source}: {where} wants the environment variable {match[1]}, which is not set"
+            )
+        return value
+
+    return _SECRET.sub(found, node)
+
+
+_UNKNOWN = re.compile(r"unknown field `(?P<key>[^`]*)`(?: - at `\$(?P<at>[^`]*)`)?")
+_AT = re.compile(r"(?P<what>.*?) - at `\$\.?(?P<at>[^`]*)`", re.DOTALL)
+
+
+def decode_table(raw: Any, type_: type[Any], where: str) -> Any:
+    """Decode a table by its type.
+
+    :raises ConfigError: a key is unknown (with the nearest right one) or a value does not fit.
+    """
+    try:
+        return msgspec.convert(raw, type_, strict=True)
+    except msgspec.ValidationError as error:
+        raise ConfigError(where + _explain(str(error), raw, type_)) from None
+
+
+def _explain(text: str, raw: Any, type_: type[Any]) -> str:
+    unknown = _UNKNOWN.search(text)
+    if unknown is None:
+        match = _AT.match(text)
+        if match is None:
+            return text
+        value = _follow(raw, match["at"])
+        return f"{match['at']} = {_shown(value)}: {match['what']}"
+    table = (unknown["at"] or "").lstrip(".")
+    allowed = _keys_at(type_, table)
+    near = difflib.get_close_matches(unknown["key"], allowed, n=1, cutoff=0.5)
+    place = f"[{table}] has" if table else "there is"
+    advice = f"; did you mean `{near[0]}`?" if near else ""
+    return f"{place} an unknown key `{unknown['key']}`{advice} Allowed: {', '.join(allowed)}."
+
+
+def _follow(raw: Any, at: str) -> Any:
+    for step in re.findall(r"[^.\[\]]+", at):
+        if isinstance(raw, dict):
+            raw = raw.get(step)
+        elif isinstance(raw, list) and step.isdigit() and int(step) < len(raw):
+            raw = raw[int(step)]
+    return raw
+
+
+def _shown(value: Any) -> str:
+    return repr(value) if len(repr(value)) <= 60 else type(value).__name__
+
+
+def _keys_at(type_: Any, at: str) -> list[str]:
+    info: Any = msgspec.inspect.type_info(type_)
+    for step in re.findall(r"[^.\[\]]+", at):
+        info = _step(info, step)
+    while isinstance(info, msgspec.inspect.Metadata):
+        info = info.type
+    if isinstance(info, msgspec.inspect.UnionType):
+        info = next((t for t in info.types if hasattr(t, "fields")), info)
+    return sorted(f.encode_name for f in getattr(info, "fields", ()) if f.encode_name != "options")
+
+
+def _step(info: Any, step: str) -> Any:
+    while isinstance(info, msgspec.inspect.Metadata):
+        info = info.type
+    if isinstance(info, msgspec.inspect.UnionType):
+        info = next((t for t in info.types if hasattr(t, "fields")), info)
+    if isinstance(info, msgspec.inspect.DictType):
+        return info.value_type
+    if hasattr(info, "item_type"):
+        return info.item_type
+    return next((f.type for f in getattr(info, "fields", ()) if f.encode_name == step), info)
+
+
+def _check(config: GatewayConfig, source: str) -> None:
+    names = [backend.name for backend in config.backends]
+    for name in names:
+        if names.count(name) > 1:
+            raise ConfigError(
+                f"{source}: two [[backends]] are named '{name}': give each a `name` of its own"
+            )
+    roles = {**BUILTIN_ROLES, **config.roles}
+    used = [(f"keys '{key.name}'", role) for key in config.keys for role in role_names(key.role)]
+    if config.anonymous.role is not None:
+        used.append(("anonymous", config.anonymous.role))
+    for where, role in used:
+        if role not in roles:
+            near = difflib.get_close_matches(role, roles, n=1)
+            advice = f"; did you mean '{near[0]}'?" if near else f"; there are {', '.join(roles)}"
+            raise ConfigError(f"{source}: {where} has the role '{role}', which is not there{advice}")
+    for key in config.keys:
+        if (key.key is None) == (key.sha256 is None):
+            raise ConfigError(f"{source}: key '{key.name}' needs either `key` or `sha256`")
+        for tenant in key.tenants:
+            if tenant != "*" and tenant not in config.tenant_names:
+                raise ConfigError(f"{source}: key '{key.name}' names the unknown tenant '{tenant}'")
+
+
+def role_names(role: str | tuple[str, ...]) -> tuple[str, ...]:
+    """Return a role or several as a tuple."""
+    return (role,) if isinstance(role, str) else role

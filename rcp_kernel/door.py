@@ -1,0 +1,204 @@
+"""What a transport or adapter is given: the way in for clients, and nothing else of the gateway.
+
+A transport proves who its client is (`authenticate`), opens a `Connection` for a stream or takes
+the shared stateless session for single requests, and may offer `Mount`s to whichever transport
+serves HTTP. It translates; every decision is the kernel's.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable, MutableMapping
+from typing import TYPE_CHECKING, Any, Literal
+
+import msgspec
+
+from rcp_kernel.acl import Rights
+from rcp_kernel.commands import Command
+from rcp_kernel.config import Limits
+from rcp_kernel.discovery import Query
+from rcp_kernel.errors import PluginError
+from rcp_kernel.identity import Principal
+from rcp_kernel.model import Pattern
+from rcp_kernel.sessions import Answer, Connection, Hello, Session
+from rcp_kernel.values import Encoding
+from rcp_kernel.wire import Reply, Request
+
+if TYPE_CHECKING:
+    from rcp_kernel.gateway import Gateway
+    from rcp_kernel.status import StatusReport
+
+__all__ = ["Door", "Mount"]
+
+Scope = MutableMapping[str, Any]
+Asgi = Callable[
+    [Scope, Callable[[], Awaitable[Any]], Callable[[Any], Awaitable[None]]], Awaitable[None]
+]
+
+
+class Mount(msgspec.Struct, frozen=True, kw_only=True):
+    """A part of the HTTP tree that a plugin serves through the listener of another one."""
+
+    name: str
+    """Who offers it, for logs and errors."""
+    prefix: str
+    """Path below which (and at which) requests go to `app`; the longest prefix wins."""
+    kind: Literal["http", "websocket"] = "http"
+    app: Asgi
+    """A plain ASGI application; `scope["path"]` is the whole path."""
+    openapi: Callable[[Session], dict[str, Any]] | None = None
+    """Makes the `paths` of the OpenAPI document that this mount answers, for what a session sees."""
+
+
+class Door:
+    """The gateway as transports and adapters see it. For the event loop's thread only."""
+
+    def __init__(self, gateway: Gateway, status: StatusReport, name: str) -> None:
+        self._gateway = gateway
+        self._status = status
+        self.name = name
+        """The transport's word in sessions, counts and metrics."""
+        self.mounts: list[Mount] = []
+
+    def renamed(self, name: str) -> Door:
+        """Return the same door under another transport's name; mounts are shared."""
+        door = Door(self._gateway, self._status, name)
+        door.mounts = self.mounts
+        return door
+
+    @property
+    def limits(self) -> Limits:
+        """Sizes, numbers and times that hold for every client."""
+        return self._gateway.limits
+
+    @property
+    def loop(self) -> asyncio.AbstractEventLoop:
+        """The event loop."""
+        return self._gateway.loop
+
+    @property
+    def generation(self) -> int:
+        """A number that changes whenever the tree does, for ETags."""
+        return self._gateway.registry.generation
+
+    @property
+    def secure(self) -> bool:
+        """Whether everyone has to prove who they are."""
+        return self._gateway.config.anonymous.role is None
+
+    @property
+    def has_keys(self) -> bool:
+        """Whether anybody can prove anything at all."""
+        return bool(self._gateway.config.keys) or self._gateway.authenticates
+
+    def mount(self, mount: Mount) -> None:
+        """Offer a part of the HTTP tree to the listener.
+
+        :raises PluginError: another plugin serves the same prefix.
+        """
+        for other in self.mounts:
+            if (other.prefix, other.kind) == (mount.prefix, mount.kind):
+                raise PluginError(f"'{mount.name}' and '{other.name}' both serve {mount.prefix}")
+        self.mounts.append(mount)
+
+    def unmount(self, mount: Mount) -> None:
+        """Take an offered part back."""
+        if mount in self.mounts:
+            self.mounts.remove(mount)
+
+    def authenticate(self, token: str | None) -> Principal:
+        """Return whom a bearer token proves; None is the anonymous principal.
+
+        :raises Unauthenticated: the token is not known, or nobody is served without one.
+        """
+        return self._gateway.authenticate(token)
+
+    def connect(
+        self, principal: Principal, encoding: Encoding, flush: Callable[[], None]
+    ) -> Connection:
+        """Open a connection with a session of its own; `flush` is called when it has to send.
+
+        :raises QueueFull: the gateway holds too many sessions.
+        """
+        gateway = self._gateway
+        return Connection(gateway, gateway.sessions.open(principal, self.name), encoding, flush)
+
+    def hello(self, connection: Connection, hello: Hello) -> dict[str, Any]:
+        """Greet on behalf of a client that cannot: `session` and `resume_from` bring it back.
+
+        :raises Gap: the session is not there any more.
+        :raises Unauthenticated: it belongs to somebody else.
+        """
+        return self._gateway.sessions.greet(connection, hello)
+
+    def session(self, principal: Principal, tenant: str | None = None) -> Session:
+        """Return the stateless session of a principal, for single requests.
+
+        :raises Forbidden: the principal does not act in `tenant`.
+        """
+        return self._gateway.sessions.stateless(principal, self.name, tenant)
+
+    def submit(self, session: Session, request: Request, answer: Answer) -> None:
+        """Have a request handled; `answer` gets every reply, exactly one of them final.
+
+        It may be called before `submit` returns.
+        """
+        self._gateway.handle(session, request, answer)
+
+    async def ask(self, session: Session, request: Request) -> Reply:
+        """Have a request handled and return its final reply."""
+        final: asyncio.Future[Reply] = self._gateway.loop.create_future()
+
+        def answer(reply: Reply) -> None:
+            if reply.final and not final.done():
+                final.set_result(reply)
+
+        self.submit(session, request, answer)
+        return await final
+
+    def command(self, session: Session, id_: str) -> Command:
+        """Return a command that the session may see.
+
+        :raises UnknownPath: there is none.
+        """
+        return self._gateway.command(session, id_)
+
+    def commands(self, session: Session) -> list[Command]:
+        """List the commands that the session may see, newest first."""
+        rights = session.rights
+        return [c for c in self._gateway.commands.every() if rights.mask(c.path)]
+
+    def follow(self, command: Command, answer: Answer) -> Callable[[], None]:
+        """Have `answer` called with each further reply of a command; return what ends that."""
+        command.followers.append(answer)
+
+        def stop() -> None:
+            if answer in command.followers:
+                command.followers.remove(answer)
+
+        return stop
+
+    def discover(self, session: Session, pattern: str, query: Query) -> dict[str, Any]:
+        """Answer discovery for the resources that a session may see."""
+        found = Pattern(pattern, session.tenant)
+        return self._gateway.discovery.find(session.rights, found, query)
+
+    def schemas(self, session: Session) -> dict[str, dict[str, Any]]:
+        """Return the schemas of all that a session may see, by id."""
+        return self._gateway.discovery.schemas(session.rights)
+
+    def rights(self, principal: Principal) -> Rights:
+        """Return the compiled rights of a principal."""
+        return self._gateway.rules.rights(principal)
+
+    def refused(self, type_: str, code: str) -> None:
+        """Count a request that the transport had to refuse before it was an envelope."""
+        self._gateway.count(self.name, type_, code)
+
+    def ready(self) -> tuple[bool, dict[str, str]]:
+        """Tell whether every backend is ready, and each one's state."""
+        return self._status.ready()
+
+    def metrics(self) -> bytes:
+        """Return the Prometheus exposition."""
+        return self._status.metrics.text()

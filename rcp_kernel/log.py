@@ -1,0 +1,95 @@
+"""Logging: structlog, on a console for people, as JSON lines for machines, and as a resource."""
+
+from __future__ import annotations
+
+import logging
+import sys
+from collections import deque
+from collections.abc import Callable, MutableMapping
+from typing import Any, Literal
+
+import structlog
+
+__all__ = ["Recent", "configure"]
+
+_KEPT = 100  # warnings that `/system/status` shows
+
+
+class Recent:
+    """The last warnings and errors, and who wants to be told of new ones."""
+
+    def __init__(self) -> None:
+        self.records: deque[dict[str, Any]] = deque(maxlen=_KEPT)
+        self.told: Callable[[dict[str, Any]], None] | None = None
+
+    def __call__(
+        self, _logger: Any, method: str, event: MutableMapping[str, Any]
+    ) -> MutableMapping[str, Any]:
+        """Keep a record of level warning and above; a structlog processor."""
+        if method in ("warning", "error", "critical", "exception"):
+            record = {
+                "timestamp": event.get("timestamp"),
+                "level": "error" if method == "exception" else method,
+                "logger": event.get("logger") or "rcp",
+                "message": str(event.get("event")),
+                "facts": {
+                    key: value if isinstance(value, (int, float, bool)) else str(value)
+                    for key, value in event.items()
+                    if key not in ("timestamp", "level", "logger", "event", "exc_info", "exception")
+                },
+            }
+            self.records.append(record)
+            if self.told is not None:
+                self.told(record)
+        return event
+
+
+def configure(
+    level: str = "info", format_: Literal["auto", "console", "json"] = "auto"
+) -> Recent:
+    """Set up logging for the process; return what keeps the recent warnings."""
+    recent = Recent()
+    console = format_ == "console" or (format_ == "auto" and sys.stderr.isatty())
+    threshold = logging.getLevelNamesMapping()[level.upper()]
+    last: list[Any] = (
+        [structlog.dev.ConsoleRenderer()]
+        if console
+        else [structlog.processors.format_exc_info, structlog.processors.JSONRenderer()]
+    )
+    structlog.configure(
+        processors=[
+            _name,
+            structlog.processors.add_log_level,
+            structlog.processors.TimeStamper(fmt="iso", utc=True),
+            recent,
+            *last,
+        ],
+        wrapper_class=structlog.make_filtering_bound_logger(threshold),
+        logger_factory=_Named(sys.stderr),
+        cache_logger_on_first_use=False,
+    )
+    # Libraries log by the standard module: their warnings belong in the same place.
+    logging.basicConfig(handlers=[_Handoff()], level=max(threshold, logging.WARNING), force=True)
+    return recent
+
+
+class _Named:
+    def __init__(self, file: Any) -> None:
+        self._make = structlog.PrintLoggerFactory(file)
+
+    def __call__(self, *names: Any) -> Any:
+        logger = self._make()
+        logger.name = names[0] if names else "rcp"
+        return logger
+
+
+def _name(logger: Any, _method: str, event: MutableMapping[str, Any]) -> MutableMapping[str, Any]:
+    event.setdefault("logger", getattr(logger, "name", "rcp"))
+    return event
+
+
+class _Handoff(logging.Handler):
+    def emit(self, record: logging.LogRecord) -> None:
+        log = structlog.get_logger(record.name)
+        method = getattr(log, record.levelname.lower(), log.warning)
+        method(record.getMessage(), exc_info=record.exc_info or None)

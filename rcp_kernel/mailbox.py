@@ -1,0 +1,153 @@
+"""The way out to one client: replies and notices in order, updates as fresh as the socket allows.
+
+Nobody waits for a slow client. Updates wait in their feeds, bounded, and conflate; what goes into
+the socket is collected once a loop turn, for all mailboxes in one shared tick, so that a burst
+becomes one write.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections import deque
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+from rcp_kernel.values import Encoding
+
+if TYPE_CHECKING:
+    from rcp_kernel.samples import Sample
+    from rcp_kernel.streams import Feed
+
+__all__ = ["Mailbox", "Ticker", "Wrap"]
+
+Wrap = Callable[[bytes, "Feed | None", "Sample | None"], bytes]
+"""Frame one message for its transport: an update with its feed and sample, or a control message."""
+
+
+class Ticker:
+    """One call per loop turn for all mailboxes that have something to send."""
+
+    __slots__ = ("_dirty", "_loop")
+
+    def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
+        self._loop = loop
+        self._dirty: list[Mailbox] = []
+
+    def mark(self, mailbox: Mailbox) -> None:
+        """Flush the mailbox in the coming tick; it must not be marked already."""
+        if not self._dirty:
+            self._loop.call_soon(self._tick)
+        self._dirty.append(mailbox)
+
+    def _tick(self) -> None:
+        dirty, self._dirty = self._dirty, []
+        for mailbox in dirty:
+            mailbox.dirty = False
+            mailbox.flush()
+
+
+class Mailbox:
+    """What one connection has to be sent; the transport collects it when its socket takes it."""
+
+    __slots__ = (
+        "_flush",
+        "_ticker",
+        "control",
+        "dirty",
+        "encoding",
+        "feedback",
+        "high_water",
+        "pending",
+        "prioritised",
+        "updates",
+    )
+
+    def __init__(self, ticker: Ticker, encoding: Encoding, flush: Callable[[], None]) -> None:
+        self._ticker = ticker
+        self._flush: Callable[[], None] | None = flush
+        self.encoding = encoding
+        self.dirty = False
+        self.control: list[bytes] = []
+        """Replies and notices: in order, never dropped."""
+        self.feedback: dict[str, Callable[[], bytes]] = {}
+        """The newest feedback of each running command, by command id."""
+        self.pending: list[Feed] = []
+        """Feeds with queued samples."""
+        self.prioritised = False
+        self.updates = 0
+        self.high_water = 0
+
+    def push(self, data: bytes) -> None:
+        """Queue a control message."""
+        self.control.append(data)
+        self.mark()
+
+    def mark(self) -> None:
+        """Have the transport called in the coming tick."""
+        if not self.dirty:
+            self.dirty = True
+            self._ticker.mark(self)
+
+    def flush(self) -> None:
+        """Call the transport, which collects if its socket can take more."""
+        if self._flush is not None:
+            self._flush()
+
+    def close(self) -> None:
+        """Forget everything; the transport is gone."""
+        self._flush = None
+        self.control.clear()
+        self.feedback.clear()
+        self.pending.clear()
+
+    @property
+    def backlog(self) -> int:
+        """How many messages wait."""
+        return len(self.control) + len(self.feedback) + sum(feed.waiting for feed in self.pending)
+
+    def collect(
+        self,
+        budget: int = 262_144,
+        *,
+        wrap: Wrap | None = None,
+        big: int | None = None,
+    ) -> list[bytes]:
+        """Take what is to be sent now: control first, then updates by priority.
+
+        Stops after about `budget` bytes; what is left stays, and the transport collects again
+        when the socket has room. With `big`, updates longer than that stay where they are, for a
+        transport that is still busy with an earlier one.
+        """
+        out = self.control
+        self.control = []
+        if self.feedback:
+            out.extend(make() for make in self.feedback.values())
+            self.feedback.clear()
+        if wrap is not None:
+            out = [wrap(data, None, None) for data in out]
+        pending = self.pending
+        if not pending:
+            return out
+        self.pending = later = []
+        if self.prioritised:
+            pending.sort(key=_urgency)
+        control = len(out)
+        self.high_water = max(self.high_water, len(pending))
+        for place, feed in enumerate(pending):
+            budget -= feed.drain(out, budget, wrap, big)
+            if feed.waiting:
+                later.append(feed)
+            else:
+                feed.marked = False
+            if budget <= 0:
+                later.extend(pending[place + 1 :])
+                break
+        self.updates += len(out) - control
+        return out
+
+
+def _urgency(feed: Feed) -> int:
+    return -feed.priority
+
+
+Queue = deque["Sample"]

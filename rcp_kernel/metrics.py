@@ -1,0 +1,93 @@
+"""Prometheus: plain integers counted on the hot path, turned into families only at a scrape."""
+
+from __future__ import annotations
+
+import time
+from bisect import bisect_left
+from collections.abc import Callable, Iterable
+
+from prometheus_client import CollectorRegistry, GCCollector, PlatformCollector, ProcessCollector
+from prometheus_client.core import (
+    CounterMetricFamily,
+    GaugeMetricFamily,
+    HistogramMetricFamily,
+    Metric,
+)
+from prometheus_client.exposition import generate_latest
+from prometheus_client.registry import Collector
+
+__all__ = ["BUCKETS", "Histogram", "Metrics", "counter", "gauge", "histogram"]
+
+BUCKETS = (0.0001, 0.00025, 0.0005, 0.001, 0.0025, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 1.0, 10.0)
+"""Upper bounds in seconds."""
+
+
+class Histogram:
+    """Counts by bucket; one `bisect` and two additions for an observation."""
+
+    __slots__ = ("counts", "total")
+
+    def __init__(self) -> None:
+        self.counts = [0] * (len(BUCKETS) + 1)
+        self.total = 0.0
+
+    def observe(self, seconds: float) -> None:
+        """Count one duration."""
+        self.counts[bisect_left(BUCKETS, seconds)] += 1
+        self.total += seconds
+
+
+def counter(name: str, text: str, labels: tuple[str, ...], rows: Iterable[tuple[list[str], float]]) -> Metric:
+    """Make a counter family of rows of label values and count."""
+    family = CounterMetricFamily(name, text, labels=labels)
+    for values, count in rows:
+        family.add_metric(values, count)
+    return family
+
+
+def gauge(name: str, text: str, labels: tuple[str, ...], rows: Iterable[tuple[list[str], float]]) -> Metric:
+    """Make a gauge family of rows of label values and value."""
+    family = GaugeMetricFamily(name, text, labels=labels)
+    for values, value in rows:
+        family.add_metric(values, value)
+    return family
+
+
+def histogram(
+    name: str, text: str, labels: tuple[str, ...], rows: Iterable[tuple[list[str], Histogram]]
+) -> Metric:
+    """Make a histogram family of rows of label values and histogram."""
+    family = HistogramMetricFamily(name, text, labels=labels)
+    for values, found in rows:
+        below = 0
+        buckets: list[tuple[str, float]] = []
+        for bound, count in zip((*map(str, BUCKETS), "+Inf"), found.counts, strict=True):
+            below += count
+            buckets.append((bound, below))
+        family.add_metric(values, buckets, found.total)
+    return family
+
+
+class _Families(Collector):
+    def __init__(self, collect: Callable[[], Iterable[Metric]]) -> None:
+        self._collect = collect
+
+    def collect(self) -> Iterable[Metric]:
+        return self._collect()
+
+
+class Metrics:
+    """What `/metrics` answers: the gateway's families and the process's own."""
+
+    def __init__(self, collect: Callable[[], Iterable[Metric]]) -> None:
+        registry = CollectorRegistry(auto_describe=False)
+        ProcessCollector(registry=registry)
+        PlatformCollector(registry=registry)
+        GCCollector(registry=registry)
+        registry.register(_Families(collect))
+        self._registry = registry
+        self.started = time.monotonic()
+
+    def text(self) -> bytes:
+        """Write the exposition, text format 0.0.4."""
+        return generate_latest(self._registry)

@@ -1,0 +1,130 @@
+"""Load what the configuration names, and nothing else; refuse what breaks the rules, by name.
+
+Entry-point groups are `rcp.transports`, `rcp.plugins` and `rcp.backends`; an entry point's name is
+the word of the configuration. A plugin that cannot be imported is `unavailable`, with the line
+that would mend it; it never stops the gateway.
+"""
+
+from __future__ import annotations
+
+import difflib
+import importlib
+import inspect
+from collections.abc import Iterable
+from importlib.metadata import EntryPoint, entry_points
+from typing import Any
+
+import msgspec
+import pluggy
+
+from rcp_kernel import hookspecs
+from rcp_kernel.config import GatewayConfig
+from rcp_kernel.errors import ConfigError, PluginError
+from rcp_kernel.spi import AdapterKind, BackendKind, TransportKind
+
+__all__ = ["GROUPS", "Missing", "Plugins", "installed"]
+
+GROUPS = {
+    "transports": "rcp.transports",
+    "plugins": "rcp.plugins",
+    "backends": "rcp.backends",
+}
+_EXTRA = {"ros2", "can", "mavlink", "mcp", "a2a"}
+
+
+class Missing(msgspec.Struct, frozen=True):
+    """A plugin that is named and cannot be imported."""
+
+    group: str
+    name: str
+    reason: str
+    remedy: str
+
+
+def installed(group: str) -> dict[str, EntryPoint]:
+    """Return the entry points of a group by name.
+
+    :raises PluginError: two distributions offer the same name.
+    """
+    found: dict[str, EntryPoint] = {}
+    for point in entry_points(group=GROUPS[group]):
+        other = found.get(point.name)
+        if other is not None and other.value != point.value:
+            raise PluginError(
+                f"{group} '{point.name}' is offered by {_source(other)} and by {_source(point)}: "
+                "uninstall one of them"
+            )
+        found[point.name] = point
+    return found
+
+
+def _source(point: EntryPoint) -> str:
+    return f"{point.dist.name if point.dist else 'unknown'} ({point.value})"
+
+
+class Plugins:
+    """The plugins that a configuration names, loaded; hooks are called once, here."""
+
+    def __init__(self, config: GatewayConfig) -> None:
+        self.config = config
+        self.missing: list[Missing] = []
+        self.backends: dict[str, BackendKind] = {}
+        self.transports: dict[str, TransportKind] = {}
+        self.adapters: dict[str, AdapterKind] = {}
+        self._manager = pluggy.PluginManager(hookspecs.PROJECT)
+        self._manager.add_hookspecs(hookspecs)
+        self._load("backends", {backend.use for backend in config.backends})
+        self._load("transports", set(config.transports))
+        self._load("plugins", set(config.plugins))
+        hook = self._manager.hook
+        _collect(self.backends, hook.rcp_backends(), "backend")
+        _collect(self.transports, hook.rcp_transports(), "transport")
+        _collect(self.adapters, hook.rcp_adapters(), "adapter")
+        self.interceptors = [wrap for found in hook.rcp_interceptors(config=config) for wrap in found]
+        self.authenticator: Any = hook.rcp_authenticator(config=config)
+
+    def _load(self, group: str, wanted: Iterable[str]) -> None:
+        points = installed(group)
+        for name in sorted(wanted):
+            point = points.get(name)
+            if point is None:
+                near = difflib.get_close_matches(name, points, n=1)
+                advice = f"did you mean '{near[0]}'?" if near else f"there are {', '.join(points)}"
+                raise ConfigError(f"no installed plugin offers {group} '{name}'; {advice}")
+            try:
+                module = importlib.import_module(point.value)
+            except ImportError as error:
+                extra = f"'rcp-gateway[{name}]'" if name in _EXTRA else _source(point).split()[0]
+                self.missing.append(Missing(group, name, str(error), f"pip install {extra}"))
+                continue
+            register(self._manager, module, f"{group}.{name}")
+
+    def is_missing(self, group: str, name: str) -> Missing | None:
+        """Return why a named plugin is not there, or None if it is."""
+        return next((m for m in self.missing if (m.group, m.name) == (group, name)), None)
+
+
+def register(manager: pluggy.PluginManager, module: Any, name: str) -> None:
+    """Register a module whose hooks follow the rules.
+
+    :raises PluginError: it has an async hook, a hook that does not exist, or none at all.
+    """
+    known = {key for key, value in vars(hookspecs).items() if hasattr(value, "rcp_spec")}
+    marked = {key for key, value in vars(module).items() if hasattr(value, "rcp_impl")}
+    for hook in sorted(marked | {k for k in vars(module) if k.startswith("rcp_") and k in known}):
+        if hook not in known:
+            near = difflib.get_close_matches(hook, known, n=1)
+            advice = f"; did you mean `{near[0]}`?" if near else ""
+            raise PluginError(f"plugin {name}: there is no hook `{hook}`{advice}")
+        if inspect.iscoroutinefunction(getattr(module, hook)):
+            raise PluginError(f"plugin {name}: the hook `{hook}` is async; hooks only declare")
+    if not marked:
+        raise PluginError(f"plugin {name}: {module.__name__} has no function marked @hookimpl")
+    manager.register(module, name=name)
+
+
+def _collect(into: dict[str, Any], found: Iterable[Iterable[Any]], what: str) -> None:
+    for record in [record for several in found for record in several]:
+        if record.name in into:
+            raise PluginError(f"two plugins offer the {what} '{record.name}'")
+        into[record.name] = record

@@ -1,0 +1,173 @@
+"""Motion safety that every transport shares: stale commands, the dead-man, the e-stop latch.
+
+Whatever moves is an actuator or an action. The e-stop has a lane of its own: it goes to
+`Backend.halt` past every queue, is repeated until the robot confirms, and stays latched.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from typing import Any, Protocol
+
+import structlog
+
+from rcp_kernel.clock import iso, now, parse_time
+from rcp_kernel.errors import BadRequest, EstopActive, RcpError, StaleCommand
+from rcp_kernel.model import Kind
+from rcp_kernel.registry import Entry
+from rcp_kernel.spi import Backend
+from rcp_kernel.wire import Request
+
+__all__ = ["Deadman", "Latch", "Stoppable", "check_age", "check_motion", "halt"]
+
+log = structlog.get_logger("rcp.safety")
+_STOP_TIMEOUT = 1.0  # s for one attempt to stop
+_STOP_RETRY = 0.05  # s between attempts
+MOVING = frozenset((Kind.ACTUATOR, Kind.ACTION))
+
+
+class Latch:
+    """A latched e-stop: who, when and why."""
+
+    def __init__(self, by: str, reason: str | None) -> None:
+        self.by = by
+        self.reason = reason
+        self.since = now()
+
+    def plain(self) -> dict[str, Any]:
+        """Describe the latch."""
+        return {"by": self.by, "reason": self.reason, "since": iso(self.since)}
+
+
+class Stoppable(Protocol):
+    """A robot that an e-stop can latch."""
+
+    name: str
+    latch: Latch | None
+
+    @property
+    def backend(self) -> Backend | None:
+        """The open backend, or None."""
+        ...
+
+
+def check_motion(entry: Entry, latch: Latch | None) -> None:
+    """Refuse motion under a latched e-stop.
+
+    :raises EstopActive: the path moves something, and its robot is stopped.
+    """
+    if latch is not None and entry.kind in MOVING:
+        raise EstopActive(
+            f"an e-stop by {latch.by} is latched" + (f": {latch.reason}" if latch.reason else ""),
+            path=entry.path,
+            details=latch.plain(),
+        )
+
+
+def check_age(entry: Entry, request: Request) -> None:
+    """Refuse a command that is older, or further in the future, than its path allows.
+
+    :raises StaleCommand: it is.
+    :raises BadRequest: its timestamp is not a time.
+    """
+    if request.timestamp is None:
+        return
+    sent = parse_time(request.timestamp)
+    limit = entry.resource.max_age
+    if limit is None:
+        return
+    age = (now() - sent) / 1e9
+    if abs(age) > limit:
+        raise StaleCommand(
+            f"the command is {age:.3f} s old; {entry.path} takes none older than {limit:g} s",
+            path=entry.path,
+            details={"age": age, "max_age": limit},
+        )
+
+
+async def halt(robot: Stoppable) -> None:
+    """Call `Backend.halt` until the robot confirms it; cancelled, it gives up."""
+    while (backend := robot.backend) is not None:
+        try:
+            await asyncio.wait_for(backend.halt(), _STOP_TIMEOUT)
+        except Exception as error:
+            log.warning("halt_failed", backend=robot.name, error=repr(error))
+            await asyncio.sleep(_STOP_RETRY)
+        else:
+            return
+
+
+class Deadman:
+    """Writes the safe value when an actuator's last command lapses, until the device takes it."""
+
+    def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
+        self._loop = loop
+        self._timers: dict[str, asyncio.TimerHandle] = {}
+        self._stops: dict[str, asyncio.Task[None]] = {}
+        self.lapsed = 0
+        """How many commands have lapsed."""
+
+    def window(self, entry: Entry, request: Request) -> float | None:
+        """Return for how many seconds a write stands, or None for ever.
+
+        :raises BadRequest: `valid_for` was asked of a path that has no safe value.
+        """
+        if request.valid_for is None:
+            return entry.resource.valid_for
+        if entry.resource.safe is None:
+            raise BadRequest(
+                f"{entry.path} has no safe value to fall back to after `valid_for`",
+                path=entry.path,
+                remedy="Leave `valid_for` out, or use an actuator that has a dead-man.",
+            )
+        return request.valid_for
+
+    def begin(self, entry: Entry) -> bool:
+        """Let a new command take over: an older one's stop must not cut into it.
+
+        Return whether an older command was in force; if the new one fails, `arm(entry, 0)`.
+        """
+        timer = self._timers.pop(entry.path, None)
+        stop = self._stops.pop(entry.path, None)
+        for handle in (timer, stop):
+            if handle is not None:
+                handle.cancel()
+        return timer is not None or stop is not None
+
+    def arm(self, entry: Entry, seconds: float) -> None:
+        """Start the window of a write that is in force now."""
+        self.begin(entry)
+        self._timers[entry.path] = self._loop.call_later(seconds, self._lapse, entry)
+
+    def _lapse(self, entry: Entry) -> None:
+        del self._timers[entry.path]
+        self.lapsed += 1
+        task = self._loop.create_task(self._stop(entry), name=f"dead-man {entry.path}")
+        self._stops[entry.path] = task
+
+        def forget(done: asyncio.Task[None]) -> None:
+            if self._stops.get(entry.path) is done:
+                del self._stops[entry.path]
+
+        task.add_done_callback(forget)
+
+    async def _stop(self, entry: Entry) -> None:
+        safe = entry.value_type.convert(entry.resource.safe) if _plain(entry) else entry.resource.safe
+        while (backend := entry.owner.backend) is not None:
+            try:
+                await asyncio.wait_for(backend.write(entry.name, safe), _STOP_TIMEOUT)
+            except (RcpError, TimeoutError) as error:
+                log.warning("deadman_stop_failed", path=entry.path, error=str(error))
+                await asyncio.sleep(_STOP_RETRY)
+            else:
+                entry.publish(safe, None)
+                return
+
+    def close(self) -> None:
+        """Forget all windows; the backends are halted by whoever closes them."""
+        for handle in (*self._timers.values(), *self._stops.values()):
+            handle.cancel()
+
+
+def _plain(entry: Entry) -> bool:
+    return isinstance(entry.resource.safe, (dict, list))

@@ -1,0 +1,156 @@
+"""One value of a resource, checked once and encoded once, however many are to receive it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+
+from rcp_kernel.clock import iso
+from rcp_kernel.errors import DeviceRejected, RcpError
+from rcp_kernel.spi import Native
+from rcp_kernel.values import ANY, Encoding, to_plain
+from rcp_kernel.wire import Body, encode_frame
+
+if TYPE_CHECKING:
+    from rcp_kernel.registry import Entry
+
+__all__ = ["Sample", "getter", "project"]
+
+_UNSET: Any = object()
+
+
+class Sample(Body):
+    """A value with its times and number; its encodings are made when first asked for.
+
+    Any method that needs the value raises `DeviceRejected` if it does not fit the resource's
+    type: a robot's bad value is the robot's fault and is never delivered.
+    """
+
+    __slots__ = ("_bodies", "_tails", "_value", "entry", "native", "received", "seq", "timestamp")
+
+    def __init__(self, entry: Entry, value: Any, timestamp: int, received: int, seq: int) -> None:
+        self.entry = entry
+        self.timestamp = timestamp
+        """Source time, ns since the epoch."""
+        self.received = received
+        self.seq = seq
+        self.native = value if isinstance(value, Native) else None
+        self._value = value
+        self._bodies: dict[Any, bytes] | None = None
+        self._tails: dict[Any, bytes] | None = None
+
+    @property
+    def value(self) -> Any:
+        """The typed value, validated."""
+        if self._bodies is None:
+            self._check()
+        return self._value
+
+    def encoded(self, encoding: Encoding) -> bytes:
+        """Return the value as bytes of the encoding."""
+        bodies = self._bodies
+        if bodies is None:
+            bodies = self._check()
+        body = bodies.get(encoding)
+        if body is None:
+            try:
+                body = self.entry.value_type.encode(self._value, encoding)
+            except RcpError as error:
+                raise self._fault(error) from error
+            bodies[encoding] = body
+        return body
+
+    def projected(self, encoding: Encoding, fields: tuple[str, ...]) -> bytes:
+        """Return only some fields of the value as bytes of the encoding."""
+        value = self.value
+        bodies = self._bodies
+        assert bodies is not None
+        body = bodies.get((encoding, fields))
+        if body is None:
+            body = bodies[encoding, fields] = ANY.encode(project(value, fields), encoding)
+        return body
+
+    def tail(self, encoding: Encoding, fields: tuple[str, ...] | None = None) -> bytes:
+        """Return the part of an update that all its receivers share, to be spliced to its head."""
+        tails = self._tails
+        if tails is None:
+            tails = self._tails = {}
+        key = encoding if fields is None else (encoding, fields)
+        tail = tails.get(key)
+        if tail is None:
+            body = self.encoded(encoding) if fields is None else self.projected(encoding, fields)
+            tail = tails[key] = self._splice(encoding, body)
+        return tail
+
+    def _splice(self, encoding: Encoding, body: bytes) -> bytes:
+        facts = {"seq": self.seq, "timestamp": iso(self.timestamp)}
+        return encode_frame(facts, body, encoding)[1:]  # without the map's own head
+
+    def forget_encodings(self) -> None:
+        """Give the memory of the encodings back; they are made anew if asked for."""
+        if self._bodies:
+            self._bodies = {}
+            self._tails = None
+
+    def weight(self) -> int:
+        """Estimate the memory of the value in bytes."""
+        if self.native is not None:
+            return len(self.native.data)
+        return len(self.encoded(Encoding.MSGPACK))
+
+    def _check(self) -> dict[Any, bytes]:
+        try:
+            if self.native is not None:
+                self._value = self.native.decode()
+                self._bodies = {}
+            else:
+                self._value, json = self.entry.value_type.check(self._value)
+                self._bodies = {} if json is None else {Encoding.JSON: json}
+        except Exception as error:
+            raise self._fault(error) from error
+        return self._bodies
+
+    def _fault(self, error: Exception) -> DeviceRejected:
+        why = error.message if isinstance(error, RcpError) else f"{type(error).__name__}: {error}"
+        fault = DeviceRejected(
+            f"backend '{self.entry.owner.name}' published a value that does not fit the type of "
+            f"{self.entry.path}: {why}",
+            path=self.entry.path,
+            origin=self.entry.owner.name,
+            remedy="Mend the backend or the type it declares; the value was not delivered.",
+        )
+        self.entry.owner.fault(fault.message)
+        return fault
+
+
+def getter(dotted: str) -> Any:
+    """Make a function that fetches `position.x` out of a value, or None where it leads nowhere."""
+    names = dotted.split(".")
+
+    def get(value: Any) -> Any:
+        for name in names:
+            if isinstance(value, msgspec.Struct):
+                value = getattr(value, name, None)
+            elif isinstance(value, dict):
+                value = value.get(name)
+            elif isinstance(value, (list, tuple)) and name.isdigit() and int(name) < len(value):
+                value = value[int(name)]
+            else:
+                return None
+        return value
+
+    return get
+
+
+def project(value: Any, fields: tuple[str, ...]) -> dict[str, Any]:
+    """Keep only some fields, nested as they were: `position.x` gives `{"position": {"x": …}}`."""
+    out: dict[str, Any] = {}
+    for dotted in fields:
+        found = getter(dotted)(value)
+        names = dotted.split(".")
+        place = out
+        for name in names[:-1]:
+            place = place.setdefault(name, {})
+        place[names[-1]] = to_plain(found)
+    return out

@@ -1,0 +1,416 @@
+"""What a principal holds over time, and the connections it comes in by.
+
+Subscriptions and commands live in the session. A connection can be cut: the session waits for its
+return, notes what it would have said, and says it then; it expires if nobody comes.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import secrets
+from collections import deque
+from collections.abc import Callable
+from functools import partial
+from typing import TYPE_CHECKING, Annotated, Any, Protocol
+
+import msgspec
+from msgspec import Meta
+
+from rcp_kernel.acl import Rights
+from rcp_kernel.clock import iso, now
+from rcp_kernel.errors import Gap, RcpError, Unauthenticated
+from rcp_kernel.hub import Hub
+from rcp_kernel.identity import Principal
+from rcp_kernel.mailbox import Mailbox
+from rcp_kernel.pending import crash
+from rcp_kernel.streams import Subscription
+from rcp_kernel.values import Encoding, value_type
+from rcp_kernel.wire import (
+    VERSION,
+    Reply,
+    Request,
+    check_size,
+    decode_request,
+    encode_reply,
+    failure,
+    salvage,
+)
+
+if TYPE_CHECKING:
+    from rcp_kernel.commands import Command
+    from rcp_kernel.gateway import Gateway
+    from rcp_kernel.pending import Pending
+
+__all__ = ["Answer", "Connection", "Handler", "Hello", "Session", "Sessions"]
+
+Answer = Callable[[Reply], None]
+_MISSED = 4096  # replies kept for a client that is away
+_RECENT = 30_000_000_000  # ns: final replies sent this shortly before a cut are said again
+
+
+class Handler(Protocol):
+    """Handle one request: `answer` is called for each reply, the last one final."""
+
+    def __call__(self, session: Session, request: Request, answer: Answer, /) -> None:
+        """Take the request in; never raises, never blocks."""
+        ...
+
+
+class Session:
+    """One principal's subscriptions, commands and replies not yet delivered."""
+
+    __slots__ = (
+        "commands",
+        "connection",
+        "created",
+        "cut",
+        "encoding",
+        "expiry",
+        "greeted",
+        "id",
+        "inflight",
+        "missed",
+        "overflowed",
+        "principal",
+        "rights",
+        "secret",
+        "subscriptions",
+        "tenant",
+        "transport",
+    )
+
+    def __init__(self, principal: Principal, rights: Rights, tenant: str | None, transport: str) -> None:
+        self.id = "s-" + secrets.token_hex(16)
+        self.secret = secrets.token_urlsafe(24)
+        self.principal = principal
+        self.rights = rights
+        self.tenant = tenant
+        self.transport = transport
+        self.encoding = Encoding.JSON
+        self.connection: Connection | None = None
+        self.subscriptions: dict[str, Subscription] = {}
+        self.commands: dict[str, Command] = {}
+        self.inflight: dict[str, Pending | None] = {}
+        self.created = now()
+        self.cut: int | None = None
+        """When the connection was lost, ns; None while there is one."""
+        self.expiry: asyncio.TimerHandle | None = None
+        self.greeted = False
+        """The client knows the session's id, so it may come back to it."""
+        self.missed: deque[Reply] = deque()
+        self.overflowed = 0
+
+    @property
+    def stateless(self) -> bool:
+        """Whether the session belongs to a transport without connections (HTTP)."""
+        return self.connection is None and self.cut is None
+
+    def deliver(self, reply: Reply) -> None:
+        """Send a reply now, or keep it for the client's return."""
+        if self.connection is not None:
+            self.connection.send(reply)
+            return
+        if reply.status == "in_progress" and reply.command is not None:
+            self.missed = deque(
+                r for r in self.missed if not (r.command == reply.command and not r.final)
+            )
+        if len(self.missed) >= _MISSED:
+            self.missed.popleft()
+            self.overflowed += 1
+        self.missed.append(reply)
+
+    def plain(self) -> dict[str, Any]:
+        """Describe the session for `/system/sessions`."""
+        return {
+            "session": self.id[:8],  # whoever knows the whole id may come back to the session
+            "principal": self.principal.name,
+            "tenant": self.tenant,
+            "transport": self.transport,
+            "connected": self.connection is not None,
+            "created": iso(self.created),
+            "subscriptions": len(self.subscriptions),
+            "commands": sum(1 for c in self.commands.values() if not c.final),
+            "backlog": self.connection.mailbox.backlog if self.connection else len(self.missed),
+        }
+
+
+class Hello(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """The body of `hello`."""
+
+    token: Annotated[str, Meta(max_length=8192)] | None = None
+    session: Annotated[str, Meta(max_length=128)] | None = None
+    resume_token: Annotated[str, Meta(max_length=128)] | None = None
+    resume_from: int | dict[str, int] | None = None
+    """What the client has: the last `seq`, of its one path or of each path."""
+    client: Annotated[str, Meta(max_length=256)] | None = None
+    tenant: Annotated[str, Meta(max_length=128)] | None = None
+    """Which of the principal's tenants relative paths mean."""
+    segment_size: Annotated[int, Meta(ge=1024, le=64 * 1024 * 1024)] | None = None
+
+
+_HELLO = value_type(Hello)
+
+
+class Connection:
+    """The gateway's end of one client connection.
+
+    The transport feeds `receive` with whole messages, is called by `flush` when there is
+    something to send, and takes it with `mailbox.collect`. All on the event loop's thread.
+    """
+
+    __slots__ = ("_gateway", "closed", "encoding", "greeting", "mailbox", "on_hello", "session")
+
+    def __init__(
+        self, gateway: Gateway, session: Session, encoding: Encoding, flush: Callable[[], None]
+    ) -> None:
+        self._gateway = gateway
+        self.encoding = encoding
+        self.mailbox = Mailbox(gateway.hub.ticker, encoding, flush)
+        self.session = session
+        self.closed = False
+        self.on_hello: Callable[[Hello], dict[str, Any]] | None = None
+        """The transport's part of `hello`: what it adopts, and the limits it answers with."""
+        session.connection = self
+        session.encoding = encoding
+
+    def receive(self, data: bytes) -> None:
+        """Handle one whole message from the client; every reply goes through the mailbox."""
+        gateway = self._gateway
+        try:
+            check_size(data, gateway.limits.message)
+            request = decode_request(data, self.encoding)
+        except RcpError as error:
+            type_, id_ = salvage(data, self.encoding) if len(data) < 1_000_000 else ("error", None)
+            gateway.count(self.session.transport, type_, error.code)
+            self.send(failure(error, type_, id_))
+            return
+        if request.type == "hello":
+            self._hello(request)
+            return
+        session = self.session
+        gateway.handle(session, request, session.deliver)
+
+    def send(self, reply: Reply) -> None:
+        """Queue a reply; feedback that a slow client has not taken yet gives way to newer."""
+        if self.closed:
+            return
+        mailbox = self.mailbox
+        if reply.status == "in_progress" and reply.command is not None:
+            mailbox.feedback[reply.command] = partial(encode_reply, reply, self.encoding)
+            mailbox.mark()
+            return
+        if reply.command is not None and mailbox.feedback:
+            last = mailbox.feedback.pop(reply.command, None)
+            if last is not None:
+                mailbox.control.append(last())
+        mailbox.push(self.encode(reply))
+
+    def encode(self, reply: Reply) -> bytes:
+        """Write a reply; one whose body cannot be written becomes the error that says so."""
+        try:
+            return encode_reply(reply, self.encoding)
+        except Exception as error:
+            told = crash(error, path=reply.path)
+            return encode_reply(failure(told, reply.type, reply.id, reply.path), self.encoding)
+
+    def _hello(self, request: Request) -> None:
+        gateway = self._gateway
+        try:
+            hello = request.decode_body(_HELLO, "hello") if request.body else Hello()
+            body = gateway.sessions.greet(self, hello)
+        except Exception as error:
+            told = crash(error)
+            gateway.count(self.session.transport, "hello", told.code)
+            self.send(failure(told, "hello", request.id))
+            return
+        gateway.count(self.session.transport, "hello", "ok")
+        reply = Reply(type="hello", id=request.id, body=body, timestamp=iso(now()))
+        # Ahead of what a resumed session has to say: the client must know first whose it is.
+        self.mailbox.control.insert(0, encode_reply(reply, self.encoding))
+        self.mailbox.mark()
+
+    def close(self) -> None:
+        """Tell the gateway that the client is gone."""
+        if not self.closed:
+            self.closed = True
+            self.mailbox.close()
+            self._gateway.sessions.cut(self.session)
+
+
+class Sessions:
+    """Every session, by id."""
+
+    def __init__(self, gateway: Gateway) -> None:
+        self._gateway = gateway
+        self.known: dict[str, Session] = {}
+        self._stateless: dict[tuple[Principal, str | None, str], Session] = {}
+
+    def _hub(self) -> Hub:
+        return self._gateway.hub
+
+    def open(self, principal: Principal, transport: str, tenant: str | None = None) -> Session:
+        """Make a session.
+
+        :raises Forbidden: the principal does not act in `tenant`.
+        :raises QueueFull: there are too many sessions.
+        """
+        gateway = self._gateway
+        chosen = gateway.tenant_for(principal, tenant)
+        gateway.check_sessions(len(self.known))
+        session = Session(principal, gateway.rules.rights(principal), chosen, transport)
+        self.known[session.id] = session
+        return session
+
+    def stateless(self, principal: Principal, transport: str, tenant: str | None) -> Session:
+        """Return the session that all HTTP requests of a principal share; it holds nothing."""
+        key = (principal, tenant, transport)
+        session = self._stateless.get(key)
+        if session is None:
+            gateway = self._gateway
+            chosen = gateway.tenant_for(principal, tenant)
+            session = Session(principal, gateway.rules.rights(principal), chosen, transport)
+            self._stateless[key] = session
+        return session
+
+    def greet(self, connection: Connection, hello: Hello) -> dict[str, Any]:
+        """Carry out `hello`: prove who it is, resume or keep the session, agree on limits.
+
+        :raises Unauthenticated: the token or the resume token is not known.
+        :raises Gap: the session is not there any more.
+        """
+        gateway = self._gateway
+        session = connection.session
+        returning = self._returning(hello)
+        if hello.token is not None and not (returning and _matches(returning.secret, hello.token)):
+            principal = gateway.authenticate(hello.token)
+            if principal != session.principal:
+                self._replace(connection, self.open(principal, session.transport, hello.tenant))
+        elif hello.tenant is not None:
+            session.tenant = gateway.tenant_for(session.principal, hello.tenant)
+        if hello.session is not None and returning is not connection.session:
+            self._resume(connection, hello, returning)
+        facts = connection.on_hello(hello) if connection.on_hello is not None else {}
+        session = connection.session
+        session.greeted = True
+        limits = gateway.limits
+        agreed = {
+            "message": limits.message,
+            "subscriptions": limits.subscriptions,
+            "in_flight": limits.in_flight,
+            **facts.pop("limits", {}),
+        }
+        return {
+            "version": VERSION,
+            "session": session.id,
+            "resume_token": session.secret,
+            "principal": session.principal.name,
+            "roles": list(session.principal.roles),
+            "tenant": session.tenant,
+            "tenants": gateway.tenants_of(session.principal),
+            "heartbeat": limits.heartbeat,
+            "limits": agreed,
+            **facts,
+        }
+
+    def _replace(self, connection: Connection, session: Session) -> None:
+        old = connection.session
+        old.connection = None
+        self.drop(old)
+        connection.session = session
+        session.connection = connection
+        session.encoding = connection.encoding
+
+    def _returning(self, hello: Hello) -> Session | None:
+        """Find the session that `hello` names, by its id or by its resume token."""
+        if hello.session is None:
+            return None
+        found = self.known.get(hello.session)
+        if found is None:
+            named = hello.session
+            found = next((s for s in self.known.values() if _matches(s.secret, named)), None)
+        return found
+
+    def _resume(self, connection: Connection, hello: Hello, session: Session | None) -> None:
+        if session is None:
+            raise Gap(
+                "the session has expired or never was",
+                remedy="Say `hello` without `session`, then subscribe afresh.",
+            )
+        offered = (hello.resume_token, hello.token, hello.session)
+        proved = any(text is not None and _matches(session.secret, text) for text in offered)
+        same = session.principal == connection.session.principal
+        if not proved and (hello.resume_token is not None or not same):
+            raise Unauthenticated(
+                "the session belongs to somebody else, or the resume token is wrong",
+                remedy="Send the `resume_token` that the first `hello` was answered with.",
+            )
+        if session.connection is not None:
+            self._takeover(session)
+        have = hello.resume_from
+        if isinstance(have, int):
+            have = _for_all(session, have)
+        self._replace(connection, session)
+        self._attach(session, connection, have)
+
+    def _takeover(self, session: Session) -> None:
+        """Cut the old connection: its client came back before the gateway saw it leave."""
+        old = session.connection
+        assert old is not None
+        old.closed = True
+        old.mailbox.close()
+        self.cut(session)
+
+    def _attach(self, session: Session, connection: Connection, have: dict[str, int] | None) -> None:
+        if session.expiry is not None:
+            session.expiry.cancel()
+            session.expiry = None
+        cut, session.cut = session.cut or now(), None
+        said = {reply.command for reply in session.missed if reply.final}
+        for command in session.commands.values():
+            ended = command.finished
+            if command.id not in said and (ended is None or ended > cut - _RECENT):
+                connection.send(command.reply())
+        if session.overflowed:
+            lost = session.overflowed
+            gap = Gap(f"{lost} replies were lost while the client was away")
+            connection.send(failure(gap, "hello"))
+            session.overflowed = 0
+        while session.missed:
+            connection.send(session.missed.popleft())
+        for subscription in session.subscriptions.values():
+            self._hub().attach(subscription, connection.mailbox, have)
+
+    def cut(self, session: Session) -> None:
+        """Take notice that the connection is gone; the session waits if its client knows it."""
+        gateway = self._gateway
+        session.connection = None
+        session.cut = now()
+        for command in list(session.commands.values()):
+            entry = command.entry
+            if entry is not None and not entry.resource.outlives:
+                gateway.commands.cancel(command, "its session was cut")
+        if not session.greeted or gateway.closing:
+            self.drop(session)
+            return
+        for subscription in session.subscriptions.values():
+            self._hub().detach(subscription)
+        session.expiry = gateway.hub.loop.call_later(gateway.limits.session_ttl, self.drop, session)
+
+    def drop(self, session: Session) -> None:
+        """End a session; its commands go on."""
+        self.known.pop(session.id, None)
+        if session.expiry is not None:
+            session.expiry.cancel()
+        for subscription in session.subscriptions.values():
+            self._hub().forget(subscription)
+        session.subscriptions.clear()
+        session.missed.clear()
+
+
+def _matches(secret: str, text: str) -> bool:
+    return secrets.compare_digest(secret.encode(), text.encode())
+
+
+def _for_all(session: Session, seq: int) -> dict[str, int]:
+    paths = [path for sub in session.subscriptions.values() for path in sub.feeds]
+    return dict.fromkeys(paths, seq)

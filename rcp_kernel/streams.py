@@ -1,0 +1,357 @@
+"""Subscriptions: which samples go to whom, how often, and what happens when one is too slow.
+
+A `Feed` is one path of one subscription. The plain feed, which every 50 Hz pose rides on, does a
+list access and a deque append for a sample; filters live in a subclass of their own.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from collections.abc import Callable, Iterable
+from typing import TYPE_CHECKING, Any
+
+from rcp_kernel.clock import iso, now
+from rcp_kernel.errors import Overrun, RcpError
+from rcp_kernel.filters import Change, Options, Where, parse_where, seconds
+from rcp_kernel.model import Pattern
+from rcp_kernel.registry import Entry
+from rcp_kernel.samples import Sample
+from rcp_kernel.values import Encoding
+from rcp_kernel.wire import encode_frame
+
+if TYPE_CHECKING:
+    from rcp_kernel.hub import Hub
+    from rcp_kernel.mailbox import Mailbox, Wrap
+
+__all__ = ["Feed", "FilteredFeed", "Subscription"]
+
+_CBOR_MAP = 0xA0
+_MSGPACK_MAP = 0x80
+
+
+class Feed:
+    """One path of one subscription, without filters."""
+
+    __slots__ = (
+        "_fields",
+        "_heads",
+        "_lifespan",
+        "backlog",
+        "depth",
+        "dropped",
+        "entry",
+        "heard",
+        "mailbox",
+        "marked",
+        "missed",
+        "native",
+        "priority",
+        "queue",
+        "reliable",
+        "sent",
+        "subscription",
+    )
+
+    def __init__(self, subscription: Subscription, entry: Entry, mailbox: Mailbox | None) -> None:
+        options = subscription.options
+        self.subscription = subscription
+        self.entry = entry
+        self.mailbox = mailbox
+        self.queue: deque[Sample] = deque()
+        self.backlog: deque[Sample] | None = None
+        """Samples to replay before the queue; not subject to its depth."""
+        self.depth = options.depth
+        self.reliable = options.qos.reliability == "reliable"
+        self.priority = options.qos.priority
+        self.native = options.encoding == "native"
+        self.dropped = 0
+        self.sent = 0
+        """Number of the last sample that was handed to a transport."""
+        self.heard = 0.0
+        """Monotonic time of the last sample, kept where a deadline was asked for."""
+        self.missed = False
+        self.marked = False
+        self._fields = options.fields
+        self._lifespan = options.qos.lifespan
+        self._heads: tuple[Encoding, bytes, bytes] | None = None
+
+    @property
+    def waiting(self) -> int:
+        """How many samples wait to be collected."""
+        return len(self.queue) + (len(self.backlog) if self.backlog else 0)
+
+    def offer(self, sample: Sample) -> None:
+        """Queue a sample; a full queue lets its oldest go, or ends a reliable subscription."""
+        queue = self.queue
+        if len(queue) >= self.depth:
+            if self.reliable:
+                self.subscription.overrun(self)
+                return
+            queue.popleft()
+            self.dropped += 1
+        queue.append(sample)
+        if not self.marked:
+            self._mark()
+
+    def _mark(self) -> None:
+        mailbox = self.mailbox
+        if mailbox is not None:
+            self.marked = True
+            mailbox.pending.append(self)
+            if not mailbox.dirty:
+                mailbox.mark()
+
+    def replay(self, samples: Iterable[Sample]) -> None:
+        """Queue earlier samples ahead of everything else."""
+        self.backlog = deque(samples)
+        if self.backlog and not self.marked:
+            self._mark()
+
+    def admit(self, sample: Sample) -> bool:
+        """Tell whether an earlier sample passes the filters, for history and resume."""
+        return True
+
+    def prime(self, sample: Sample) -> None:
+        """Take the present value as known, without sending it."""
+
+    def drain(self, out: list[bytes], budget: int, wrap: Wrap | None, big: int | None) -> int:
+        """Move queued samples to `out` as framed updates; return how many bytes that were."""
+        size = 0
+        while size < budget:
+            queue = self.backlog or self.queue
+            if not queue:
+                break
+            sample = queue[0]
+            if self._lifespan is not None and now() - sample.received > self._lifespan * 1e9:
+                queue.popleft()
+                self.dropped += 1
+                continue
+            try:
+                data = self._frame(sample)
+            except RcpError:  # reported as the backend's fault where it was found
+                queue.popleft()
+                continue
+            if big is not None and len(data) > big:
+                break
+            queue.popleft()
+            self.dropped = 0
+            self.sent = sample.seq
+            size += len(data)
+            out.append(data if wrap is None else wrap(data, self, sample))
+            if self.subscription.remaining is not None and self.subscription.delivered():
+                self.queue.clear()
+                self.backlog = None
+                break
+        return size
+
+    def _frame(self, sample: Sample) -> bytes:
+        heads = self._heads
+        if heads is None:
+            heads = self._heads = self._make_heads()
+        encoding, head, head_dropped = heads
+        if self.native:
+            return self._native_frame(sample, encoding)
+        tail = sample.tail(encoding, self._fields)
+        if not self.dropped:
+            return head + tail
+        return head_dropped + encode_frame({"dropped": self.dropped}, b"", encoding)[
+            1 : -1 if encoding is Encoding.JSON else None
+        ] + (b"," + tail if encoding is Encoding.JSON else tail)
+
+    def _make_heads(self) -> tuple[Encoding, bytes, bytes]:
+        assert self.mailbox is not None
+        encoding = self.subscription.options.splice or self.mailbox.encoding
+        facts = {"type": "update", "id": self.subscription.id, "path": self.entry.path}
+        head = encode_frame(facts, b"", encoding)
+        if encoding is Encoding.JSON:
+            head = head[:-1] + b","
+            return encoding, head, head
+        base = _CBOR_MAP if encoding is Encoding.CBOR else _MSGPACK_MAP
+        rest = head[1:]
+        return encoding, bytes((base + 6,)) + rest, bytes((base + 7,)) + rest
+
+    def _native_frame(self, sample: Sample, encoding: Encoding) -> bytes:
+        if sample.native is None:
+            raise Overrun("the sample has no native form")
+        facts: dict[str, Any] = {
+            "type": "update",
+            "id": self.subscription.id,
+            "path": self.entry.path,
+            "seq": sample.seq,
+            "timestamp": iso(sample.timestamp),
+            "encoding": "native",
+        }
+        if self.dropped:
+            facts["dropped"] = self.dropped
+        if not self.sent:
+            facts["native_type"] = self.entry.resource.native
+        facts["body"] = bytes(sample.native.data)
+        return encode_frame(facts, b"", encoding)
+
+    def leave(self) -> None:
+        """Forget what waits; the connection is gone."""
+        self.queue.clear()
+        self.backlog = None
+        self.marked = False
+        self.mailbox = None
+        self._heads = None
+
+
+class FilteredFeed(Feed):
+    """One path of a subscription that asked for less than every sample."""
+
+    __slots__ = ("_change", "_due", "_held", "_interval", "_where")
+
+    def __init__(self, subscription: Subscription, entry: Entry, mailbox: Mailbox | None) -> None:
+        super().__init__(subscription, entry, mailbox)
+        options = subscription.options
+        self._where = subscription.where.fresh() if subscription.where else None
+        wants_change = options.on == "change" or options.deadband is not None
+        self._change = Change(options.deadband, options.fields) if wants_change else None
+        self._interval = 1.0 / options.rate if options.rate else 0.0
+        self._due = 0.0
+        self._held: Sample | None = None
+
+    def offer(self, sample: Sample) -> None:
+        """Queue a sample if every filter lets it through, later if the rate does not yet."""
+        if self._where is not None and not self._passes(sample):
+            return
+        if self._interval:
+            wait = self._due - time.monotonic()
+            # A tenth of the period is forgiven: a source at the wanted rate has jitter too.
+            if wait > self._interval * 0.1:
+                if self._held is None:
+                    self.subscription.hub.later(wait, self._release)
+                self._held = sample
+                return
+            self._held = None
+        self._emit(sample)
+
+    def _release(self) -> None:
+        sample, self._held = self._held, None
+        if sample is not None and self.mailbox is not None:
+            self._emit(sample)
+
+    def _emit(self, sample: Sample) -> None:
+        if self._change is not None:
+            try:
+                if not self._change.passes(sample.value):
+                    return
+            except RcpError:
+                return
+        if self._interval:
+            moment = time.monotonic()
+            late = moment - self._due
+            # Keep the beat of the period where possible, so that the mean rate is the one asked for.
+            self._due = (self._due if late < self._interval else moment) + self._interval
+        super().offer(sample)
+
+    def _passes(self, sample: Sample) -> bool:
+        assert self._where is not None
+        try:
+            return self._where.passes(sample.value)
+        except RcpError:
+            return False
+
+    def admit(self, sample: Sample) -> bool:
+        """Tell whether an earlier sample passes; the rate does not hold the past back."""
+        if self._where is not None and not self._passes(sample):
+            return False
+        if self._change is None:
+            return True
+        try:
+            return self._change.passes(sample.value)
+        except RcpError:
+            return False
+
+    def prime(self, sample: Sample) -> None:
+        """Let the filters see the present value, without sending it."""
+        self.admit(sample)
+
+    def leave(self) -> None:
+        """Forget what waits and what was held back."""
+        super().leave()
+        self._held = None
+
+
+class Subscription:
+    """A standing request of one session for samples of one or more paths."""
+
+    __slots__ = (
+        "end",
+        "feeds",
+        "hub",
+        "id",
+        "mailbox",
+        "may",
+        "options",
+        "patterns",
+        "remaining",
+        "timer",
+        "where",
+    )
+
+    def __init__(  # noqa: PLR0913 - made in one place
+        self,
+        hub: Hub,
+        id_: str,
+        patterns: list[Pattern],
+        options: Options,
+        mailbox: Mailbox | None,
+        *,
+        may: Callable[[Entry], bool],
+        end: Callable[[Subscription, str, RcpError | None], None],
+    ) -> None:
+        self.hub = hub
+        self.id = id_
+        self.patterns = patterns
+        self.options = options
+        self.mailbox = mailbox
+        self.may = may
+        """Whether the principal may subscribe to an entry."""
+        self.end = end
+        """Called when the subscription ends by itself, with the reason."""
+        self.feeds: dict[str, Feed] = {}
+        self.where: Where | None = parse_where(options.where) if options.where else None
+        self.remaining = options.count
+        self.timer: Any = None
+
+    def wants(self, entry: Entry) -> bool:
+        """Tell whether an entry belongs to this subscription."""
+        return any(p.matches(entry.path) for p in self.patterns) and self.may(entry)
+
+    def feed(self, entry: Entry) -> Feed:
+        """Make the feed of an entry."""
+        kind = Feed if self.options.plain else FilteredFeed
+        return kind(self, entry, self.mailbox)
+
+    def delivered(self) -> bool:
+        """Count one update; tell whether it was the last of a limited number."""
+        assert self.remaining is not None
+        self.remaining -= 1
+        if self.remaining > 0:
+            return False
+        self.hub.soon(self.end, self, "count", None)
+        return True
+
+    def overrun(self, feed: Feed) -> None:
+        """End the subscription: a reliable queue is full, and nothing may be skipped."""
+        error = Overrun(
+            f"subscription '{self.id}' fell {feed.depth} samples of {feed.entry.path} behind",
+            path=feed.entry.path,
+            details={"depth": feed.depth, "last_seq": feed.sent},
+        )
+        self.hub.soon(self.end, self, "overrun", error)
+        for other in self.feeds.values():
+            self.hub.unlink(other)
+
+    def past(self, feed: Feed, history: int | str) -> list[Sample]:
+        """Collect the samples that `history` asks for, oldest first."""
+        ring = list(feed.entry.ring)
+        if isinstance(history, int):
+            ring = ring[-history:] if history else []
+        else:
+            since = now() - int(seconds(history) * 1e9)
+            ring = [sample for sample in ring if sample.received >= since]
+        return [sample for sample in ring if feed.admit(sample)]
