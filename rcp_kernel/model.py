@@ -96,7 +96,7 @@ def _resolve(text: str, tenant: str | None) -> str:
     root = text.split("/", 2)[1]
     if root in ("tenant", "system"):
         return text
-    if root not in Kind:
+    if root not in BRANCHES:
         raise _bad(text)
     if tenant is None:
         raise InvalidPath(
@@ -129,7 +129,7 @@ def kind_of(name: str) -> Kind:
     :raises InvalidPath: if the name is not `<branch>/<segment>[/<segment>…]`.
     """
     branch, _, rest = name.partition("/")
-    if branch not in Kind or not rest or not _PATH.match("/" + name) or len(name) > MAX_PATH:
+    if branch not in BRANCHES or not rest or not _PATH.match("/" + name) or len(name) > MAX_PATH:
         raise InvalidPath(
             f"{name!r} is not the name of a resource",
             remedy=f"Write <branch>/<name> with a branch of {', '.join(Kind)}.",
@@ -153,7 +153,7 @@ class Pattern:
             raise _bad(text)
         root = segments[0]
         if root not in ("tenant", "system", "**") and tenant is not None:
-            if root not in Kind and root != "*":
+            if root not in BRANCHES and root != "*":
                 raise _bad(text)
             segments = ["tenant", tenant, *segments]
         self.text = "/" + "/".join(segments)
