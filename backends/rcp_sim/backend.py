@@ -1,0 +1,210 @@
+"""The simulated rover as the gateway sees it: what can be read, written and executed."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import AsyncIterator, Awaitable, Callable
+from contextlib import AbstractAsyncContextManager, asynccontextmanager, suppress
+from typing import Any
+
+import anyio
+
+from rcp_kernel.clock import now
+from rcp_kernel.errors import (
+    AdapterUnavailable,
+    DeviceRejected,
+    DeviceTimeout,
+    InvalidValue,
+    UnsupportedOperation,
+)
+from rcp_kernel.spi import BaseBackend, Host, Progress
+from rcp_kernel.types import Point
+from rcp_sim import messages as m
+from rcp_sim.config import SimConfig
+from rcp_sim.device import Device
+from rcp_sim.faults import unknown_target
+from rcp_sim.resources import resources
+from rcp_sim.sensors import pose
+from rcp_sim.simulation import DEFAULT_LIMIT, Trip
+
+__all__ = ["SimBackend", "open_sim"]
+
+_FEEDBACK = 0.2  # s between two reports of a trip
+_REST = 5.0  # s that a cancelled trip may take to come to rest
+
+
+@asynccontextmanager
+async def open_sim(config: SimConfig, host: Host) -> AsyncIterator[SimBackend]:
+    """Switch a simulated rover on; leaving switches it off.
+
+    :raises ConfigError: the rover would start inside an obstacle, or a fault has no such target.
+    """
+    device = Device(config, host)
+    host.declare(*resources(config))
+    device.boot()
+    for spec in config.faults:
+        device.strike(spec)
+    async with anyio.create_task_group() as tasks:
+        tasks.start_soon(device.run)
+        try:
+            yield SimBackend(device)
+        finally:
+            tasks.cancel_scope.cancel()
+
+
+class SimBackend(BaseBackend):
+    """One rover, driven through its `Device`."""
+
+    def __init__(self, device: Device) -> None:
+        self.device = device
+        self._sim = device.sim
+        self._verbs: dict[str, Callable[[Any, Progress], Awaitable[Any]]] = {
+            "action/move_to": self._move_to,
+            "action/dock": self._dock,
+            "service/reset_system": self._reset,
+            "service/place_obstacle": self._place,
+            "service/remove_obstacle": self._remove,
+        }
+
+    async def read(self, name: str) -> Any:
+        """Return a fresh value."""
+        await self.device.reach(name)
+        if self.device.faults.stopped(name):
+            raise DeviceTimeout(f"{name} has fallen silent")
+        value = self.device.publisher.make(name, now())
+        return await super().read(name) if value is None else value
+
+    async def write(self, name: str, value: Any) -> Any:
+        """Take a velocity or the speed limit into force; return what stands now."""
+        if name == "actuator/cmd_vel":
+            v, w = value.linear.x, value.angular.z
+            await self.device.reach(name, stop=v == 0.0 and w == 0.0)
+            self._sim.drive(v, w)
+            return self.device.publisher.velocity()
+        if name == "param/speed_limit":
+            await self.device.reach(name)
+            self._sim.set_limit(value)
+            return value
+        return await super().write(name, value)
+
+    async def execute(self, name: str, value: Any, progress: Progress) -> Any:
+        """Run an action or service; those that make and mend faults need no link."""
+        if name == "service/inject_fault":
+            return self._inject(value)
+        if name == "service/clear_faults":
+            self.device.mend(None if value is None else value.fault)
+            return m.FaultsActive(self.device.faults.active)
+        verb = self._verbs.get(name)
+        if verb is None:
+            raise UnsupportedOperation(f"'{name}' cannot be executed")
+        await self.device.reach(name)
+        return await verb(value, progress)
+
+    def watch(self, name: str, rate: float | None) -> AbstractAsyncContextManager[object]:
+        """Run the scanner or the camera while somebody watches; the rest runs always."""
+        return self._watch(name, rate)
+
+    @asynccontextmanager
+    async def _watch(self, name: str, rate: float | None) -> AsyncIterator[None]:
+        with self.device.publisher.watched(name, rate):
+            yield
+
+    async def halt(self) -> None:
+        """Brake hard, end what is running, and return once at rest."""
+        await self.device.reach("halt", stop=True)
+        self._sim.stop("the rover was halted", hard=True)
+        await self.device.waiting.until(lambda: self._sim.rover.at_rest)
+
+    # Actions
+
+    async def _move_to(self, goal: m.MoveTo, progress: Progress) -> m.MoveResult:
+        yaw = goal.yaw
+        if goal.orientation is not None:
+            if yaw is not None:
+                raise InvalidValue("give 'orientation' or 'yaw', not both")
+            yaw = _yaw(goal.orientation.z, goal.orientation.w)
+        x, y = goal.position.x, goal.position.y
+        trip = self._sim.go(x, y, yaw=yaw, tolerance=goal.tolerance, speed=goal.speed)
+        await self._ride(trip, progress)
+        rover = self._sim.rover
+        return m.MoveResult(
+            pose(rover, now()),
+            rover.travelled - trip.odometer,
+            trip.seconds,
+            math.dist((rover.x, rover.y), (x, y)),
+        )
+
+    async def _dock(self, _: None, progress: Progress) -> m.DockResult:
+        await self._ride(self._sim.dock(), progress)
+        self._sim.plug_in()
+        return m.DockResult(pose(self._sim.rover, now()), self._sim.pack.charge, charging=True)
+
+    async def _ride(self, trip: Trip, progress: Progress) -> None:
+        """See a trip to its end; a cancellation brakes the rover before it passes on."""
+        device = self.device
+        device.told(trip, "started", f"Set out for a goal {trip.length:.1f} m away.")
+        try:
+            while not trip.done:
+                self._tell(trip, progress)
+                due = device.uptime + _FEEDBACK
+                await device.waiting.until(lambda due=due: trip.done or device.uptime >= due)
+        except anyio.get_cancelled_exc_class():
+            await self._abandon(trip)
+            raise
+        if trip.failure is not None:
+            device.told(trip, "failed", f"Failed: {trip.failure}.")
+            if device.faults.link_lost:
+                raise AdapterUnavailable("the link to the rover was lost; it stopped by itself")
+            raise DeviceRejected(trip.failure)
+        self._tell(trip, progress)
+        device.told(trip, "completed", f"Arrived after {trip.seconds:.1f} s.")
+
+    async def _abandon(self, trip: Trip) -> None:
+        if self._sim.trip is trip:
+            self._sim.stop("cancelled")
+        with anyio.move_on_after(_REST, shield=True), suppress(AdapterUnavailable):
+            await self.device.waiting.until(lambda: self._sim.rover.at_rest)
+        self.device.told(trip, "cancelled", "Cancelled; the rover has stopped.")
+
+    def _tell(self, trip: Trip, progress: Progress) -> None:
+        rover = self._sim.rover
+        left = trip.follower.remaining(rover)
+        pace = min(self._sim.limit, trip.follower.speed)
+        feedback = m.MoveFeedback(
+            left, left / pace if pace else None, trip.follower.phase, Point(rover.x, rover.y)
+        )
+        done = 1.0 if trip.done else max(0.0, 1 - left / trip.length) if trip.length else 0.0
+        progress(feedback, fraction=done)
+
+    # Services
+
+    async def _reset(self, what: m.ResetSystem | None, _: Progress) -> m.ResetResult:
+        what = what or m.ResetSystem()
+        sim, device = self._sim, self.device
+        removed = sim.remove_all() if what.obstacles else 0
+        sim.reset_body(pose=what.pose, battery=what.battery)
+        mended = device.mend() if what.faults else 0
+        if what.speed_limit:
+            sim.set_limit(DEFAULT_LIMIT)
+        await device.waiting.until(lambda: sim.rover.at_rest)
+        if what.odometry:
+            device.publisher.sensors.wheels.zero()
+        device.boot("reset")
+        return m.ResetResult(mended, removed, pose(sim.rover, now()))
+
+    async def _place(self, box: m.Box, _: Progress) -> m.ObstacleId:
+        return m.ObstacleId(self._sim.place(box))
+
+    async def _remove(self, box: m.ObstacleId, _: Progress) -> m.Obstacles:
+        self._sim.remove(box.id)
+        return m.Obstacles(dict(self._sim.placed))
+
+    def _inject(self, spec: m.FaultSpec) -> m.FaultsActive:
+        if wrong := unknown_target(spec):
+            raise InvalidValue(wrong, details={"pointer": "/target"})
+        self.device.strike(spec)
+        return m.FaultsActive(self.device.faults.active)
+
+
+def _yaw(z: float, w: float) -> float:
+    return 2 * math.atan2(z, w)

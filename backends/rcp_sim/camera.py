@@ -1,0 +1,90 @@
+"""A small forward camera: walls and boxes in perspective, as a PNG of indexed colours.
+
+The picture is built column by column, as each column sees one face, and turned by slicing.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+import zlib
+
+from rcp_kernel.clock import iso
+from rcp_sim.messages import Image
+from rcp_sim.raycast import Fan
+from rcp_sim.simulation import Simulation
+
+__all__ = ["HEIGHT", "WIDTH", "picture"]
+
+WIDTH, HEIGHT = 160, 120  # px
+_FOCUS = WIDTH / 2 / math.tan(math.radians(35))  # px: 70 degrees wide
+_EYE = 0.4  # m above the floor
+_TALL = (2.5, 1.8)  # m: the walls of the hall, and the boxes
+_REACH = 150.0  # m: farther than any hall is wide
+_SHADES = 16  # of each tone: the farther, the darker
+_TONES = (
+    (196, 190, 176),
+    (176, 170, 156),  # walls
+    (66, 110, 160),
+    (54, 92, 136),  # boxes, in three colours of two sides each
+    (186, 120, 52),
+    (158, 100, 44),
+    (92, 140, 84),
+    (76, 118, 70),
+)
+_FAN = Fan([math.atan((column - WIDTH / 2 + 0.5) / _FOCUS) for column in range(WIDTH)])
+_COSINES = [math.cos(angle) for angle in _FAN.angles]
+_FIRST = 120  # palette index of the first tone; below it the background
+
+
+def _palette() -> bytes:
+    colours: list[tuple[int, int, int]] = []
+    for row in range(HEIGHT):
+        depth = abs(row - HEIGHT / 2) / (HEIGHT / 2)
+        base = (120, 128, 140) if row < HEIGHT / 2 else (104, 98, 92)
+        colours.append(_dimmed(base, 0.35 + 0.65 * depth))
+    for tone in _TONES:
+        colours += [_dimmed(tone, 1 - 0.75 * shade / _SHADES) for shade in range(_SHADES)]
+    return b"".join(bytes(colour) for colour in colours)
+
+
+def _dimmed(colour: tuple[int, int, int], by: float) -> tuple[int, int, int]:
+    red, green, blue = colour
+    return int(red * by), int(green * by), int(blue * by)
+
+
+def _chunk(kind: bytes, data: bytes) -> bytes:
+    return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+
+
+_HEAD = b"\x89PNG\r\n\x1a\n" + _chunk(
+    b"IHDR", struct.pack(">IIBBBBB", WIDTH, HEIGHT, 8, 3, 0, 0, 0)
+)
+_PALETTE = _chunk(b"PLTE", _palette())
+_END = _chunk(b"IEND", b"")
+_BACKGROUND = bytes(range(HEIGHT))
+
+
+def _column(distance: float, tone: int) -> bytes:
+    """Paint one column, top to bottom, that looks at a face so far away."""
+    tall = _TALL[tone >= 2]
+    top = max(0, round(HEIGHT / 2 - _FOCUS * (tall - _EYE) / distance))
+    bottom = min(HEIGHT, round(HEIGHT / 2 + _FOCUS * _EYE / distance))
+    shade = min(_SHADES - 1, int(distance / 1.5))
+    colour = _FIRST + tone * _SHADES + shade
+    return _BACKGROUND[:top] + bytes((colour,)) * (bottom - top) + _BACKGROUND[bottom:]
+
+
+def picture(sim: Simulation, now: int) -> Image:
+    """Take a picture of what is ahead of the rover."""
+    rover, faces = sim.rover, sim.world.faces
+    ranges, hits = _FAN.cast(faces, rover.x, rover.y, rover.yaw, _REACH)
+    columns = [
+        _column(max(0.05, distance * cosine), faces[hit].tone) if hit >= 0 else _BACKGROUND
+        for distance, cosine, hit in zip(ranges, _COSINES, hits, strict=True)
+    ]
+    columns.reverse()  # rays go from right to left
+    pixels = b"".join(columns)
+    rows = b"".join(b"\x00" + pixels[row::HEIGHT] for row in range(HEIGHT))
+    data = _HEAD + _PALETTE + _chunk(b"IDAT", zlib.compress(rows, 1)) + _END
+    return Image(WIDTH, HEIGHT, data, timestamp=iso(now))

@@ -1,0 +1,166 @@
+"""The simulated device: a rover on a link that carries what it sends and may fail on request."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from rcp_kernel.clock import iso, now
+from rcp_kernel.errors import (
+    AdapterUnavailable,
+    ConfigError,
+    DeviceRejected,
+    DeviceTimeout,
+)
+from rcp_kernel.spi import Host
+from rcp_kernel.types import Point
+from rcp_sim.config import SimConfig
+from rcp_sim.faults import FaultBoard, unknown_target
+from rcp_sim.messages import Boot, FaultEvent, FaultSpec, TaskEvent
+from rcp_sim.publisher import Publisher
+from rcp_sim.simulation import Simulation, Trip
+from rcp_sim.ticker import run_ticks
+from rcp_sim.waiting import Waiting
+
+__all__ = ["Device"]
+
+TaskState = Literal["started", "completed", "cancelled", "failed"]
+
+
+class Device:
+    """A simulation in real time, with its faults and events."""
+
+    def __init__(self, config: SimConfig, host: Host) -> None:
+        self._host = host
+        self._rate = config.rate
+        self.sim = Simulation(config)
+        self.faults = FaultBoard()
+        self.publisher = Publisher(config, host, self.sim, self.faults)
+        self.waiting = Waiting()
+        self._ticks = 0
+        self.uptime = 0.0
+        """Real seconds since power-on, counted in ticks."""
+        self._reported: tuple[str | None, bool] = (None, False)
+        for spec in config.faults:
+            if wrong := unknown_target(spec):
+                raise ConfigError(f"faults: {wrong}")
+
+    async def run(self) -> None:
+        """Live until cancelled; a breakdown is reported before it is raised."""
+        try:
+            await run_ticks(self.tick, self._rate)
+        except Exception as error:
+            self._host.report(f"the simulated rover broke down: {error}", down=True)
+            raise
+        finally:
+            self.waiting.close("the simulated rover is gone")
+
+    def tick(self, stamp: int) -> None:
+        """Let one period pass; `stamp` is its time in ns of UTC."""
+        if self.faults.crash:
+            raise RuntimeError("crash, as was asked for")
+        self._ticks += 1
+        self.uptime = self._ticks / self._rate
+        for spec in self.faults.expire(self.uptime):
+            self._over(spec)
+        self.publisher.tick(self.uptime, stamp)
+        for fault, active, message in self.sim.happenings:
+            self._event(FaultEvent(fault, active, message, None, iso(stamp)))
+        self.sim.happenings.clear()
+        self.waiting.look()
+
+    def boot(self, reason: Literal["power_on", "reset"] = "power_on") -> None:
+        """Announce that the rover is up, with a first value of everything it sends by itself."""
+        text = "The rover is up." if reason == "power_on" else "The rover was reset."
+        came = Boot(reason, "simulated rover", text, iso(now()))
+        self.publisher.event("event/boot", came, now())
+        if reason == "power_on":
+            self._event(FaultEvent("none", False, "The self-test passed.", None, iso(now())))
+            idle = TaskEvent("none", "idle", "No task has run yet.", timestamp=iso(now()))
+            self.publisher.event("event/task", idle, now())
+            self.publisher.send(0.0, now())
+
+    # The link
+
+    async def reach(self, name: str, *, stop: bool = False) -> None:
+        """Carry a request to the rover, as well as the faults allow; a stop is never refused.
+
+        :raises AdapterUnavailable: the link is lost.
+        :raises DeviceTimeout: the request went missing.
+        :raises DeviceRejected: the rover refuses it.
+        """
+        self._need_link()
+        if delay := self.faults.delay(name):
+            arrival = self.uptime + delay
+            await self.waiting.until(lambda: self.uptime >= arrival)
+            self._need_link()
+        if stop:
+            if self.faults.lose_stop():
+                raise DeviceTimeout("the stop went missing on its way to the rover")
+        elif self.faults.refused(name):
+            raise DeviceRejected(
+                f"the rover refuses {name}",
+                remedy="Execute service/clear_faults to end the injected fault.",
+            )
+
+    def _need_link(self) -> None:
+        if self.faults.link_lost:
+            raise AdapterUnavailable("the link to the rover is lost")
+
+    # Faults
+
+    def strike(self, spec: FaultSpec) -> None:
+        """Put a fault in force."""
+        self._event(FaultEvent(spec.fault, True, _text(spec), spec.target, iso(now())))
+        self.faults.inject(spec, self.uptime)
+        if spec.fault == "link_lost":
+            self.sim.lose_link()
+            self.waiting.look()
+        self._report()
+
+    def mend(self, fault: str | None = None) -> int:
+        """End injected faults and return how many they were."""
+        ended = self.faults.clear(fault)
+        for spec in ended:
+            self._over(spec)
+        return len(ended)
+
+    def _over(self, spec: FaultSpec) -> None:
+        message = f"Over: {_text(spec)}"
+        self._event(FaultEvent(spec.fault, False, message, spec.target, iso(now())))
+        self._report()
+
+    def _report(self) -> None:
+        lost = self.faults.link_lost
+        report = ("the link to the rover is lost" if lost else self.faults.troubles(), lost)
+        if report != self._reported:
+            self._reported = report
+            self._host.report(report[0], down=lost)
+
+    # Events
+
+    def _event(self, event: FaultEvent) -> None:
+        self.publisher.event("event/fault", event, now())
+
+    def told(self, trip: Trip, state: TaskState, message: str) -> None:
+        """Tell what has become of a task."""
+        rover, (x, y) = self.sim.rover, trip.follower.goal
+        event = TaskEvent(
+            trip.task, state, message, Point(x, y), Point(rover.x, rover.y), iso(now())
+        )
+        self.publisher.event("event/task", event, now())
+
+
+def _text(spec: FaultSpec) -> str:
+    match spec.fault:
+        case "sensor_stop":
+            return f"{spec.target or 'Every sensor'} has fallen silent."
+        case "refuse":
+            return f"The rover refuses {spec.target or 'every command'}."
+        case "slow":
+            return f"{spec.target or 'Everything'} is answered {spec.delay:g} s late."
+        case "link_lost":
+            return "The link is lost."
+        case "stop_lost":
+            return f"The next {spec.count} stops go missing."
+        case "crash":
+            return "The rover breaks down."

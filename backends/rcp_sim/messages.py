@@ -1,0 +1,329 @@
+"""The types of everything the simulated rover sends and takes; metres, radians, seconds, volts."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from msgspec import Meta, Struct
+
+from rcp_kernel.types import (
+    AngularVelocity,
+    LinearAcceleration,
+    Point,
+    Pose,
+    PoseStamped,
+    Quaternion,
+    Ratio,
+    Time,
+    Twist,
+)
+
+__all__ = [
+    "TOP_SPEED",
+    "TOP_TURN",
+    "Battery",
+    "Boot",
+    "Box",
+    "ClearFaults",
+    "DockResult",
+    "Drive",
+    "DriveAngular",
+    "DriveLinear",
+    "FaultEvent",
+    "FaultSpec",
+    "FaultsActive",
+    "Image",
+    "Imu",
+    "MoveFeedback",
+    "MoveResult",
+    "MoveTo",
+    "ObstacleId",
+    "Obstacles",
+    "OccupancyGrid",
+    "Odometry",
+    "ResetResult",
+    "ResetSystem",
+    "SpeedLimit",
+    "TaskEvent",
+]
+
+TOP_SPEED = 2.5  # m/s, what the motors give
+TOP_TURN = 2.0  # rad/s
+
+SpeedLimit = Annotated[float, Meta(ge=0, le=TOP_SPEED, extra_json_schema={"unit": "m/s"})]
+_Speed = Annotated[float, Meta(ge=-TOP_SPEED, le=TOP_SPEED, extra_json_schema={"unit": "m/s"})]
+_Turn = Annotated[float, Meta(ge=-TOP_TURN, le=TOP_TURN, extra_json_schema={"unit": "rad/s"})]
+_NoSpeed = Annotated[float, Meta(ge=0, le=0, extra_json_schema={"unit": "m/s"})]
+_NoTurn = Annotated[float, Meta(ge=0, le=0, extra_json_schema={"unit": "rad/s"})]
+_Place = Annotated[float, Meta(ge=-1000, le=1000, extra_json_schema={"unit": "m"})]
+_Length = Annotated[float, Meta(ge=0.05, le=50, extra_json_schema={"unit": "m"})]
+_Count = Annotated[int, Meta(ge=0, le=2**31, extra_json_schema={"unit": "1"})]
+_Seconds = Annotated[float, Meta(ge=0, le=86_400, extra_json_schema={"unit": "s"})]
+_Distance = Annotated[float, Meta(ge=0, extra_json_schema={"unit": "m"})]
+_Duration = Annotated[float, Meta(ge=0, extra_json_schema={"unit": "s"})]
+_Volts = Annotated[float, Meta(ge=0, extra_json_schema={"unit": "V"})]
+_Energy = Annotated[float, Meta(ge=0, extra_json_schema={"unit": "W.h"})]
+_Amperes = Annotated[
+    float, Meta(description="Negative while discharging.", extra_json_schema={"unit": "A"})
+]
+_Cell = Annotated[float, Meta(gt=0, description="Edge of a cell.", extra_json_schema={"unit": "m"})]
+_Tolerance = Annotated[
+    float,
+    Meta(
+        ge=0.02,
+        le=2,
+        description="How near to the goal counts as there.",
+        extra_json_schema={"unit": "m"},
+    ),
+]
+_TripSpeed = Annotated[float, Meta(gt=0, le=TOP_SPEED, extra_json_schema={"unit": "m/s"})]
+_Miss = Annotated[
+    float, Meta(ge=0, description="Distance from the goal.", extra_json_schema={"unit": "m"})
+]
+_Delay = Annotated[
+    float,
+    Meta(
+        gt=0,
+        le=60,
+        description="By how much `slow` delays every answer.",
+        extra_json_schema={"unit": "s"},
+    ),
+]
+_Losses = Annotated[
+    int,
+    Meta(
+        ge=1,
+        le=100,
+        description="How many stops `stop_lost` loses.",
+        extra_json_schema={"unit": "1"},
+    ),
+]
+_Heading = Annotated[float, Meta(ge=-6.2832, le=6.2832, extra_json_schema={"unit": "rad"})]
+
+
+class Odometry(Struct, frozen=True, forbid_unknown_fields=True):
+    """Where the wheels say the rover is; it drifts, as wheels slip."""
+
+    pose: Pose
+    twist: Twist
+    frame_id: str = "odom"
+    child_frame_id: str = "base_link"
+    timestamp: Time | None = None
+
+
+class Imu(Struct, frozen=True, forbid_unknown_fields=True):
+    """An inertial measurement in the body frame; at rest z reads the gravity."""
+
+    orientation: Quaternion
+    angular_velocity: AngularVelocity
+    linear_acceleration: LinearAcceleration
+    frame_id: str = "base_link"
+    timestamp: Time | None = None
+
+
+class Battery(Struct, frozen=True, forbid_unknown_fields=True):
+    """The state of a lithium pack of three cells."""
+
+    voltage: _Volts
+    current: _Amperes
+    percentage: Ratio
+    energy: _Energy
+    charging: bool = False
+    timestamp: Time | None = None
+
+
+class Image(Struct, frozen=True, forbid_unknown_fields=True):
+    """A picture as the bytes of a PNG file."""
+
+    width: _Count
+    height: _Count
+    data: bytes
+    format: Literal["png"] = "png"
+    frame_id: str = "camera"
+    timestamp: Time | None = None
+
+
+class OccupancyGrid(Struct, frozen=True, forbid_unknown_fields=True):
+    """A map in cells, row by row from `origin`: 0 free, 100 occupied."""
+
+    resolution: _Cell
+    width: _Count
+    height: _Count
+    origin: Pose
+    data: bytes
+    frame_id: str = "map"
+    timestamp: Time | None = None
+
+
+class DriveLinear(Struct, frozen=True, forbid_unknown_fields=True):
+    """The linear velocity a differential drive can have: forward or backward."""
+
+    x: _Speed = 0.0
+    y: _NoSpeed = 0.0
+    z: _NoSpeed = 0.0
+
+
+class DriveAngular(Struct, frozen=True, forbid_unknown_fields=True):
+    """The angular velocity a differential drive can have: about the vertical, left positive."""
+
+    x: _NoTurn = 0.0
+    y: _NoTurn = 0.0
+    z: _Turn = 0.0
+
+
+class Drive(Struct, frozen=True, forbid_unknown_fields=True):
+    """A Twist in the body frame, bounded to what the rover can do."""
+
+    linear: DriveLinear = DriveLinear()
+    angular: DriveAngular = DriveAngular()
+
+
+class MoveTo(Struct, frozen=True, forbid_unknown_fields=True):
+    """A goal in the map frame; `position.z` is ignored, as the floor is flat."""
+
+    position: Point
+    orientation: Annotated[
+        Quaternion | None, Meta(description="Heading at the goal; give this, `yaw` or neither.")
+    ] = None
+    yaw: Annotated[
+        _Heading | None, Meta(description="Heading at the goal, counter-clockwise from x.")
+    ] = None
+    tolerance: _Tolerance = 0.1
+    speed: Annotated[
+        _TripSpeed | None, Meta(description="At most this fast; the speed limit stands as well.")
+    ] = None
+
+
+class MoveFeedback(Struct, frozen=True, forbid_unknown_fields=True):
+    """How a drive is going."""
+
+    distance_remaining: _Distance
+    eta: Annotated[_Duration | None, Meta(description="None while the speed limit is 0.")]
+    phase: Literal["turning", "driving", "aligning", "braking", "done"]
+    position: Point
+
+
+class MoveResult(Struct, frozen=True, forbid_unknown_fields=True):
+    """Where a drive ended and what it took."""
+
+    pose: PoseStamped
+    distance: _Distance
+    duration: _Duration
+    error: _Miss
+
+
+class DockResult(Struct, frozen=True, forbid_unknown_fields=True):
+    """The rover on its charger."""
+
+    pose: PoseStamped
+    percentage: Ratio
+    charging: bool
+
+
+class ResetSystem(Struct, frozen=True, forbid_unknown_fields=True):
+    """What to reset; without input: all but the rover's place and its battery."""
+
+    odometry: bool = True
+    faults: bool = True
+    obstacles: bool = True
+    speed_limit: bool = True
+    pose: Annotated[bool, Meta(description="Carry the rover back to where it started.")] = False
+    battery: Annotated[bool, Meta(description="Change the battery for a full one.")] = False
+
+
+class ResetResult(Struct, frozen=True, forbid_unknown_fields=True):
+    """What the reset did."""
+
+    faults_cleared: _Count
+    obstacles_removed: _Count
+    pose: PoseStamped
+
+
+class Box(Struct, frozen=True, forbid_unknown_fields=True):
+    """An upright box on the floor, its sides along the axes of the map."""
+
+    x: _Place
+    y: _Place
+    size_x: _Length
+    size_y: _Length
+
+
+class ObstacleId(Struct, frozen=True, forbid_unknown_fields=True):
+    """The name of a box that was placed."""
+
+    id: Annotated[str, Meta(max_length=32)]
+
+
+class Obstacles(Struct, frozen=True, forbid_unknown_fields=True):
+    """The boxes that were placed and still stand."""
+
+    placed: dict[str, Box]
+
+
+class FaultSpec(Struct, frozen=True, forbid_unknown_fields=True):
+    """A fault to inject."""
+
+    fault: Literal["sensor_stop", "refuse", "slow", "link_lost", "stop_lost", "crash"]
+    target: Annotated[
+        str | None,
+        Meta(description="The one resource that suffers (`sensor/scan`); none: all that can."),
+    ] = None
+    seconds: Annotated[
+        _Seconds | None,
+        Meta(description="How long; none: until cleared, or 10 s for `link_lost`."),
+    ] = None
+    delay: _Delay = 1.0
+    count: _Losses = 1
+
+
+class FaultsActive(Struct, frozen=True, forbid_unknown_fields=True):
+    """The injected faults in force."""
+
+    active: list[FaultSpec]
+
+
+class ClearFaults(Struct, frozen=True, forbid_unknown_fields=True):
+    """Which injected faults to end; None ends them all."""
+
+    fault: Literal["sensor_stop", "refuse", "slow", "link_lost", "stop_lost"] | None = None
+
+
+class Boot(Struct, frozen=True, forbid_unknown_fields=True):
+    """The rover came up."""
+
+    reason: Literal["power_on", "reset"]
+    model: str
+    message: str
+    timestamp: Time | None = None
+
+
+class FaultEvent(Struct, frozen=True, forbid_unknown_fields=True):
+    """A fault came (`active`) or went."""
+
+    fault: Literal[
+        "none",
+        "collision",
+        "battery_low",
+        "battery_empty",
+        "sensor_stop",
+        "refuse",
+        "slow",
+        "link_lost",
+        "stop_lost",
+        "crash",
+    ]
+    active: bool
+    message: str
+    target: str | None = None
+    timestamp: Time | None = None
+
+
+class TaskEvent(Struct, frozen=True, forbid_unknown_fields=True):
+    """A task of the rover began or ended."""
+
+    task: Literal["none", "move_to", "dock"]
+    state: Literal["idle", "started", "completed", "cancelled", "failed"]
+    message: str
+    goal: Point | None = None
+    position: Point | None = None
+    timestamp: Time | None = None

@@ -1,0 +1,148 @@
+"""What the rover sends by itself, and when: one physics step a tick serves every sensor."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+from rcp_kernel.spi import Host
+from rcp_sim.camera import picture
+from rcp_sim.config import SimConfig
+from rcp_sim.faults import FaultBoard
+from rcp_sim.messages import Drive, DriveAngular, DriveLinear
+from rcp_sim.sensors import Sensors, battery, pose
+from rcp_sim.simulation import Simulation
+
+__all__ = ["Publisher"]
+
+_SLOWEST = 1.0  # Hz: a watched sensor shows signs of life, whatever rate is wanted
+
+
+class _Rhythm:
+    """A sensor with a rate of its own, kept in step with the ticks."""
+
+    def __init__(self, rate: float, *, watched: bool) -> None:
+        self.rate = rate
+        self.wanted: list[float | None] = []
+        """The rates of those who watch; None is as fast as it goes."""
+        self._watched = watched
+        self._next = 0.0
+
+    def due(self, uptime: float) -> bool:
+        """Tell whether the next value is due, and count it as sent."""
+        if self._watched and not self.wanted:
+            return False
+        if uptime < self._next - 1e-9:
+            return False
+        rate = self.rate
+        if self.wanted and None not in self.wanted:
+            rate = min(rate, max(_SLOWEST, *(wish for wish in self.wanted if wish is not None)))
+        self._next += 1 / rate
+        if self._next <= uptime:
+            self._next = uptime + 1 / rate
+        return True
+
+    def restart(self) -> None:
+        """Send the next value at once."""
+        self._next = 0.0
+
+
+class Publisher:
+    """Steps the simulation and hands its values to the host."""
+
+    def __init__(self, config: SimConfig, host: Host, sim: Simulation, faults: FaultBoard) -> None:
+        self._host = host
+        self._sim = sim
+        self._faults = faults
+        self.sensors = Sensors(config, sim.rover)
+        self._dt = config.time_scale / config.rate
+        self._live: tuple[tuple[str, Callable[[int], Any]], ...] = (
+            ("sensor/pose", lambda now: pose(sim.rover, now)),
+            ("sensor/odometry", lambda now: self.sensors.odometry(sim.rover, now)),
+            ("sensor/imu", lambda now: self.sensors.imu(sim.rover, now)),
+        )
+        self._timed: tuple[tuple[str, Callable[[int], Any], _Rhythm], ...] = (
+            ("sensor/scan", self._scan, _Rhythm(config.scan_rate, watched=True)),
+            ("sensor/camera", self._picture, _Rhythm(config.camera_rate, watched=True)),
+            ("sensor/battery", self._battery, _Rhythm(config.battery_rate, watched=False)),
+        )
+        self._makers: dict[str, Callable[[int], Any]] = {
+            **dict(self._live),
+            **{name: make for name, make, _ in self._timed},
+            "sensor/map": self._map,
+            "actuator/cmd_vel": lambda _: self.velocity(),
+            "param/speed_limit": lambda _: sim.limit,
+        }
+        self._shown: dict[str, Any] = {}
+        """Values that are sent when they change, as last sent."""
+
+    def tick(self, uptime: float, now: int) -> None:
+        """Let one period pass and send what is due; `uptime` is in real seconds."""
+        self._sim.step(self._dt)
+        self.sensors.wheels.follow(self._sim.rover)
+        self.send(uptime, now)
+
+    def send(self, uptime: float, now: int) -> None:
+        """Send what is due, as far as faults let it through."""
+        host, faults = self._host, self._faults
+        if faults.link_lost:
+            return
+        any_fault = bool(faults.active)
+        for name, make in self._live:
+            if not (any_fault and faults.stopped(name)):
+                host.publish(name, make(now), now)
+        for name, make, rhythm in self._timed:
+            if rhythm.due(uptime) and not faults.stopped(name):
+                host.publish(name, make(now), now)
+        self._show("actuator/cmd_vel", self._sim.velocity, now)
+        self._show("param/speed_limit", self._sim.limit, now)
+        if not faults.stopped("sensor/map"):
+            self._show("sensor/map", self._sim.world, now)
+
+    def _show(self, name: str, state: Any, now: int) -> None:
+        if self._shown.get(name) != state:
+            self._shown[name] = state
+            self._host.publish(name, self._makers[name](now), now)
+
+    def event(self, name: str, event: Any, now: int) -> None:
+        """Send an event, unless the link is down."""
+        if not self._faults.link_lost:
+            self._host.publish(name, event, now)
+
+    def make(self, name: str, now: int) -> Any:
+        """Return a fresh value of a sensor or setting; None for what has none."""
+        maker = self._makers.get(name)
+        return None if maker is None else maker(now)
+
+    @contextmanager
+    def watched(self, name: str, rate: float | None) -> Iterator[None]:
+        """Keep a sensor running that runs only while somebody watches."""
+        rhythm = next((r for sensor, _, r in self._timed if sensor == name), None)
+        if rhythm is None:
+            yield
+            return
+        rhythm.wanted.append(rate)
+        if len(rhythm.wanted) == 1:
+            rhythm.restart()
+        try:
+            yield
+        finally:
+            rhythm.wanted.remove(rate)
+
+    def velocity(self) -> Drive:
+        """Return the velocity in force as the actuator's value."""
+        v, w = self._sim.velocity
+        return Drive(DriveLinear(v), DriveAngular(0.0, 0.0, w))
+
+    def _scan(self, now: int) -> Any:
+        return self.sensors.scan(self._sim, now)
+
+    def _picture(self, now: int) -> Any:
+        return picture(self._sim, now)
+
+    def _battery(self, now: int) -> Any:
+        return battery(self._sim, now)
+
+    def _map(self, now: int) -> Any:
+        return self.sensors.map(self._sim, now)

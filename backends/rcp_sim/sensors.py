@@ -1,0 +1,146 @@
+"""What the rover's sensors say of it: the truth with noise and drift, all drawn from the seed."""
+
+from __future__ import annotations
+
+import math
+import random
+
+from rcp_kernel.clock import iso
+from rcp_kernel.types import (
+    AngularVelocity,
+    LaserScan,
+    LinearAcceleration,
+    LinearVelocity,
+    Point,
+    Pose,
+    PoseStamped,
+    Quaternion,
+    Twist,
+)
+from rcp_sim.config import SimConfig
+from rcp_sim.messages import Battery, Imu, OccupancyGrid, Odometry
+from rcp_sim.raycast import Fan
+from rcp_sim.rover import Rover
+from rcp_sim.simulation import Simulation
+
+__all__ = ["Sensors", "Wheels", "battery", "heading", "pose"]
+
+GRAVITY = 9.80665  # m/s2
+RANGE_MIN = 0.05  # m
+
+
+def heading(yaw: float) -> Quaternion:
+    """Return the orientation of a body turned by `yaw` radians to the left."""
+    return Quaternion(0.0, 0.0, math.sin(yaw / 2), math.cos(yaw / 2))
+
+
+def pose(rover: Rover, now: int) -> PoseStamped:
+    """Return where the rover is on the map; localisation is perfect."""
+    return PoseStamped(Point(rover.x, rover.y, 0.0), heading(rover.yaw), "map", iso(now))
+
+
+def battery(sim: Simulation, now: int) -> Battery:
+    """Return the state of the battery."""
+    pack = sim.pack
+    return Battery(
+        round(pack.voltage, 4),
+        round(pack.current, 4),
+        round(pack.charge, 6),
+        round(pack.energy, 5),
+        pack.charging,
+        iso(now),
+    )
+
+
+class Wheels:
+    """Dead reckoning by wheels that are a little larger and further apart than believed."""
+
+    def __init__(self, rover: Rover, seed: int, noise: float) -> None:
+        draw = random.Random(f"{seed} wheels")  # noqa: S311 - a simulation, not a secret
+        self._grow = 1 + draw.gauss(0, 0.005) * noise
+        self._twist = 1 + draw.gauss(0, 0.01) * noise
+        self._rover = rover
+        self.zero()
+
+    def zero(self) -> None:
+        """Begin anew at the origin."""
+        self.x = self.y = self.yaw = 0.0
+        self._path, self._turned = self._rover.path, self._rover.turned
+
+    def follow(self, rover: Rover) -> None:
+        """Count the wheels' turns since the last call; a rover carried elsewhere made none."""
+        if rover is not self._rover:
+            self._rover = rover
+        else:
+            way = (rover.path - self._path) * self._grow
+            turn = (rover.turned - self._turned) * self._twist
+            self.x += way * math.cos(self.yaw + turn / 2)
+            self.y += way * math.sin(self.yaw + turn / 2)
+            self.yaw = math.remainder(self.yaw + turn, 2 * math.pi)
+        self._path, self._turned = rover.path, rover.turned
+
+
+class Sensors:
+    """Makes the values of the rover's sensors, each with a source of noise of its own."""
+
+    def __init__(self, config: SimConfig, rover: Rover) -> None:
+        seed, self._noise = config.seed, config.noise
+        self.wheels = Wheels(rover, seed, config.noise)
+        self._imu = random.Random(f"{seed} imu")  # noqa: S311
+        self._bias = self._imu.gauss(0, 0.002) * config.noise
+        laser = random.Random(f"{seed} laser")  # noqa: S311
+        self._laser = laser
+        self._ripple = [laser.gauss(0, 0.008) * config.noise for _ in range(config.beams + 1024)]
+        """Range noise, used from a random place on: drawing anew would double a scan's cost."""
+        step = 2 * math.pi / config.beams
+        self._fan = Fan([-math.pi + i * step for i in range(config.beams)])
+        self._step = step
+        self._reach = config.scan_range
+        self._resolution = config.map_resolution
+
+    def odometry(self, rover: Rover, now: int) -> Odometry:
+        """Return where the wheels say the rover is."""
+        wheels = self.wheels
+        return Odometry(
+            Pose(Point(wheels.x, wheels.y, 0.0), heading(wheels.yaw)),
+            Twist(LinearVelocity(rover.v), AngularVelocity(0.0, 0.0, rover.w)),
+            timestamp=iso(now),
+        )
+
+    def imu(self, rover: Rover, now: int) -> Imu:
+        """Return one inertial measurement."""
+        gauss, noise = self._imu.gauss, self._noise
+        return Imu(
+            heading(rover.yaw),
+            AngularVelocity(0.0, 0.0, rover.w + self._bias + gauss(0, 0.003) * noise),
+            LinearAcceleration(
+                rover.accel + gauss(0, 0.02) * noise,
+                rover.v * rover.w + gauss(0, 0.02) * noise,
+                GRAVITY + gauss(0, 0.02) * noise,
+            ),
+            timestamp=iso(now),
+        )
+
+    def scan(self, sim: Simulation, now: int) -> LaserScan:
+        """Return one sweep of the range finder; `Infinity` where nothing is in reach."""
+        rover = sim.rover
+        ranges, _ = self._fan.cast(sim.world.faces, rover.x, rover.y, rover.yaw, self._reach)
+        start = self._laser.randrange(1024)
+        noisy = zip(ranges, self._ripple[start : start + len(ranges)], strict=True)
+        low, high = RANGE_MIN, self._reach
+        return LaserScan(
+            -math.pi,
+            self._step,
+            low,
+            high,
+            [r if r > high else round(min(high, max(low, r + n)), 3) for r, n in noisy],
+            "laser",
+            iso(now),
+        )
+
+    def map(self, sim: Simulation, now: int) -> OccupancyGrid:
+        """Draw the map of the world."""
+        columns, rows, data = sim.world.grid(self._resolution)
+        left, bottom, _, _ = sim.world.bounds
+        origin = Pose(Point(left, bottom, 0.0))
+        return OccupancyGrid(self._resolution, columns, rows, origin, data, "map", iso(now))

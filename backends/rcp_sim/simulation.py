@@ -1,0 +1,301 @@
+"""The whole rover without a gateway: world, body, battery, controller, stepped by hand.
+
+Nothing here waits, knows the time of day or draws random numbers: the same commands at the same
+ticks give the same run.
+"""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+from typing import Literal
+
+from rcp_kernel.errors import DeviceRejected, ModeForbids
+from rcp_sim.battery import LOW, Pack
+from rcp_sim.config import SimConfig
+from rcp_sim.controller import Follower
+from rcp_sim.messages import TOP_SPEED, Box
+from rcp_sim.planner import MARGIN, Planner
+from rcp_sim.rover import Rover
+from rcp_sim.world import Rect, World
+
+__all__ = ["DEFAULT_LIMIT", "MAX_PLACED", "Simulation", "Trip"]
+
+DEFAULT_LIMIT = 1.0  # m/s
+MAX_PLACED = 16  # boxes: keeps the search for a way short
+_MAX_STEP = 0.02  # s, of the physics and the controller
+_HANDOVER = 2.0  # s of real time in which a velocity's own stop does not end the trip after it
+
+_EMPTY_TEXT = ("The battery is charged again.", "The battery is empty; the motors are off.")
+_LOW_TEXT = ("The battery has enough charge again.", "The battery is low: dock soon.")
+
+Happening = tuple[Literal["collision", "battery_low", "battery_empty"], bool, str]
+
+
+class Trip:
+    """One drive to a goal, from its start to its end."""
+
+    def __init__(self, task: Literal["move_to", "dock"], follower: Follower, rover: Rover) -> None:
+        self.task: Literal["move_to", "dock"] = task
+        self.follower = follower
+        self.length = follower.remaining(rover)
+        """Metres at the start."""
+        self.odometer = rover.travelled
+        self.seconds = 0.0
+        self.done = False
+        self.failure: str | None = None
+        """Why it ended before its goal."""
+
+    def end(self, failure: str | None = None) -> None:
+        """Note that it is over, with the reason if it did not arrive."""
+        if not self.done:
+            self.done, self.failure = True, failure
+
+
+class Simulation:
+    """A rover in its world."""
+
+    def __init__(self, config: SimConfig) -> None:
+        self._start = config.start
+        self._bare = config.make_world()
+        self.placed: dict[str, Box] = {}
+        self.world: World = self._bare
+        """Changes only by being replaced, so identity tells whether the map is new."""
+        self._planner = Planner(self._bare)
+        self.pack = Pack(config.battery.capacity, config.battery.charge)
+        self.rover = Rover(self._start.x, self._start.y, self._start.yaw)
+        self.limit = DEFAULT_LIMIT
+        self.seconds = 0.0
+        """Simulated time since power-on."""
+        self.velocity = (0.0, 0.0)
+        """The speeds commanded directly, m/s and rad/s."""
+        self.trip: Trip | None = None
+        self.happenings: list[Happening] = []
+        """What befell since the owner last emptied it."""
+        self._hard = False
+        self._grace = _HANDOVER * config.time_scale
+        self._handover = -math.inf
+        self._boxes = 0
+        self._low = self._empty = False
+        self._touching = False
+
+    # Commands
+
+    def drive(self, v: float, w: float) -> tuple[float, float]:
+        """Take direct speeds into force, cut to the speed limit, and return them.
+
+        :raises ModeForbids: a trip has the drive. A stop ends the trip instead.
+        """
+        if v == 0.0 and w == 0.0:
+            if self.trip is None or self.seconds >= self._handover:
+                self.stop("stopped by actuator/cmd_vel")
+            self._handover = -math.inf
+        elif self.trip is not None:
+            raise ModeForbids(
+                f"the rover drives itself: action/{self.trip.task} is running",
+                remedy="Cancel the action first, or wait until it ends.",
+            )
+        else:
+            self._need_power()
+            self.pack.charging = False
+            self._hard = False
+            self.velocity = (max(-self.limit, min(self.limit, v)), w)
+            self._handover = self.seconds + self._grace
+        return self.velocity
+
+    def stop(self, reason: str, *, hard: bool = False) -> None:
+        """Brake to rest; a running trip fails for that reason."""
+        self.velocity = (0.0, 0.0)
+        self._hard = hard or (self._hard and not self.rover.at_rest)
+        if self.trip is not None:
+            self.trip.end(reason)
+            self.trip = None
+
+    def lose_link(self) -> None:
+        """End a trip, as nobody watches over it now; a direct velocity goes on blindly."""
+        if self.trip is not None:
+            self.stop("the link was lost")
+
+    def set_limit(self, limit: float) -> None:
+        """Change the speed limit; a faster velocity in force is cut to it."""
+        self.limit = limit
+        v, w = self.velocity
+        self.velocity = (max(-limit, min(limit, v)), w)
+
+    def go(  # noqa: PLR0913 - a goal has this many sides
+        self,
+        x: float,
+        y: float,
+        *,
+        yaw: float | None = None,
+        tolerance: float = 0.1,
+        speed: float | None = None,
+        task: Literal["move_to", "dock"] = "move_to",
+    ) -> Trip:
+        """Set out for a goal, taking the drive over from a direct velocity.
+
+        :raises ModeForbids: another trip is running.
+        :raises DeviceRejected: there is no way to it, or no power.
+        """
+        way = self._way(x, y)
+        if self.trip is not None:
+            raise ModeForbids(
+                f"action/{self.trip.task} is running",
+                remedy="Cancel it first, or wait until it ends.",
+            )
+        self._need_power()
+        if self.velocity == (0.0, 0.0):
+            self._handover = -math.inf
+        self.velocity = (0.0, 0.0)
+        follower = Follower(way, tolerance=tolerance, yaw=yaw, speed=speed or TOP_SPEED)
+        self.pack.charging = False
+        self._hard = False
+        self.trip = Trip(task, follower, self.rover)
+        return self.trip
+
+    def _way(self, x: float, y: float) -> list[tuple[float, float]]:
+        if not self._planner.free(x, y):
+            inside = self.world.clearance(x, y)
+            where = f"{inside:.2f} m from" if inside > 0 else "inside or behind"
+            raise DeviceRejected(
+                f"goal ({x:g}, {y:g}) is {where} an obstacle or wall",
+                remedy=f"Choose a goal at least {MARGIN} m from everything on sensor/map.",
+            )
+        way = self._planner.way((self.rover.x, self.rover.y), (x, y))
+        if way is None:
+            raise DeviceRejected(f"no way leads to ({x:g}, {y:g})")
+        return way
+
+    def dock(self) -> Trip:
+        """Set out for the charger, which stands where the rover started."""
+        start = self._start
+        return self.go(start.x, start.y, yaw=start.yaw, tolerance=0.05, task="dock")
+
+    def plug_in(self) -> None:
+        """Begin to charge; the rover stands on its charger."""
+        self.pack.charging = True
+
+    # The world
+
+    def place(self, box: Box) -> str:
+        """Put a box on the floor and return its name.
+
+        :raises DeviceRejected: it would stand on the rover, or there are too many.
+        """
+        if len(self.placed) >= MAX_PLACED:
+            raise DeviceRejected(f"{MAX_PLACED} boxes stand already; remove one first")
+        if not self.world.bounds.holds(box.x, box.y):
+            raise DeviceRejected("that place is outside the hall")
+        if World(1e4, 1e4, [Rect.of(box)]).clearance(self.rover.x, self.rover.y) < MARGIN:
+            raise DeviceRejected("the rover stands there", remedy="Place it elsewhere.")
+        self._boxes += 1
+        name = f"box-{self._boxes}"
+        self._rebuild({**self.placed, name: box})
+        return name
+
+    def remove(self, name: str) -> None:
+        """Take a box away.
+
+        :raises DeviceRejected: there is none of that name.
+        """
+        if name not in self.placed:
+            raise DeviceRejected(f"no box is named '{name}'")
+        self._rebuild({key: box for key, box in self.placed.items() if key != name})
+
+    def remove_all(self) -> int:
+        """Take every placed box away and return how many they were."""
+        count = len(self.placed)
+        if count:
+            self._rebuild({})
+        return count
+
+    def _rebuild(self, placed: dict[str, Box]) -> None:
+        self.placed = placed
+        self.world = self._bare.with_obstacles([Rect.of(box) for box in placed.values()])
+        self._planner = Planner(self.world)
+        if self.trip is not None:
+            here = (self.rover.x, self.rover.y)
+            points = [here, *self.trip.follower.way]
+            legs = pairwise(points)
+            if all(self._planner.clear(a, b) for a, b in legs):
+                return
+            way = self._planner.way(here, self.trip.follower.goal)
+            if way is None:
+                self.stop("the way is blocked")
+            else:
+                self.trip.follower.reroute(way)
+
+    def reset_body(self, *, pose: bool, battery: bool) -> None:
+        """Bring the rover to rest, and on request back to its start or to a full battery.
+
+        :raises DeviceRejected: the start is taken.
+        """
+        if pose and not self._planner.free(self._start.x, self._start.y):
+            raise DeviceRejected("a placed box stands where the rover started")
+        self.stop("the system was reset", hard=True)
+        if pose:
+            self.rover = Rover(self._start.x, self._start.y, self._start.yaw)
+        if battery:
+            self.pack.energy = self.pack.capacity
+
+    # Time
+
+    def step(self, dt: float) -> None:
+        """Let `dt` seconds pass."""
+        steps = max(1, math.ceil(dt / _MAX_STEP - 1e-9))
+        for _ in range(steps):
+            self._step(dt / steps)
+
+    def _step(self, dt: float) -> None:
+        self.seconds += dt
+        rover, trip = self.rover, self.trip
+        v, w = self.velocity
+        if trip is not None:
+            trip.seconds += dt
+            v, w = trip.follower.command(rover, self.limit, dt)
+        elif rover.at_rest and v == 0.0 and w == 0.0:
+            rover.accel = 0.0
+            self._spend(dt)
+            return
+        rover.step(dt, v, w, self.world.clearance, hard=self._hard)
+        self._feel()
+        if trip is not None and trip is self.trip:
+            self._judge(trip)
+        self._spend(dt)
+
+    def _feel(self) -> None:
+        if self.rover.bumped and not self._touching:
+            self.happenings.append(("collision", True, "The bumper touches an obstacle."))
+            self.stop("blocked: the bumper touches an obstacle", hard=True)
+        elif self._touching and not self.rover.bumped and self.rover.v:
+            self.happenings.append(("collision", False, "The bumper is free again."))
+        else:
+            return
+        self._touching = self.rover.bumped
+
+    def _judge(self, trip: Trip) -> None:
+        if trip.follower.phase == "done":
+            trip.end()
+            self.trip = None
+        elif trip.follower.stuck:
+            self.stop("stuck: no progress for 30 s")
+
+    def _spend(self, dt: float) -> None:
+        pack = self.pack
+        pack.step(dt, self.rover.v, self.rover.w)
+        charge = pack.charge
+        if (charge == 0.0) != self._empty and (self._empty is False or charge > LOW):
+            self._empty = not self._empty
+            self.happenings.append(("battery_empty", self._empty, _EMPTY_TEXT[self._empty]))
+            if self._empty:
+                self.stop("the battery is empty")
+        if (charge < LOW) != self._low and abs(charge - LOW) > 0.001:
+            self._low = not self._low
+            self.happenings.append(("battery_low", self._low, _LOW_TEXT[self._low]))
+
+    def _need_power(self) -> None:
+        if self.pack.energy == 0.0:
+            raise DeviceRejected(
+                "the battery is empty",
+                remedy='Execute service/reset_system with {"battery": true}.',
+            )
