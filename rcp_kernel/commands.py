@@ -50,7 +50,7 @@ class Record:
 
     status: Status
     time: int
-    body: Any = NO_BODY
+    body: Any = field(default_factory=lambda: NO_BODY)
     progress: float | None = None
     message: str | None = None
     error: dict[str, Any] | None = None
@@ -173,6 +173,11 @@ class Commands:
         """Go through all that are known, newest first."""
         yield from reversed(list(self.running.values()))
         yield from reversed(self.finished.values())
+
+    def remember(self, commands: Iterable[Command]) -> None:
+        """Take in finished commands of an earlier run."""
+        for command in commands:
+            self.finished[command.id] = command
 
     @property
     def queued(self) -> int:

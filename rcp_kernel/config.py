@@ -162,12 +162,25 @@ def parse(text: str, source: str) -> GatewayConfig:
     if not isinstance(backends, list):
         raise ConfigError(f"{source}: write [[backends]] in double brackets, once for each robot")
     raw["backends"] = [_split(table, i, source) for i, table in enumerate(backends)]
+    _default_transports(raw)
     for group in ("transports", "plugins"):
         if not all(isinstance(table, dict) for table in raw.get(group, {}).values()):
             raise ConfigError(f"{source}: [{group}] holds tables: write [{group}.<name>]")
     config = decode_table(raw, GatewayConfig, f"{source}: ")
     _check(config, source)
     return config
+
+
+_TRANSPORTS = ("http", "ws", "sse", "asgi")
+
+
+def _default_transports(raw: dict[str, Any]) -> None:
+    """Serve every transport of the house unless `[transports] <name> = false` takes it out."""
+    tables = raw.setdefault("transports", {})
+    if isinstance(tables, dict):
+        for name in _TRANSPORTS:
+            tables.setdefault(name, {})
+        raw["transports"] = {name: t for name, t in tables.items() if t is not False}
 
 
 _KERNEL_KEYS = ("use", "name", "tenant", "robot")

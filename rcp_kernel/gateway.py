@@ -10,7 +10,7 @@ import asyncio
 import hashlib
 import secrets
 from collections import OrderedDict
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
 from functools import partial
 from time import perf_counter
 from typing import Any
@@ -89,6 +89,10 @@ class Gateway:
         self._authenticator = authenticator
         self._keyring = _keyring(config)
         self._keys: OrderedDict[tuple[str, str], tuple[bytes, Any]] = OrderedDict()
+        self.views: dict[str, Callable[[Session], Any]] = {}
+        """Resources whose value depends on who asks, by path."""
+        self.estop: Callable[[Session, Any], Awaitable[Any]] | None = None
+        """The e-stop's own lane, past every queue and limit."""
         self._reading = Reading(self)
         self._subscribing = Subscribing(self)
         self._table: dict[str, Callable[[Session, Request, Answer], Reply | None]] = {
@@ -310,7 +314,7 @@ class Gateway:
         if known is not None:
             return self._again(known, request)
         check_age(entry, request)
-        check_motion(entry, getattr(entry.owner, "latch", None))
+        check_motion(entry, entry.owner.latch)
         window = self.deadman.window(entry, request)
         if entry.owner.backend is None:
             raise entry.owner.unavailable()
@@ -325,6 +329,7 @@ class Gateway:
         backend = entry.owner.backend
         if backend is None:
             raise entry.owner.unavailable()
+        started = perf_counter()
         superseded = self.deadman.begin(entry) if window is not None else False
         try:
             actual = await backend.write(entry.name, value)
@@ -332,6 +337,7 @@ class Gateway:
             if superseded:
                 self.deadman.arm(entry, 0)
             raise
+        entry.owner.latency = perf_counter() - started
         if window is not None:
             self.deadman.arm(entry, window)
         return entry.publish(value if actual is None else actual, None)
@@ -367,12 +373,14 @@ class Gateway:
         started = perf_counter()
         entry = self.resolve(session, request.path, Operation.EXECUTE)
         value = self._input(request, entry)
+        if entry.path == "/system/estop":
+            return self._execute_estop(session, request, answer, entry, value)
         known = self._known(session, request, entry)
         if isinstance(known, Command):
             self._follow(session, request, known, answer, started)
             return None
         check_age(entry, request)
-        check_motion(entry, getattr(entry.owner, "latch", None))
+        check_motion(entry, entry.owner.latch)
         if entry.owner.backend is None:
             raise entry.owner.unavailable()
         self.commands.admit(entry)
@@ -392,6 +400,22 @@ class Gateway:
         self._remember(session, request, command)
         self._follow(session, request, command, answer, started)
         self.commands.start(command, entry, value, self._timeout(request, entry))
+        return None
+
+    def _execute_estop(
+        self, session: Session, request: Request, answer: Answer, entry: Entry, value: Any
+    ) -> Reply | None:
+        assert self.estop is not None
+        if request.dry_run:
+            return self._would(request, entry, {"execute": value})
+
+        def done(state: Any) -> Reply:
+            text = "E-stop latched." if state.active else "E-stop released."
+            now_ = iso(now())
+            return Reply(type="execute", id=request.id, path=entry.path, body=state, message=text, timestamp=now_)
+
+        work = self.estop(session, value or entry.input_type.convert({}))
+        self.later(session, request, answer, work, done, entry.resource.timeout or 6.0, entry.path)
         return None
 
     def _input(self, request: Request, entry: Entry) -> Any:

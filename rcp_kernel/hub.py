@@ -114,6 +114,7 @@ class Hub:
         for feed in subscription.feeds.values():
             self.unlink(feed)
             feed.leave()
+            self.dropped["conflated"] += feed.skipped
         subscription.feeds.clear()
 
     def _link(self, subscription: Subscription, entry: Entry) -> Feed:
@@ -139,7 +140,6 @@ class Hub:
     def unlink(self, feed: Feed) -> None:
         """Offer a feed nothing more."""
         entry = feed.entry
-        self.dropped["conflated"] += feed.dropped
         if feed in entry.listeners:
             entry.listeners.remove(feed)
             if not entry.listeners:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
 import msgspec
@@ -53,6 +54,8 @@ class Reading:
         for field in options.fields or ():
             if not entry.value_type.has_field(field):
                 raise FilterUnsupported(f"{entry.path} has no field '{field}'", path=entry.path)
+        if (view := self._gateway.views.get(entry.path)) is not None:
+            return _viewed(request, entry, view(session), options)
         if (sample := _at_hand(entry, options)) is not None:
             return _reply(request, entry, sample, options)
         timeout = self._gateway.deadline(request, entry)
@@ -75,7 +78,10 @@ class Reading:
         watches = type(backend).watch is not BaseBackend.watch  # pyright: ignore[reportAttributeAccessIssue,reportUnknownMemberType]
         if type(backend).read is BaseBackend.read and watches:
             return await _first(entry)
-        return entry.publish(await backend.read(entry.name), None)
+        started = perf_counter()
+        value = await backend.read(entry.name)
+        entry.owner.latency = perf_counter() - started
+        return entry.publish(value, None)
 
     def _read_many(
         self, session: Session, request: Request, answer: Answer, options: ReadOptions
@@ -84,6 +90,8 @@ class Reading:
         pattern = Pattern(request.path or "", session.tenant)
         entries: list[Entry] = []
         for entry in gateway.registry.match(pattern):
+            if entry.path in gateway.views:
+                continue
             if entry.operations & session.rights.mask(entry.path) & Operation.READ:
                 entries.append(entry)
                 if len(entries) == _MANY:
@@ -125,6 +133,21 @@ def _at_hand(entry: Entry, options: ReadOptions) -> Sample | None:
         return entry.latest
     # An actuator's value is the last one commanded, which nobody knows better than the gateway.
     return entry.latest if entry.kind == "actuator" else None
+
+
+def _viewed(request: Request, entry: Entry, value: Any, options: ReadOptions) -> Reply:
+    body = project(value, options.fields) if options.fields else value
+    moment = iso(now())
+    return Reply(
+        type=request.type,
+        id=request.id,
+        path=entry.path,
+        body=body,
+        source_timestamp=moment,
+        state="fresh",
+        timestamp=moment,
+        custom=request.custom,
+    )
 
 
 def _reply(request: Request, entry: Entry, sample: Sample, options: ReadOptions) -> Reply:

@@ -11,7 +11,7 @@ import time
 from bisect import bisect_left
 from collections import deque
 from collections.abc import Callable, Iterator
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 from rcp_kernel.clock import now
 from rcp_kernel.errors import PluginError, RcpError
@@ -19,6 +19,9 @@ from rcp_kernel.model import BRANCHES, Kind, Operation, Pattern, Resource, full_
 from rcp_kernel.samples import Sample
 from rcp_kernel.spi import Backend
 from rcp_kernel.values import ValueType, value_type
+
+if TYPE_CHECKING:
+    from rcp_kernel.safety import Latch
 
 __all__ = ["Entry", "Listener", "Owner", "Registry"]
 
@@ -32,6 +35,8 @@ class Owner(Protocol):
     name: str
     tenant: str | None
     samples: int
+    latency: float | None
+    latch: Latch | None
 
     @property
     def backend(self) -> Backend | None:

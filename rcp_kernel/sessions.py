@@ -233,6 +233,7 @@ class Connection:
         """Tell the gateway that the client is gone."""
         if not self.closed:
             self.closed = True
+            self._gateway.sessions.tally(self)
             self.mailbox.close()
             self._gateway.sessions.cut(self.session)
 
@@ -243,6 +244,8 @@ class Sessions:
     def __init__(self, gateway: Gateway) -> None:
         self._gateway = gateway
         self.known: dict[str, Session] = {}
+        self.updates: dict[str, int] = {}
+        """Updates sent over connections that are closed, by transport."""
         self._stateless: dict[tuple[Principal, str | None, str], Session] = {}
 
     def _hub(self) -> Hub:
@@ -357,6 +360,7 @@ class Sessions:
         old = session.connection
         assert old is not None
         old.closed = True
+        self.tally(old)
         old.mailbox.close()
         self.cut(session)
 
@@ -379,6 +383,11 @@ class Sessions:
             connection.send(session.missed.popleft())
         for subscription in session.subscriptions.values():
             self._hub().attach(subscription, connection.mailbox, have)
+
+    def tally(self, connection: Connection) -> None:
+        """Add a closing connection's updates to its transport's sum."""
+        name = connection.session.transport
+        self.updates[name] = self.updates.get(name, 0) + connection.mailbox.updates
 
     def cut(self, session: Session) -> None:
         """Take notice that the connection is gone; the session waits if its client knows it."""

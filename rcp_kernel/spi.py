@@ -208,6 +208,8 @@ class TransportKind(msgspec.Struct, frozen=True):
     config: type[msgspec.Struct]
     open: Callable[[Any, Door], AbstractAsyncContextManager[dict[str, Any]]]
     description: str = ""
+    listens: bool = False
+    """Opened after all others, because it begins to accept clients."""
 
 
 class AdapterKind(msgspec.Struct, frozen=True):

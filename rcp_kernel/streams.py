@@ -50,6 +50,7 @@ class Feed:
         "queue",
         "reliable",
         "sent",
+        "skipped",
         "subscription",
     )
 
@@ -66,6 +67,9 @@ class Feed:
         self.priority = options.qos.priority
         self.native = options.encoding == "native"
         self.dropped = 0
+        """Samples skipped since the last update that went out."""
+        self.skipped = 0
+        """Samples skipped ever."""
         self.sent = 0
         """Number of the last sample that was handed to a transport."""
         self.heard = 0.0
@@ -90,6 +94,7 @@ class Feed:
                 return
             queue.popleft()
             self.dropped += 1
+            self.skipped += 1
         queue.append(sample)
         if not self.marked:
             self._mark()
@@ -126,6 +131,7 @@ class Feed:
             if self._lifespan is not None and now() - sample.received > self._lifespan * 1e9:
                 queue.popleft()
                 self.dropped += 1
+                self.skipped += 1
                 continue
             try:
                 data = self._frame(sample)
