@@ -123,6 +123,10 @@ class Gateway:
             raise Unauthenticated("this gateway serves nobody without a token")
         return Principal("anonymous", rule.tenants, (rule.role,))
 
+    def anonymous_or_none(self) -> Principal | None:
+        """Return the anonymous principal, if there is one."""
+        return self.anonymous() if self.config.anonymous.role is not None else None
+
     @property
     def authenticates(self) -> bool:
         """Whether a plugin proves identities."""
@@ -570,6 +574,20 @@ class Gateway:
         self._keys[key] = (_digest(request, path), outcome)
         while len(self._keys) > _KEYS:
             self._keys.popitem(last=False)
+
+    def reconfigure(self, config: GatewayConfig) -> None:
+        """Take over the rules, keys and limits of another configuration; open sessions feel it."""
+        self.config = config
+        self.limits = config.limits
+        self.rules = Rules(config.roles)
+        self._keyring = _keyring(config)
+        known = {*self._keyring.principals, self.anonymous_or_none()}
+        self.sessions.review(known)
+
+    def drop_forbidden(self, session: Session) -> None:
+        """Unlink the feeds that a session's rights do not allow any more."""
+        for subscription in session.subscriptions.values():
+            self._subscribing.renew(session, subscription)
 
     # -- end -----------------------------------------------------------------------------------
 

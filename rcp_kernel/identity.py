@@ -39,6 +39,11 @@ class Keyring:
     def __init__(self, principals: dict[str, Principal]) -> None:
         self._principals = principals
 
+    @property
+    def principals(self) -> list[Principal]:
+        """Everybody who has a key."""
+        return list(self._principals.values())
+
     def find(self, key: str) -> Principal:
         """Return the principal of a key, in a time that does not tell which keys there are.
 

@@ -11,7 +11,7 @@ from typing import Any
 import msgspec
 import structlog
 
-from rcp_kernel.config import GatewayConfig, decode_table
+from rcp_kernel.config import BackendConfig, GatewayConfig, decode_table
 from rcp_kernel.door import Door
 from rcp_kernel.errors import ConfigError
 from rcp_kernel.gateway import Gateway
@@ -24,7 +24,7 @@ from rcp_kernel.store import Store
 from rcp_kernel.supervisor import Slot
 from rcp_kernel.system import System
 
-__all__ = ["Prepared", "Server", "prepare", "running"]
+__all__ = ["Prepared", "Server", "prepare", "running", "start_backend", "stop_backend"]
 
 log = structlog.get_logger("rcp.server")
 _HALT_WAIT = 3.0  # s the robots have to come to rest before their backends are closed
@@ -50,6 +50,8 @@ class Server(msgspec.Struct, frozen=True):
     door: Door
     status: StatusReport
     slots: list[Slot]
+    tasks: dict[str, asyncio.Task[None]]
+    """Of the backends, by name."""
 
 
 def prepare(config: GatewayConfig, source: str) -> Prepared:
@@ -105,20 +107,21 @@ async def running(prepared: Prepared, recent: Recent | None = None) -> AsyncIter
         )
         if keeper is not None:
             gateway.commands.remember(keeper.load())
-        slots = [Slot(gateway, backend) for backend in config.backends]
+        slots: list[Slot] = []
         status = StatusReport(gateway, slots, recent)
         System(gateway, slots, status, recent)
         stack.callback(setattr, recent, "told", None)
         status.start()
         stack.callback(status.stop)
         stack.push_async_callback(gateway.close)
-        await stack.enter_async_context(_backends(prepared, slots))
         door = Door(gateway, status, "gateway")
+        server = Server(gateway, door, status, slots, {})
+        await stack.enter_async_context(_backends(server, prepared))
         await _open_all(stack, door, prepared.adapters, plugins.adapters, status.adapters)
         await _open_all(stack, door, prepared.transports, plugins.transports, status.transports)
         _report_missing(plugins.missing, status)
         stack.push_async_callback(_rest, gateway, slots)
-        yield Server(gateway, door, status, slots)
+        yield server
 
 
 async def _open_all(
@@ -143,30 +146,45 @@ def _report_missing(missing: list[Missing], status: StatusReport) -> None:
 
 
 @asynccontextmanager
-async def _backends(prepared: Prepared, slots: list[Slot]) -> AsyncIterator[None]:
-    tasks: list[asyncio.Task[None]] = []
-    for slot, table in zip(slots, prepared.backends, strict=True):
-        missing = prepared.plugins.is_missing("backends", slot.config.use)
-        if missing is not None:
-            slot.fail("unavailable", f"{missing.reason}; try: {missing.remedy}")
-            continue
-        kind = prepared.plugins.backends[slot.config.use]
-        tasks.append(asyncio.create_task(slot.run(kind, table), name=f"backend {slot.name}"))
+async def _backends(server: Server, prepared: Prepared) -> AsyncIterator[None]:
+    for backend, table in zip(prepared.config.backends, prepared.backends, strict=True):
+        start_backend(server, prepared, backend, table)
     try:
-        settled = [asyncio.ensure_future(slot.settled.wait()) for slot in slots]
+        settled = [asyncio.ensure_future(slot.settled.wait()) for slot in server.slots]
         if settled:
             _, late = await asyncio.wait(settled, timeout=_FIRST_OPEN)
             for waiter in late:
                 waiter.cancel()
         yield
     finally:
-        for slot in slots:
-            slot.close()
-        if tasks:
-            _, late = await asyncio.wait(tasks, timeout=_CLOSE_WAIT)
-            for task in late:
-                log.error("backend_does_not_close", task=task.get_name())
-                task.cancel()
+        await asyncio.gather(*(stop_backend(server, slot) for slot in list(server.slots)))
+
+
+def start_backend(server: Server, prepared: Prepared, config: BackendConfig, table: Any) -> None:
+    """Start the life of one backend."""
+    slot = Slot(server.gateway, config)
+    server.slots.append(slot)
+    missing = prepared.plugins.is_missing("backends", config.use)
+    if missing is not None:
+        slot.fail("unavailable", f"{missing.reason}; try: {missing.remedy}")
+        return
+    kind = prepared.plugins.backends[config.use]
+    name = f"backend {slot.name}"
+    server.tasks[slot.name] = asyncio.create_task(slot.run(kind, table), name=name)
+
+
+async def stop_backend(server: Server, slot: Slot) -> None:
+    """Close one backend, within a bound, and take what it declared out of the tree."""
+    slot.close()
+    task = server.tasks.pop(slot.name, None)
+    if task is not None:
+        _, late = await asyncio.wait([task], timeout=_CLOSE_WAIT)
+        if late:
+            log.error("backend_does_not_close", backend=slot.name)
+            task.cancel()
+    slot.withdraw(*list(slot.entries))
+    if slot in server.slots:
+        server.slots.remove(slot)
 
 
 async def _rest(gateway: Gateway, slots: list[Slot]) -> None:

@@ -18,7 +18,7 @@ from msgspec import Meta
 
 from rcp_kernel.acl import Rights
 from rcp_kernel.clock import iso, now
-from rcp_kernel.errors import Gap, RcpError, Unauthenticated
+from rcp_kernel.errors import Gap, RcpError, TokenExpired, Unauthenticated
 from rcp_kernel.hub import Hub
 from rcp_kernel.identity import Principal
 from rcp_kernel.mailbox import Mailbox
@@ -158,7 +158,7 @@ class Connection:
     something to send, and takes it with `mailbox.collect`. All on the event loop's thread.
     """
 
-    __slots__ = ("_gateway", "closed", "encoding", "greeting", "mailbox", "on_hello", "session")
+    __slots__ = ("_gateway", "closed", "encoding", "expelled", "mailbox", "on_hello", "session")
 
     def __init__(
         self, gateway: Gateway, session: Session, encoding: Encoding, flush: Callable[[], None]
@@ -168,6 +168,8 @@ class Connection:
         self.mailbox = Mailbox(gateway.hub.ticker, encoding, flush)
         self.session = session
         self.closed = False
+        self.expelled = False
+        """The session was ended by the gateway; the transport closes once it has said so."""
         self.on_hello: Callable[[Hello], dict[str, Any]] | None = None
         """The transport's part of `hello`: what it adopts, and the limits it answers with."""
         session.connection = self
@@ -383,6 +385,25 @@ class Sessions:
             connection.send(session.missed.popleft())
         for subscription in session.subscriptions.values():
             self._hub().attach(subscription, connection.mailbox, have)
+
+    def review(self, known: set[Principal | None]) -> None:
+        """Bring every session under new rules; end those of principals that are gone."""
+        self._stateless.clear()
+        for session in list(self.known.values()):
+            if session.principal not in known and session.principal.proof in ("key", "none"):
+                self._expel(session)
+                continue
+            session.rights = self._gateway.rules.rights(session.principal)
+            self._gateway.drop_forbidden(session)
+
+    def _expel(self, session: Session) -> None:
+        connection = session.connection
+        if connection is not None:
+            told = TokenExpired("the proof of this session is not good any more")
+            connection.send(failure(told, "hello"))
+            connection.expelled = True
+            connection.mailbox.mark()
+        self.drop(session)
 
     def tally(self, connection: Connection) -> None:
         """Add a closing connection's updates to its transport's sum."""

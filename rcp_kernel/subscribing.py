@@ -66,10 +66,9 @@ class Subscribing:
             raise QueueFull(f"a session holds at most {gateway.limits.subscriptions} subscriptions")
         patterns = self._patterns(session, request, options)
         entries = self._entries(session, patterns, options)
-        rights = session.rights
 
         def may(entry: Entry) -> bool:
-            return bool(entry.operations & rights.mask(entry.path) & Operation.SUBSCRIBE)
+            return bool(entry.operations & session.rights.mask(entry.path) & Operation.SUBSCRIBE)
 
         def end(subscription: Subscription, reason: str, error: RcpError | None) -> None:
             self._ended(session, subscription, reason, error)
@@ -125,6 +124,22 @@ class Subscribing:
                 f"{gateway.limits.paths}"
             )
         return list(found.values())
+
+    def renew(self, session: Session, subscription: Subscription) -> None:
+        """Bring a subscription under its session's new rights."""
+        hub = self._gateway.hub
+        for path, feed in list(subscription.feeds.items()):
+            if not subscription.may(feed.entry):
+                hub.unlink(feed)
+                feed.leave()
+                del subscription.feeds[path]
+                notice(
+                    subscription.mailbox,
+                    "resource_removed",
+                    id=subscription.id,
+                    path=path,
+                    message="the rules of this gateway have changed",
+                )
 
     def unsubscribe(self, session: Session, request: Request, answer: Answer) -> Reply:
         """End a subscription, named by `body.subscription`, by the request's `id`, or by its path.

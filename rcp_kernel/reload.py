@@ -1,0 +1,43 @@
+"""Read the configuration again, on SIGHUP, and change what can be changed while running."""
+
+from __future__ import annotations
+
+import asyncio
+from pathlib import Path
+
+import structlog
+
+from rcp_kernel.config import load
+from rcp_kernel.errors import StartupError
+from rcp_kernel.server import Prepared, Server, prepare, start_backend, stop_backend
+
+__all__ = ["apply", "reload"]
+
+log = structlog.get_logger("rcp.reload")
+
+
+async def reload(server: Server, path: Path) -> None:
+    """Apply a configuration file; a faulty one changes nothing and is logged."""
+    try:
+        prepared = prepare(load(path), str(path))
+    except StartupError as error:
+        log.error("reload_refused", reason=str(error))
+        return
+    await apply(server, prepared)
+
+
+async def apply(server: Server, prepared: Prepared) -> None:
+    """Change rules, keys, limits and backends of a running gateway to those of a configuration."""
+    gateway = server.gateway
+    old, new = gateway.config, prepared.config
+    for part in ("transports", "plugins", "store", "log", "name"):
+        if getattr(old, part) != getattr(new, part):
+            log.warning("reload_needs_restart", part=part)
+    gone = [slot for slot in server.slots if slot.config not in new.backends]
+    await asyncio.gather(*(stop_backend(server, slot) for slot in gone))
+    gateway.reconfigure(new)
+    kept = {slot.config.name for slot in server.slots}
+    for backend, table in zip(new.backends, prepared.backends, strict=True):
+        if backend.name not in kept:
+            start_backend(server, prepared, backend, table)
+    log.info("reloaded", backends=len(server.slots), stopped=[slot.name for slot in gone])
