@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import AsyncIterator, Awaitable, Callable
+from collections.abc import AsyncGenerator, Awaitable, Callable
 from contextlib import AbstractAsyncContextManager, asynccontextmanager, suppress
 from typing import Any
 
@@ -30,11 +30,11 @@ from rcp_sim.simulation import DEFAULT_LIMIT, Trip
 __all__ = ["SimBackend", "open_sim"]
 
 _FEEDBACK = 0.2  # s between two reports of a trip
-_REST = 5.0  # s that a cancelled trip may take to come to rest
+_REST = 4.0  # s that a cancelled trip may take to come to rest
 
 
 @asynccontextmanager
-async def open_sim(config: SimConfig, host: Host) -> AsyncIterator[SimBackend]:
+async def open_sim(config: SimConfig, host: Host) -> AsyncGenerator[SimBackend]:
     """Switch a simulated rover on; leaving switches it off.
 
     :raises ConfigError: the rover would start inside an obstacle, or a fault has no such target.
@@ -80,12 +80,12 @@ class SimBackend(BaseBackend):
             v, w = value.linear.x, value.angular.z
             await self.device.reach(name, stop=v == 0.0 and w == 0.0)
             self._sim.drive(v, w)
-            return self.device.publisher.velocity()
-        if name == "param/speed_limit":
+        elif name == "param/speed_limit":
             await self.device.reach(name)
             self._sim.set_limit(value)
-            return value
-        return await super().write(name, value)
+        else:
+            return await super().write(name, value)
+        return self.device.publisher.taken(name)
 
     async def execute(self, name: str, value: Any, progress: Progress) -> Any:
         """Run an action or service; those that make and mend faults need no link."""
@@ -105,7 +105,7 @@ class SimBackend(BaseBackend):
         return self._watch(name, rate)
 
     @asynccontextmanager
-    async def _watch(self, name: str, rate: float | None) -> AsyncIterator[None]:
+    async def _watch(self, name: str, rate: float | None) -> AsyncGenerator[None]:
         with self.device.publisher.watched(name, rate):
             yield
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+import math
+from collections.abc import Callable, Generator
 from contextlib import contextmanager
 from typing import Any
 
@@ -45,7 +46,7 @@ class _Rhythm:
 
     def restart(self) -> None:
         """Send the next value at once."""
-        self._next = 0.0
+        self._next = -math.inf
 
 
 class Publisher:
@@ -71,7 +72,7 @@ class Publisher:
             **dict(self._live),
             **{name: make for name, make, _ in self._timed},
             "sensor/map": self._map,
-            "actuator/cmd_vel": lambda _: self.velocity(),
+            "actuator/cmd_vel": lambda _: self._velocity(),
             "param/speed_limit": lambda _: sim.limit,
         }
         self._shown: dict[str, Any] = {}
@@ -95,15 +96,23 @@ class Publisher:
         for name, make, rhythm in self._timed:
             if rhythm.due(uptime) and not faults.stopped(name):
                 host.publish(name, make(now), now)
-        self._show("actuator/cmd_vel", self._sim.velocity, now)
-        self._show("param/speed_limit", self._sim.limit, now)
-        if not faults.stopped("sensor/map"):
-            self._show("sensor/map", self._sim.world, now)
+        for name, state in self._states().items():
+            if self._shown.get(name) != state and not faults.stopped(name):
+                self._shown[name] = state
+                host.publish(name, self._makers[name](now), now)
 
-    def _show(self, name: str, state: Any, now: int) -> None:
-        if self._shown.get(name) != state:
-            self._shown[name] = state
-            self._host.publish(name, self._makers[name](now), now)
+    def _states(self) -> dict[str, Any]:
+        sim = self._sim
+        return {
+            "actuator/cmd_vel": sim.velocity,
+            "param/speed_limit": sim.limit,
+            "sensor/map": sim.world,
+        }
+
+    def taken(self, name: str) -> Any:
+        """Return the value in force after a write, which the gateway publishes itself."""
+        self._shown[name] = self._states()[name]
+        return self.make(name, 0)
 
     def event(self, name: str, event: Any, now: int) -> None:
         """Send an event, unless the link is down."""
@@ -116,7 +125,7 @@ class Publisher:
         return None if maker is None else maker(now)
 
     @contextmanager
-    def watched(self, name: str, rate: float | None) -> Iterator[None]:
+    def watched(self, name: str, rate: float | None) -> Generator[None]:
         """Keep a sensor running that runs only while somebody watches."""
         rhythm = next((r for sensor, _, r in self._timed if sensor == name), None)
         if rhythm is None:
@@ -130,7 +139,7 @@ class Publisher:
         finally:
             rhythm.wanted.remove(rate)
 
-    def velocity(self) -> Drive:
+    def _velocity(self) -> Drive:
         """Return the velocity in force as the actuator's value."""
         v, w = self._sim.velocity
         return Drive(DriveLinear(v), DriveAngular(0.0, 0.0, w))

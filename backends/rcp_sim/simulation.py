@@ -16,7 +16,7 @@ from rcp_sim.config import SimConfig
 from rcp_sim.controller import Follower
 from rcp_sim.messages import TOP_SPEED, Box
 from rcp_sim.planner import MARGIN, Planner
-from rcp_sim.rover import Rover
+from rcp_sim.rover import RADIUS, Rover
 from rcp_sim.world import Rect, World
 
 __all__ = ["DEFAULT_LIMIT", "MAX_PLACED", "Simulation", "Trip"]
@@ -24,7 +24,8 @@ __all__ = ["DEFAULT_LIMIT", "MAX_PLACED", "Simulation", "Trip"]
 DEFAULT_LIMIT = 1.0  # m/s
 MAX_PLACED = 16  # boxes: keeps the search for a way short
 _MAX_STEP = 0.02  # s, of the physics and the controller
-_HANDOVER = 2.0  # s of real time in which a velocity's own stop does not end the trip after it
+_RELEASE = 0.02  # m that the bumper springs back
+_HANDOVER = 2.0  # s of real time after a velocity in which its stop is expected
 
 _EMPTY_TEXT = ("The battery is charged again.", "The battery is empty; the motors are off.")
 _LOW_TEXT = ("The battery has enough charge again.", "The battery is low: dock soon.")
@@ -84,23 +85,30 @@ class Simulation:
     def drive(self, v: float, w: float) -> tuple[float, float]:
         """Take direct speeds into force, cut to the speed limit, and return them.
 
-        :raises ModeForbids: a trip has the drive. A stop ends the trip instead.
+        A stop ends a trip, but for the one that ends the velocity the trip took over from.
+
+        :raises ModeForbids: a trip has the drive.
+        :raises DeviceRejected: the battery is empty.
         """
-        if v == 0.0 and w == 0.0:
-            if self.trip is None or self.seconds >= self._handover:
-                self.stop("stopped by actuator/cmd_vel")
-            self._handover = -math.inf
-        elif self.trip is not None:
+        stop = v == 0.0 and w == 0.0
+        if self.trip is None:
+            self._handover = self.seconds + self._grace
+            if stop:
+                self.stop("stopped")
+            else:
+                self._need_power()
+                self.pack.charging = False
+                self._hard = False
+                self.velocity = (max(-self.limit, min(self.limit, v)), w)
+        elif not stop:
             raise ModeForbids(
                 f"the rover drives itself: action/{self.trip.task} is running",
                 remedy="Cancel the action first, or wait until it ends.",
             )
+        elif self.seconds < self._handover:
+            self._handover = -math.inf  # the dead-man of the velocity the trip took over from
         else:
-            self._need_power()
-            self.pack.charging = False
-            self._hard = False
-            self.velocity = (max(-self.limit, min(self.limit, v)), w)
-            self._handover = self.seconds + self._grace
+            self.stop("stopped by actuator/cmd_vel")
         return self.velocity
 
     def stop(self, reason: str, *, hard: bool = False) -> None:
@@ -144,8 +152,6 @@ class Simulation:
                 remedy="Cancel it first, or wait until it ends.",
             )
         self._need_power()
-        if self.velocity == (0.0, 0.0):
-            self._handover = -math.inf
         self.velocity = (0.0, 0.0)
         follower = Follower(way, tolerance=tolerance, yaw=yaw, speed=speed or TOP_SPEED)
         self.pack.charging = False
@@ -264,14 +270,15 @@ class Simulation:
         self._spend(dt)
 
     def _feel(self) -> None:
-        if self.rover.bumped and not self._touching:
-            self.happenings.append(("collision", True, "The bumper touches an obstacle."))
+        rover = self.rover
+        if rover.bumped and (self.trip is not None or not self._touching):
+            if not self._touching:
+                self.happenings.append(("collision", True, "The bumper touches an obstacle."))
+            self._touching = True
             self.stop("blocked: the bumper touches an obstacle", hard=True)
-        elif self._touching and not self.rover.bumped and self.rover.v:
+        elif self._touching and self.world.clearance(rover.x, rover.y) > RADIUS + _RELEASE:
+            self._touching = False
             self.happenings.append(("collision", False, "The bumper is free again."))
-        else:
-            return
-        self._touching = self.rover.bumped
 
     def _judge(self, trip: Trip) -> None:
         if trip.follower.phase == "done":
