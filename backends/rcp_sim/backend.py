@@ -38,18 +38,20 @@ async def open_sim(config: SimConfig, host: Host) -> AsyncGenerator[SimBackend]:
     """Switch a simulated rover on; leaving switches it off.
 
     :raises ConfigError: the rover would start inside an obstacle, or a fault has no such target.
+    :raises RuntimeError: the rover broke down.
     """
     device = Device(config, host)
     host.declare(*resources(config))
     device.boot()
-    for spec in config.faults:
-        device.strike(spec)
-    async with anyio.create_task_group() as tasks:
-        tasks.start_soon(device.run)
-        try:
+    try:
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(device.run)
             yield SimBackend(device)
-        finally:
             tasks.cancel_scope.cancel()
+    except ExceptionGroup as group:
+        if len(group.exceptions) > 1:
+            raise
+        raise group.exceptions[0] from None
 
 
 class SimBackend(BaseBackend):

@@ -32,6 +32,8 @@ class Device:
     def __init__(self, config: SimConfig, host: Host) -> None:
         self._host = host
         self._rate = config.rate
+        self._awaiting = config.faults
+        """Faults that strike with the first tick: before, nobody hears what is reported."""
         self.sim = Simulation(config)
         self.faults = FaultBoard()
         self.publisher = Publisher(config, host, self.sim, self.faults)
@@ -58,6 +60,9 @@ class Device:
         """Let one period pass; `stamp` is its time in ns of UTC."""
         if self.faults.crash:
             raise RuntimeError("crash, as was asked for")
+        for spec in self._awaiting:
+            self.strike(spec)
+        self._awaiting = ()
         self._ticks += 1
         self.uptime = self._ticks / self._rate
         for spec in self.faults.expire(self.uptime):

@@ -130,7 +130,7 @@ class Simulation:
         v, w = self.velocity
         self.velocity = (max(-limit, min(limit, v)), w)
 
-    def go(  # noqa: PLR0913 - a goal has this many sides
+    def go(
         self,
         x: float,
         y: float,

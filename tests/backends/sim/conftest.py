@@ -79,8 +79,6 @@ class Rig:
         self.device = Device(config, self.host)
         self.host.declare(*resources(config))
         self.device.boot()
-        for spec in config.faults:
-            self.device.strike(spec)
         self.backend = SimBackend(self.device)
         self.sim = self.device.sim
         self.feedback: list[tuple[Any, float | None]] = []

@@ -132,6 +132,7 @@ async def test_faults_can_be_there_from_the_start(make_rig: Callable[..., Any]) 
     rig = make_rig(faults=(FaultSpec("sensor_stop", "sensor/imu"),))
     rig.tick(1)
     assert rig.host.count("sensor/imu") == 1  # the first value of all
+    assert rig.host.reports == [("sensor/imu has stopped", False)]
     left = await rig.execute("service/clear_faults", {"fault": "slow"})
     assert [spec.fault for spec in left.active] == ["sensor_stop"]
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import pytest
 
 from rcp_sim.ticker import run_ticks
@@ -40,7 +42,7 @@ async def ticks(time: Time, rate: float) -> list[int]:
 async def test_ten_seconds_have_ten_times_the_rate_of_ticks(rate: int) -> None:
     stamps = await ticks(Time(), rate)
     assert abs(len(stamps) - 10 * rate) <= 2
-    gaps = [(b - a) / 1e9 for a, b in zip(stamps, stamps[1:], strict=False)]
+    gaps = [(b - a) / 1e9 for a, b in itertools.pairwise(stamps)]
     assert all(gap == pytest.approx(1 / rate, abs=1e-5) for gap in gaps)
 
 
@@ -48,7 +50,7 @@ async def test_oversleeping_is_made_up_for_with_the_right_times() -> None:
     stamps = await ticks(Time(0.0, 0.1), 50)
     assert abs(len(stamps) - 500) <= 2
     assert stamps == sorted(stamps)
-    gaps = [(b - a) / 1e9 for a, b in zip(stamps, stamps[1:], strict=False)]
+    gaps = [(b - a) / 1e9 for a, b in itertools.pairwise(stamps)]
     assert max(gaps) < 0.021
 
 
