@@ -14,6 +14,7 @@ from typing import Any
 import msgspec
 from msgspec import inspect as mi
 
+from rcp_kernel._plain import is_map, is_sequence
 from rcp_kernel.types import NONFINITE
 
 __all__ = ["SAFE_INTEGER", "Node", "Shape"]
@@ -52,8 +53,7 @@ class Shape:
         for name in [p for p in pointer.split("/") if p]:
             found = [child for info in found for child in self._children(info, name)]
         for info in found:
-            if isinstance(info, mi.Metadata) and info.extra_json_schema:
-                unit = info.extra_json_schema.get("unit", unit)
+            unit = _extra(info).get("unit", unit)
         return unit
 
     def _children(self, info: mi.Type, name: str) -> list[mi.Type]:
@@ -78,14 +78,14 @@ class Shape:
     def _node(self, info: mi.Type, memo: dict[type, Node], *, outward: bool) -> Node:
         extra: dict[str, Any] = {}
         while isinstance(info, mi.Metadata):
-            extra |= info.extra_json_schema or {}
+            extra |= _extra(info)
             info = info.type
         match info:
             case mi.FloatType():
                 self.has_float = True
-                return _float_node(bool(extra.get(NONFINITE)), outward)
+                return _float_node(free=bool(extra.get(NONFINITE)), outward=outward)
             case mi.IntType():
-                return self._int_node(info, extra, outward)
+                return self._int_node(info, extra, outward=outward)
             case mi.BytesType() | mi.ByteArrayType() | mi.MemoryViewType():
                 self.grows = True
                 return _same
@@ -98,26 +98,26 @@ class Shape:
                 self.grows = True
                 return _dict_node(self._node(info.value_type, memo, outward=outward))
             case mi.StructType() | mi.TypedDictType() | mi.DataclassType():
-                return self._struct_node(info, memo, outward)
+                return self._struct_node(info, memo, outward=outward)
             case mi.UnionType():
-                return self._union_node(info, memo, outward)
+                return self._union_node(info, memo, outward=outward)
             case mi.AnyType():
                 self.has_float = self.has_wide_int = self.grows = True
                 return _any_node if outward else _same
             case _:
                 return _same
 
-    def _int_node(self, info: mi.IntType, extra: dict[str, Any], outward: bool) -> Node:
+    def _int_node(self, info: mi.IntType, extra: dict[str, Any], *, outward: bool) -> Node:
         low = info.ge if info.ge is not None else info.gt
         high = info.le if info.le is not None else info.lt
-        if low is not None and high is not None and -SAFE_INTEGER <= low and high <= SAFE_INTEGER:
+        if low is not None and high is not None and low >= -SAFE_INTEGER and high <= SAFE_INTEGER:
             return _same
         self.has_wide_int = True
         top = extra.get("maximum", high if high is not None else 2**63 - 1)
         bottom = extra.get("minimum", low if low is not None else -(2**63))
-        return _int_node(bottom, top, outward)
+        return _int_node(bottom, top, outward=outward)
 
-    def _struct_node(self, info: Any, memo: dict[type, Node], outward: bool) -> Node:
+    def _struct_node(self, info: Any, memo: dict[type, Node], *, outward: bool) -> Node:
         fields: dict[str, Node] = {}
         if (known := memo.get(info.cls)) is not None:
             return known
@@ -129,7 +129,7 @@ class Shape:
                 fields[field.encode_name] = child
         return node
 
-    def _union_node(self, info: mi.UnionType, memo: dict[type, Node], outward: bool) -> Node:
+    def _union_node(self, info: mi.UnionType, memo: dict[type, Node], *, outward: bool) -> Node:
         nodes = [self._node(option, memo, outward=outward) for option in info.types]
         live = [node for node in nodes if node is not _same]
         if not live:
@@ -137,16 +137,24 @@ class Shape:
         return live[0] if len(live) == 1 else _first_of(live)
 
 
+def _extra(info: mi.Type) -> dict[str, Any]:
+    return getattr(info, "extra_json_schema", None) or {}
+
+
+def _spelled(value: float) -> str:
+    return "NaN" if math.isnan(value) else ("Infinity" if value > 0 else "-Infinity")
+
+
 def _same(value: Any, _pointer: str) -> Any:
     return value
 
 
-def _float_node(free: bool, outward: bool) -> Node:
+def _float_node(*, free: bool, outward: bool) -> Node:
     def out(value: Any, pointer: str) -> Any:
         if isinstance(value, float) and not math.isfinite(value):
             if not free:
                 raise ValueError(pointer, "is not a finite number")
-            return "NaN" if value != value else ("Infinity" if value > 0 else "-Infinity")
+            return _spelled(value)
         return value
 
     def into(value: Any, pointer: str) -> Any:
@@ -159,7 +167,7 @@ def _float_node(free: bool, outward: bool) -> Node:
     return out if outward else into
 
 
-def _int_node(bottom: int, top: int, outward: bool) -> Node:
+def _int_node(bottom: int, top: int, *, outward: bool) -> Node:
     def checked(value: int, pointer: str) -> int:
         if not bottom <= value <= top:
             raise ValueError(pointer, f"lies outside {bottom}…{top}")
@@ -186,7 +194,7 @@ def _list_node(item: Node) -> Node:
         return _same
 
     def node(value: Any, pointer: str) -> Any:
-        if isinstance(value, (list, tuple)):
+        if is_sequence(value):
             return [item(v, f"{pointer}/{i}") for i, v in enumerate(value)]
         return value
 
@@ -195,7 +203,7 @@ def _list_node(item: Node) -> Node:
 
 def _tuple_node(items: list[Node]) -> Node:
     def node(value: Any, pointer: str) -> Any:
-        if isinstance(value, (list, tuple)) and len(value) == len(items):
+        if is_sequence(value) and len(value) == len(items):
             pairs = zip(items, value, strict=True)
             return [n(v, f"{pointer}/{i}") for i, (n, v) in enumerate(pairs)]
         return value
@@ -208,7 +216,7 @@ def _dict_node(item: Node) -> Node:
         return _same
 
     def node(value: Any, pointer: str) -> Any:
-        if isinstance(value, dict):
+        if is_map(value):
             return {k: item(v, f"{pointer}/{k}") for k, v in value.items()}
         return value
 
@@ -217,7 +225,7 @@ def _dict_node(item: Node) -> Node:
 
 def _struct_node(fields: dict[str, Node]) -> Node:
     def node(value: Any, pointer: str) -> Any:
-        if isinstance(value, dict):
+        if is_map(value):
             return {
                 k: fields[k](v, f"{pointer}/{k}") if k in fields else v for k, v in value.items()
             }
@@ -242,16 +250,16 @@ def _first_of(nodes: list[Node]) -> Node:
 def _any_node(value: Any, pointer: str) -> Any:
     match value:
         case float() if not math.isfinite(value):
-            return "NaN" if value != value else ("Infinity" if value > 0 else "-Infinity")
+            return _spelled(value)
         case bool():
             return value
         case int() if abs(value) > SAFE_INTEGER:
             return str(value)
-        case dict():
-            return {k: _any_node(v, pointer) for k, v in value.items()}
-        case list() | tuple():
-            return [_any_node(v, pointer) for v in value]
         case msgspec.Struct():
             return _any_node(msgspec.to_builtins(value), pointer)
+        case _ if is_map(value):
+            return {k: _any_node(v, pointer) for k, v in value.items()}
+        case _ if is_sequence(value):
+            return [_any_node(v, pointer) for v in value]
         case _:
             return value

@@ -17,7 +17,9 @@ from rcp_kernel.model import Operation, Pattern
 __all__ = ["BUILTIN_ROLES", "Rights", "Role", "Rule", "Rules"]
 
 OperationName = Literal["discover", "read", "write", "execute", "subscribe", "*"]
-_ALL = Operation.READ | Operation.WRITE | Operation.EXECUTE | Operation.SUBSCRIBE | Operation.DISCOVER
+_ALL = (
+    Operation.READ | Operation.WRITE | Operation.EXECUTE | Operation.SUBSCRIBE | Operation.DISCOVER
+)
 _MAX_KNOWN = 200_000
 
 
@@ -76,8 +78,7 @@ class Rights:
             if text.startswith(("/tenant/", "/system/")):
                 pairs.append((Pattern(text), rule.mask))
                 continue
-            for tenant in self.tenants:
-                pairs.append((Pattern(f"/tenant/{tenant}{text}"), rule.mask))
+            pairs.extend((Pattern(f"/tenant/{tenant}{text}"), rule.mask) for tenant in self.tenants)
         return pairs
 
     def mask(self, path: str) -> int:

@@ -5,13 +5,19 @@ from __future__ import annotations
 import asyncio
 import signal
 import sys
+from collections.abc import Callable
 from pathlib import Path
-from typing import NoReturn
+from typing import TYPE_CHECKING, NoReturn
 
 import click
 
 from rcp_kernel.config import GatewayConfig, load, parse
 from rcp_kernel.errors import ConfigError, StartupError
+
+if TYPE_CHECKING:
+    from rcp_kernel.demo import Demo
+    from rcp_kernel.log import Recent
+    from rcp_kernel.server import Prepared
 
 __all__ = ["main"]
 
@@ -26,7 +32,7 @@ def main() -> None:
 @main.command()
 @click.option("--port", type=click.IntRange(0, 65535), default=8080, show_default=True)
 @click.option("--verbose", is_flag=True, help="Log what the gateway does, not only warnings.")
-def demo(port: int, verbose: bool) -> None:
+def demo(*, port: int, verbose: bool) -> None:
     """Serve simulated robots on loopback: no hardware, no configuration, no second terminal."""
     from rcp_kernel.demo import Demo
 
@@ -139,7 +145,7 @@ def _fail(text: str) -> NoReturn:
     sys.exit(_FAILED)
 
 
-def _run(config: GatewayConfig, source: str, path: Path | None, demo: object | None) -> None:
+def _run(config: GatewayConfig, source: str, path: Path | None, demo: Demo | None) -> None:
     from rcp_kernel.log import configure
     from rcp_kernel.server import prepare
 
@@ -157,7 +163,7 @@ def _run(config: GatewayConfig, source: str, path: Path | None, demo: object | N
             _fail(f"cannot start: {error.strerror or error}")
 
 
-def _loop_factory() -> object:
+def _loop_factory() -> Callable[[], asyncio.AbstractEventLoop] | None:
     try:
         import uvloop
     except ImportError:  # Windows has none
@@ -165,12 +171,10 @@ def _loop_factory() -> object:
     return uvloop.new_event_loop
 
 
-async def _serve(prepared: object, recent: object, path: Path | None, demo: object | None) -> None:
-    from rcp_kernel.demo import Demo
+async def _serve(prepared: Prepared, recent: Recent, path: Path | None, demo: Demo | None) -> None:
     from rcp_kernel.reload import reload
-    from rcp_kernel.server import Prepared, running
+    from rcp_kernel.server import running
 
-    assert isinstance(prepared, Prepared)
     loop = asyncio.get_running_loop()
     stop = asyncio.Event()
 
@@ -183,13 +187,13 @@ async def _serve(prepared: object, recent: object, path: Path | None, demo: obje
 
     for number in (signal.SIGINT, signal.SIGTERM):
         loop.add_signal_handler(number, ask, number.name)
-    async with running(prepared, recent) as server:  # pyright: ignore[reportArgumentType]
+    async with running(prepared, recent) as server:
         tasks: set[asyncio.Task[None]] = set()
         if path is not None:
             loop.add_signal_handler(
                 signal.SIGHUP, lambda: tasks.add(loop.create_task(reload(server, path)))
             )
-        if isinstance(demo, Demo):
+        if demo is not None:
             with demo.credentials(server):
                 click.echo(demo.banner(server))
                 await stop.wait()

@@ -16,19 +16,19 @@ _ISO = re.compile(
 
 now = time.time_ns
 
-_second = -1
-_prefix = ""
+_seconds: dict[int, str] = {}
+_MAX_SECONDS = 256  # cached texts: messages of a few seconds' range are under way at once
 
 
 def iso(ns: int) -> str:
-    """Write ns since the epoch as ISO 8601 with microseconds, or nanoseconds if there are any."""
-    global _second, _prefix  # noqa: PLW0603 - one cached second saves 1 µs on every message
+    """Write ns since the epoch as ISO 8601 in UTC with nanoseconds."""
     second, rest = divmod(ns, 1_000_000_000)
-    if second != _second:
-        _prefix = time.strftime("%Y-%m-%dT%H:%M:%S", time.gmtime(second))
-        _second = second
-    micro, nano = divmod(rest, 1000)
-    return f"{_prefix}.{micro:06d}{nano:03d}Z" if nano else f"{_prefix}.{micro:06d}Z"
+    text = _seconds.get(second)
+    if text is None:
+        if len(_seconds) >= _MAX_SECONDS:
+            _seconds.clear()
+        text = _seconds[second] = time.strftime("%Y-%m-%dT%H:%M:%S.", time.gmtime(second))
+    return f"{text}{rest:09d}Z"
 
 
 def parse_time(value: str | float) -> int:

@@ -238,7 +238,9 @@ class Commands:
         if not self._shared(entry):
             self._active[entry.path] = command
         loop = asyncio.get_running_loop()
-        command.task = loop.create_task(self._call(command, entry, value), name=f"command {command.id}")
+        command.task = loop.create_task(
+            self._call(command, entry, value), name=f"command {command.id}"
+        )
         timer = loop.call_later(timeout, self._expire, command, timeout) if timeout else None
         command.task.add_done_callback(lambda task: self._ended(command, task, timer))
 
@@ -261,7 +263,9 @@ class Commands:
                 remedy="Mend the backend or the type that it declares.",
             ) from error
 
-    def _progress(self, command: Command, entry: Entry, feedback: Any, fraction: float | None) -> None:
+    def _progress(
+        self, command: Command, entry: Entry, feedback: Any, fraction: float | None
+    ) -> None:
         body: Any = NO_BODY
         if feedback is not None:
             try:
@@ -296,7 +300,9 @@ class Commands:
         if command.id in self._starts:
             del self._starts[command.id]
             self._queues[command.path].remove(command)
-            self._end(command, Cancelled(f"{command.path} was cancelled: {reason}", path=command.path))
+            self._end(
+                command, Cancelled(f"{command.path} was cancelled: {reason}", path=command.path)
+            )
         elif command.task is not None:
             command.task.cancel()
             asyncio.get_running_loop().call_later(_CANCEL_GRACE, self._give_up, command)
@@ -401,7 +407,9 @@ def _outcome(command: Command, task: asyncio.Task[Any]) -> Any:
     if isinstance(error, (ConnectionError, TimeoutError)):
         return AdapterUnavailable(f"the link to the robot failed: {error or type(error).__name__}")
     trace = secrets.token_hex(8)
-    log.error("command_crashed", command=command.id, path=command.path, trace_id=trace, exc_info=error)
+    log.error(
+        "command_crashed", command=command.id, path=command.path, trace_id=trace, exc_info=error
+    )
     failure = InternalError("the backend failed; the gateway's log has the reason")
     failure.trace_id = trace
     return failure

@@ -16,6 +16,7 @@ from typing import Annotated, Any, Literal
 import msgspec
 from msgspec import Meta
 
+from rcp_kernel._plain import is_list, is_map
 from rcp_kernel.acl import BUILTIN_ROLES, Role
 from rcp_kernel.errors import ConfigError
 
@@ -41,7 +42,7 @@ class Table(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     """Base of the tables of the configuration: no unknown keys."""
 
 
-class Limits(Table):
+class Limits(Table, frozen=True):
     """What one client may ask for; sizes in bytes, times in seconds."""
 
     message: Annotated[int, Meta(ge=1024)] = 16 * 1024 * 1024
@@ -66,13 +67,13 @@ class Limits(Table):
     """For an action that declares none."""
 
 
-class TenantConfig(Table):
+class TenantConfig(Table, frozen=True):
     """A tenant; one that only stands in `[[backends]]` needs no table of its own."""
 
     description: str = ""
 
 
-class BackendConfig(Table):
+class BackendConfig(Table, frozen=True):
     """One robot (or several) behind one plugin; further keys belong to the plugin."""
 
     use: str
@@ -85,7 +86,7 @@ class BackendConfig(Table):
     """The keys that the plugin's own type decodes."""
 
 
-class KeyConfig(Table):
+class KeyConfig(Table, frozen=True):
     """A static API key: the text itself (by `${NAME}`) or its SHA-256 in hex."""
 
     name: str
@@ -95,27 +96,27 @@ class KeyConfig(Table):
     sha256: Annotated[str, Meta(pattern="^[0-9a-f]{64}$")] | None = None
 
 
-class Anonymous(Table):
+class Anonymous(Table, frozen=True):
     """What those may do who prove nothing; no role refuses them."""
 
     role: str | None = "viewer"
     tenants: tuple[str, ...] = ("*",)
 
 
-class LogConfig(Table):
+class LogConfig(Table, frozen=True):
     """Logging: a console on a terminal, JSON lines otherwise."""
 
     level: Literal["debug", "info", "warning", "error"] = "info"
     format: Literal["auto", "console", "json"] = "auto"
 
 
-class StoreConfig(Table):
+class StoreConfig(Table, frozen=True):
     """Where command history and idempotency keys are kept; without a path only in memory."""
 
     path: str | None = None
 
 
-class GatewayConfig(Table):
+class GatewayConfig(Table, frozen=True):
     """The whole file."""
 
     name: str = "rcp-gateway"
@@ -159,12 +160,12 @@ def parse(text: str, source: str) -> GatewayConfig:
         raise ConfigError(f"{source}: not TOML: {error}") from None
     raw = _with_secrets(raw, source, "")
     backends = raw.get("backends", [])
-    if not isinstance(backends, list):
+    if not is_list(backends):
         raise ConfigError(f"{source}: write [[backends]] in double brackets, once for each robot")
     raw["backends"] = [_split(table, i, source) for i, table in enumerate(backends)]
     _default_transports(raw)
     for group in ("transports", "plugins"):
-        if not all(isinstance(table, dict) for table in raw.get(group, {}).values()):
+        if not all(is_map(table) for table in raw.get(group, {}).values()):
             raise ConfigError(f"{source}: [{group}] holds tables: write [{group}.<name>]")
     config = decode_table(raw, GatewayConfig, f"{source}: ")
     _check(config, source)
@@ -177,7 +178,7 @@ _TRANSPORTS = ("http", "ws", "sse", "asgi")
 def _default_transports(raw: dict[str, Any]) -> None:
     """Serve every transport of the house unless `[transports] <name> = false` takes it out."""
     tables = raw.setdefault("transports", {})
-    if isinstance(tables, dict):
+    if is_map(tables):
         for name in _TRANSPORTS:
             tables.setdefault(name, {})
         raw["transports"] = {name: t for name, t in tables.items() if t is not False}
@@ -187,7 +188,7 @@ _KERNEL_KEYS = ("use", "name", "tenant", "robot")
 
 
 def _split(table: Any, place: int, source: str) -> dict[str, Any]:
-    if not isinstance(table, dict):
+    if not is_map(table):
         raise ConfigError(f"{source}: [[backends]] number {place + 1} is not a table")
     kept = {key: item for key, item in table.items() if key in _KERNEL_KEYS}
     kept.setdefault("name", kept.get("use"))
@@ -196,9 +197,11 @@ def _split(table: Any, place: int, source: str) -> dict[str, Any]:
 
 
 def _with_secrets(node: Any, source: str, where: str) -> Any:
-    if isinstance(node, dict):
-        return {k: _with_secrets(v, source, f"{where}.{k}" if where else k) for k, v in node.items()}
-    if isinstance(node, list):
+    if is_map(node):
+        return {
+            k: _with_secrets(v, source, f"{where}.{k}" if where else k) for k, v in node.items()
+        }
+    if is_list(node):
         return [_with_secrets(item, source, f"{where}[{i}]") for i, item in enumerate(node)]
     if not isinstance(node, str):
         return node
@@ -247,9 +250,9 @@ def _explain(text: str, raw: Any, type_: type[Any]) -> str:
 
 def _follow(raw: Any, at: str) -> Any:
     for step in re.findall(r"[^.\[\]]+", at):
-        if isinstance(raw, dict):
+        if is_map(raw):
             raw = raw.get(step)
-        elif isinstance(raw, list) and step.isdigit() and int(step) < len(raw):
+        elif is_list(raw) and step.isdigit() and int(step) < len(raw):
             raw = raw[int(step)]
     return raw
 
@@ -296,7 +299,9 @@ def _check(config: GatewayConfig, source: str) -> None:
         if role not in roles:
             near = difflib.get_close_matches(role, roles, n=1)
             advice = f"; did you mean '{near[0]}'?" if near else f"; there are {', '.join(roles)}"
-            raise ConfigError(f"{source}: {where} has the role '{role}', which is not there{advice}")
+            raise ConfigError(
+                f"{source}: {where} has the role '{role}', which is not there{advice}"
+            )
     for key in config.keys:
         if (key.key is None) == (key.sha256 is None):
             raise ConfigError(f"{source}: key '{key.name}' needs either `key` or `sha256`")

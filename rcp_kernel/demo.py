@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import secrets
-from collections.abc import Iterator
+from collections.abc import Generator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -71,7 +71,7 @@ class Demo:
         return found[0] if found else f"http://127.0.0.1:{self._port}"
 
     @contextmanager
-    def credentials(self, server: Server) -> Iterator[None]:
+    def credentials(self, server: Server) -> Generator[None]:
         """Keep the operator's key where `rcpctl` of the same user finds it, while the demo runs."""
         host, _, port = self.url(server).rpartition("/")[2].partition(":")
         path = token_file(host, int(port or 80))

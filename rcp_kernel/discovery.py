@@ -45,7 +45,10 @@ class Discovery:
     def __init__(self, registry: Registry) -> None:
         self._registry = registry
         self._known: dict[str, tuple[Entry, dict[str, Any]]] = {}
-        registry.on_removed.append(lambda entry: self._known.pop(entry.path, None))
+        registry.on_removed.append(self._forget)
+
+    def _forget(self, entry: Entry) -> None:
+        self._known.pop(entry.path, None)
 
     def answer(self, rights: Rights, tenant: str | None, request: Request) -> dict[str, Any]:
         """Carry out a `discover` request.
@@ -75,7 +78,11 @@ class Discovery:
                 continue
             if len(page) == query.limit:
                 cursor = base64.urlsafe_b64encode(page[-1]["path"].encode()).decode()
-                return {"resources": page, "cursor": cursor, "generation": self._registry.generation}
+                return {
+                    "resources": page,
+                    "cursor": cursor,
+                    "generation": self._registry.generation,
+                }
             page.append(self.describe(entry, mask, schemas=query.schemas))
         return {"resources": page, "generation": self._registry.generation}
 

@@ -241,7 +241,9 @@ class EstopActive(Refused):
 
     code = "estop_active"
     http = 423
-    default_remedy = "Make sure the robot is safe, then have a person with the right reset the e-stop."
+    default_remedy = (
+        "Make sure the robot is safe, then have a person with the right reset the e-stop."
+    )
 
 
 class ModeForbids(Refused):

@@ -10,6 +10,7 @@ from typing import Annotated, Any, Literal
 import msgspec
 from msgspec import Meta
 
+from rcp_kernel._plain import is_list, is_map
 from rcp_kernel.errors import FilterUnsupported, InvalidValue
 from rcp_kernel.registry import Entry
 from rcp_kernel.samples import getter
@@ -155,7 +156,7 @@ def _predicate(node: Any, budget: list[int]) -> Predicate:
     budget[0] -= 1
     if budget[0] < 0:
         raise _bad(f"it has more than {_MAX_TERMS} terms")
-    if not isinstance(node, dict) or not node:
+    if not is_map(node) or not node:
         raise _bad("each term is an object")
     terms = [_term(key, item, node, budget) for key, item in node.items() if key != "field"]
     if not terms:
@@ -165,7 +166,7 @@ def _predicate(node: Any, budget: list[int]) -> Predicate:
 
 def _term(key: str, item: Any, node: dict[str, Any], budget: list[int]) -> Predicate:
     if key in ("and", "or"):
-        if not isinstance(item, list) or not item:
+        if not is_list(item) or not item:
             raise _bad(f"`{key}` takes a list")
         parts = [_predicate(part, budget) for part in item]
         join = all if key == "and" else any
@@ -182,7 +183,9 @@ def _term(key: str, item: Any, node: dict[str, Any], budget: list[int]) -> Predi
     return _comparison(getter(field) if field else lambda value: value, compare, item)
 
 
-def _comparison(get: Callable[[Any], Any], compare: Callable[[Any, Any], bool], item: Any) -> Predicate:
+def _comparison(
+    get: Callable[[Any], Any], compare: Callable[[Any, Any], bool], item: Any
+) -> Predicate:
     def holds(value: Any) -> bool:
         found = get(value)
         if found is None and item is not None:
@@ -201,10 +204,10 @@ def fields_of(where: dict[str, Any]) -> list[str]:
     for key, item in where.items():
         if key == "field" and isinstance(item, str) and item:
             out.append(item)
-        elif key in ("and", "or") and isinstance(item, list):
+        elif key in ("and", "or") and is_list(item):
             for part in item:
-                out += fields_of(part) if isinstance(part, dict) else []
-        elif key == "not" and isinstance(item, dict):
+                out += fields_of(part) if is_map(part) else []
+        elif key == "not" and is_map(item):
             out += fields_of(item)
     return out
 
@@ -216,10 +219,10 @@ class Change:
 
     def __init__(self, deadband: Deadband | None, fields: tuple[str, ...] | None) -> None:
         self._bands: dict[str, Callable[[float, float], bool]] | None = None
-        if isinstance(deadband, dict):
-            self._bands = {field: _band(size) for field, size in deadband.items()}
-        elif deadband is not None:
+        if isinstance(deadband, (float, int, str)):
             self._bands = dict.fromkeys(fields or ("",), _band(deadband))
+        elif deadband is not None:
+            self._bands = {field: _band(size) for field, size in deadband.items()}
         looked_at = tuple(self._bands) if self._bands is not None else fields
         gets = [getter(f) if f else _whole for f in looked_at] if looked_at else None
         self._get = gets
@@ -268,7 +271,7 @@ def _band(size: float | str) -> Callable[[float, float], bool]:
 def _beyond(old: float, new: float, size: float) -> bool:
     if math.isfinite(old) and math.isfinite(new):
         return abs(new - old) >= size and new != old
-    return not (old == new or (old != old and new != new))
+    return old != new and not (math.isnan(old) and math.isnan(new))
 
 
 def check_fields(options: Options, entry: Entry) -> None:

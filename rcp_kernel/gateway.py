@@ -17,6 +17,7 @@ from typing import Any
 
 import msgspec
 
+from rcp_kernel._plain import is_map
 from rcp_kernel.acl import Rules
 from rcp_kernel.clock import iso, now
 from rcp_kernel.commands import Command, Commands, Keeper
@@ -187,15 +188,16 @@ class Gateway:
     def conclude(self, session: Session, reply: Reply, started: float) -> None:
         """Count a final reply."""
         self.seconds.observe(perf_counter() - started)
-        error = reply.error
-        self.count(session.transport, reply.type, "ok" if error is None else error["code"])
+        code = "ok" if reply.error is None else reply.error["code"]
+        key = (session.transport, reply.type, code)
+        self.counts[key] = self.counts.get(key, 0) + 1
 
     def count(self, transport: str, type_: str, code: str) -> None:
         """Count one request by its outcome."""
         key = (transport, type_, code)
         self.counts[key] = self.counts.get(key, 0) + 1
 
-    def later(  # noqa: PLR0913 - what one answer needs
+    def later(
         self,
         session: Session,
         request: Request,
@@ -304,7 +306,7 @@ class Gateway:
                 path=entry.path,
                 body=sample,
                 seq=sample.seq,
-                source_timestamp=iso(sample.timestamp),
+                source_timestamp=sample.time,
                 state="stale" if entry.stale else "fresh",
                 timestamp=iso(now()),
                 custom=request.custom,
@@ -416,7 +418,14 @@ class Gateway:
         def done(state: Any) -> Reply:
             text = "E-stop latched." if state.active else "E-stop released."
             now_ = iso(now())
-            return Reply(type="execute", id=request.id, path=entry.path, body=state, message=text, timestamp=now_)
+            return Reply(
+                type="execute",
+                id=request.id,
+                path=entry.path,
+                body=state,
+                message=text,
+                timestamp=now_,
+            )
 
         work = self.estop(session, value or entry.input_type.convert({}))
         self.later(session, request, answer, work, done, entry.resource.timeout or 6.0, entry.path)
@@ -533,8 +542,8 @@ class Gateway:
             if reply.final and not final.done():
                 final.set_result(reply)
 
-        type_ = part.get("type", "error") if isinstance(part, dict) else "error"
-        id_ = part.get("id") if isinstance(part, dict) else None
+        type_ = part.get("type", "error") if is_map(part) else "error"
+        id_ = part.get("id") if is_map(part) else None
         try:
             request = plain_request(part)
             if request.type in ("batch", "hello"):

@@ -94,5 +94,3 @@ def rcp_authenticator(config: GatewayConfig) -> Callable[[str], Principal | None
         def rcp_authenticator(config):
             return lambda token: directory.get(token)
     """
-
-

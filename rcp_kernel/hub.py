@@ -209,7 +209,9 @@ class Hub:
                 known.entry = entry
                 if subscription.mailbox is not None and known not in entry.listeners:
                     self._relink(known)
-                    notice(subscription.mailbox, "resource_added", id=subscription.id, path=entry.path)
+                    notice(
+                        subscription.mailbox, "resource_added", id=subscription.id, path=entry.path
+                    )
             elif subscription.wants(entry):
                 feed = self._link(subscription, entry)
                 notice(subscription.mailbox, "resource_added", id=subscription.id, path=entry.path)
@@ -223,7 +225,9 @@ class Hub:
             if isinstance(listener, Feed):
                 entry.listeners.remove(listener)
                 subscription = listener.subscription
-                notice(subscription.mailbox, "resource_removed", id=subscription.id, path=entry.path)
+                notice(
+                    subscription.mailbox, "resource_removed", id=subscription.id, path=entry.path
+                )
         self._timed.pop(entry, None)
         self._retune(entry)
 
@@ -364,5 +368,3 @@ class _Watch:
             self._entry.owner.fault(f"watching {self._entry.path} failed; see the log")
         finally:
             await current.aclose()
-
-

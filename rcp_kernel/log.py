@@ -44,9 +44,7 @@ class Recent:
         return event
 
 
-def configure(
-    level: str = "info", format_: Literal["auto", "console", "json"] = "auto"
-) -> Recent:
+def configure(level: str = "info", format_: Literal["auto", "console", "json"] = "auto") -> Recent:
     """Set up logging for the process; return what keeps the recent warnings."""
     recent = Recent()
     console = format_ == "console" or (format_ == "auto" and sys.stderr.isatty())
@@ -78,7 +76,7 @@ class _Named:
         self._make = structlog.PrintLoggerFactory(file)
 
     def __call__(self, *names: Any) -> Any:
-        logger = self._make()
+        logger: Any = self._make()
         logger.name = names[0] if names else "rcp"
         return logger
 

@@ -128,14 +128,15 @@ class Mailbox:
         pending = self.pending
         if not pending:
             return out
-        self.pending = later = []
+        later: list[Feed] = []
+        self.pending = later
         if self.prioritised:
             pending.sort(key=_urgency)
         control = len(out)
         self.high_water = max(self.high_water, len(pending))
         for place, feed in enumerate(pending):
             budget -= feed.drain(out, budget, wrap, big)
-            if feed.waiting:
+            if feed.queue or feed.backlog:
                 later.append(feed)
             else:
                 feed.marked = False

@@ -37,7 +37,9 @@ class Histogram:
         self.total += seconds
 
 
-def counter(name: str, text: str, labels: tuple[str, ...], rows: Iterable[tuple[list[str], float]]) -> Metric:
+def counter(
+    name: str, text: str, labels: tuple[str, ...], rows: Iterable[tuple[list[str], float]]
+) -> Metric:
     """Make a counter family of rows of label values and count."""
     family = CounterMetricFamily(name, text, labels=labels)
     for values, count in rows:
@@ -45,7 +47,9 @@ def counter(name: str, text: str, labels: tuple[str, ...], rows: Iterable[tuple[
     return family
 
 
-def gauge(name: str, text: str, labels: tuple[str, ...], rows: Iterable[tuple[list[str], float]]) -> Metric:
+def gauge(
+    name: str, text: str, labels: tuple[str, ...], rows: Iterable[tuple[list[str], float]]
+) -> Metric:
     """Make a gauge family of rows of label values and value."""
     family = GaugeMetricFamily(name, text, labels=labels)
     for values, value in rows:

@@ -39,7 +39,7 @@ def crash(error: BaseException, **facts: Any) -> RcpError:
 class Pending:
     """One coroutine with a deadline; `settle(result, error)` is called exactly once."""
 
-    __slots__ = ("_settle", "_task", "_timer", "_timeout", "path")
+    __slots__ = ("_settle", "_task", "_timeout", "_timer", "path")
 
     def __init__(
         self,

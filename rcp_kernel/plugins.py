@@ -80,7 +80,9 @@ class Plugins:
         _collect(self.backends, hook.rcp_backends(), "backend")
         _collect(self.transports, hook.rcp_transports(), "transport")
         _collect(self.adapters, hook.rcp_adapters(), "adapter")
-        self.interceptors = [wrap for found in hook.rcp_interceptors(config=config) for wrap in found]
+        self.interceptors = [
+            wrap for found in hook.rcp_interceptors(config=config) for wrap in found
+        ]
         self.authenticator: Any = hook.rcp_authenticator(config=config)
 
     def _load(self, group: str, wanted: Iterable[str]) -> None:
@@ -110,8 +112,9 @@ def register(manager: pluggy.PluginManager, module: Any, name: str) -> None:
     :raises PluginError: it has an async hook, a hook that does not exist, or none at all.
     """
     known = {key for key, value in vars(hookspecs).items() if hasattr(value, "rcp_spec")}
-    marked = {key for key, value in vars(module).items() if hasattr(value, "rcp_impl")}
-    for hook in sorted(marked | {k for k in vars(module) if k.startswith("rcp_") and k in known}):
+    own: dict[str, Any] = vars(module)
+    marked = {key for key, value in own.items() if hasattr(value, "rcp_impl")}
+    for hook in sorted(marked | {k for k in own if k.startswith("rcp_") and k in known}):
         if hook not in known:
             near = difflib.get_close_matches(hook, known, n=1)
             advice = f"; did you mean `{near[0]}`?" if near else ""

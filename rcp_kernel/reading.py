@@ -160,7 +160,7 @@ def _reply(request: Request, entry: Entry, sample: Sample, options: ReadOptions)
         path=entry.path,
         body=body,
         seq=sample.seq,
-        source_timestamp=iso(sample.timestamp),
+        source_timestamp=sample.time,
         state="stale" if entry.stale else "fresh",
         timestamp=iso(now()),
         custom=request.custom,
@@ -175,7 +175,7 @@ def _item(entry: Entry, sample: Sample, options: ReadOptions) -> dict[str, Any]:
         "status": "completed",
         "body": body,
         "seq": sample.seq,
-        "timestamp": iso(sample.timestamp),
+        "timestamp": sample.time,
         "state": "stale" if entry.stale else "fresh",
     }
 

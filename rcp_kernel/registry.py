@@ -32,11 +32,23 @@ _HISTORY_BYTES = 4 * 1024 * 1024  # kept of one resource, at least its latest sa
 class Owner(Protocol):
     """The backend behind an entry, as the supervisor keeps it."""
 
-    name: str
-    tenant: str | None
     samples: int
     latency: float | None
-    latch: Latch | None
+
+    @property
+    def name(self) -> str:
+        """The backend's name in the configuration."""
+        ...
+
+    @property
+    def tenant(self) -> str | None:
+        """Whose robot it is; None for the gateway's own branch."""
+        ...
+
+    @property
+    def latch(self) -> Latch | None:
+        """The e-stop that holds it, or None."""
+        ...
 
     @property
     def backend(self) -> Backend | None:

@@ -152,7 +152,9 @@ class Deadman:
         task.add_done_callback(forget)
 
     async def _stop(self, entry: Entry) -> None:
-        safe = entry.value_type.convert(entry.resource.safe) if _plain(entry) else entry.resource.safe
+        safe = (
+            entry.value_type.convert(entry.resource.safe) if _plain(entry) else entry.resource.safe
+        )
         while (backend := entry.owner.backend) is not None:
             try:
                 await asyncio.wait_for(backend.write(entry.name, safe), _STOP_TIMEOUT)

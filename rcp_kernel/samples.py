@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 
+from rcp_kernel._plain import is_map, is_sequence
 from rcp_kernel.clock import iso
 from rcp_kernel.errors import DeviceRejected, RcpError
 from rcp_kernel.spi import Native
@@ -27,7 +28,17 @@ class Sample(Body):
     type: a robot's bad value is the robot's fault and is never delivered.
     """
 
-    __slots__ = ("_bodies", "_tails", "_value", "entry", "native", "received", "seq", "timestamp")
+    __slots__ = (
+        "_bodies",
+        "_time",
+        "_value",
+        "entry",
+        "native",
+        "received",
+        "seq",
+        "tails",
+        "timestamp",
+    )
 
     def __init__(self, entry: Entry, value: Any, timestamp: int, received: int, seq: int) -> None:
         self.entry = entry
@@ -38,7 +49,17 @@ class Sample(Body):
         self.native = value if isinstance(value, Native) else None
         self._value = value
         self._bodies: dict[Any, bytes] | None = None
-        self._tails: dict[Any, bytes] | None = None
+        self._time: str | None = None
+        self.tails: dict[Any, bytes] = {}
+        """The tails made so far, by encoding, or encoding and fields."""
+
+    @property
+    def time(self) -> str:
+        """Source time as text."""
+        text = self._time
+        if text is None:
+            text = self._time = iso(self.timestamp)
+        return text
 
     @property
     def value(self) -> Any:
@@ -73,25 +94,22 @@ class Sample(Body):
 
     def tail(self, encoding: Encoding, fields: tuple[str, ...] | None = None) -> bytes:
         """Return the part of an update that all its receivers share, to be spliced to its head."""
-        tails = self._tails
-        if tails is None:
-            tails = self._tails = {}
         key = encoding if fields is None else (encoding, fields)
-        tail = tails.get(key)
+        tail = self.tails.get(key)
         if tail is None:
             body = self.encoded(encoding) if fields is None else self.projected(encoding, fields)
-            tail = tails[key] = self._splice(encoding, body)
+            tail = self.tails[key] = self._splice(encoding, body)
         return tail
 
     def _splice(self, encoding: Encoding, body: bytes) -> bytes:
-        facts = {"seq": self.seq, "timestamp": iso(self.timestamp)}
+        facts = {"seq": self.seq, "timestamp": self.time}
         return encode_frame(facts, body, encoding)[1:]  # without the map's own head
 
     def forget_encodings(self) -> None:
         """Give the memory of the encodings back; they are made anew if asked for."""
         if self._bodies:
             self._bodies = {}
-            self._tails = None
+            self.tails = {}
 
     def weight(self) -> int:
         """Estimate the memory of the value in bytes."""
@@ -132,9 +150,9 @@ def getter(dotted: str) -> Any:
         for name in names:
             if isinstance(value, msgspec.Struct):
                 value = getattr(value, name, None)
-            elif isinstance(value, dict):
+            elif is_map(value):
                 value = value.get(name)
-            elif isinstance(value, (list, tuple)) and name.isdigit() and int(name) < len(value):
+            elif is_sequence(value) and name.isdigit() and int(name) < len(value):
                 value = value[int(name)]
             else:
                 return None

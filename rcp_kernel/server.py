@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator
+import os
+from collections.abc import AsyncGenerator
 from contextlib import AsyncExitStack, asynccontextmanager
 from pathlib import Path
 from typing import Any
@@ -85,7 +86,7 @@ def _tables(raw: dict[str, dict[str, Any]], kinds: dict[str, Any], where: str) -
 
 
 @asynccontextmanager
-async def running(prepared: Prepared, recent: Recent | None = None) -> AsyncIterator[Server]:
+async def running(prepared: Prepared, recent: Recent | None = None) -> AsyncGenerator[Server]:
     """Run a gateway while entered.
 
     :raises ConfigError: a transport or adapter cannot be opened as configured.
@@ -96,7 +97,7 @@ async def running(prepared: Prepared, recent: Recent | None = None) -> AsyncIter
     async with AsyncExitStack() as stack:
         keeper = None
         if config.store.path is not None:
-            keeper = Store(Path(config.store.path).expanduser())
+            keeper = Store(Path(os.path.expanduser(config.store.path)))  # noqa: PTH111, ASYNC240 - no I/O
             stack.callback(keeper.close)
         gateway = Gateway(
             config,
@@ -146,7 +147,7 @@ def _report_missing(missing: list[Missing], status: StatusReport) -> None:
 
 
 @asynccontextmanager
-async def _backends(server: Server, prepared: Prepared) -> AsyncIterator[None]:
+async def _backends(server: Server, prepared: Prepared) -> AsyncGenerator[None]:
     for backend, table in zip(prepared.config.backends, prepared.backends, strict=True):
         start_backend(server, prepared, backend, table)
     try:

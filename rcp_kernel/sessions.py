@@ -79,7 +79,9 @@ class Session:
         "transport",
     )
 
-    def __init__(self, principal: Principal, rights: Rights, tenant: str | None, transport: str) -> None:
+    def __init__(
+        self, principal: Principal, rights: Rights, tenant: str | None, transport: str
+    ) -> None:
         self.id = "s-" + secrets.token_hex(16)
         self.secret = secrets.token_urlsafe(24)
         self.principal = principal
@@ -366,7 +368,9 @@ class Sessions:
         old.mailbox.close()
         self.cut(session)
 
-    def _attach(self, session: Session, connection: Connection, have: dict[str, int] | None) -> None:
+    def _attach(
+        self, session: Session, connection: Connection, have: dict[str, int] | None
+    ) -> None:
         if session.expiry is not None:
             session.expiry.cancel()
             session.expiry = None

@@ -180,7 +180,9 @@ class StatusReport:
             ("status",),
             [([status], count) for status, count in commands.counts.items()],
         )
-        yield histogram("rcp_command_seconds", "Of finished commands.", (), [([], commands.seconds)])
+        yield histogram(
+            "rcp_command_seconds", "Of finished commands.", (), [([], commands.seconds)]
+        )
         yield gauge(
             "rcp_resource_age_seconds",
             "Age of the latest sample of paths with a deadline.",
@@ -213,6 +215,4 @@ class StatusReport:
 
 
 def _conflated(gateway: Gateway) -> int:
-    return sum(
-        feed.skipped for sub in gateway.hub.subscriptions for feed in sub.feeds.values()
-    )
+    return sum(feed.skipped for sub in gateway.hub.subscriptions for feed in sub.feeds.values())

@@ -139,7 +139,9 @@ def _as_row(command: Command) -> dict[str, Any]:
 def _from_row(row: dict[str, Any]) -> Command:
     steps = row.pop("history")
     command = Command(**row)
-    command.history = [Record(**{"body": NO_BODY, **step}) for step in steps]
+    for step in steps:
+        step.setdefault("body", NO_BODY)
+        command.history.append(Record(**step))
     return command
 
 
@@ -153,5 +155,3 @@ def _cut_off(command: Command) -> None:
     command.history.append(
         Record("failed", command.finished, message=error.message, error=error_body(error))
     )
-
-

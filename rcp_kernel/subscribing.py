@@ -93,7 +93,9 @@ class Subscribing:
     def _patterns(self, session: Session, request: Request, options: Options) -> list[Pattern]:
         texts = [request.path, *options.paths] if request.path is not None else [*options.paths]
         if not texts:
-            raise BadRequest("subscribe names no path", remedy="Give `path`, or `paths` in the body.")
+            raise BadRequest(
+                "subscribe names no path", remedy="Give `path`, or `paths` in the body."
+            )
         if len(texts) > self._gateway.limits.subscriptions:
             raise PayloadTooLarge("a subscription names too many paths")
         return [Pattern(text, session.tenant) for text in texts]
@@ -174,7 +176,7 @@ class Subscribing:
         raise UnknownPath(
             "this session has no such subscription",
             path=request.path,
-            remedy="Name it in the body: {\"subscription\": \"<id of the subscribe>\"}.",
+            remedy='Name it in the body: {"subscription": "<id of the subscribe>"}.',
             details={"subscriptions": list(known)[:20]},
         )
 

@@ -251,6 +251,7 @@ class Slot:
 
 
 def _sentence(error: BaseException) -> str:
-    while isinstance(error, BaseExceptionGroup) and error.exceptions:
-        error = error.exceptions[0]
-    return str(error) or type(error).__name__
+    inner: Any = error
+    while (several := getattr(inner, "exceptions", None)) is not None:
+        inner = several[0]
+    return str(inner) or type(inner).__name__

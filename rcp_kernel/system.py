@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator
+from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager
 from typing import Annotated, Any
 
@@ -105,7 +105,7 @@ class System(BaseBackend):
             loop.call_soon_threadsafe(self.entries["/system/log"].publish, record, None)
 
     @asynccontextmanager
-    async def watch(self, name: str, rate: float | None) -> AsyncIterator[None]:
+    async def watch(self, name: str, rate: float | None) -> AsyncGenerator[None]:
         """Publish the status while somebody watches it."""
         if name != "sensor/status":
             yield
@@ -155,7 +155,9 @@ class System(BaseBackend):
         """
         robots = [s for s in self._visible(session) if _in_scope(s, request.scope)]
         if not robots:
-            raise UnknownPath(f"there is no robot in the scope {request.scope or 'of this session'!r}")
+            raise UnknownPath(
+                f"there is no robot in the scope {request.scope or 'of this session'!r}"
+            )
         if request.reset:
             if not session.rights.may_reset:
                 raise Forbidden(

@@ -39,7 +39,7 @@ NONFINITE = "x-rcp-nonfinite"
 """Schema mark of a float that may be NaN or infinite; the published schema spells it out."""
 
 
-def quantity(  # noqa: PLR0913 - the bounds of JSON Schema, by name
+def quantity(
     unit: str,
     base: Any = float,
     *,
@@ -54,7 +54,7 @@ def quantity(  # noqa: PLR0913 - the bounds of JSON Schema, by name
 
     `may_be_nonfinite` lets NaN and ±Infinity through, for a reading that may be missing.
     """
-    extra: dict[str, Any] = {"unit": unit}
+    extra: Any = {"unit": unit}
     if may_be_nonfinite:
         extra[NONFINITE] = True
     meta = Meta(ge=ge, gt=gt, le=le, lt=lt, description=description, extra_json_schema=extra)

@@ -15,6 +15,7 @@ from typing import Any
 import cbor2
 import msgspec
 
+from rcp_kernel._plain import is_list, is_map
 from rcp_kernel._shape import SAFE_INTEGER, Shape
 from rcp_kernel.errors import BadRequest, InvalidValue, OutOfRange, PluginError
 from rcp_kernel.types import NONFINITE
@@ -216,9 +217,9 @@ def _shown(value: Any) -> str:
 
 def _at(plain: Any, pointer: str) -> Any:
     for step in [p for p in pointer.split("/") if p]:
-        if isinstance(plain, dict) and step in plain:
+        if is_map(plain) and step in plain:
             plain = plain[step]
-        elif isinstance(plain, list) and step.isdigit() and int(step) < len(plain):
+        elif is_list(plain) and step.isdigit() and int(step) < len(plain):
             plain = plain[int(step)]
         else:
             return None
@@ -256,11 +257,12 @@ _PLAIN = (type(None), bool, int, float, str, bytes)
 
 def _plain_cbor(value: Any) -> Any:
     """Keep what JSON could have carried as well; tags and odd keys are refused by name."""
-    if isinstance(value, dict):
-        if not all(isinstance(key, str) for key in value):
+    if is_map(value):
+        keys: Any = value
+        if not all(isinstance(key, str) for key in keys):
             raise BadRequest("a CBOR map has a key that is not text")
         return {key: _plain_cbor(item) for key, item in value.items()}
-    if isinstance(value, list):
+    if is_list(value):
         return [_plain_cbor(item) for item in value]
     if not isinstance(value, _PLAIN):
         raise BadRequest(f"CBOR {type(value).__name__} has no place in an envelope")
@@ -280,9 +282,9 @@ _SPELLED = {"enum": ["NaN", "Infinity", "-Infinity"]}
 
 def _published(node: Any) -> Any:
     """Write out in the schema what the wire allows: spelled non-finite and long integers."""
-    if isinstance(node, list):
+    if is_list(node):
         return [_published(item) for item in node]
-    if not isinstance(node, dict):
+    if not is_map(node):
         return node
     out = {
         key: item if key in ("default", "examples", "enum", "const") else _published(item)

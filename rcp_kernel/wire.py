@@ -15,6 +15,7 @@ import cbor2
 import msgspec
 from msgspec import Meta, Raw
 
+from rcp_kernel._plain import is_map
 from rcp_kernel.clock import iso, now
 from rcp_kernel.errors import BadRequest, PayloadTooLarge, RcpError, VersionUnsupported
 from rcp_kernel.values import ANY, Encoding, ValueType, parse
@@ -190,12 +191,15 @@ def _decode_slowly(data: bytes, encoding: Encoding, error: Exception) -> Request
         raise BadRequest(
             f"unknown field {unknown[0][:60]!r} in the envelope",
             remedy="Name a field of your own x-<name>; the others are: "
-            + ", ".join(sorted(_KNOWN)) + ".",
+            + ", ".join(sorted(_KNOWN))
+            + ".",
             details={"unknown": unknown[:10]},
         )
     encode = _to_json.encode if encoding is Encoding.JSON else _to_msgpack.encode
     try:
-        request = (_from_json if encoding is Encoding.JSON else _from_msgpack).decode(encode(fields))
+        request = (_from_json if encoding is Encoding.JSON else _from_msgpack).decode(
+            encode(fields)
+        )
         if custom:
             request.custom = {k: parse(v, encoding) for k, v in custom.items()}
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as cause:
@@ -218,11 +222,11 @@ def salvage(data: bytes, encoding: Encoding) -> tuple[str, str | None]:
     except RcpError:
         text = _ID_TEXT.search(data) if encoding is Encoding.JSON else None
         return "error", text[1].decode() if text else None
-    if not isinstance(found, dict):
+    if not is_map(found):
         return "error", None
     kind, id_ = found.get("type"), found.get("id")
-    known = isinstance(kind, str) and kind in get_args(RequestType)
-    return (kind if known else "error"), (id_ if isinstance(id_, str) and len(id_) <= 128 else None)
+    type_: str = kind if kind in get_args(RequestType) else "error"
+    return type_, (id_ if isinstance(id_, str) and len(id_) <= 128 else None)
 
 
 def error_body(error: RcpError) -> dict[str, Any]:
