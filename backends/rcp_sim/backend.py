@@ -49,9 +49,10 @@ async def open_sim(config: SimConfig, host: Host) -> AsyncGenerator[SimBackend]:
             yield SimBackend(device)
             tasks.cancel_scope.cancel()
     except ExceptionGroup as group:
-        if len(group.exceptions) > 1:
+        first, *more = group.exceptions
+        if more:
             raise
-        raise group.exceptions[0] from None
+        raise first from None
 
 
 class SimBackend(BaseBackend):
@@ -136,7 +137,7 @@ class SimBackend(BaseBackend):
             math.dist((rover.x, rover.y), (x, y)),
         )
 
-    async def _dock(self, _: None, progress: Progress) -> m.DockResult:
+    async def _dock(self, _: m.Dock | None, progress: Progress) -> m.DockResult:
         await self._ride(self._sim.dock(), progress)
         self._sim.plug_in()
         return m.DockResult(pose(self._sim.rover, now()), self._sim.pack.charge, charging=True)
@@ -199,13 +200,14 @@ class SimBackend(BaseBackend):
 
     async def _remove(self, box: m.ObstacleId, _: Progress) -> m.Obstacles:
         self._sim.remove(box.id)
-        return m.Obstacles(dict(self._sim.placed))
+        return m.Obstacles(dict(self._sim.floor.placed))
 
     def _inject(self, spec: m.FaultSpec) -> m.FaultsActive:
         if wrong := unknown_target(spec):
             raise InvalidValue(wrong, details={"pointer": "/target"})
         self.device.strike(spec)
-        return m.FaultsActive(self.device.faults.active)
+        active = self.device.faults.active
+        return m.FaultsActive([*active, spec] if spec.fault == "link_lost" else active)
 
 
 def _yaw(z: float, w: float) -> float:

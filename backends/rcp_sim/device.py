@@ -23,6 +23,7 @@ from rcp_sim.waiting import Waiting
 
 __all__ = ["Device"]
 
+_PARTING = 0.05  # s
 TaskState = Literal["started", "completed", "cancelled", "failed"]
 
 
@@ -32,8 +33,9 @@ class Device:
     def __init__(self, config: SimConfig, host: Host) -> None:
         self._host = host
         self._rate = config.rate
-        self._awaiting = config.faults
-        """Faults that strike with the first tick: before, nobody hears what is reported."""
+        self._awaiting = [(0.0, spec) for spec in config.faults]
+        """Faults still to strike, with their time; those of the configuration wait for the first
+        tick, as before it nobody hears what is reported."""
         self.sim = Simulation(config)
         self.faults = FaultBoard()
         self.publisher = Publisher(config, host, self.sim, self.faults)
@@ -60,11 +62,10 @@ class Device:
         """Let one period pass; `stamp` is its time in ns of UTC."""
         if self.faults.crash:
             raise RuntimeError("crash, as was asked for")
-        for spec in self._awaiting:
-            self.strike(spec)
-        self._awaiting = ()
         self._ticks += 1
         self.uptime = self._ticks / self._rate
+        while self._awaiting and self._awaiting[0][0] <= self.uptime:
+            self._strike(self._awaiting.pop(0)[1])
         for spec in self.faults.expire(self.uptime):
             self._over(spec)
         self.publisher.tick(self.uptime, stamp)
@@ -114,7 +115,13 @@ class Device:
     # Faults
 
     def strike(self, spec: FaultSpec) -> None:
-        """Put a fault in force."""
+        """Put a fault in force; the link breaks only once the answer has passed it."""
+        if spec.fault == "link_lost":
+            self._awaiting.append((self.uptime + _PARTING, spec))
+        else:
+            self._strike(spec)
+
+    def _strike(self, spec: FaultSpec) -> None:
         self._event(FaultEvent(spec.fault, True, _text(spec), spec.target, iso(now())))
         self.faults.inject(spec, self.uptime)
         if spec.fault == "link_lost":

@@ -25,6 +25,7 @@ __all__ = [
     "Boot",
     "Box",
     "ClearFaults",
+    "Dock",
     "DockResult",
     "Drive",
     "DriveAngular",
@@ -210,6 +211,10 @@ class MoveResult(Struct, frozen=True, forbid_unknown_fields=True):
     distance: _Distance
     duration: _Duration
     error: _Miss
+
+
+class Dock(Struct, frozen=True, forbid_unknown_fields=True):
+    """There is nothing to choose: the charger stands where the rover started."""
 
 
 class DockResult(Struct, frozen=True, forbid_unknown_fields=True):

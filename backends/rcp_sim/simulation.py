@@ -14,15 +14,15 @@ from rcp_kernel.errors import DeviceRejected, ModeForbids
 from rcp_sim.battery import LOW, Pack
 from rcp_sim.config import SimConfig
 from rcp_sim.controller import Follower
+from rcp_sim.floor import Floor
 from rcp_sim.messages import TOP_SPEED, Box
-from rcp_sim.planner import MARGIN, Planner
+from rcp_sim.planner import MARGIN
 from rcp_sim.rover import RADIUS, Rover
-from rcp_sim.world import Rect, World
+from rcp_sim.world import World
 
-__all__ = ["DEFAULT_LIMIT", "MAX_PLACED", "Simulation", "Trip"]
+__all__ = ["DEFAULT_LIMIT", "Simulation", "Trip"]
 
 DEFAULT_LIMIT = 1.0  # m/s
-MAX_PLACED = 16  # boxes: keeps the search for a way short
 _MAX_STEP = 0.02  # s, of the physics and the controller
 _RELEASE = 0.02  # m that the bumper springs back
 _HANDOVER = 2.0  # s of real time after a velocity in which its stop is expected
@@ -58,11 +58,7 @@ class Simulation:
 
     def __init__(self, config: SimConfig) -> None:
         self._start = config.start
-        self._bare = config.make_world()
-        self.placed: dict[str, Box] = {}
-        self.world: World = self._bare
-        """Changes only by being replaced, so identity tells whether the map is new."""
-        self._planner = Planner(self._bare)
+        self.floor = Floor(config.make_world())
         self.pack = Pack(config.battery.capacity, config.battery.charge)
         self.rover = Rover(self._start.x, self._start.y, self._start.yaw)
         self.limit = DEFAULT_LIMIT
@@ -76,7 +72,6 @@ class Simulation:
         self._hard = False
         self._grace = _HANDOVER * config.time_scale
         self._handover = -math.inf
-        self._boxes = 0
         self._low = self._empty = False
         self._touching = False
 
@@ -160,14 +155,14 @@ class Simulation:
         return self.trip
 
     def _way(self, x: float, y: float) -> list[tuple[float, float]]:
-        if not self._planner.free(x, y):
+        if not self.floor.planner.free(x, y):
             inside = self.world.clearance(x, y)
             where = f"{inside:.2f} m from" if inside > 0 else "inside or behind"
             raise DeviceRejected(
                 f"goal ({x:g}, {y:g}) is {where} an obstacle or wall",
                 remedy=f"Choose a goal at least {MARGIN} m from everything on sensor/map.",
             )
-        way = self._planner.way((self.rover.x, self.rover.y), (x, y))
+        way = self.floor.planner.way((self.rover.x, self.rover.y), (x, y))
         if way is None:
             raise DeviceRejected(f"no way leads to ({x:g}, {y:g})")
         return way
@@ -183,20 +178,18 @@ class Simulation:
 
     # The world
 
-    def place(self, box: Box) -> str:
-        """Put a box on the floor and return its name.
+    @property
+    def world(self) -> World:
+        """The world as it is now; changes only by being replaced."""
+        return self.floor.world
 
-        :raises DeviceRejected: it would stand on the rover, or there are too many.
+    def place(self, box: Box) -> str:
+        """Put a box on the floor and return its name; a trip finds its way round it.
+
+        :raises DeviceRejected: it would stand on the rover or outside, or there are too many.
         """
-        if len(self.placed) >= MAX_PLACED:
-            raise DeviceRejected(f"{MAX_PLACED} boxes stand already; remove one first")
-        if not self.world.bounds.holds(box.x, box.y):
-            raise DeviceRejected("that place is outside the hall")
-        if World(1e4, 1e4, [Rect.of(box)]).clearance(self.rover.x, self.rover.y) < MARGIN:
-            raise DeviceRejected("the rover stands there", remedy="Place it elsewhere.")
-        self._boxes += 1
-        name = f"box-{self._boxes}"
-        self._rebuild({**self.placed, name: box})
+        name = self.floor.place(box, (self.rover.x, self.rover.y))
+        self._replan()
         return name
 
     def remove(self, name: str) -> None:
@@ -204,39 +197,31 @@ class Simulation:
 
         :raises DeviceRejected: there is none of that name.
         """
-        if name not in self.placed:
-            raise DeviceRejected(f"no box is named '{name}'")
-        self._rebuild({key: box for key, box in self.placed.items() if key != name})
+        self.floor.remove(name)
 
     def remove_all(self) -> int:
         """Take every placed box away and return how many they were."""
-        count = len(self.placed)
-        if count:
-            self._rebuild({})
-        return count
+        return self.floor.clear()
 
-    def _rebuild(self, placed: dict[str, Box]) -> None:
-        self.placed = placed
-        self.world = self._bare.with_obstacles([Rect.of(box) for box in placed.values()])
-        self._planner = Planner(self.world)
-        if self.trip is not None:
-            here = (self.rover.x, self.rover.y)
-            points = [here, *self.trip.follower.way]
-            legs = pairwise(points)
-            if all(self._planner.clear(a, b) for a, b in legs):
-                return
-            way = self._planner.way(here, self.trip.follower.goal)
-            if way is None:
-                self.stop("the way is blocked")
-            else:
-                self.trip.follower.reroute(way)
+    def _replan(self) -> None:
+        if self.trip is None:
+            return
+        planner, follower = self.floor.planner, self.trip.follower
+        here = (self.rover.x, self.rover.y)
+        if all(planner.clear(a, b) for a, b in pairwise([here, *follower.way])):
+            return
+        way = planner.way(here, follower.goal)
+        if way is None:
+            self.stop("the way is blocked")
+        else:
+            follower.reroute(way)
 
     def reset_body(self, *, pose: bool, battery: bool) -> None:
         """Bring the rover to rest, and on request back to its start or to a full battery.
 
         :raises DeviceRejected: the start is taken.
         """
-        if pose and not self._planner.free(self._start.x, self._start.y):
+        if pose and not self.floor.planner.free(self._start.x, self._start.y):
             raise DeviceRejected("a placed box stands where the rover started")
         self.stop("the system was reset", hard=True)
         if pose:

@@ -109,7 +109,10 @@ class Rig:
         return await self.write("actuator/cmd_vel", {"linear": {"x": v}, "angular": {"z": w}})
 
     async def fault(self, **spec: Any) -> Any:
-        return await self.execute("service/inject_fault", spec)
+        injected = await self.execute("service/inject_fault", spec)
+        if spec["fault"] == "link_lost":
+            self.tick(0.06)
+        return injected
 
     async def settle(self, work: Awaitable[Any], *, seconds: float = 300.0) -> Any:
         """Turn the loop until the work is done, and return its result."""

@@ -103,6 +103,15 @@ async def test_a_drive_ends_when_the_link_is_lost(rig: Any) -> None:
     assert rig.host.reports[-1] == (None, False)
 
 
+async def test_the_answer_passes_the_link_before_it_breaks(rig: Any) -> None:
+    injected = await rig.execute("service/inject_fault", {"fault": "link_lost"})
+    assert [spec.fault for spec in injected.active] == ["link_lost"]
+    assert rig.host.reports == []
+    await rig.backend.read("sensor/pose")
+    rig.tick(0.06)
+    assert rig.host.reports == [("the link to the rover is lost", True)]
+
+
 async def test_a_link_that_breaks_while_a_slow_answer_waits_is_lost_too(rig: Any) -> None:
     await rig.fault(fault="slow", delay=1.0)
     late = await rig.begin(rig.write("param/speed_limit", 0.7), seconds=0.2)

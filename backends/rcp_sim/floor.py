@@ -1,0 +1,69 @@
+"""The floor of the hall: the world as built, and the boxes that were put into it since."""
+
+from __future__ import annotations
+
+import math
+
+from rcp_kernel.errors import DeviceRejected
+from rcp_sim.messages import Box
+from rcp_sim.planner import MARGIN, Planner
+from rcp_sim.world import Rect, World
+
+__all__ = ["MAX_PLACED", "Floor"]
+
+MAX_PLACED = 16  # boxes: keeps the search for a way short
+
+
+class Floor:
+    """A world that boxes are put into and taken from, with the ways through it."""
+
+    def __init__(self, bare: World) -> None:
+        self._bare = bare
+        self._boxes = 0
+        self.placed: dict[str, Box] = {}
+        self.world = bare
+        self.planner = Planner(bare)
+
+    def place(self, box: Box, rover: tuple[float, float]) -> str:
+        """Put a box down and return its name.
+
+        :raises DeviceRejected: it would stand on the rover or outside, or there are too many.
+        """
+        if len(self.placed) >= MAX_PLACED:
+            raise DeviceRejected(
+                f"{MAX_PLACED} boxes stand already",
+                remedy="Remove one first: service/remove_obstacle.",
+            )
+        if not self.world.bounds.holds(box.x, box.y):
+            raise DeviceRejected("that place is outside the hall")
+        outline = Rect.of(box)
+        x, y = rover
+        dx = max(outline.left - x, x - outline.right, 0.0)
+        dy = max(outline.bottom - y, y - outline.top, 0.0)
+        if math.hypot(dx, dy) < MARGIN:
+            raise DeviceRejected("the rover stands there", remedy="Place it elsewhere.")
+        self._boxes += 1
+        name = f"box-{self._boxes}"
+        self._rebuild({**self.placed, name: box})
+        return name
+
+    def remove(self, name: str) -> None:
+        """Take a box away.
+
+        :raises DeviceRejected: there is none of that name.
+        """
+        if name not in self.placed:
+            raise DeviceRejected(f"no box is named '{name}'")
+        self._rebuild({key: box for key, box in self.placed.items() if key != name})
+
+    def clear(self) -> int:
+        """Take every box away and return how many they were."""
+        count = len(self.placed)
+        if count:
+            self._rebuild({})
+        return count
+
+    def _rebuild(self, placed: dict[str, Box]) -> None:
+        self.placed = placed
+        self.world = self._bare.with_obstacles([Rect.of(box) for box in placed.values()])
+        self.planner = Planner(self.world)
