@@ -112,7 +112,7 @@ def register(manager: pluggy.PluginManager, module: Any, name: str) -> None:
     :raises PluginError: it has an async hook, a hook that does not exist, or none at all.
     """
     known = {key for key, value in vars(hookspecs).items() if hasattr(value, "rcp_spec")}
-    own: dict[str, Any] = vars(module)
+    own: dict[str, Any] = dict(module.__dict__)
     marked = {key for key, value in own.items() if hasattr(value, "rcp_impl")}
     for hook in sorted(marked | {k for k in own if k.startswith("rcp_") and k in known}):
         if hook not in known:

@@ -18,7 +18,8 @@ if TYPE_CHECKING:
 
 __all__ = ["Sample", "getter", "project"]
 
-_UNSET: Any = object()
+_natives: dict[type, bool] = {}
+"""Whether values of a type are `Native`: asking the protocol itself takes 8 µs."""
 
 
 class Sample(Body):
@@ -46,7 +47,11 @@ class Sample(Body):
         """Source time, ns since the epoch."""
         self.received = received
         self.seq = seq
-        self.native = value if isinstance(value, Native) else None
+        kind: type = type(value)  # pyright: ignore[reportUnknownVariableType] - of any type
+        native = _natives.get(kind)
+        if native is None:
+            native = _natives[kind] = isinstance(value, Native)
+        self.native: Native | None = value if native else None
         self._value = value
         self._bodies: dict[Any, bytes] | None = None
         self._time: str | None = None
@@ -102,6 +107,8 @@ class Sample(Body):
         return tail
 
     def _splice(self, encoding: Encoding, body: bytes) -> bytes:
+        if encoding is Encoding.JSON:
+            return b'"seq":%d,"timestamp":"%b","body":%b}' % (self.seq, self.time.encode(), body)
         facts = {"seq": self.seq, "timestamp": self.time}
         return encode_frame(facts, body, encoding)[1:]  # without the map's own head
 

@@ -57,8 +57,8 @@ def quantity(
     extra: Any = {"unit": unit}
     if may_be_nonfinite:
         extra[NONFINITE] = True
-    meta = Meta(ge=ge, gt=gt, le=le, lt=lt, description=description, extra_json_schema=extra)
-    return Annotated[base, meta]
+    bounds: Any = {"ge": ge, "gt": gt, "le": le, "lt": lt, "description": description}
+    return Annotated[base, Meta(**bounds, extra_json_schema=extra)]
 
 
 def nonfinite(unit: str) -> Any:

@@ -225,7 +225,7 @@ def salvage(data: bytes, encoding: Encoding) -> tuple[str, str | None]:
     if not is_map(found):
         return "error", None
     kind, id_ = found.get("type"), found.get("id")
-    type_: str = kind if kind in get_args(RequestType) else "error"
+    type_ = kind if isinstance(kind, str) and kind in get_args(RequestType) else "error"
     return type_, (id_ if isinstance(id_, str) and len(id_) <= 128 else None)
 
 
