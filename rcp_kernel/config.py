@@ -165,7 +165,8 @@ def parse(text: str, source: str) -> GatewayConfig:
     raw["backends"] = [_split(table, i, source) for i, table in enumerate(backends)]
     _default_transports(raw)
     for group in ("transports", "plugins"):
-        if not all(is_map(table) for table in raw.get(group, {}).values()):
+        tables: Any = raw.get(group, {})
+        if not is_map(tables) or not all(is_map(table) for table in tables.values()):
             raise ConfigError(f"{source}: [{group}] holds tables: write [{group}.<name>]")
     config = decode_table(raw, GatewayConfig, f"{source}: ")
     _check(config, source)
@@ -196,6 +197,12 @@ def _split(table: Any, place: int, source: str) -> dict[str, Any]:
     return kept
 
 
+class _Secret(str):
+    """A text that came from the environment: errors do not show it."""
+
+    __slots__ = ()
+
+
 def _with_secrets(node: Any, source: str, where: str) -> Any:
     if is_map(node):
         return {
@@ -214,7 +221,8 @@ def _with_secrets(node: Any, source: str, where: str) -> Any:
             )
         return value
 
-    return _SECRET.sub(found, node)
+    text = _SECRET.sub(found, node)
+    return text if text == node else _Secret(text)
 
 
 _UNKNOWN = re.compile(r"unknown field `(?P<key>[^`]*)`(?: - at `\$(?P<at>[^`]*)`)?")
@@ -258,6 +266,8 @@ def _follow(raw: Any, at: str) -> Any:
 
 
 def _shown(value: Any) -> str:
+    if isinstance(value, _Secret):
+        return "a text from the environment"
     return repr(value) if len(repr(value)) <= 60 else type(value).__name__
 
 

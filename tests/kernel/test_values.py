@@ -1,0 +1,158 @@
+"""Values: what goes in one encoding comes out of it the same, and what does not fit is told where."""
+
+from __future__ import annotations
+
+import json
+import math
+from typing import Annotated, Any
+
+import jsonschema
+import msgspec
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from msgspec import Meta
+
+from rcp_kernel import types
+from rcp_kernel.errors import BadRequest, InvalidValue, OutOfRange
+from rcp_kernel.values import ANY, Encoding, value_type
+
+
+class Everything(msgspec.Struct, frozen=True):
+    """One field of each kind that a robot's message may have."""
+
+    real: types.Real
+    whole: types.Int64
+    large: types.UInt64
+    small: Annotated[int, Meta(ge=-128, le=127)]
+    flag: bool
+    text: str
+    data: bytes
+    reals: list[types.Real]
+    table: dict[str, types.Int64]
+    maybe: types.Real | None
+    nested: types.Pose | None
+
+
+everything = st.builds(
+    Everything,
+    real=st.floats(),
+    whole=st.integers(-(2**63), 2**63 - 1),
+    large=st.integers(0, 2**64 - 1),
+    small=st.integers(-128, 127),
+    flag=st.booleans(),
+    text=st.text(st.characters(exclude_categories=["Cs"])),
+    data=st.binary(),
+    reals=st.lists(st.floats(), max_size=5),
+    table=st.dictionaries(
+        st.text(st.characters(exclude_categories=["Cs"])), st.integers(-(2**63), 2**63 - 1), max_size=3
+    ),
+    maybe=st.none() | st.floats(),
+    nested=st.none() | st.just(types.Pose(types.Point(1.0, 2.0, 3.0))),
+)  # fmt: skip
+
+
+def same(one: Any, other: Any) -> bool:
+    """Compare with one NaN equal to another, whatever their payload."""
+    return repr(one) == repr(other)
+
+
+@given(everything, st.sampled_from(list(Encoding)))
+def test_a_value_survives_every_encoding(value: Everything, encoding: Encoding) -> None:
+    type_ = value_type(Everything)
+    assert same(type_.decode(type_.encode(value, encoding), encoding), value)
+
+
+@given(everything)
+def test_json_never_carries_a_number_that_a_browser_would_change(value: Everything) -> None:
+    text = value_type(Everything).encode(value, Encoding.JSON)
+
+    def refuse(word: str) -> float:
+        raise AssertionError(f"bare {word}")
+
+    def whole(digits: str) -> int:
+        assert abs(int(digits)) <= 2**53 - 1
+        return int(digits)
+
+    json.loads(text, parse_constant=refuse, parse_int=whole)
+
+
+@given(everything)
+def test_what_goes_out_is_valid_against_the_published_schema(value: Everything) -> None:
+    type_ = value_type(Everything)
+    jsonschema.Draft202012Validator(type_.schema).validate(
+        json.loads(type_.encode(value, Encoding.JSON))
+    )
+
+
+@pytest.mark.parametrize("encoding", list(Encoding))
+def test_a_command_refuses_a_number_that_is_not_finite(encoding: Encoding) -> None:
+    type_ = value_type(types.Twist)
+    bad = {"linear": {"x": math.nan}}
+    with pytest.raises(InvalidValue) as caught:
+        type_.decode(ANY.encode(bad, encoding), encoding, "actuator 'cmd_vel'")
+    assert caught.value.details == {"pointer": "/linear/x"}
+
+
+def test_out_of_range_says_which_value_and_bound() -> None:
+    type_ = value_type(types.quantity("m/s", ge=0, le=2.5))
+    with pytest.raises(OutOfRange) as caught:
+        type_.decode(b"9.0", Encoding.JSON, "parameter 'speed_limit'")
+    assert caught.value.message == "parameter 'speed_limit' exceeds allowed range: 9.0 > 2.5 m/s"
+
+
+def test_a_misfit_deep_inside_is_told_by_its_pointer() -> None:
+    class Path(msgspec.Struct):
+        points: list[types.Point]
+
+    with pytest.raises(InvalidValue) as caught:
+        value_type(Path).decode(b'{"points":[{"x":1,"y":2},{"x":1,"y":"two"}]}', Encoding.JSON)
+    assert caught.value.details == {"pointer": "/points/1/y"}
+
+
+@pytest.mark.parametrize("text", ["18446744073709551616", '"18446744073709551616"', "-1", '"-1"'])
+def test_an_integer_past_its_type_is_refused_in_both_spellings(text: str) -> None:
+    with pytest.raises(InvalidValue):
+        value_type(types.UInt64).decode(text.encode(), Encoding.JSON)
+
+
+def test_text_is_not_taken_for_a_number() -> None:
+    with pytest.raises(InvalidValue):
+        value_type(float).decode(b'"1.5"', Encoding.JSON)
+
+
+@pytest.mark.parametrize(
+    ("data", "encoding"),
+    [
+        (b"{", Encoding.JSON),
+        (b"\xff\xfe", Encoding.JSON),
+        (b"NaN", Encoding.JSON),
+        (b"[" * 100_000, Encoding.JSON),
+        (b"\xc1", Encoding.MSGPACK),
+        (b"\x91" * 100_000, Encoding.MSGPACK),
+        (b"\xff", Encoding.CBOR),
+        (b"\x81" * 100_000, Encoding.CBOR),
+        (b"\xa1\x01\x02", Encoding.CBOR),
+    ],
+)
+def test_what_is_not_of_the_encoding_is_a_bad_request(data: bytes, encoding: Encoding) -> None:
+    with pytest.raises(BadRequest):
+        value_type(types.Pose).decode(data, encoding)
+
+
+def test_a_published_value_that_does_not_fit_is_found() -> None:
+    type_ = value_type(types.PoseStamped)
+    with pytest.raises(InvalidValue):
+        type_.check(types.PoseStamped(types.Point(math.nan, 0.0)))
+    with pytest.raises(InvalidValue):
+        type_.check(types.PoseStamped("here"))  # pyright: ignore[reportArgumentType]
+    with pytest.raises(InvalidValue):
+        type_.check({"position": {"x": 1.0}})
+
+
+def test_a_schema_has_a_stable_id_that_changes_with_it() -> None:
+    one = value_type(types.quantity("m/s", ge=0, le=2.5))
+    again = value_type(types.quantity("m/s", ge=0, le=2.5))
+    other = value_type(types.quantity("m/s", ge=0, le=3.0))
+    assert one.schema_id == again.schema_id != other.schema_id
+    assert one.schema["unit"] == "m/s"
