@@ -40,7 +40,7 @@ from rcp_kernel.model import Kind, Operation, operation_names, parse_path
 from rcp_kernel.pending import Pending, crash
 from rcp_kernel.reading import Reading
 from rcp_kernel.registry import Entry, Registry
-from rcp_kernel.safety import Deadman, check_age, check_motion
+from rcp_kernel.safety import Deadman, check_age, check_motion, safe_value
 from rcp_kernel.sessions import Answer, Handler, Session, Sessions
 from rcp_kernel.subscribing import Subscribing
 from rcp_kernel.values import Encoding, value_type
@@ -344,7 +344,7 @@ class Gateway:
                 self.deadman.arm(entry, 0)
             raise
         entry.owner.latency = perf_counter() - started
-        if window is not None:
+        if window is not None and value != safe_value(entry):
             self.deadman.arm(entry, window)
         return entry.publish(value if actual is None else actual, None)
 

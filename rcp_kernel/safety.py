@@ -12,13 +12,21 @@ from typing import Any, Protocol
 import structlog
 
 from rcp_kernel.clock import iso, now, parse_time
-from rcp_kernel.errors import BadRequest, EstopActive, RcpError, StaleCommand
+from rcp_kernel.errors import BadRequest, EstopActive, StaleCommand
 from rcp_kernel.model import Kind
 from rcp_kernel.registry import Entry
 from rcp_kernel.spi import Backend
 from rcp_kernel.wire import Request
 
-__all__ = ["Deadman", "Latch", "Stoppable", "check_age", "check_motion", "halt"]
+__all__ = [
+    "Deadman",
+    "Latch",
+    "Stoppable",
+    "check_age",
+    "check_motion",
+    "halt",
+    "safe_value",
+]
 
 log = structlog.get_logger("rcp.safety")
 _STOP_TIMEOUT = 1.0  # s for one attempt to stop
@@ -152,18 +160,18 @@ class Deadman:
         task.add_done_callback(forget)
 
     async def _stop(self, entry: Entry) -> None:
-        safe = (
-            entry.value_type.convert(entry.resource.safe) if _plain(entry) else entry.resource.safe
-        )
-        while (backend := entry.owner.backend) is not None:
+        safe = safe_value(entry)
+        while True:
+            backend = entry.owner.backend
             try:
-                await asyncio.wait_for(backend.write(entry.name, safe), _STOP_TIMEOUT)
-            except (RcpError, TimeoutError) as error:
-                log.warning("deadman_stop_failed", path=entry.path, error=str(error))
-                await asyncio.sleep(_STOP_RETRY)
-            else:
-                entry.publish(safe, None)
-                return
+                if backend is not None:
+                    await asyncio.wait_for(backend.write(entry.name, safe), _STOP_TIMEOUT)
+                    entry.publish(safe, None)
+                    return
+            except Exception as error:
+                log.warning("deadman_stop_failed", path=entry.path, error=repr(error))
+            # A robot whose link is down may still be driving: it is told when the link is back.
+            await asyncio.sleep(_STOP_RETRY)
 
     def close(self) -> None:
         """Forget all windows; the backends are halted by whoever closes them."""
@@ -171,5 +179,7 @@ class Deadman:
             handle.cancel()
 
 
-def _plain(entry: Entry) -> bool:
-    return isinstance(entry.resource.safe, (dict, list))
+def safe_value(entry: Entry) -> Any:
+    """Return the value that brings an actuator to rest, in the type of its path."""
+    safe = entry.resource.safe
+    return entry.value_type.convert(safe) if isinstance(safe, (dict, list)) else safe
