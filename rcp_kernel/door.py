@@ -161,7 +161,7 @@ class Door:
 
         :raises UnknownPath: there is none.
         """
-        return self._gateway.command(session, id_)
+        return self._gateway.executing.command(session, id_)
 
     def commands(self, session: Session) -> list[Command]:
         """List the commands that the session may see, newest first."""

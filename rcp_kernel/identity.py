@@ -21,6 +21,8 @@ class Principal(msgspec.Struct, frozen=True):
     roles: tuple[str, ...]
     proof: str = "none"
     """`none`, `key`, or what an authenticator of a plugin says."""
+    credential: str | None = None
+    """Hash of the key that proved it; never shown to anybody."""
 
     @property
     def anonymous(self) -> bool:
@@ -39,10 +41,9 @@ class Keyring:
     def __init__(self, principals: dict[str, Principal]) -> None:
         self._principals = principals
 
-    @property
-    def principals(self) -> list[Principal]:
-        """Everybody who has a key."""
-        return list(self._principals.values())
+    def renewed(self, principal: Principal) -> Principal | None:
+        """Return what a principal's key proves now, or None if it proves nothing any more."""
+        return self._principals.get(principal.credential or "")
 
     def find(self, key: str) -> Principal:
         """Return the principal of a key, in a time that does not tell which keys there are.

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 __all__ = ["Entry", "Listener", "Owner", "Registry"]
 
 _IDLE_HISTORY = 16  # samples kept of a resource nobody subscribes to
+_WITHDRAWN = 10_000  # paths whose number is remembered
 _HISTORY_BYTES = 4 * 1024 * 1024  # kept of one resource, at least its latest sample
 
 
@@ -188,6 +189,8 @@ class Registry:
         self.on_added: list[Callable[[Entry], None]] = []
         self.on_removed: list[Callable[[Entry], None]] = []
         self._index: list[str] | None = None
+        self._numbers: dict[str, int] = {}
+        """Last sample number of withdrawn paths, so that a path that returns counts on."""
 
     def declare(
         self, owner: Owner, resource: Resource, *, tenant: str, robot: str | None = None
@@ -215,6 +218,8 @@ class Registry:
             if old.resource == entry.resource:
                 return old
             entry.adopt(old)
+        else:
+            entry.seq = self._numbers.pop(entry.path, 0)
         self.entries[entry.path] = entry
         self._changed()
         for told in self.on_added:
@@ -226,6 +231,9 @@ class Registry:
         entry = self.entries.pop(path, None)
         if entry is None:
             return
+        self._numbers[path] = entry.seq
+        while len(self._numbers) > _WITHDRAWN:
+            del self._numbers[next(iter(self._numbers))]
         self._changed()
         for told in self.on_removed:
             told(entry)

@@ -390,14 +390,16 @@ class Sessions:
         for subscription in session.subscriptions.values():
             self._hub().attach(subscription, connection.mailbox, have)
 
-    def review(self, known: set[Principal | None]) -> None:
-        """Bring every session under new rules; end those of principals that are gone."""
+    def review(self) -> None:
+        """Bring every session under new rules; end those whose proof is not good any more."""
         self._stateless.clear()
         for session in list(self.known.values()):
-            if session.principal not in known and session.principal.proof in ("key", "none"):
+            principal = self._gateway.renewed(session.principal)
+            if principal is None:
                 self._expel(session)
                 continue
-            session.rights = self._gateway.rules.rights(session.principal)
+            session.principal = principal
+            session.rights = self._gateway.rules.rights(principal)
             self._gateway.drop_forbidden(session)
 
     def _expel(self, session: Session) -> None:

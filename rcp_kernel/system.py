@@ -69,6 +69,7 @@ class System(BaseBackend):
         self._slots = slots
         self._status = status
         self.samples = 0
+        self._stops: set[asyncio.Future[None]] = set()
         self.latency: float | None = None
         self.entries = {entry.path: entry for entry in map(self._place, _resources())}
         gateway.views.update(
@@ -171,6 +172,9 @@ class System(BaseBackend):
         for robot in robots:
             robot.latch = robot.latch or Latch(session.principal.name, request.reason)
         stops = [asyncio.ensure_future(self._stop(robot)) for robot in robots]
+        for stop in stops:  # held on to: they may have to go on after this request is answered
+            self._stops.add(stop)
+            stop.add_done_callback(self._stops.discard)
         self._publish_estop(session)
         _, late = await asyncio.wait(stops, timeout=_HALT_WAIT)
         if late:

@@ -16,7 +16,7 @@ import msgspec
 from msgspec import Meta, Raw
 
 from rcp_kernel._plain import is_map
-from rcp_kernel.clock import iso, now
+from rcp_kernel.clock import iso, now, parse_time
 from rcp_kernel.errors import BadRequest, PayloadTooLarge, RcpError, VersionUnsupported
 from rcp_kernel.values import ANY, Encoding, ValueType, parse
 
@@ -161,6 +161,8 @@ def decode_request(data: bytes, encoding: Encoding) -> Request:
         if request.custom is not None or request.encoding is not Encoding.JSON:
             request = _decode_slowly(data, encoding, msgspec.DecodeError("reserved field"))
     request.encoding = encoding
+    if request.timestamp is not None:
+        parse_time(request.timestamp)
     if request.version is not None and request.version != VERSION:
         raise VersionUnsupported(
             f"version {request.version[:20]!r} is not supported",

@@ -1,0 +1,180 @@
+"""`execute` and `cancel`: from an envelope to a command, whose replies answer the request."""
+
+from __future__ import annotations
+
+import secrets
+from time import perf_counter
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+
+from rcp_kernel.clock import iso, now
+from rcp_kernel.commands import Command
+from rcp_kernel.errors import UnknownPath
+from rcp_kernel.model import Kind, Operation
+from rcp_kernel.registry import Entry
+from rcp_kernel.safety import check_age, check_motion
+from rcp_kernel.sessions import Answer, Session
+from rcp_kernel.values import value_type
+from rcp_kernel.wire import Reply, Request
+from rcp_kernel.writing import would
+
+if TYPE_CHECKING:
+    from rcp_kernel.gateway import Gateway
+
+__all__ = ["Executing"]
+
+_SERVICE_TIMEOUT = 10.0  # s for a service that declares none
+
+
+class _Cancel(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    command: str | None = None
+
+
+_CANCEL = value_type(_Cancel | None)
+
+
+class Executing:
+    """The handlers of both requests."""
+
+    def __init__(self, gateway: Gateway) -> None:
+        self._gateway = gateway
+
+    def execute(self, session: Session, request: Request, answer: Answer) -> Reply | None:
+        """Start a command, or follow the one that the same key started."""
+        gateway = self._gateway
+        started = perf_counter()
+        entry = gateway.resolve(session, request.path, Operation.EXECUTE)
+        value = self._input(request, entry)
+        if entry.path == "/system/estop":
+            return self._estop(session, request, answer, entry, value)
+        known = gateway.keys.find(session, request, entry.path)
+        if isinstance(known, Command):
+            self._follow(session, request, known, answer, started)
+            return None
+        check_age(entry, request)
+        check_motion(entry, entry.owner.latch)
+        if entry.owner.backend is None:
+            raise entry.owner.unavailable()
+        gateway.commands.admit(entry)
+        if request.dry_run:
+            return would(request, entry, {"execute": value})
+        command = Command(
+            id="cmd-" + secrets.token_hex(8),
+            path=entry.path,
+            principal=session.principal.name,
+            tenant=entry.tenant,
+            request_id=request.id,
+            custom=request.custom,
+            input=value,
+            session=session.id,
+            entry=entry,
+        )
+        gateway.keys.note(session, request, entry.path, command)
+        self._follow(session, request, command, answer, started)
+        gateway.commands.start(command, entry, value, self._timeout(request, entry))
+        return None
+
+    def _estop(
+        self, session: Session, request: Request, answer: Answer, entry: Entry, value: Any
+    ) -> Reply | None:
+        gateway = self._gateway
+        assert gateway.estop is not None
+        if request.dry_run:
+            return would(request, entry, {"execute": value})
+
+        def done(state: Any) -> Reply:
+            text = "E-stop latched." if state.active else "E-stop released."
+            now_ = iso(now())
+            return Reply(
+                type="execute",
+                id=request.id,
+                path=entry.path,
+                body=state,
+                message=text,
+                timestamp=now_,
+            )
+
+        work = gateway.estop(session, value or entry.input_type.convert({}))
+        gateway.later(
+            session, request, answer, work, done, entry.resource.timeout or 6.0, entry.path
+        )
+        return None
+
+    def _input(self, request: Request, entry: Entry) -> Any:
+        if entry.resource.input is None and bytes(request.body) in (b"", b"{}", b"null", b"\x80"):
+            return None
+        return request.decode_body(entry.input_type, f"input of {entry.label}")
+
+    def _timeout(self, request: Request, entry: Entry) -> float:
+        default = (
+            _SERVICE_TIMEOUT if entry.kind is Kind.SERVICE else self._gateway.limits.action_timeout
+        )
+        own = entry.resource.timeout or default
+        return min(own, request.deadline) if request.deadline is not None else own
+
+    def _follow(
+        self, session: Session, request: Request, command: Command, answer: Answer, started: float
+    ) -> None:
+        """Have the request answered by the command's replies, those of its past included."""
+        key = self._gateway.claim(session, request)
+        if not session.stateless:
+            session.commands[command.id] = command
+            if len(session.commands) > 256:
+                _forget_finished(session.commands)
+
+        def told(reply: Reply) -> None:
+            reply.id = request.id
+            if reply.final:
+                session.inflight.pop(key, None)
+                self._gateway.conclude(session, reply, started)
+            answer(reply)
+
+        if command.history and command.final:
+            told(command.reply())
+            return
+        command.followers.append(told)
+        if command.history:
+            told(command.reply())
+
+    def cancel(self, session: Session, request: Request, answer: Answer) -> Reply | None:
+        """Cancel a command by its id, or whatever runs on a path; the robot is told at once."""
+        gateway = self._gateway
+        body = request.decode_body(_CANCEL, "cancel")
+        wanted = request.command or (body.command if body is not None else None)
+        if wanted is not None:
+            found = [self.command(session, wanted)]
+        else:
+            entry = gateway.resolve(session, request.path, Operation.EXECUTE)
+            found = [c for c in gateway.commands.running.values() if c.path == entry.path]
+        entry = gateway.resolve(
+            session, found[0].path if found else request.path, Operation.EXECUTE
+        )
+        live = [command for command in found if not command.final]
+        for command in live:
+            gateway.commands.cancel(command, f"{session.principal.name} asked for it")
+        text = f"Cancel of {entry.path} sent." if live else f"Nothing is running on {entry.path}."
+        return Reply(
+            type="cancel",
+            id=request.id,
+            path=entry.path,
+            body={"cancelled": [command.id for command in live]},
+            message=text,
+            timestamp=iso(now()),
+            custom=request.custom,
+        )
+
+    def command(self, session: Session, id_: str) -> Command:
+        """Return a command that the session may see.
+
+        :raises UnknownPath: there is none, or not for this principal.
+        """
+        command = self._gateway.commands.find(id_)
+        if command is None or not session.rights.mask(command.path) & Operation.EXECUTE:
+            raise UnknownPath(f"there is no command '{id_[:64]}'", remedy="List `commands`.")
+        return command
+
+
+def _forget_finished(commands: dict[str, Command]) -> None:
+    for id_ in [id_ for id_, command in commands.items() if command.final][:128]:
+        del commands[id_]

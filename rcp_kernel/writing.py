@@ -1,0 +1,129 @@
+"""`write`: check the value, the age and the e-stop, bring it into force, arm the dead-man."""
+
+from __future__ import annotations
+
+import asyncio
+from copy import copy
+from functools import partial
+from time import perf_counter
+from typing import TYPE_CHECKING, Any
+
+from rcp_kernel.clock import iso, now
+from rcp_kernel.errors import RcpError
+from rcp_kernel.model import Operation
+from rcp_kernel.registry import Entry
+from rcp_kernel.safety import check_age, check_motion, safe_value
+from rcp_kernel.samples import Sample
+from rcp_kernel.sessions import Answer, Session
+from rcp_kernel.wire import Reply, Request
+
+if TYPE_CHECKING:
+    from rcp_kernel.gateway import Gateway
+
+__all__ = ["Writing", "would"]
+
+
+class Writing:
+    """The handler of `write`."""
+
+    def __init__(self, gateway: Gateway) -> None:
+        self._gateway = gateway
+
+    def write(self, session: Session, request: Request, answer: Answer) -> Reply | None:
+        """Start a write; a repeat under the same key waits for the first one's outcome."""
+        gateway = self._gateway
+        entry = gateway.resolve(session, request.path, Operation.WRITE)
+        value = request.decode_body(entry.value_type, entry.label)
+        first = gateway.keys.find(session, request, entry.path)
+        if first is not None:
+            self._repeat(first, request, answer)
+            return None
+        check_age(entry, request)
+        check_motion(entry, entry.owner.latch)
+        window = gateway.deadman.window(entry, request)
+        if entry.owner.backend is None:
+            raise entry.owner.unavailable()
+        if request.dry_run:
+            return would(request, entry, {"write": value, "valid_for": window})
+        noted = answer
+        if request.idempotency_key is not None:
+            noted = self._noting(session, request, entry, answer)
+        try:
+            gateway.later(
+                session,
+                request,
+                noted,
+                self._bring_into_force(entry, value, window),
+                partial(_written, request, entry),
+                gateway.deadline(request, entry),
+                entry.path,
+            )
+        except RcpError:
+            gateway.keys.forget(session, request)
+            raise
+        return None
+
+    async def _bring_into_force(self, entry: Entry, value: Any, window: float | None) -> Sample:
+        backend = entry.owner.backend
+        if backend is None:
+            raise entry.owner.unavailable()
+        deadman = self._gateway.deadman
+        started = perf_counter()
+        superseded = deadman.begin(entry) if window is not None else False
+        try:
+            actual = await backend.write(entry.name, value)
+        except BaseException:
+            if superseded:
+                deadman.arm(entry, 0)
+            raise
+        entry.owner.latency = perf_counter() - started
+        if window is not None and value != safe_value(entry):
+            deadman.arm(entry, window)
+        return entry.publish(value if actual is None else actual, None)
+
+    def _noting(self, session: Session, request: Request, entry: Entry, answer: Answer) -> Answer:
+        """Remember a write under its key from now on, so that a repeat of it runs nothing."""
+        outcome: asyncio.Future[Reply] = self._gateway.loop.create_future()
+        self._gateway.keys.note(session, request, entry.path, outcome)
+
+        def noted(reply: Reply) -> None:
+            outcome.set_result(reply)
+            answer(reply)
+
+        return noted
+
+    @staticmethod
+    def _repeat(first: asyncio.Future[Reply], request: Request, answer: Answer) -> None:
+        def again(done: asyncio.Future[Reply]) -> None:
+            reply = copy(done.result())
+            reply.id = request.id
+            reply.custom = request.custom
+            answer(reply)
+
+        first.add_done_callback(again)
+
+
+def _written(request: Request, entry: Entry, sample: Sample) -> Reply:
+    return Reply(
+        type="write",
+        id=request.id,
+        path=entry.path,
+        body=sample,
+        message=f"{entry.path} written.",
+        seq=sample.seq,
+        timestamp=iso(now()),
+    )
+
+
+def would(request: Request, entry: Entry, what: dict[str, Any]) -> Reply:
+    """Answer a dry run: everything was checked, nothing was changed."""
+    return Reply(
+        type=request.type,
+        id=request.id,
+        path=entry.path,
+        body={key: item for key, item in what.items() if item is not None},
+        message=f"Dry run: {entry.path} would accept this; nothing was changed.",
+        dry_run=True,
+        timestamp=iso(now()),
+        custom=request.custom,
+    )
