@@ -70,8 +70,8 @@ class Executing:
             session=session.id,
             entry=entry,
         )
-        gateway.keys.note(session, request, entry.path, command)
         self._follow(session, request, command, answer, started)
+        gateway.keys.note(session, request, entry.path, command)
         gateway.commands.start(command, entry, value, self._timeout(request, entry))
         return None
 
@@ -97,7 +97,14 @@ class Executing:
 
         work = gateway.estop(session, value or entry.input_type.convert({}))
         gateway.later(
-            session, request, answer, work, done, entry.resource.timeout or 6.0, entry.path
+            session,
+            request,
+            answer,
+            work,
+            done,
+            entry.resource.timeout or 6.0,
+            entry.path,
+            urgent=True,
         )
         return None
 

@@ -196,15 +196,19 @@ class Gateway:
         make: Callable[[Any], Reply],
         timeout: float,
         path: str | None,
+        *,
+        urgent: bool = False,
     ) -> None:
         """Answer a request when `work` is done, or its deadline passes.
+
+        An urgent one (the e-stop) is past every limit.
 
         :raises DuplicateRequest: the request's id is in flight in this session.
         :raises QueueFull: too many requests are in flight.
         """
         started = perf_counter()
         try:
-            key = self.claim(session, request)
+            key = f"\0{secrets.token_hex(8)}" if urgent else self.claim(session, request)
         except RcpError:
             work.close()
             raise
