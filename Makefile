@@ -1,0 +1,78 @@
+# `make demo` and `make test` are all it takes: they make .venv by themselves, once.
+
+PYTHON ?=
+PORT ?= 8080
+ARGS ?=
+
+BIN := .venv/bin
+MADE := .venv/.made
+DEMO := .venv/.demo
+TEST := .venv/.test
+PIP := $(BIN)/python -m pip install -qq --disable-pip-version-check
+NEEDS := pyproject.toml constraints.txt
+
+.PHONY: help demo test lint format bench constraints clean
+
+help:
+	@echo "make demo [PORT=8080]   serve two simulated robots and say where to look"
+	@echo "make test [ARGS=...]    run the tests; ARGS goes to pytest"
+	@echo "make lint               ruff, pyright, import-linter"
+	@echo "make format             have ruff lay the code out"
+	@echo "make bench              measure; prints tables"
+	@echo "make constraints        write constraints.txt from what is installed"
+	@echo "make clean              remove .venv and what tools left behind"
+
+demo: $(DEMO)
+	@exec $(BIN)/rcpd demo --port $(PORT)
+
+test: $(TEST)
+	$(BIN)/python -m pytest $(ARGS)
+
+lint: $(TEST)
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/lint-imports
+	$(BIN)/pyright
+
+format: $(TEST)
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+
+bench: $(TEST)
+	$(BIN)/python -m benchmarks $(ARGS)
+
+constraints: $(TEST)
+	$(BIN)/python .ci/constraints.py
+
+clean:
+	rm -rf .venv .pytest_cache .ruff_cache .hypothesis .import_linter_cache build dist
+
+$(MADE):
+	@found=; \
+	for python in $(PYTHON) python3 python3.14 python3.13 python3.12 python3.11 python; do \
+		if $$python -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null; \
+		then found=$$python; break; fi; \
+	done; \
+	if [ -z "$$found" ]; then \
+		echo "This needs Python 3.11 or newer; python3 here is" \
+			"$$(python3 --version 2>/dev/null || echo 'not installed')." >&2; \
+		echo "Install one and name it: make PYTHON=/path/to/python3.11 <target>" >&2; \
+		exit 1; \
+	fi; \
+	echo "Making .venv with $$($$found --version)"; \
+	$$found -m venv .venv || { \
+		echo "Python's venv module does not work here; on Debian: apt install python3-venv" >&2; \
+		exit 1; }
+	@$(BIN)/python -m pip --version >/dev/null 2>&1 || $(BIN)/python -m ensurepip >/dev/null
+	@touch $@
+
+# What was installed for the tests serves the demo too.
+$(DEMO): $(NEEDS) | $(MADE)
+	@echo "Installing what the demo needs"
+	@$(PIP) -c constraints.txt -e .
+	@touch $@
+
+$(TEST): $(NEEDS) | $(MADE)
+	@echo "Installing what the tests need (some hundred MB, once)"
+	@$(PIP) -c constraints.txt -e '.[test]'
+	@touch $(DEMO) $@
