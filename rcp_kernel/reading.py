@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 
 from rcp_kernel.clock import iso, now
-from rcp_kernel.errors import FilterUnsupported
+from rcp_kernel.errors import AdapterUnavailable, FilterUnsupported, UnsupportedOperation
 from rcp_kernel.model import Operation, Pattern
 from rcp_kernel.pending import crash
 from rcp_kernel.registry import Entry
 from rcp_kernel.samples import Sample, project
 from rcp_kernel.sessions import Answer, Session
-from rcp_kernel.spi import BaseBackend
+from rcp_kernel.spi import Backend, BaseBackend
 from rcp_kernel.values import to_plain, value_type
 from rcp_kernel.wire import Reply, Request, error_body
 
@@ -75,11 +75,11 @@ class Reading:
         backend = entry.owner.backend
         if backend is None:
             raise entry.owner.unavailable()
-        watches = type(backend).watch is not BaseBackend.watch  # pyright: ignore[reportAttributeAccessIssue,reportUnknownMemberType]
-        if type(backend).read is BaseBackend.read and watches:
-            return await _first(entry)
         started = perf_counter()
-        value = await backend.read(entry.name)
+        try:
+            value = await backend.read(entry.name)
+        except UnsupportedOperation:
+            return await _first(entry, backend)
         entry.owner.latency = perf_counter() - started
         return entry.publish(value, None)
 
@@ -189,10 +189,15 @@ class _Waiter:
             self.arrived.set_result(sample)
 
 
-async def _first(entry: Entry) -> Sample:
-    backend = entry.owner.backend
-    if backend is None:
-        raise entry.owner.unavailable()
+async def _first(entry: Entry, backend: Backend) -> Sample:
+    """Watch until the first sample comes; what is published unasked has to have come already."""
+    if type(backend).watch is BaseBackend.watch:
+        raise AdapterUnavailable(
+            f"no value of {entry.path} has arrived yet",
+            path=entry.path,
+            origin=entry.owner.name,
+            remedy="Wait for the robot to send it, or subscribe to it.",
+        )
     waiter = _Waiter()
     entry.listeners.append(waiter)
     try:

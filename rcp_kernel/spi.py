@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 import msgspec
 
-from rcp_kernel.errors import AdapterUnavailable, UnsupportedOperation
+from rcp_kernel.errors import UnsupportedOperation
 from rcp_kernel.model import Resource
 
 if TYPE_CHECKING:
@@ -117,6 +117,8 @@ class Backend(Protocol):
 
         :raises AdapterUnavailable: the link is down.
         :raises DeviceTimeout: the robot did not answer.
+        :raises UnsupportedOperation: the value cannot be asked for, only watched; the kernel then
+            watches until the first one comes.
         """
         ...
 
@@ -157,11 +159,8 @@ class BaseBackend:
     """A backend that refuses everything: a subclass writes only what its robot has."""
 
     async def read(self, name: str) -> Any:
-        """Refuse: there is nothing but what was published."""
-        raise AdapterUnavailable(
-            f"no value of '{name}' has arrived yet",
-            remedy="Wait for the robot to send it, or subscribe to it.",
-        )
+        """Refuse: there is nothing but what is published."""
+        raise UnsupportedOperation(f"'{name}' cannot be asked for")
 
     async def write(self, name: str, value: Any) -> Any:
         """Refuse."""
