@@ -1,0 +1,114 @@
+"""Every key of the configuration is told with its default, and no other; every example decodes."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from typing import Any
+
+import msgspec
+import pytest
+
+from docs.pages import DOCS, ROOT, keys, rows, section
+from rcp_kernel.acl import Role, Rule
+from rcp_kernel.config import (
+    Anonymous,
+    BackendConfig,
+    GatewayConfig,
+    KeyConfig,
+    Limits,
+    LogConfig,
+    StoreConfig,
+    TenantConfig,
+    parse,
+)
+from rcp_kernel.plugins import Plugins
+
+PAGE = DOCS / "configuration.md"
+_NEEDED = object()
+_TABLES = [
+    ("Top level", GatewayConfig),
+    ("`[tenants.<name>]`", TenantConfig),
+    ("`[[backends]]`", BackendConfig),
+    ("`[[keys]]`", KeyConfig),
+    ("`[anonymous]`", Anonymous),
+    ("`[limits]`", Limits),
+    ("`[log]`", LogConfig),
+    ("`[store]`", StoreConfig),
+]
+
+
+def defaults(type_: Any) -> dict[str, Any]:
+    """Return each key with its default as plain data."""
+    found: dict[str, Any] = {}
+    for field in msgspec.structs.fields(type_):
+        value: Any = _NEEDED
+        if field.default is not msgspec.NODEFAULT:
+            value = msgspec.to_builtins(field.default)
+        elif field.default_factory is not msgspec.NODEFAULT:
+            value = msgspec.to_builtins(field.default_factory())
+        found[field.encode_name] = list(value) if isinstance(value, tuple) else value
+    return found
+
+
+def told(text: str) -> dict[str, Any]:
+    """Return each key of a table with the default that it gives, as far as it is a literal."""
+    found: dict[str, Any] = {}
+    for key, default, *_ in rows(text):
+        code = re.fullmatch(r"`(.+)`", default)
+        words = {"none": None, "*needed*": _NEEDED}
+        value = tomllib.loads(f"x = {code[1]}")["x"] if code else words.get(default, ...)
+        found[key.strip("`")] = value
+    return found
+
+
+def agree(text: str, type_: Any) -> None:
+    """Compare a table with a type; a default in words (or none) is taken as it is."""
+    real = {key: value for key, value in defaults(type_).items() if key != "options"}
+    page = told(text)
+    assert page.keys() == real.keys()
+    assert {k: v for k, v in page.items() if v is not ...} == {
+        k: v for k, v in real.items() if page[k] is not ...
+    }
+
+
+@pytest.mark.parametrize(("heading", "type_"), _TABLES, ids=str)
+def test_a_table_of_the_kernel_is_told(heading: str, type_: Any) -> None:
+    agree(section(PAGE, heading), type_)
+
+
+def test_a_role_and_its_rules_are_told() -> None:
+    role, rule = section(PAGE, "`[roles.<name>]`").split("A rule has")
+    agree(role, Role)
+    agree(rule, Rule)
+
+
+def house() -> Plugins:
+    """Load every transport and backend of the house."""
+    text = "".join(
+        f'[[backends]]\nuse = "{name}"\ntenant = "t"\nname = "{name}"\n' for name in ("sim", "ros2")
+    )
+    return Plugins(parse(text, "test"))
+
+
+def test_every_transport_of_the_house_is_told() -> None:
+    text = PAGE.read_text(encoding="utf-8")
+    for name, kind in house().transports.items():
+        if defaults(kind.config):
+            agree(section(PAGE, f"`[transports.{name}]`"), kind.config)
+        else:
+            assert f"`[transports.{name}]`" not in text
+
+
+def test_every_backend_of_the_house_tells_its_keys() -> None:
+    for name, kind in house().backends.items():
+        readme = ROOT / "backends" / f"rcp_{name}" / "README.md"
+        assert set(keys(section(readme, "Configuration"))) == set(defaults(kind.config))
+
+
+@pytest.mark.parametrize(
+    "block",
+    re.findall(r"^```toml\n(.*?)^```", PAGE.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL),
+)
+def test_a_block_of_the_page_is_a_configuration(block: str) -> None:
+    parse(block, "configuration.md")

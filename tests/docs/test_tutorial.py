@@ -1,0 +1,75 @@
+"""The backend of the tutorial runs as it is printed."""
+
+from __future__ import annotations
+
+import re
+import sys
+from types import ModuleType, SimpleNamespace
+from typing import Any
+
+import msgspec
+import pytest
+
+from docs.pages import DOCS, keys, section
+from rcp_kernel.batching import plain_request
+from rcp_kernel.config import parse
+from rcp_kernel.model import Resource
+from rcp_kernel.server import Prepared, running
+from rcp_kernel.wire import Reply
+
+PAGE = (DOCS / "write-a-backend.md").read_text(encoding="utf-8")
+
+
+@pytest.fixture
+def anyio_backend() -> str:
+    """Run on asyncio: the kernel's event loop."""
+    return "asyncio"
+
+
+@pytest.fixture
+def turntable(monkeypatch: pytest.MonkeyPatch) -> Any:
+    """The tutorial's module."""
+    (code,) = re.findall(r"^```python\n(.*?)^```", PAGE, re.MULTILINE | re.DOTALL)
+    module = ModuleType("rcp_turntable")
+    monkeypatch.setitem(sys.modules, "rcp_turntable", module)
+    exec(compile(code, "write-a-backend.md", "exec"), vars(module))
+    return module
+
+
+async def test_the_turntable_of_the_page_turns(turntable: Any) -> None:
+    (kind,) = turntable.rcp_backends()
+    config = parse(
+        '[[backends]]\nuse = "turntable"\ntenant = "lab"\n'
+        '[[keys]]\nname = "me"\nrole = "operator"\nkey = "a-key-for-this-test"\n',
+        "test",
+    )
+    plugins: Any = SimpleNamespace(
+        backends={"turntable": kind},
+        adapters={},
+        transports={},
+        missing=[],
+        interceptors=[],
+        authenticator=None,
+        is_missing=lambda _group, _name: None,
+    )
+    prepared = Prepared(config, plugins, (turntable.TurntableConfig(speed=2.0),), {}, {})
+    async with running(prepared) as server:
+        door = server.door
+        session = door.session(door.authenticate("a-key-for-this-test"))
+
+        async def turn_to(angle: float) -> Reply:
+            body = {"angle": angle}
+            request = {"type": "execute", "path": "/action/turn_to", "body": body}
+            return await door.ask(session, plain_request(request))
+
+        done = await turn_to(0.2)
+        assert (done.status, done.body) == ("completed", pytest.approx(0.2))
+        refused = await turn_to(9.0)
+        assert (refused.error or {})["code"] == "out_of_range"
+
+
+def test_the_table_of_resources_has_fields_that_there_are() -> None:
+    told = set(keys(section(DOCS / "write-a-backend.md", "What each part owes")))
+    real = {field.name for field in msgspec.structs.fields(Resource)}
+    elsewhere = {"name", "description", "value", "input", "output", "feedback", "examples"}
+    assert told == real - elsewhere
