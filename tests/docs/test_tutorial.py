@@ -21,12 +21,6 @@ PAGE = (DOCS / "write-a-backend.md").read_text(encoding="utf-8")
 
 
 @pytest.fixture
-def anyio_backend() -> str:
-    """Run on asyncio: the kernel's event loop."""
-    return "asyncio"
-
-
-@pytest.fixture
 def turntable(monkeypatch: pytest.MonkeyPatch) -> Any:
     """The tutorial's module."""
     (code,) = re.findall(r"^```python\n(.*?)^```", PAGE, re.MULTILINE | re.DOTALL)

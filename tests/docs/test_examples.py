@@ -1,0 +1,72 @@
+"""Every example configuration is good, and every example program does what it says."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from docs.demo import BIN, Demo
+from docs.pages import ROOT
+
+EXAMPLES = ROOT / "examples"
+KEYS = {
+    "OPERATOR_KEY": "operator-0123456789",
+    "FLEET_KEY": "fleet-0123456789",
+    "SUPPORT_KEY_SHA256": hashlib.sha256(b"support-0123456789").hexdigest(),
+}
+
+
+def run(command: list[str], environment: dict[str, str] | None = None) -> str:
+    done = subprocess.run(
+        command, capture_output=True, check=False, text=True, timeout=60, cwd=ROOT, env=environment
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
+
+
+def example(name: str, *options: str, live: Demo) -> list[str]:
+    path = EXAMPLES / f"{name}.py"
+    out = run([sys.executable, str(path), "--url", live.url, *options], live.environment)
+    return out.splitlines()
+
+
+@pytest.mark.parametrize("path", sorted(EXAMPLES.glob("*.toml")), ids=lambda path: path.stem)
+def test_an_example_configuration_is_good(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    if path.stem == "ros2":
+        pytest.importorskip("rclpy")
+    for name, value in KEYS.items():
+        monkeypatch.setenv(name, value)
+    assert ": good" in run([str(BIN / "rcpd"), "check", str(path)])
+
+
+def test_every_program_is_proved() -> None:
+    text = Path(__file__).read_text(encoding="utf-8")
+    for path in EXAMPLES.glob("*.py"):
+        assert f'example("{path.stem}"' in text
+
+
+def test_poses_are_streamed_with_the_standard_library(live: Demo) -> None:
+    lines = example("stream_pose", "--rate", "10", "--count", "3", live=live)
+    assert len(lines) == 3
+    assert all(re.fullmatch(r"\S+Z  x +-?[\d.]+ m  y +-?[\d.]+ m", line) for line in lines)
+
+
+def test_poses_of_every_tenant_are_watched(live: Demo) -> None:
+    lines = example("watch_pose", "--rate", "10", "--count", "6", live=live)
+    assert len(lines) == 6
+    assert {line.split()[0] for line in lines} == {
+        "/tenant/alpha/sensor/pose",
+        "/tenant/beta/sensor/pose",
+    }
+
+
+def test_a_stick_that_is_let_go_stops_the_robot(live: Demo) -> None:
+    lines = example("drive", "--seconds", "1", "--tenant", "beta", live=live)
+    speeds = [float(line.split()[0]) for line in lines if line.endswith("m/s")]
+    assert speeds[0] > 0.1
+    assert abs(speeds[-1]) < 0.05
