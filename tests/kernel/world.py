@@ -14,6 +14,7 @@ import msgspec
 from rcp_kernel.config import GatewayConfig, parse
 from rcp_kernel.door import Door
 from rcp_kernel.errors import DeviceRejected
+from rcp_kernel.log import configure
 from rcp_kernel.model import Resource
 from rcp_kernel.server import Prepared, Server, running
 from rcp_kernel.spi import BackendKind, BaseBackend, Host, Progress
@@ -246,5 +247,6 @@ def prepared(config: GatewayConfig, robots: list[Robot]) -> Prepared:
 async def world_of(text: str = CONFIG) -> AsyncGenerator[World]:
     """Run a gateway of a configuration around the robot."""
     robots: list[Robot] = []
-    async with running(prepared(parse(text, "test"), robots)) as server:
+    recent = configure("warning", "json")
+    async with running(prepared(parse(text, "test"), robots), recent) as server:
         yield World(server, robots)

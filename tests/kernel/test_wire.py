@@ -1,0 +1,111 @@
+"""Envelopes: what is no request is refused in words, with the id that could be read."""
+
+from __future__ import annotations
+
+import cbor2
+import msgspec
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rcp_kernel.clock import iso, parse_time
+from rcp_kernel.errors import BY_CODE, BadRequest, RcpError, VersionUnsupported
+from rcp_kernel.values import Encoding, parse
+from rcp_kernel.wire import Reply, decode_request, encode_reply, failure, salvage
+
+ENCODE = {
+    Encoding.JSON: msgspec.json.encode,
+    Encoding.MSGPACK: msgspec.msgpack.encode,
+    Encoding.CBOR: cbor2.dumps,
+}
+
+
+@pytest.mark.parametrize("encoding", list(Encoding))
+def test_a_request_reads_the_same_in_every_encoding(encoding: Encoding) -> None:
+    envelope = {"type": "write", "path": "/param/x", "id": "c", "body": [1, 2.5], "x-trace": "t"}
+    request = decode_request(ENCODE[encoding](envelope), encoding)
+    assert (request.type, request.path, request.id) == ("write", "/param/x", "c")
+    assert request.custom == {"x-trace": "t"}
+    assert parse(request.body, request.encoding) == [1, 2.5]
+
+
+@pytest.mark.parametrize("encoding", list(Encoding))
+def test_a_reply_repeats_custom_fields_and_reads_the_same(encoding: Encoding) -> None:
+    reply = Reply(type="read", id="c", path="/p", body={"x": 1.5}, seq=3, custom={"x-trace": "t"})
+    assert parse(encode_reply(reply, encoding), encoding) == {
+        "type": "read", "id": "c", "path": "/p", "status": "completed", "body": {"x": 1.5},
+        "seq": 3, "x-trace": "t",
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("text", "part"),
+    [
+        (b"", "empty"),
+        (b"[]", "Expected `object`"),
+        (b'{"type": "fly"}', "`type` must be one of read, write"),
+        (b'{"type": "read", "paht": "/x"}', "unknown field 'paht'"),
+        (b'{"type": "read", "id": 7}', "$.id"),
+        (b'{"type": "read", "id": ""}', "$.id"),
+        (b'{"type": "read", "deadline": 0}', "$.deadline"),
+        (b'{"type": "read", "timestamp": "noon"}', "'noon' is not a time"),
+        (b'{"type": "read", "x-": 1}', "unknown field 'x-'"),
+        (b'{"type": "write", "body": NaN}', "malformed"),
+    ],
+)
+def test_what_is_no_request_is_refused_in_words(text: bytes, part: str) -> None:
+    with pytest.raises(BadRequest) as caught:
+        decode_request(text, Encoding.JSON)
+    assert part in caught.value.message
+
+
+def test_an_unknown_version_is_answered_with_those_that_are_known() -> None:
+    with pytest.raises(VersionUnsupported) as caught:
+        decode_request(b'{"type":"ping","version":"2"}', Encoding.JSON)
+    assert caught.value.details == {"supported": ["1"]}
+
+
+@pytest.mark.parametrize(
+    "text",
+    [b'{"type":"write","id":"c-7","body":NaN}', b'{"id":"c-7","type":"write","body":"\xff"}'],
+)
+def test_the_id_of_a_broken_message_is_found_where_it_can_be(text: bytes) -> None:
+    assert salvage(text, Encoding.JSON)[1] == "c-7"
+
+
+@given(st.binary(max_size=200), st.sampled_from(list(Encoding)))
+def test_random_bytes_are_a_request_or_a_typed_refusal(data: bytes, encoding: Encoding) -> None:
+    try:
+        decode_request(data, encoding)
+    except RcpError as error:
+        type_, id_ = salvage(data, encoding)
+        encode_reply(failure(error, type_, id_), encoding)
+
+
+def test_every_code_has_an_http_status_a_remedy_and_a_final_status() -> None:
+    for code, error in BY_CODE.items():
+        reply = failure(error("why"), "read")
+        assert reply.final
+        assert reply.error is not None
+        assert reply.error["code"] == code
+        assert reply.error["remedy"]
+        assert 400 <= error.http < 600
+
+
+@given(st.integers(0, 2**62))
+def test_a_time_written_is_the_time_read(ns: int) -> None:
+    assert parse_time(iso(ns)) == ns
+
+
+@pytest.mark.parametrize(
+    ("text", "ns"),
+    [
+        ("2026-05-29T14:12:04Z", 1_780_063_924_000_000_000),
+        ("2026-05-29T14:12:04.5Z", 1_780_063_924_500_000_000),
+        ("2026-05-29T16:12:04+02:00", 1_780_063_924_000_000_000),
+        (1_780_063_924, 1_780_063_924_000_000_000),
+        (1.5, 1_500_000_000),
+    ],
+)
+def test_a_time_is_iso_or_seconds(text: str | float, ns: int) -> None:
+    assert parse_time(text) == ns
