@@ -1,0 +1,451 @@
+"""A session with a gateway over however many connections it takes.
+
+A lost connection is opened again with growing pauses; `hello` takes the session back, the gateway
+replays what was missed, and requests without an answer are asked again where that is harmless.
+What happens to each of them is decided in `_restore`.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import itertools
+import logging
+import random
+import secrets
+import time
+from collections.abc import Callable, Coroutine
+from dataclasses import dataclass
+from ssl import SSLContext
+from typing import TYPE_CHECKING, Any
+
+from rcp_client.address import Address
+from rcp_client.calls import Call, Calls, Repeat
+from rcp_client.errors import ConnectionLost, error_of
+from rcp_client.link import Link
+from rcp_client.messages import Codec, Message, Notice, Reply
+from rcp_kernel.clock import iso, now, parse_time
+from rcp_kernel.errors import (
+    DeadlineExceeded,
+    Gap,
+    RcpError,
+    TokenExpired,
+    Unauthenticated,
+)
+from rcp_kernel.values import Encoding
+
+if TYPE_CHECKING:
+    from rcp_client.subscription import Subscription
+
+__all__ = ["Channel", "Settings"]
+
+log = logging.getLogger("rcp.client")
+_SEGMENT = 256 * 1024  # bytes of one frame: a pose waits at most that long behind a map
+_MARGIN = 2.0  # s that the gateway's own answer is given beyond the deadline
+
+
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """How a client connects and how patient it is."""
+
+    address: Address
+    token: str | None = None
+    tenant: str | None = None
+    encoding: Encoding = Encoding.MSGPACK
+    deadline: float = 10.0
+    """Seconds for a request that names no deadline."""
+    connect_timeout: float = 5.0
+    """Seconds for one attempt."""
+    patience: float | None = 120.0
+    """Seconds to try to come back; None never gives up."""
+    first_pause: float = 0.1
+    """Seconds before the second attempt to come back; doubles up to `longest_pause`."""
+    longest_pause: float = 5.0
+    heartbeat: float = 5.0
+    """Seconds of silence before a ping, and again before the connection counts as dead."""
+    client: str = "rcp-client/python"
+    ssl: SSLContext | None = None
+    on_notice: Callable[[Notice], None] | None = None
+
+
+class Channel:
+    """Requests out, replies and updates in."""
+
+    def __init__(self, settings: Settings) -> None:
+        self.settings = settings
+        self.calls = Calls()
+        self.subscriptions: dict[str, Subscription] = {}
+        self.session: str | None = None
+        self.greeting: dict[str, Any] = {}
+        """What the gateway answered to the last `hello`."""
+        self._codec = Codec(settings.encoding)
+        self._prefix = secrets.token_hex(4)
+        self._numbers = itertools.count(1)
+        self._resume_token: str | None = None
+        self._link: Link | None = None
+        self._greeted = False
+        self._lost = asyncio.Event()
+        self._keeper: asyncio.Task[None] | None = None
+        self._over: RcpError | None = None
+        self._began: int | None = None
+        """Time of the first greeting, ns, by the gateway's clock."""
+        self._doubt = False
+        """A new session was begun, and it is not yet settled what that means for what waits."""
+        self._offset = 0
+        """Gateway's clock less ours, ns."""
+
+    @property
+    def connected(self) -> bool:
+        """Whether there is a connection that has been greeted."""
+        return self._greeted and self._link is not None and not self._link.closed
+
+    def new_id(self) -> str:
+        """Make an id that no other client uses."""
+        return f"{self._prefix}-{next(self._numbers)}"
+
+    # -- life ----------------------------------------------------------------------------------
+
+    async def open(self) -> None:
+        """Connect for the first time.
+
+        :raises ConnectionLost: the gateway cannot be reached.
+        :raises Unauthenticated, Forbidden: it does not let this client in.
+        """
+        await self._dial()
+        self._keeper = asyncio.create_task(self._keep(), name="rcp client")
+
+    async def close(self) -> None:
+        """Say goodbye; whatever waits ends with `ConnectionLost`."""
+        self._over = self._over or ConnectionLost("the client was closed")
+        if self._keeper is not None:
+            self._keeper.cancel()
+            await asyncio.gather(self._keeper, return_exceptions=True)
+        link, self._link = self._link, None
+        if link is not None:
+            link.close()
+        self._end(self._over)
+
+    def _end(self, error: RcpError) -> None:
+        self._over = error
+        self.calls.fail(lambda call: _told(error, call))
+        for subscription in list(self.subscriptions.values()):
+            subscription.fail(error)
+
+    async def _dial(self) -> bool:
+        """Connect and say hello; return whether the session was taken back."""
+        settings = self.settings
+        self._lost.clear()
+        self._greeted = False
+        self._link = link = await Link.open(
+            settings.address,
+            self._codec,
+            settings.token,
+            self._received,
+            self._on_lost,
+            timeout=settings.connect_timeout,
+            heartbeat=settings.heartbeat,
+            ssl=settings.ssl,
+        )
+        try:
+            if link.closed:  # before it was known which one it is
+                raise ConnectionLost(link.why)
+            resumed = await self._greet(link)
+        except BaseException:
+            link.close()
+            raise
+        self._greeted = True
+        return resumed
+
+    async def _greet(self, link: Link) -> bool:
+        if self.session is not None:
+            try:
+                await self._hello(link, session=self.session)
+            except (Gap, Unauthenticated) as error:
+                if isinstance(error, TokenExpired):
+                    raise
+                await self._hello(link)  # the session is gone: begin a new one
+                return False
+            return True
+        await self._hello(link)
+        return False
+
+    async def _hello(self, link: Link, session: str | None = None) -> None:
+        settings = self.settings
+        body: dict[str, Any] = {"client": settings.client, "segment_size": _SEGMENT}
+        if settings.tenant is not None:
+            body["tenant"] = settings.tenant
+        if session is not None:
+            body |= {"session": session, "resume_token": self._resume_token}
+            body["resume_from"] = self._seen()
+        before = now()
+        reply = await self._first(link, {"type": "hello", "body": body})
+        facts: dict[str, Any] = reply.body or {}
+        self.greeting = facts
+        self.session = facts.get("session")
+        self._resume_token = facts.get("resume_token")
+        limits = facts.get("limits") or {}
+        link.segment_size = limits.get("segment_size") or facts.get("segment_size")
+        if reply.timestamp is not None:
+            there = parse_time(reply.timestamp)
+            self._offset = there - (before + now()) // 2
+            self._began = self._began or there
+
+    async def _first(self, link: Link, envelope: dict[str, Any]) -> Reply:
+        """Ask on a link that is not in general use yet."""
+        call = Call(envelope, "never")
+        self.calls.enter(call)
+        self._go(call, link)
+        try:
+            async with asyncio.timeout(self.settings.connect_timeout):
+                outcome = await call.end
+        except TimeoutError:
+            raise ConnectionLost(f"{self.settings.address.url} does not answer hello") from None
+        finally:
+            self.calls.leave(call)
+        return _outcome(outcome)
+
+    def _seen(self) -> dict[str, int]:
+        """Return the last number seen of each path, the lowest where several subscriptions have it."""
+        seen: dict[str, int] = {}
+        for subscription in self.subscriptions.values():
+            for path, seq in subscription.seen.items():
+                seen[path] = min(seq, seen.get(path, seq))
+        return seen
+
+    async def _keep(self) -> None:
+        try:
+            while True:
+                await self._lost.wait()
+                link = self._link
+                self.tell(Notice(code="disconnected", message=link.why if link else None))
+                resumed = await self._return()
+                self._doubt = self._doubt or not resumed
+                self.tell(Notice(code="reconnected", facts={"resumed": resumed}))
+                await self._unless_lost(self._restore())
+        except RcpError as error:
+            self._end(error)
+        except Exception as error:
+            log.exception("the client failed")
+            self._end(ConnectionLost(f"the client failed: {error!r}"))
+
+    async def _unless_lost(self, work: Coroutine[Any, Any, None]) -> None:
+        """Do something with the connection, and leave it when the connection is lost again."""
+        doing = asyncio.ensure_future(work)
+        lost = asyncio.ensure_future(self._lost.wait())
+        try:
+            await asyncio.wait((doing, lost), return_when=asyncio.FIRST_COMPLETED)
+        finally:
+            lost.cancel()
+            doing.cancel()
+        if doing.done():
+            doing.result()
+
+    async def _return(self) -> bool:
+        """Try to come back until it works or patience ends."""
+        settings = self.settings
+        began, pause = time.monotonic(), settings.first_pause
+        while True:
+            try:
+                return await self._dial()
+            except ConnectionLost as error:
+                away = time.monotonic() - began
+                if settings.patience is not None and away + pause > settings.patience:
+                    raise ConnectionLost(
+                        f"the gateway has been out of reach for {away:.0f} s: {error.message}"
+                    ) from error
+            await asyncio.sleep(pause * random.uniform(0.5, 1.0))  # noqa: S311 - spreads clients
+            pause = min(pause * 2, settings.longest_pause)
+
+    # -- out -----------------------------------------------------------------------------------
+
+    def start(self, envelope: dict[str, Any], repeat: Repeat, *, id_: str | None = None) -> Call:
+        """Begin a request; it waits for the connection if there is none now.
+
+        :raises RcpError: the client is closed, or the envelope cannot be encoded.
+        """
+        if self._over is not None:
+            raise self._over
+        call = Call(envelope, repeat, id_)
+        self.calls.enter(call)
+        if self.connected:
+            try:
+                self._go(call, self._link)
+            except BaseException:
+                self.calls.leave(call)
+                raise
+        return call
+
+    async def ask(self, envelope: dict[str, Any], repeat: Repeat = "always") -> Reply:
+        """Send a request and return its final reply, within its deadline.
+
+        :raises RcpError: it failed, was refused or cancelled, or no answer came.
+        """
+        deadline = envelope.setdefault("deadline", self.settings.deadline)
+        call = self.start(envelope, repeat)
+        return await self.finish(call, deadline + _MARGIN)
+
+    async def finish(self, call: Call, limit: float | None) -> Reply:
+        """Wait for a call's end.
+
+        :raises RcpError: it failed, was refused or cancelled, or `limit` seconds have passed.
+        """
+        try:
+            async with asyncio.timeout(limit):
+                outcome = await asyncio.shield(call.end)
+        except TimeoutError:
+            raise self.late(call, limit or 0) from None
+        finally:
+            self.calls.leave(call)
+        return _outcome(outcome)
+
+    def late(self, call: Call, limit: float) -> RcpError:
+        """Say why a call had no answer in time."""
+        path = call.envelope.get("path")
+        if not self.connected:
+            return ConnectionLost(
+                f"no connection to {self.settings.address.url} within {limit:g} s", path=path
+            )
+        return DeadlineExceeded(f"the gateway did not answer within {limit:g} s", path=path)
+
+    def _go(self, call: Call, link: Link | None, **facts: Any) -> None:
+        """Send a call under an id of its own."""
+        id_ = call.fixed or self.new_id()
+        self.calls.name(call, id_)
+        call.sent = call.sent or now()
+        call.link = link
+        if link is not None:
+            link.send({**call.envelope, "id": id_, **facts})
+
+    def post(self, envelope: dict[str, Any]) -> None:
+        """Send a request whose answer nobody waits for; nothing happens without a connection."""
+        if self.connected and self._link is not None:
+            self._link.send({**envelope, "id": self.new_id()})
+
+    # -- in ------------------------------------------------------------------------------------
+
+    def _received(self, message: Message, data: bytes) -> None:
+        if message.type == "update":
+            subscription = self.subscriptions.get(message.id or "")
+            if subscription is not None:
+                subscription.take(message)
+        elif message.type == "notice":
+            self.tell(self._codec.notice(data))
+        elif not self.calls.take(message) and message.id is None:
+            error = error_of(message)
+            if isinstance(error, Unauthenticated):
+                self._end(error)
+            elif error is not None:
+                self.tell(Notice(code=error.code, message=error.message, path=message.path))
+
+    def tell(self, notice: Notice) -> None:
+        """Pass a notice on to whom it concerns."""
+        for id_, subscription in list(self.subscriptions.items()):
+            if notice.id in (None, id_):
+                subscription.note(notice)
+        if self.settings.on_notice is not None:
+            self.settings.on_notice(notice)
+
+    def _on_lost(self, link: Link) -> None:
+        if link is self._link:
+            self._greeted = False
+            for call in self.calls.every():
+                if call.envelope["type"] == "hello":
+                    call.fail(ConnectionLost(link.why))
+            self._lost.set()
+
+    # -- after a cut ---------------------------------------------------------------------------
+
+    async def _restore(self) -> None:
+        """Bring calls and subscriptions over to the new connection.
+
+        A session taken back means that the gateway still knows every key, so that what is sent
+        again runs once. A new session on the same gateway does too; one that was restarted since
+        does not, and then a command's fate is looked up, never tried again.
+        """
+        anew = self._doubt
+        restarted = anew and await self._restarted()
+        calls = [call for call in self.calls.every() if call.link is not self._link]
+        for subscription in list(self.subscriptions.values()):
+            subscription.restore(anew=anew, restarted=restarted)
+        lost: list[Call] = []
+        for call in calls:
+            if call.sent is None or call.repeat == "always":
+                self._go(call, self._link)
+            elif call.repeat == "keyed" and not restarted:
+                self._again(call)
+            else:
+                lost.append(call)
+        if lost:
+            await self._look_up(lost)
+        self._doubt = False
+
+    def _again(self, call: Call) -> None:
+        facts: dict[str, Any] = {}
+        if (deadline := call.envelope.get("deadline")) is not None:
+            facts["deadline"] = max(0.1, deadline - (time.monotonic() - call.started))
+        if call.envelope["type"] != "batch" and "timestamp" not in call.envelope:
+            # By the gateway's clock, so that a command that never arrived is not run too late.
+            facts["timestamp"] = iso((call.sent or now()) + self._offset)
+        self._go(call, self._link, **facts)
+
+    async def _restarted(self) -> bool:
+        """Tell whether the gateway was started after this client first met it, or may have been."""
+        envelope: dict[str, Any] = {
+            "type": "read",
+            "path": "/system/status",
+            "body": {"fields": ["started"]},
+        }
+        try:
+            reply = await self.ask(envelope)
+            started = parse_time(reply.body["started"])
+        except ConnectionLost:
+            return True
+        except (RcpError, KeyError, TypeError):
+            return True
+        return self._began is None or started > self._began
+
+    async def _look_up(self, lost: list[Call]) -> None:
+        """Find out what became of commands on a gateway that was started anew meanwhile."""
+        known: dict[str, dict[str, Any]] = {}
+        try:
+            reply = await self.ask({"type": "read", "path": "/system/commands"})
+            for item in reply.body:
+                known[item["command"]] = item
+                known.setdefault(item.get("id", ""), item)
+        except (RcpError, KeyError, TypeError):
+            pass
+        for call in lost:
+            found = next((known[k] for k in (call.command, *call.ids) if k in known), None)
+            if found is not None:
+                call.take(_reply_of(found))
+            if not call.end.done():
+                call.fail(
+                    ConnectionLost(
+                        "the gateway was started anew before it answered; whether this was carried "
+                        "out is not known",
+                        path=call.envelope.get("path"),
+                        remedy="Look at the state of the robot before you send it again.",
+                    )
+                )
+            self.calls.leave(call)
+
+
+def _told(error: RcpError, call: Call) -> RcpError:
+    """Make a copy of an error for one call, so that each names its own path."""
+    made = type(error)(error.message, path=call.envelope.get("path"), remedy=error.remedy)
+    made.__cause__ = error
+    return made
+
+
+def _outcome(outcome: Reply | RcpError) -> Reply:
+    if isinstance(outcome, RcpError):
+        raise outcome
+    if (error := error_of(outcome)) is not None:
+        raise error
+    return outcome
+
+
+def _reply_of(command: dict[str, Any]) -> Reply:
+    """Read a command's state in `/system/commands` as the reply that was missed."""
+    names = ("path", "status", "body", "message", "error", "command", "progress")
+    facts = {name: command[name] for name in names if name in command}
+    return Reply(type="execute", timestamp=command.get("updated"), **facts)

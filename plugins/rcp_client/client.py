@@ -1,0 +1,385 @@
+"""The asyncio client: every request of the contract as a method."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import secrets
+import time
+from collections.abc import Callable, Iterable, Sequence
+from ssl import SSLContext
+from typing import Any, Literal, Self
+
+import msgspec
+
+from rcp_client.address import DEFAULT_URL, Address
+from rcp_client.calls import Repeat
+from rcp_client.channel import Channel, Settings
+from rcp_client.command import CommandHandle, Feedback
+from rcp_client.credentials import find_token
+from rcp_client.messages import Notice, Reply, ResourceInfo
+from rcp_client.subscription import Subscription
+from rcp_kernel.values import Encoding, value_type
+
+__all__ = ["Client", "connect"]
+
+_PAGE = 500  # resources asked for at once
+
+
+def connect(
+    url: str | None = None,
+    *,
+    token: str | None = None,
+    tenant: str | None = None,
+    encoding: Literal["msgpack", "json", "cbor"] = "msgpack",
+    deadline: float = 10.0,
+    connect_timeout: float = 5.0,
+    patience: float | None = 120.0,
+    heartbeat: float = 5.0,
+    on_notice: Callable[[Notice], None] | None = None,
+    ssl: SSLContext | None = None,
+    client: str = "rcp-client/python",
+) -> Client:
+    """Make a client; `async with` connects it.
+
+    What is not given comes from `RCP_URL`, `RCP_TOKEN` and `RCP_TENANT`; then the gateway of this
+    machine, and the token that `rcpd demo` left for this user. Times are in seconds: `deadline` for
+    requests that name none, `connect_timeout` for one attempt, `patience` for coming back after a
+    cut (None never gives up), `heartbeat` for noticing that the other side is gone.
+
+    :raises ValueError: the address is none.
+    """
+    url = url or os.environ.get("RCP_URL") or DEFAULT_URL
+    return Client(
+        Settings(
+            address=Address.parse(url),
+            token=token or find_token(url),
+            tenant=tenant or os.environ.get("RCP_TENANT") or None,
+            encoding=Encoding(encoding),
+            deadline=deadline,
+            connect_timeout=connect_timeout,
+            patience=patience,
+            heartbeat=heartbeat,
+            client=client,
+            ssl=ssl,
+            on_notice=on_notice,
+        )
+    )
+
+
+class Client:
+    """A session with a gateway, which outlives the connections that carry it.
+
+    Methods raise the kernel's errors (`rcp_kernel.errors`) by the code that the gateway answered,
+    with its `remedy`; `DeadlineExceeded` where no answer came in time, and `ConnectionLost` where
+    there is no connection. A cut in the middle of a request is mended behind the scenes: writes and
+    executes carry an idempotency key, so that being sent again never makes them happen twice.
+    """
+
+    def __init__(self, settings: Settings) -> None:
+        self.settings = settings
+        self.channel = Channel(settings)
+
+    async def __aenter__(self) -> Self:
+        await self.channel.open()
+        return self
+
+    async def __aexit__(self, *_: object) -> None:
+        await self.channel.close()
+
+    @property
+    def connected(self) -> bool:
+        """Whether there is a connection now."""
+        return self.channel.connected
+
+    @property
+    def greeting(self) -> dict[str, Any]:
+        """What the gateway said to `hello`: principal, roles, tenant, limits."""
+        return self.channel.greeting
+
+    # -- values --------------------------------------------------------------------------------
+
+    async def read(
+        self,
+        path: str,
+        *,
+        fields: Sequence[str] | None = None,
+        fresh: bool = False,
+        type: Any = None,  # noqa: A002 - the natural word
+        deadline: float | None = None,
+    ) -> Any:
+        """Return the present value of a path, or a list of items for a pattern.
+
+        `fields` keeps only some of its fields (`position.x`), `fresh` asks the robot itself, and
+        `type` decodes the value into a msgspec type.
+        """
+        reply = await self.sample(path, fields=fields, fresh=fresh, deadline=deadline)
+        return reply.body if type is None else value_type(type).convert(reply.body)
+
+    async def sample(
+        self,
+        path: str,
+        *,
+        fields: Sequence[str] | None = None,
+        fresh: bool = False,
+        deadline: float | None = None,
+    ) -> Reply:
+        """Read a path and return the whole reply: value, number, source time, freshness."""
+        body = _kept({"fields": fields and list(fields), "fresh": fresh or None})
+        envelope = _kept({"type": "read", "path": path, "deadline": deadline, "body": body or None})
+        return await self.channel.ask(envelope)
+
+    async def write(
+        self,
+        path: str,
+        value: Any,
+        *,
+        valid_for: float | None = None,
+        dry_run: bool = False,
+        idempotency_key: str | None = None,
+        deadline: float | None = None,
+    ) -> Any:
+        """Write a value and return the one that is in force.
+
+        `valid_for` is how many seconds a velocity stands before the gateway brings the robot to
+        rest; `dry_run` checks everything and changes nothing.
+        """
+        envelope = _kept(
+            {
+                "type": "write",
+                "path": path,
+                "valid_for": valid_for,
+                "dry_run": dry_run or None,
+                "idempotency_key": idempotency_key or _key(),
+                "deadline": deadline,
+            }
+        )
+        reply = await self.channel.ask({**envelope, "body": _plain(value)}, "keyed")
+        return reply.body
+
+    # -- commands ------------------------------------------------------------------------------
+
+    async def start(
+        self,
+        path: str,
+        input: Any = None,  # noqa: A002 - the contract's word
+        *,
+        deadline: float | None = None,
+        idempotency_key: str | None = None,
+        on_feedback: Callable[[Feedback], None] | None = None,
+        type: Any = None,  # noqa: A002
+    ) -> CommandHandle:
+        """Start a command and return once the gateway has accepted it.
+
+        Without a `deadline` the command may take what its path allows.
+
+        :raises RcpError: it was refused.
+        """
+        handle = self._execute(path, input, deadline, idempotency_key, on_feedback, type)
+        await handle.accepted(min(deadline or self.settings.deadline, self.settings.deadline) + 2)
+        return handle
+
+    async def execute(
+        self,
+        path: str,
+        input: Any = None,  # noqa: A002
+        *,
+        deadline: float | None = None,
+        dry_run: bool = False,
+        idempotency_key: str | None = None,
+        on_feedback: Callable[[Feedback], None] | None = None,
+        type: Any = None,  # noqa: A002
+    ) -> Any:
+        """Carry out a command and return its result; who stops waiting has it cancelled.
+
+        :raises RcpError: it was refused, failed, or was cancelled.
+        """
+        if dry_run:
+            envelope = {"type": "execute", "path": path, "dry_run": True, "body": _plain(input)}
+            return (await self.channel.ask(envelope)).body
+        handle = await self.start(
+            path,
+            input,
+            deadline=deadline,
+            idempotency_key=idempotency_key,
+            on_feedback=on_feedback,
+            type=type,
+        )
+        try:
+            return await handle.result()
+        except asyncio.CancelledError:
+            handle.cancel_soon()
+            raise
+
+    def _execute(
+        self,
+        path: str,
+        value: Any,
+        deadline: float | None,
+        key: str | None,
+        on_feedback: Callable[[Feedback], None] | None,
+        type_: Any,
+    ) -> CommandHandle:
+        envelope: dict[str, Any] = {"type": "execute", "path": path}
+        envelope["idempotency_key"] = key or _key()
+        if value is not None:
+            envelope["body"] = _plain(value)
+        if deadline is not None:
+            envelope["deadline"] = deadline
+        call = self.channel.start(envelope, _repeat(envelope))
+        limit = None if deadline is None else deadline + 2
+        return CommandHandle(self.channel, call, limit=limit, type_=type_, on_feedback=on_feedback)
+
+    async def cancel(self, command: str) -> list[str]:
+        """Cancel a command by the gateway's id, or whatever runs on a path; return the ids."""
+        named = "path" if command.startswith("/") else "command"
+        reply = await self.channel.ask({"type": "cancel", named: command})
+        return (reply.body or {}).get("cancelled", [])
+
+    async def commands(self) -> list[dict[str, Any]]:
+        """List running and recent commands, newest first, with their histories."""
+        return await self.read("/system/commands")
+
+    async def estop(
+        self, *, reset: bool = False, scope: str | None = None, reason: str | None = None
+    ) -> dict[str, Any]:
+        """Stop every robot that this principal may see, or those in `scope`; or reset the stop.
+
+        Returns when every robot has confirmed. A reset that a cut interrupts is not tried again.
+
+        :raises DeviceTimeout: a robot has not confirmed yet; it stays latched.
+        """
+        body = _kept({"reset": reset or None, "scope": scope, "reason": reason})
+        envelope: dict[str, Any] = {"type": "execute", "path": "/system/estop", "body": body}
+        return (await self.channel.ask(envelope, _repeat(envelope))).body
+
+    # -- streams -------------------------------------------------------------------------------
+
+    def subscribe(
+        self,
+        patterns: str | Iterable[str],
+        *,
+        rate: float | None = None,
+        on: Literal["sample", "change"] | None = None,
+        deadband: Any = None,
+        where: dict[str, Any] | None = None,
+        fields: Sequence[str] | None = None,
+        history: int | str | None = None,
+        initial: bool | None = None,
+        reliable: bool = False,
+        qos: dict[str, Any] | None = None,
+        encoding: Literal["native"] | None = None,
+        duration: float | None = None,
+        count: int | None = None,
+        type: Any = None,  # noqa: A002
+        buffer: int = 4096,
+        on_notice: Callable[[Notice], None] | None = None,
+    ) -> Subscription:
+        """Make a subscription to paths or patterns; iterating, or `async with`, begins it.
+
+        The options are those of the contract (docs/protocol.md, section 7). `reliable` is short for
+        the `qos` of that name: every sample in order, or an `Overrun`. `buffer` is how many updates
+        wait here unread before the oldest gives way (or a reliable subscription ends).
+        """
+        wanted = [patterns] if isinstance(patterns, str) else list(patterns)
+        if not wanted:
+            raise ValueError("a subscription names at least one path or pattern")
+        if reliable:
+            qos = {**(qos or {}), "reliability": "reliable"}
+        options: dict[str, Any] = {
+            "rate": rate,
+            "on": on,
+            "deadband": deadband,
+            "where": where,
+            "fields": fields and list(fields),
+            "history": history,
+            "initial": initial,
+            "qos": qos,
+            "encoding": encoding,
+            "duration": duration,
+            "count": count,
+        }
+        return Subscription(
+            self.channel, wanted, options, type_=type, buffer=buffer, on_notice=on_notice
+        )
+
+    # -- the gateway ---------------------------------------------------------------------------
+
+    async def discover(
+        self,
+        pattern: str | None = None,
+        *,
+        kind: str | None = None,
+        op: str | None = None,
+        q: str | None = None,
+        schemas: bool = True,
+    ) -> list[ResourceInfo]:
+        """List the resources that match: by path, `kind`, operation, and words in `q`."""
+        found: list[ResourceInfo] = []
+        body = _kept({"kind": kind, "op": op, "q": q, "limit": _PAGE})
+        body["schemas"] = schemas
+        while True:
+            envelope = _kept({"type": "discover", "path": pattern, "body": body})
+            reply = await self.channel.ask(envelope)
+            found += msgspec.convert(reply.body["resources"], list[ResourceInfo])
+            if not (cursor := reply.body.get("cursor")):
+                return found
+            body["cursor"] = cursor
+
+    async def status(self) -> dict[str, Any]:
+        """Return the gateway's health report."""
+        return (await self.channel.ask({"type": "status"})).body
+
+    async def ping(self) -> float:
+        """Return the seconds that a request takes there and back."""
+        began = time.perf_counter()
+        await self.channel.ask({"type": "ping"})
+        return time.perf_counter() - began
+
+    async def batch(self, envelopes: Sequence[dict[str, Any]]) -> list[Reply]:
+        """Send several requests as one and return their final replies in the same order.
+
+        A reply that tells of an error does not raise; look at its `status`.
+        """
+        parts = [_keyed(envelope) for envelope in envelopes]
+        repeat: Repeat = "never" if any(_repeat(p) == "never" for p in parts) else "keyed"
+        reply = await self.channel.ask({"type": "batch", "body": parts}, repeat)
+        return msgspec.convert(reply.body, list[Reply])
+
+    async def request(self, envelope: dict[str, Any]) -> Reply:
+        """Send any envelope, `x-…` fields included, and return its final reply.
+
+        :raises RcpError: it tells of an error.
+        """
+        whole = _keyed({key: item for key, item in envelope.items() if key != "id"})
+        return await self.channel.ask(whole, _repeat(whole))
+
+
+def _kept(fields: dict[str, Any]) -> dict[str, Any]:
+    return {key: item for key, item in fields.items() if item is not None}
+
+
+def _plain(value: Any) -> Any:
+    """Copy a value into plain data, so that what is sent again is what was sent first."""
+    return msgspec.to_builtins(value, builtin_types=(bytes, bytearray, memoryview), str_keys=True)
+
+
+def _key() -> str:
+    return secrets.token_urlsafe(16)
+
+
+def _keyed(envelope: dict[str, Any]) -> dict[str, Any]:
+    """Give a write or execute a key, unless it has one."""
+    if envelope.get("type") not in ("write", "execute") or "idempotency_key" in envelope:
+        return dict(envelope)
+    return {**envelope, "idempotency_key": _key()}
+
+
+def _repeat(envelope: dict[str, Any]) -> Repeat:
+    """Say what may be done with a request that a cut left without an answer."""
+    if envelope.get("type") not in ("write", "execute", "batch"):
+        return "always"
+    if envelope.get("path") != "/system/estop":
+        return "keyed"
+    # Stopping twice is stopping; a reset that comes late might undo somebody else's stop.
+    return "never" if (envelope.get("body") or {}).get("reset") else "always"

@@ -1,0 +1,43 @@
+"""Which token to show: the caller's, that of the environment, or one left for this user.
+
+`rcpd demo` leaves its key in a file that only its user can read, so that `rcpctl` beside it works
+without further ado.
+"""
+
+from __future__ import annotations
+
+import os
+import stat
+from pathlib import Path
+
+from rcp_client.address import Address
+
+__all__ = ["find_token", "token_path"]
+
+_ONLY_OWNER = 0o600
+
+
+def token_path(url: str) -> Path:
+    """Return the file in which a gateway of the same user may have left a token for its address."""
+    address = Address.parse(url)
+    host = "127.0.0.1" if address.host == "localhost" else address.host
+    base = os.environ.get("XDG_RUNTIME_DIR") or str(Path.home() / ".cache")
+    return Path(base) / "rcp" / f"{host}_{address.port}.token"
+
+
+def find_token(url: str) -> str | None:
+    """Return the token of `RCP_TOKEN`, else of the token file if it is this user's alone."""
+    given = os.environ.get("RCP_TOKEN")
+    return given or _from_file(token_path(url))
+
+
+def _from_file(path: Path) -> str | None:
+    try:
+        with path.open(encoding="utf-8") as file:
+            facts = os.fstat(file.fileno())
+            mine = not hasattr(os, "getuid") or facts.st_uid == os.getuid()
+            if not mine or stat.S_IMODE(facts.st_mode) & ~_ONLY_OWNER:
+                return None
+            return file.readline().strip() or None
+    except (OSError, UnicodeDecodeError):
+        return None
