@@ -43,11 +43,13 @@ class Mount(msgspec.Struct, frozen=True, kw_only=True):
     """Who offers it, for logs and errors."""
     prefix: str
     """Path below which (and at which) requests go to `app`; the longest prefix wins."""
+    suffix: str = ""
+    """Only paths that end in it, ahead of every mount without one."""
     kind: Literal["http", "websocket"] = "http"
     app: Asgi
     """A plain ASGI application; `scope["path"]` is the whole path."""
     openapi: Callable[[Session], dict[str, Any]] | None = None
-    """Makes the `paths` of the OpenAPI document that this mount answers, for what a session sees."""
+    """Makes `paths` and `components` of the OpenAPI document for what a session sees of this mount."""
 
 
 class Door:
@@ -83,8 +85,10 @@ class Door:
 
     @property
     def secure(self) -> bool:
-        """Whether everyone has to prove who they are."""
-        return self._gateway.config.anonymous.role is None
+        """Whether strangers may do nothing: they have no role, or one that allows nothing."""
+        gateway = self._gateway
+        role = gateway.rules.roles.get(gateway.config.anonymous.role or "")
+        return role is None or not role.allow
 
     @property
     def has_keys(self) -> bool:
@@ -97,7 +101,7 @@ class Door:
         :raises PluginError: another plugin serves the same prefix.
         """
         for other in self.mounts:
-            if (other.prefix, other.kind) == (mount.prefix, mount.kind):
+            if _place(other) == _place(mount):
                 raise PluginError(f"'{mount.name}' and '{other.name}' both serve {mount.prefix}")
         self.mounts.append(mount)
 
@@ -114,14 +118,22 @@ class Door:
         return self._gateway.authenticate(token)
 
     def connect(
-        self, principal: Principal, encoding: Encoding, flush: Callable[[], None]
+        self,
+        principal: Principal,
+        encoding: Encoding,
+        flush: Callable[[], None],
+        tenant: str | None = None,
     ) -> Connection:
         """Open a connection with a session of its own; `flush` is called when it has to send.
 
+        It is called once more when the session was ended or taken over (`Connection.expelled`).
+
+        :raises Forbidden: the principal does not act in `tenant`.
         :raises QueueFull: the gateway holds too many sessions.
         """
         gateway = self._gateway
-        return Connection(gateway, gateway.sessions.open(principal, self.name), encoding, flush)
+        session = gateway.sessions.open(principal, self.name, tenant)
+        return Connection(gateway, session, encoding, flush)
 
     def hello(self, connection: Connection, hello: Hello) -> dict[str, Any]:
         """Greet on behalf of a client that cannot: `session` and `resume_from` bring it back.
@@ -202,3 +214,7 @@ class Door:
     def metrics(self) -> bytes:
         """Return the Prometheus exposition."""
         return self._status.metrics.text()
+
+
+def _place(mount: Mount) -> tuple[str, str, str]:
+    return mount.kind, mount.prefix, mount.suffix

@@ -363,6 +363,8 @@ class Sessions:
         """Cut the old connection: its client came back before the gateway saw it leave."""
         old = session.connection
         assert old is not None
+        old.expelled = True
+        old.mailbox.flush()
         old.closed = True
         self.tally(old)
         old.mailbox.close()

@@ -16,15 +16,15 @@ from rcp_kernel.errors import Overrun, RcpError
 from rcp_kernel.filters import Change, Options, Where, parse_where, seconds
 from rcp_kernel.model import Pattern
 from rcp_kernel.registry import Entry
-from rcp_kernel.samples import Sample
-from rcp_kernel.values import Encoding
+from rcp_kernel.samples import Sample, project
+from rcp_kernel.values import Encoding, dump
 from rcp_kernel.wire import encode_frame
 
 if TYPE_CHECKING:
     from rcp_kernel.hub import Hub
     from rcp_kernel.mailbox import Mailbox, Wrap
 
-__all__ = ["Feed", "FilteredFeed", "Subscription"]
+__all__ = ["Feed", "FilteredFeed", "Subscription", "ViewFeed"]
 
 _CBOR_MAP = 0xA0
 _MSGPACK_MAP = 0x80
@@ -307,6 +307,37 @@ class FilteredFeed(Feed):
         self._held = None
 
 
+class ViewFeed(Feed):
+    """A path whose value depends on who asks: a sample only says that it changed."""
+
+    __slots__ = ("_view",)
+
+    def __init__(
+        self,
+        subscription: Subscription,
+        entry: Entry,
+        mailbox: Mailbox | None,
+        view: Callable[[], Any],
+    ) -> None:
+        super().__init__(subscription, entry, mailbox)
+        self._plain = False
+        self._view = view
+
+    def _frame(self, sample: Sample) -> bytes:
+        encoding, *_ = self._heads or self._make_heads()
+        facts = {
+            "type": "update",
+            "id": self.subscription.id,
+            "path": self.entry.path,
+            "seq": sample.seq,
+            "timestamp": sample.time,
+        }
+        value = self._view()
+        if self._fields is not None:
+            value = project(value, self._fields)
+        return encode_frame(facts, dump(value, encoding), encoding)
+
+
 class Subscription:
     """A standing request of one session for samples of one or more paths."""
 
@@ -321,6 +352,7 @@ class Subscription:
         "patterns",
         "remaining",
         "timer",
+        "view",
         "where",
     )
 
@@ -334,6 +366,7 @@ class Subscription:
         *,
         may: Callable[[Entry], bool],
         end: Callable[[Subscription, str, RcpError | None], None],
+        view: Callable[[Entry], Callable[[], Any] | None],
     ) -> None:
         self.hub = hub
         self.id = id_
@@ -344,6 +377,8 @@ class Subscription:
         """Whether the principal may subscribe to an entry."""
         self.end = end
         """Called when the subscription ends by itself, with the reason."""
+        self.view = view
+        """What an entry shows this principal, where that depends on who asks."""
         self.feeds: dict[str, Feed] = {}
         self.where: Where | None = parse_where(options.where) if options.where else None
         self.remaining = options.count
@@ -355,6 +390,9 @@ class Subscription:
 
     def feed(self, entry: Entry) -> Feed:
         """Make the feed of an entry."""
+        view = self.view(entry)
+        if view is not None:
+            return ViewFeed(self, entry, self.mailbox, view)
         kind = Feed if self.options.plain else FilteredFeed
         return kind(self, entry, self.mailbox)
 

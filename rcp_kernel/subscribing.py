@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import secrets
+from collections.abc import Callable
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import msgspec
@@ -73,8 +75,12 @@ class Subscribing:
         def end(subscription: Subscription, reason: str, error: RcpError | None) -> None:
             self._ended(session, subscription, reason, error)
 
+        def view(entry: Entry) -> Callable[[], Any] | None:
+            shown = gateway.views.get(entry.path)
+            return None if shown is None else partial(shown, session)
+
         subscription = Subscription(
-            gateway.hub, id_, patterns, options, connection.mailbox, may=may, end=end
+            gateway.hub, id_, patterns, options, connection.mailbox, may=may, end=end, view=view
         )
         session.subscriptions[id_] = subscription
         reply = Reply(

@@ -24,6 +24,7 @@ from rcp_kernel.types import Time
 
 __all__ = ["System"]
 
+_POLLED = ("sensor/status", "sensor/sessions", "sensor/commands")
 _LOOK = Operation.READ | Operation.SUBSCRIBE
 _HALT_WAIT = 5.0  # s an e-stop waits for robots to confirm; it goes on trying after that
 
@@ -107,19 +108,21 @@ class System(BaseBackend):
 
     @asynccontextmanager
     async def watch(self, name: str, rate: float | None) -> AsyncGenerator[None]:
-        """Publish the status while somebody watches it."""
-        if name != "sensor/status":
+        """Publish what has to be looked at to be known, while somebody watches it."""
+        if name not in _POLLED:
             yield
             return
-        task = asyncio.create_task(self._publish_status(1.0 / min(rate or 1.0, 10.0)))
+        task = asyncio.create_task(self._repeat(name, 1.0 / min(rate or 1.0, 10.0)))
         try:
             yield
         finally:
             task.cancel()
 
-    async def _publish_status(self, period: float) -> None:
+    async def _repeat(self, name: str, period: float) -> None:
+        """Say again and again that a view may have changed; each subscriber's is its own."""
+        entry = self.entries["/system/" + name.partition("/")[2]]
         while True:
-            self.entries["/system/status"].publish(self._status.plain(), None)
+            entry.publish([] if name != "sensor/status" else {}, None)
             await asyncio.sleep(period)
 
     # -- views ---------------------------------------------------------------------------------
@@ -218,7 +221,6 @@ def _resources() -> list[Resource]:
             name="sensor/status",
             description="Health of the gateway and everything connected to it.",
             value=dict[str, Any],
-            operations=_LOOK,
             history=1,
         ),
         Resource(
@@ -232,13 +234,13 @@ def _resources() -> list[Resource]:
             name="sensor/sessions",
             description="Sessions of this principal; of everybody for an administrator.",
             value=list[dict[str, Any]],
-            operations=Operation.READ,
+            history=1,
         ),
         Resource(
             name="sensor/commands",
             description="Running and recent commands on paths that you may see.",
             value=list[dict[str, Any]],
-            operations=Operation.READ,
+            history=1,
         ),
         Resource(
             name="service/estop",

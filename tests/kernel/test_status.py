@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from prometheus_client.parser import text_string_to_metric_families
 
-from kernel.world import World
+from kernel.world import CONFIG, World, world_of
 
 pytestmark = pytest.mark.anyio
 
@@ -77,3 +77,18 @@ async def test_every_metric_of_the_contract_is_there_and_counts(world: World) ->
     assert count == [3.0]
     ages = families["rcp_resource_age_seconds"].samples
     assert [s.labels["path"] for s in ages] == ["/tenant/alpha/sensor/level"]
+
+
+async def test_a_watched_status_shows_only_the_tenants_one_acts_in() -> None:
+    text = CONFIG + (
+        '\n[[backends]]\nuse = "robot"\nname = "secret"\ntenant = "beta"\n'
+        '\n[[keys]]\nname = "a"\nrole = "operator"\nkey = "alpha-only-alpha-only"\n'
+        'tenants = ["alpha"]\n'
+    )
+    async with world_of(text) as world:
+        client = world.client("alpha-only-alpha-only")
+        id_ = client.send(type="subscribe", path="/system/status")
+        report = (await client.update(id_))["body"]
+        assert [backend["name"] for backend in report["backends"]] == ["robot"]
+        commands = client.send(type="subscribe", path="/system/commands")
+        assert (await client.update(commands))["body"] == []

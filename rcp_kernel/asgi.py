@@ -1,0 +1,121 @@
+"""Plain ASGI for whoever serves a `Mount`: who calls, and how an envelope is answered over HTTP."""
+
+from __future__ import annotations
+
+from collections.abc import Awaitable, Callable, Iterable, MutableMapping
+from typing import Any
+
+from rcp_kernel.door import Door
+from rcp_kernel.errors import BY_CODE, BadRequest, RcpError
+from rcp_kernel.sessions import Session
+from rcp_kernel.values import Encoding
+from rcp_kernel.wire import Reply, encode_reply, failure
+
+__all__ = [
+    "JSON",
+    "MEDIA",
+    "Headers",
+    "Receive",
+    "Scope",
+    "Send",
+    "bearer",
+    "header",
+    "refuse",
+    "respond",
+    "session_of",
+    "status_of",
+]
+
+Scope = MutableMapping[str, Any]
+Receive = Callable[[], Awaitable[Any]]
+Send = Callable[[Any], Awaitable[None]]
+Headers = list[tuple[bytes, bytes]]
+
+JSON = b"application/json"
+MEDIA = {
+    Encoding.JSON: JSON,
+    Encoding.CBOR: b"application/cbor",
+    Encoding.MSGPACK: b"application/msgpack",
+}
+"""The media type of each encoding."""
+
+
+def header(scope: Scope, name: bytes) -> bytes | None:
+    """Return the first header of a name (in lower case), or None."""
+    for key, value in scope["headers"]:
+        if key == name:
+            return value
+    return None
+
+
+def bearer(authorization: bytes | None) -> str | None:
+    """Return the token of an `Authorization` header, or None if there is no header.
+
+    :raises BadRequest: it is not a bearer token.
+    """
+    if authorization is None:
+        return None
+    scheme, _, token = authorization.partition(b" ")
+    if scheme.lower() != b"bearer" or not token.strip():
+        raise BadRequest(
+            "the Authorization header is not a bearer token",
+            remedy="Send `Authorization: Bearer <token>`.",
+        )
+    return token.strip().decode("latin-1")
+
+
+def session_of(door: Door, scope: Scope, tenant: str | None = None) -> Session:
+    """Return the stateless session of the caller; `X-RCP-Tenant` names one of its tenants.
+
+    :raises Unauthenticated: the token is not good, or there has to be one.
+    :raises Forbidden: the caller does not act in that tenant.
+    """
+    named = header(scope, b"x-rcp-tenant")
+    if tenant is None and named is not None:
+        tenant = named.decode("latin-1")
+    principal = door.authenticate(bearer(header(scope, b"authorization")))
+    return door.session(principal, tenant)
+
+
+def status_of(reply: Reply) -> int:
+    """Return the HTTP status of a reply, by the contract's table of codes."""
+    if reply.error is None:
+        return 200 if reply.final else 202
+    known = BY_CODE.get(reply.error["code"])
+    return known.http if known is not None else 500
+
+
+async def respond(
+    send: Send,
+    status: int,
+    body: bytes,
+    media: bytes = JSON,
+    headers: Iterable[tuple[bytes, bytes]] = (),
+) -> None:
+    """Send a whole response."""
+    fields = [*headers]
+    if status not in (204, 304):
+        fields += (b"content-type", media), (b"content-length", b"%d" % len(body))
+    await send({"type": "http.response.start", "status": status, "headers": fields})
+    await send({"type": "http.response.body", "body": body})
+
+
+async def refuse(
+    send: Send,
+    error: RcpError,
+    type_: str = "error",
+    *,
+    id_: str | None = None,
+    path: str | None = None,
+    encoding: Encoding = Encoding.JSON,
+    status: int | None = None,
+) -> None:
+    """Answer with the envelope of an error."""
+    reply = failure(error, type_, id_, path)
+    headers: Headers = []
+    if error.http == 401:
+        headers.append((b"www-authenticate", b"Bearer"))
+    if error.retry_after is not None:
+        headers.append((b"retry-after", b"%d" % max(1, round(error.retry_after))))
+    body = encode_reply(reply, encoding)
+    await respond(send, status or error.http, body, MEDIA[encoding], headers)
