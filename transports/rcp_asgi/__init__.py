@@ -1,1 +1,19 @@
-"""Placeholder."""
+"""The one listener: HTTP and WebSocket on one port, for all that other plugins mount."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from rcp_asgi.config import AsgiConfig
+from rcp_kernel.hookspecs import hookimpl
+from rcp_kernel.spi import TransportKind
+
+__all__ = ["AsgiConfig", "rcp_transports"]
+
+
+@hookimpl
+def rcp_transports() -> Iterable[TransportKind]:
+    """Offer the listener."""
+    from rcp_asgi.listener import open_asgi
+
+    return [TransportKind("asgi", AsgiConfig, open_asgi, __doc__ or "", listens=True)]

@@ -1,1 +1,65 @@
-"""Placeholder."""
+"""WebSocket at /rcp/v1/ws: envelopes both ways, in JSON, CBOR or MessagePack."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncGenerator, Iterable
+from contextlib import asynccontextmanager
+from typing import Any
+
+from rcp_kernel.asgi import Receive, Scope, Send, refuse
+from rcp_kernel.door import Door, Mount
+from rcp_kernel.errors import RcpError, UnsupportedOperation
+from rcp_kernel.hookspecs import hookimpl
+from rcp_kernel.spi import TransportKind
+from rcp_ws.config import WsConfig
+from rcp_ws.handshake import choose, identify
+from rcp_ws.peer import Peer
+
+__all__ = ["WsConfig", "open_ws", "rcp_transports"]
+
+_PATH = "/rcp/v1/ws"
+
+
+class _WebSocket:
+    """The ASGI application: it accepts, hands the native handle to a peer, and waits for the end."""
+
+    def __init__(self, config: WsConfig, door: Door) -> None:
+        self._config = config
+        self._door = door
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        await receive()  # websocket.connect
+        try:
+            if scope["path"] != _PATH:
+                raise UnsupportedOperation(f"the WebSocket is at {_PATH}")
+            subprotocol, encoding = choose(scope["subprotocols"])
+            socket = scope["extensions"]["rcp.socket"]
+            peer = Peer(self._door, self._config, identify(self._door, scope), encoding, socket)
+        except RcpError as error:
+            self._door.refused("hello", error.code)
+
+            async def denied(message: Any) -> None:
+                await send({**message, "type": "websocket." + message["type"]})
+
+            await refuse(denied, error)
+            return
+        socket.attach(peer)
+        await send({"type": "websocket.accept", "subprotocol": subprotocol})
+        await peer.gone.wait()
+
+
+@asynccontextmanager
+async def open_ws(config: WsConfig, door: Door) -> AsyncGenerator[dict[str, Any]]:
+    """Offer the WebSocket to the listener while entered."""
+    mount = Mount(name="ws", prefix=_PATH, kind="websocket", app=_WebSocket(config, door))
+    door.mount(mount)
+    try:
+        yield {"path": _PATH}
+    finally:
+        door.unmount(mount)
+
+
+@hookimpl
+def rcp_transports() -> Iterable[TransportKind]:
+    """Offer WebSocket."""
+    return [TransportKind("ws", WsConfig, open_ws, __doc__ or "")]

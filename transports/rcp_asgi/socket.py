@@ -1,0 +1,317 @@
+"""One open WebSocket: picows frames it, this class adds what RFC 6455 wants beyond frames.
+
+Messages in fragments, the closing handshake, UTF-8, compression, keepalive; and towards the
+transport that uses it: whole messages in, joined writes out, and a flag that says when to wait.
+It is `scope["extensions"]["rcp.socket"]` of the ASGI applications below the listener.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import zlib
+from typing import Protocol
+
+from picows import WSCloseCode, WSFrame, WSListener, WSMsgType, WSTransport
+
+from rcp_asgi import heads
+from rcp_asgi.deflate import TooLong, deflate, inflate
+from rcp_asgi.settings import Settings
+
+__all__ = ["Receiver", "Socket"]
+
+_TEXT, _BINARY, _CONTINUATION = WSMsgType.TEXT, WSMsgType.BINARY, WSMsgType.CONTINUATION
+_PING, _PONG, _CLOSE = WSMsgType.PING, WSMsgType.PONG, WSMsgType.CLOSE
+_HIGH_WATER = 64 * 1024  # bytes in the write buffer above which the socket is not writable
+_CLOSE_WAIT = 2.0  # s the peer has to answer a close
+_UNANSWERED = 2  # pings after which the peer counts as gone
+_GONE = 1006
+
+
+class Receiver(Protocol):
+    """Who uses the socket."""
+
+    def received(self, data: bytes, text: bool) -> None:  # noqa: FBT001 - a frame's own flag
+        """Take one whole message."""
+        ...
+
+    def garbled(self, data: bytes) -> None:
+        """Take notice of a text message that is not UTF-8; the socket closes after it."""
+        ...
+
+    def oversized(self, size: int) -> None:
+        """Take notice of a message that was too long and was thrown away."""
+        ...
+
+    def drained(self) -> None:
+        """Take notice that the socket is writable again."""
+        ...
+
+    def lost(self, code: int) -> None:
+        """Take notice of the end, with the close code (1006: none)."""
+        ...
+
+
+class Socket(WSListener):
+    """The native handle of a WebSocket. For the event loop's thread."""
+
+    def __init__(
+        self, settings: Settings, receiver: Receiver, loop: asyncio.AbstractEventLoop
+    ) -> None:
+        self.writable = False
+        """Whether the write buffer has room; the receiver hears of it by `drained`."""
+        self.deflates = False
+        """Whether the client agreed to permessage-deflate."""
+        self.compresses = False
+        """Whether messages to this client are worth compressing."""
+        self.code = _GONE
+        self.open = False
+        self._settings = settings
+        self._owner = self._receiver = receiver
+        self._receive = receiver.received
+        self._loop = loop
+        self._transport: WSTransport
+        self._raw: asyncio.Transport
+        self._limit = settings.door.limits.message
+        self._threshold = settings.config.compress_above
+        self._parts: list[bytes] | None = None
+        """The fragments of a message that is not complete; empty once it is too long."""
+        self._size = 0
+        self._opcode = _TEXT
+        self._compressed = False
+        self._heard = True
+        self._unanswered = 0
+        self._timer: asyncio.TimerHandle | None = None
+        self._pong: bytes | None = None
+        self._reading = True
+
+    def attach(self, receiver: Receiver) -> None:
+        """Have everything told to another receiver from now on."""
+        self._receiver = receiver
+        self._receive = receiver.received
+
+    # -- picows --------------------------------------------------------------------------------
+
+    def on_ws_connected(self, transport: WSTransport) -> None:
+        """Begin."""
+        self._transport = transport
+        self._raw = transport.underlying_transport
+        self._raw.set_write_buffer_limits(high=_HIGH_WATER)
+        self.open = self.writable = True
+        self._rest()
+
+    def on_ws_frame(self, transport: WSTransport, frame: WSFrame) -> None:
+        """Sort a frame; the first branch is the way of nearly all."""
+        self._heard = True
+        opcode = frame.msg_type
+        if frame.fin and not frame.rsv1 and self._parts is None:
+            if opcode is _TEXT:
+                data = frame.get_payload_as_bytes()
+                if data.isascii() or _is_utf8(data):
+                    if self.open and not (frame.rsv2 or frame.rsv3):
+                        self._receive(data, True)
+                        return
+                elif self.open:
+                    self._garbled(data)
+                    return
+            elif opcode is _BINARY and self.open and not (frame.rsv2 or frame.rsv3):
+                self._receive(frame.get_payload_as_bytes(), False)
+                return
+        if opcode is _PING or opcode is _PONG or opcode is _CLOSE:
+            self._control(frame, opcode)
+        elif self.open:
+            self._fragment(frame, opcode)
+
+    def on_ws_disconnected(self, transport: WSTransport) -> None:
+        """End."""
+        self.end()
+
+    def end(self) -> None:
+        """Tell the receiver that there is no connection, or never was one."""
+        self.open = False
+        self.writable = False
+        if self._timer is not None:
+            self._timer.cancel()
+            self._timer = None
+        self._parts = None
+        self._owner.lost(self.code)
+        if self._receiver is not self._owner:
+            self._receiver.lost(self.code)
+
+    def pause_writing(self) -> None:
+        """Take notice that the peer takes nothing."""
+        self.writable = False
+
+    def resume_writing(self) -> None:
+        """Go on: the peer took something, so it lives."""
+        self._heard = True
+        if not self.open:
+            return
+        self.writable = True
+        if self._pong is not None:
+            payload, self._pong = self._pong, None
+            self._transport.send_pong(payload)
+        self._receiver.drained()
+
+    # -- frames that are not whole messages ----------------------------------------------------
+
+    def _control(self, frame: WSFrame, opcode: WSMsgType) -> None:
+        if frame.rsv1 or frame.rsv2 or frame.rsv3:
+            self.close(WSCloseCode.PROTOCOL_ERROR, "reserved bits")
+        elif opcode is _PING:
+            if self.writable:
+                self._transport.send_pong(frame.get_payload_as_bytes())
+            else:
+                self._pong = frame.get_payload_as_bytes()  # RFC 6455 5.5.3: the latest one will do
+        elif opcode is _CLOSE:
+            self._closed_by_peer(frame)
+
+    def _closed_by_peer(self, frame: WSFrame) -> None:
+        payload = frame.get_payload_as_bytes()
+        code = int.from_bytes(payload[:2], "big") if payload else 1005
+        if payload and (code in (0, 1004, 1005, 1006) or code > 4999):
+            code, payload = 1002, b"\x03\xea"
+        if self.open:
+            self.open = False
+            self.code = code
+            self._transport.send(_CLOSE, payload[:2])
+        self._transport.disconnect()
+
+    def _fragment(self, frame: WSFrame, opcode: WSMsgType) -> None:
+        parts = self._parts
+        begins = opcode is not _CONTINUATION
+        bad_bits = frame.rsv2 or frame.rsv3 or (frame.rsv1 and not (self.deflates and begins))
+        if bad_bits or begins is (parts is not None):
+            self.close(WSCloseCode.PROTOCOL_ERROR, "frames out of order or reserved bits")
+            return
+        if parts is None:
+            parts = self._parts = []
+            self._size = 0
+            self._opcode = opcode
+            self._compressed = bool(frame.rsv1)
+        data = frame.get_payload_as_bytes()
+        self._size += len(data)
+        if self._size <= self._limit:
+            parts.append(data)
+        else:
+            parts.clear()
+        if frame.fin:
+            self._parts = None
+            self._complete(b"".join(parts))
+
+    def _complete(self, data: bytes) -> None:
+        if self._size > self._limit:
+            self._receiver.oversized(self._size)
+            return
+        if self._compressed:
+            try:
+                data = inflate(data, self._limit)
+            except TooLong:
+                self._receiver.oversized(self._limit + 1)
+                return
+            except zlib.error:
+                self.close(WSCloseCode.INVALID_TEXT, "the compressed message is damaged")
+                return
+        text = self._opcode is _TEXT
+        if text and not _is_utf8(data):
+            self._garbled(data)
+        else:
+            self._receive(data, text)
+
+    def _garbled(self, data: bytes) -> None:
+        # RFC 6455 8.1: the connection fails; the request is answered all the same.
+        self._receiver.garbled(data)
+        self.close(WSCloseCode.INVALID_TEXT, "the text is not UTF-8")
+
+    # -- out -----------------------------------------------------------------------------------
+
+    def write(self, messages: list[bytes]) -> None:
+        """Send whole messages in one write; JSON objects go as text, all else as binary."""
+        if not self.open:
+            return
+        if self.compresses:
+            for data in messages:
+                self.send(data, text=data[:1] == b"{")
+            return
+        if len(messages) == 1:
+            data = messages[0]
+            self._transport.send(_TEXT if data[0] == 0x7B else _BINARY, data)
+            return
+        short: list[bytes] = []
+        for data in messages:
+            if len(data) <= heads.JOINED:
+                short.append(data)
+                continue
+            if short:
+                self._raw.write(heads.join(short))
+                short = []
+            self._transport.send(_TEXT if data[0] == 0x7B else _BINARY, data)
+        if short:
+            self._raw.write(heads.join(short))
+
+    def send(self, data: bytes, *, text: bool) -> None:
+        """Send one message."""
+        if not self.open:
+            return
+        opcode = _TEXT if text else _BINARY
+        if self.compresses and len(data) > self._threshold:
+            self._transport.send(opcode, deflate(data), True, True)
+        else:
+            self._transport.send(opcode, data)
+
+    def pause_reading(self) -> None:
+        """Take nothing from the peer until `resume_reading`; frames read already still come."""
+        if self.open and self._reading:
+            self._reading = False
+            self._raw.pause_reading()
+
+    def resume_reading(self) -> None:
+        """Go on reading."""
+        if self.open and not self._reading:
+            self._reading = True
+            self._raw.resume_reading()
+
+    def close(self, code: int, reason: str = "") -> None:
+        """Begin the closing handshake; the peer has a moment to answer it."""
+        if not self.open:
+            return
+        self.open = False
+        self.code = int(code)
+        payload = self.code.to_bytes(2, "big") + reason.encode()[:120]
+        self._transport.send(_CLOSE, payload)
+        if not self._reading:
+            self._raw.resume_reading()
+        if self._timer is not None:
+            self._timer.cancel()
+        self._timer = self._loop.call_later(_CLOSE_WAIT, self.abort)
+
+    def abort(self) -> None:
+        """Cut the connection."""
+        self._raw.abort()
+
+    # -- keepalive -----------------------------------------------------------------------------
+
+    def _rest(self) -> None:
+        self._timer = self._loop.call_later(self._settings.door.limits.heartbeat, self._beat)
+
+    def _beat(self) -> None:
+        if self._heard:
+            self._unanswered = 0
+        elif self._unanswered >= _UNANSWERED:
+            self.code = _GONE
+            self.abort()
+            return
+        self._heard = False
+        self._unanswered += 1
+        if self.writable:
+            self._transport.send_ping(b"")
+        self._rest()
+
+
+def _is_utf8(data: bytes) -> bool:
+    if data.isascii():
+        return True
+    try:
+        data.decode()
+    except UnicodeDecodeError:
+        return False
+    return True

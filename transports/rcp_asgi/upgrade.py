@@ -1,0 +1,301 @@
+"""From an HTTP request to an open WebSocket, and the ASGI application in between.
+
+The handshake is checked and answered here; once the application accepts, picows' own protocol
+takes the transport over and calls `Socket`. An application that takes the native handle out of
+`scope["extensions"]["rcp.socket"]` is done with ASGI; any other one uses `receive` and `send`.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import base64
+import binascii
+import logging
+from collections import deque
+from typing import Any
+
+import structlog
+from picows import (
+    WSAutoPingStrategy,
+    WSUpgradeRequest,
+    WSUpgradeResponse,
+    WSUpgradeResponseWithListener,
+)
+from picows.picows import WSProtocol  # type: ignore[attr-defined] - pinned, see pyproject.toml
+from uvicorn.protocols.http.httptools_impl import STATUS_LINE
+from uvicorn.server import ServerState
+
+from rcp_asgi.deflate import RESPONSE, offered
+from rcp_asgi.origins import is_loopback
+from rcp_asgi.settings import Settings
+from rcp_asgi.socket import Socket
+from rcp_kernel.asgi import Scope
+from rcp_kernel.door import Asgi
+from rcp_kernel.errors import BadRequest, InternalError
+from rcp_kernel.values import Encoding
+from rcp_kernel.wire import encode_reply, failure
+
+__all__ = ["Upgrade"]
+
+log = structlog.get_logger("rcp.asgi")
+_silent = logging.Logger("rcp.picows", logging.CRITICAL)  # each connection would log three lines
+_READ_BUFFER = 16 * 1024  # bytes to begin with; it grows with the messages
+_QUEUE = 64  # messages that an ASGI application may leave unread before reading stops
+_GOING_AWAY = 1001
+_BINARY = ("rcp.v1.cbor", "rcp.v1.msgpack")
+
+
+class Upgrade(asyncio.Protocol):
+    """One WebSocket connection, from the handshake on."""
+
+    def __init__(
+        self,
+        scope: Scope,
+        transport: asyncio.Transport,
+        app: Asgi,
+        *,
+        settings: Settings,
+        state: ServerState,
+        loop: asyncio.AbstractEventLoop,
+        rest: bytes,
+    ) -> None:
+        self._scope = scope
+        self._transport = transport
+        self._app = app
+        self._settings = settings
+        self._state = state
+        self._loop = loop
+        self._rest = rest
+        self._headers = {name: value for name, value in scope["headers"]}
+        self._key = self._headers.get(b"sec-websocket-key", b"")
+        self._stage = "connecting"  # → accepted | denied | closed
+        self._denial: tuple[int, list[tuple[bytes, bytes]]] = (403, [])
+        self._events: deque[dict[str, Any]] = deque([{"type": "websocket.connect"}])
+        self._arrived = asyncio.Event()
+        self._arrived.set()
+        self._drained = asyncio.Event()
+        self._drained.set()
+        self.socket = Socket(settings, self, loop)
+
+    def begin(self) -> None:
+        """Check the handshake and call the application."""
+        self._transport.pause_reading()
+        self._transport.set_protocol(self)
+        self._state.connections.add(self)  # type: ignore[arg-type] - it only wants `shutdown`
+        problem = self._problem()
+        if problem is not None:
+            status, text = problem
+            self._deny(status, _envelope(BadRequest(text)), [(b"sec-websocket-version", b"13")])
+            return
+        self._scope["subprotocols"] = self._offered()
+        self._scope["extensions"] = {
+            "websocket.http.response": {},
+            "rcp.socket": self.socket,
+            "rcp.closing": self._settings.closing,
+        }
+        task = self._loop.create_task(self._run())
+        self._state.tasks.add(task)
+        task.add_done_callback(self._state.tasks.discard)
+
+    def _problem(self) -> tuple[int, str] | None:
+        if self._scope["method"] != "GET":
+            return 400, "a WebSocket begins with GET"
+        if self._headers.get(b"sec-websocket-version") != b"13":
+            return 426, "only WebSocket version 13 is spoken"
+        try:
+            good = len(base64.b64decode(self._key, validate=True)) == 16
+        except (binascii.Error, ValueError):
+            good = False
+        return None if good else (400, "the Sec-WebSocket-Key is not one")
+
+    def _offered(self) -> list[str]:
+        found: list[str] = []
+        for name, value in self._scope["headers"]:
+            if name == b"sec-websocket-protocol":
+                found += [part.strip() for part in value.decode("latin-1").split(",")]
+        return [name for name in found if name]
+
+    async def _run(self) -> None:
+        try:
+            await self._app(self._scope, self._receive, self._send)
+        except Exception:
+            log.exception("websocket_failed", path=self._scope["path"])
+            if self._stage == "connecting":
+                self._deny(500, _envelope(InternalError("the gateway failed; see its log")), [])
+            else:
+                self.socket.close(1011, "the gateway failed")
+        else:
+            if self._stage == "connecting":
+                self._deny(403, b"", [])
+            else:
+                self.socket.close(1000)
+
+    # -- ASGI ----------------------------------------------------------------------------------
+
+    async def _receive(self) -> dict[str, Any]:
+        while not self._events:
+            self._arrived.clear()
+            await self._arrived.wait()
+        event = self._events.popleft()
+        if len(self._events) < _QUEUE // 2:
+            self.socket.resume_reading()
+        return event
+
+    async def _send(self, message: dict[str, Any]) -> None:
+        kind = message["type"]
+        if self._stage == "closed":
+            return
+        if self._stage == "connecting":
+            self._answer(kind, message)
+        elif kind == "websocket.send":
+            await self._drained.wait()
+            text = message.get("text")
+            data = message.get("bytes") if text is None else text.encode()
+            self.socket.send(data or b"", text=text is not None)
+        elif kind == "websocket.close":
+            self.socket.close(message.get("code", 1000), message.get("reason") or "")
+        elif not (kind == "websocket.http.response.body" and self._stage == "denied"):
+            raise RuntimeError(f"'{kind}' does not follow an accepted WebSocket")
+
+    def _answer(self, kind: str, message: dict[str, Any]) -> None:
+        if kind == "websocket.accept":
+            self._accept(message.get("subprotocol"), message.get("headers", ()))
+        elif kind == "websocket.http.response.start":
+            self._denial = (message["status"], list(message.get("headers", ())))
+        elif kind == "websocket.http.response.body":
+            self._deny(self._denial[0], message.get("body", b""), self._denial[1])
+        elif kind == "websocket.close":
+            self._deny(403, b"", [])
+        else:
+            raise RuntimeError(f"'{kind}' came before 'websocket.accept'")
+
+    # -- handshake -----------------------------------------------------------------------------
+
+    def _accept(self, subprotocol: str | None, headers: Any) -> None:
+        if self._transport.is_closing():
+            return  # `connection_lost` is under way
+        fields = [(name.decode("latin-1"), value.decode("latin-1")) for name, value in headers]
+        if subprotocol is not None:
+            fields.append(("Sec-WebSocket-Protocol", subprotocol))
+        if self._deflates(subprotocol):
+            fields.append(("Sec-WebSocket-Extensions", RESPONSE))
+        fields += [(k.decode(), v.decode()) for k, v in self._state.default_headers]
+
+        def listen(request: WSUpgradeRequest) -> WSUpgradeResponseWithListener:
+            response = WSUpgradeResponse.create_101_response(fields)
+            return WSUpgradeResponseWithListener(response, self.socket)
+
+        protocol = WSProtocol(
+            None,  # host and port, path: for clients
+            None,
+            False,  # is_client_side
+            listen,
+            _silent,
+            False,  # disconnect_on_exception: the receiver never raises, and if so, it is a bug
+            None,  # handshake timeout: it is complete in the next lines
+            False,  # auto ping and its times: `Socket` does it itself
+            None,
+            None,
+            WSAutoPingStrategy.PING_WHEN_IDLE,
+            False,  # auto pong
+            # Twice the limit is read, so that the sender can be told, and its connection kept.
+            2 * self._settings.door.limits.message,
+            None,
+            _READ_BUFFER,
+        )
+        self._stage = "accepted"
+        protocol.connection_made(self._transport)
+        _feed(protocol, _REQUEST % self._key)
+        self._transport.set_protocol(protocol)
+        if self._rest:
+            _feed(protocol, self._rest)
+            self._rest = b""
+        self._transport.resume_reading()
+
+    def _deflates(self, subprotocol: str | None) -> bool:
+        wish = self._settings.config.compression
+        if wish == "never" or (wish == "auto" and subprotocol in _BINARY):
+            return False
+        if not offered(self._headers.get(b"sec-websocket-extensions", b"").decode("latin-1")):
+            return False
+        client = self._scope["client"]
+        near = client is None or is_loopback(client[0])
+        self.socket.deflates = True
+        self.socket.compresses = wish == "always" or not near
+        return True
+
+    def _deny(self, status: int, body: bytes, headers: list[tuple[bytes, bytes]]) -> None:
+        self._stage = "denied"
+        if self._transport.is_closing():
+            return
+        kept = [(k, v) for k, v in headers if k not in (b"content-length", b"connection")]
+        if body and not any(k == b"content-type" for k, _ in kept):
+            kept.append((b"content-type", b"application/json"))
+        kept += [(b"content-length", b"%d" % len(body)), (b"connection", b"close")]
+        lines = b"".join(b"%b: %b\r\n" % pair for pair in kept)
+        self._transport.write(STATUS_LINE[status] + lines + b"\r\n" + body)
+        self._transport.close()
+
+    # -- asyncio, until picows has taken over --------------------------------------------------
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """Tell whoever uses the socket that the client is gone."""
+        self.socket.end()
+
+    def shutdown(self) -> None:
+        """Close, because the listener does."""
+        if self._stage == "connecting":
+            self._deny(503, b"", [])
+        else:
+            self.socket.close(_GOING_AWAY, "the gateway is closing")
+
+    # -- Receiver, for applications that use ASGI ----------------------------------------------
+
+    def _push(self, event: dict[str, Any]) -> None:
+        self._events.append(event)
+        self._arrived.set()
+
+    def received(self, data: bytes, text: bool) -> None:  # noqa: FBT001 - see Receiver
+        """Queue a message; the application reads it when it comes to it."""
+        value = {"text": data.decode()} if text else {"bytes": data}
+        self._push({"type": "websocket.receive", **value})
+        if len(self._events) >= _QUEUE:
+            self.socket.pause_reading()
+
+    def garbled(self, data: bytes) -> None:
+        """Leave it to the close code to say so."""
+
+    def oversized(self, size: int) -> None:
+        """Close: ASGI has no other way to say so."""
+        self.socket.close(1009, "the message is too long")
+
+    def drained(self) -> None:
+        """Let the application send again."""
+        self._drained.set()
+
+    def lost(self, code: int) -> None:
+        """Tell the application."""
+        self._state.connections.discard(self)  # type: ignore[arg-type]
+        self._stage = "closed"
+        self._push({"type": "websocket.disconnect", "code": code})
+        self._drained.set()
+
+
+_REQUEST = (
+    b"GET / HTTP/1.1\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
+    b"Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: %b\r\n\r\n"
+)
+"""What picows is given to answer: the essence of a request that was checked already."""
+
+
+def _feed(protocol: Any, data: bytes) -> None:
+    while data:
+        room = protocol.get_buffer(len(data))
+        part = data[: len(room)]
+        room[: len(part)] = part
+        protocol.buffer_updated(len(part))
+        data = data[len(part) :]
+
+
+def _envelope(error: BadRequest | InternalError) -> bytes:
+    return encode_reply(failure(error, "error"), Encoding.JSON)

@@ -1,0 +1,45 @@
+"""The opening: which encoding, and who."""
+
+from __future__ import annotations
+
+from rcp_kernel.asgi import Scope, bearer, header
+from rcp_kernel.door import Door
+from rcp_kernel.errors import BadRequest, Unauthenticated
+from rcp_kernel.identity import Principal
+from rcp_kernel.values import Encoding
+
+__all__ = ["SUBPROTOCOLS", "choose", "identify"]
+
+SUBPROTOCOLS = {f"rcp.v1.{encoding.value}": encoding for encoding in Encoding}
+
+
+def choose(offered: list[str]) -> tuple[str | None, Encoding]:
+    """Choose the first subprotocol of the client's that is spoken here; none offered is JSON.
+
+    :raises BadRequest: none of those offered is spoken.
+    """
+    for name in offered:
+        if name in SUBPROTOCOLS:
+            return name, SUBPROTOCOLS[name]
+    if offered:
+        raise BadRequest(
+            f"no subprotocol of {', '.join(offered)[:100]} is spoken here",
+            remedy=f"Offer one of {', '.join(SUBPROTOCOLS)}, or none for JSON.",
+        )
+    return None, Encoding.JSON
+
+
+def identify(door: Door, scope: Scope) -> tuple[Principal | None, str | None]:
+    """Return who connects and the tenant it wants; None has to prove itself in `hello` first.
+
+    :raises Unauthenticated: the token of the Authorization header is not good.
+    """
+    token = bearer(header(scope, b"authorization"))
+    tenant = header(scope, b"x-rcp-tenant")
+    try:
+        principal = door.authenticate(token)
+    except Unauthenticated:
+        if token is not None:
+            raise
+        principal = None
+    return principal, None if tenant is None else tenant.decode("latin-1")

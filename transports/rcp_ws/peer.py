@@ -1,0 +1,201 @@
+"""One client: between its WebSocket and its connection to the gateway."""
+
+from __future__ import annotations
+
+import asyncio
+from collections import deque
+from collections.abc import Callable
+from typing import Any
+
+from rcp_kernel.door import Door
+from rcp_kernel.errors import BadRequest, PayloadTooLarge, RcpError, Unauthenticated
+from rcp_kernel.identity import Principal
+from rcp_kernel.sessions import Hello
+from rcp_kernel.values import Encoding
+from rcp_kernel.wire import failure, salvage
+from rcp_ws import segments
+from rcp_ws.config import WsConfig
+from rcp_ws.incoming import Incoming
+from rcp_ws.outgoing import Outgoing
+from rcp_ws.segments import Again, looks_like_one
+from rcp_ws.socket import NativeSocket
+
+__all__ = ["Peer"]
+
+_NOBODY = Principal("nobody", (), ())
+_PATIENCE = 10.0  # s for a client to prove itself in `hello`
+_POLICY = 1008
+_LOOK_EVERY = 32  # replies between looks whether the client takes them
+
+
+class Peer:
+    """Feeds the connection with messages, and the socket with what the mailbox holds."""
+
+    def __init__(
+        self,
+        door: Door,
+        config: WsConfig,
+        who: tuple[Principal | None, str | None],
+        encoding: Encoding,
+        socket: NativeSocket,
+    ) -> None:
+        self._config = config
+        self._socket = socket
+        self._encoding = encoding
+        self._limit = door.limits.message
+        principal, tenant = who
+        self.connection = door.connect(principal or _NOBODY, encoding, self.flush, tenant)
+        self.connection.on_hello = self._hello
+        self._mailbox = self.connection.mailbox
+        self._receive: Callable[[bytes], None] = self.connection.receive
+        self._patience: asyncio.TimerHandle | None = None
+        if principal is None:
+            self._receive = self._greeting
+            self._patience = door.loop.call_later(_PATIENCE, self._turn_away)
+        self._inbox: deque[bytes] = deque()
+        """Messages read before the client was found not to take its replies."""
+        self._held = False
+        self._incoming = Incoming(
+            config, self._limit, whole=self._whole, again=self._again, failed=self._fail
+        )
+        self._outgoing = Outgoing(encoding, config.kept, door.loop.time)
+        self.gone = asyncio.Event()
+
+    # -- in ------------------------------------------------------------------------------------
+
+    def received(self, data: bytes, text: bool) -> None:  # noqa: FBT001 - see Receiver
+        """Take a message of the client."""
+        if self._held:
+            self._inbox.append(data)
+            return
+        if looks_like_one(data) and self._segment(data):
+            return
+        self._receive(data)
+        if len(self._mailbox.control) >= _LOOK_EVERY:
+            self.flush()
+            if len(self._mailbox.control) >= self._config.backlog:
+                self._hold()
+
+    def _greeting(self, data: bytes) -> None:
+        """Take nothing but `hello` from a client that has not proved who it is."""
+        type_, id_ = salvage(data, self._encoding)
+        if type_ != "hello":
+            error = Unauthenticated("this gateway serves nobody without a token")
+            self.connection.send(failure(error, type_, id_))
+            return
+        self.connection.receive(data)
+        if self.connection.session.principal is not _NOBODY:
+            self._receive = self.connection.receive
+            self._end_patience()
+
+    def _turn_away(self) -> None:
+        self._socket.close(_POLICY, "no proof of identity")
+
+    def _end_patience(self) -> None:
+        if self._patience is not None:
+            self._patience.cancel()
+            self._patience = None
+
+    def _hold(self) -> None:
+        """Read nothing more until the client has taken what it asked for."""
+        self._held = True
+        self._socket.pause_reading()
+
+    def _release(self) -> None:
+        self._held = False
+        while self._inbox and not self._held:
+            self.received(self._inbox.popleft(), False)  # noqa: FBT003 - nobody looks at it
+        if not self._held:
+            self._socket.resume_reading()
+
+    def garbled(self, data: bytes) -> None:
+        """Answer text that is not UTF-8, before the socket closes for it."""
+        type_, id_ = salvage(data, self._encoding)
+        error = BadRequest("the text message is not UTF-8")
+        self._socket.write([self.connection.encode(failure(error, type_, id_))])
+
+    def oversized(self, size: int) -> None:
+        """Answer a message that was thrown away."""
+        error = PayloadTooLarge(
+            f"the message is longer than {self._limit} bytes", details={"limit": self._limit}
+        )
+        self.connection.send(failure(error, "error"))
+
+    def lost(self, code: int) -> None:
+        """Let go; the session waits for the client's return."""
+        self._end_patience()
+        self._inbox.clear()
+        self._incoming.close()
+        self._outgoing.close()
+        self.connection.close()
+        self.gone.set()
+
+    # -- segments ------------------------------------------------------------------------------
+
+    def _segment(self, data: bytes) -> bool:
+        """Take a message that may be a segment; tell whether it was one."""
+        id_: str | int | None = None
+        try:
+            found = segments.read(data, self._encoding)
+            if found is None:
+                return False
+            id_ = found.id
+            if isinstance(found, Again):
+                self._outgoing.again(found)
+                self._mailbox.mark()
+            else:
+                self._incoming.take(found)
+        except RcpError as error:
+            self._fail(id_, error)
+        return True
+
+    def _whole(self, data: bytes) -> None:
+        self._receive(data)
+
+    def _fail(self, id_: str | int | None, error: RcpError) -> None:
+        self.connection.send(failure(error, "segment", None if id_ is None else str(id_)))
+
+    def _again(self, id_: str | int, missing: list[int]) -> None:
+        self._mailbox.push(segments.request_again(id_, missing, self._encoding))
+
+    def _hello(self, hello: Hello) -> dict[str, Any]:
+        wanted = hello.segment_size
+        agreed = None if wanted is None else min(wanted, self._config.segment_size)
+        self._outgoing.size = agreed
+        return {"limits": {"segment_size": agreed, "segments": self._config.segments}}
+
+    # -- out -----------------------------------------------------------------------------------
+
+    def flush(self) -> None:
+        """Send what there is, if the socket takes it."""
+        socket = self._socket
+        if not socket.writable:
+            return
+        mailbox = self._mailbox
+        if self._outgoing.size is not None:
+            self._flush_cut(self._outgoing, self._outgoing.size)
+        else:
+            messages = mailbox.collect()
+            if messages:
+                socket.write(messages)
+        if mailbox.pending and socket.writable:
+            mailbox.mark()
+        if self.connection.expelled:
+            socket.close(_POLICY, "the session has ended or moved")
+
+    def _flush_cut(self, outgoing: Outgoing, size: int) -> None:
+        busy = outgoing.busy
+        messages = self._mailbox.collect(big=size if busy else None)
+        messages = outgoing.sift(messages)
+        if outgoing.busy:
+            messages.append(outgoing.next())
+        if messages:
+            self._socket.write(messages)
+        if outgoing.busy:
+            self._mailbox.mark()
+
+    def drained(self) -> None:
+        """Go on: the client takes again."""
+        self.flush()
+        if self._held and len(self._mailbox.control) < self._config.backlog:
+            self._release()

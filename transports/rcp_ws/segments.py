@@ -1,0 +1,128 @@
+"""Segments: a message too long to go in one piece, as the contract cuts it (section 6).
+
+Every segment bears the size and hash of the whole, so that whoever receives them can make room,
+notice damage, and ask again for what is missing.
+"""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+from typing import Annotated, Any, Literal
+
+import cbor2
+import msgspec
+from msgspec import Meta
+
+from rcp_kernel.errors import BadRequest
+from rcp_kernel.values import Encoding, parse
+
+__all__ = ["Again", "Segment", "cut", "frame", "looks_like_one", "read", "request_again"]
+
+_MARK = b"segment"
+TransferId = Annotated[str, Meta(min_length=1, max_length=128)] | int
+
+
+class Segment(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """One part of a transfer."""
+
+    type: Literal["segment"]
+    id: TransferId
+    num: Annotated[int, Meta(ge=0)]
+    total: Annotated[int, Meta(ge=1)]
+    size: Annotated[int, Meta(ge=0)]
+    """Bytes of the whole."""
+    sha256: Annotated[str, Meta(pattern="^[0-9a-fA-F]{64}$")]
+    """Hash of the whole."""
+    body: bytes
+
+
+class Again(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """A wish for segments that did not arrive."""
+
+    type: Literal["segment"]
+    id: TransferId
+    resend: list[Annotated[int, Meta(ge=0)]]
+
+
+_from_json = msgspec.json.Decoder(Segment)
+_again_json = msgspec.json.Decoder(Again)
+_from_msgpack = msgspec.msgpack.Decoder(Segment)
+_again_msgpack = msgspec.msgpack.Decoder(Again)
+
+
+def looks_like_one(data: bytes) -> bool:
+    """Tell, cheaply, whether a message may be a segment."""
+    return _MARK in data
+
+
+def read(data: bytes, encoding: Encoding) -> Segment | Again | None:
+    """Read a segment, or a wish for some; None if the message is something else.
+
+    :raises BadRequest: it is a segment, and malformed.
+    """
+    try:
+        if encoding is Encoding.CBOR:
+            return msgspec.convert(parse(data, encoding), Segment)
+        return (_from_json if encoding is Encoding.JSON else _from_msgpack).decode(data)
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError, BadRequest) as error:
+        return _read_slowly(data, encoding, error)
+
+
+def _read_slowly(data: bytes, encoding: Encoding, error: Exception) -> Again | None:
+    try:
+        plain = parse(data, encoding)
+    except BadRequest:
+        return None  # the gateway says what is wrong with it
+    if not isinstance(plain, dict) or plain.get("type") != "segment":
+        return None
+    if "resend" not in plain:
+        raise BadRequest(
+            f"malformed segment: {error}",
+            remedy="Send type, id, num, total, size, sha256 and body; or id and resend.",
+        )
+    try:
+        return msgspec.convert(plain, Again)
+    except msgspec.ValidationError as cause:
+        raise BadRequest(f"malformed segment: {cause}") from None
+
+
+def cut(data: bytes, size: int) -> list[bytes]:
+    """Cut a message into bodies of at most `size` bytes."""
+    return [data[start : start + size] for start in range(0, len(data), size)]
+
+
+def frame(
+    id_: str, num: int, bodies: list[bytes], whole: tuple[int, str], encoding: Encoding
+) -> bytes:
+    """Write one segment; `whole` is size and hash of the message."""
+    fields: dict[str, Any] = {
+        "type": "segment",
+        "id": id_,
+        "num": num,
+        "total": len(bodies),
+        "size": whole[0],
+        "sha256": whole[1],
+        "body": bodies[num],
+    }
+    return _encode(fields, encoding)
+
+
+def request_again(id_: str | int, missing: list[int], encoding: Encoding) -> bytes:
+    """Write a wish for segments."""
+    return _encode({"type": "segment", "id": id_, "resend": missing}, encoding)
+
+
+def _encode(fields: dict[str, Any], encoding: Encoding) -> bytes:
+    if encoding is Encoding.CBOR:
+        return cbor2.dumps(fields)
+    if encoding is Encoding.MSGPACK:
+        return msgspec.msgpack.encode(fields)
+    if (body := fields.get("body")) is not None:
+        fields["body"] = base64.b64encode(body).decode()
+    return msgspec.json.encode(fields)
+
+
+def digest(data: bytes) -> str:
+    """Return the hash that segments bear."""
+    return hashlib.sha256(data).hexdigest()
