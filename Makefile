@@ -11,7 +11,7 @@ TEST := .venv/.test
 PIP := $(BIN)/python -m pip install -qq --disable-pip-version-check
 NEEDS := pyproject.toml constraints.txt
 
-.PHONY: help demo test lint format bench constraints clean
+.PHONY: help demo test lint format bench constraints picture clean
 
 help:
 	@echo "make demo [PORT=8080]   serve two simulated robots and say where to look"
@@ -20,6 +20,7 @@ help:
 	@echo "make format             have ruff lay the code out"
 	@echo "make bench              measure; prints tables"
 	@echo "make constraints        write constraints.txt from what is installed"
+	@echo "make picture            draw docs/demo.svg from a demo that runs"
 	@echo "make clean              remove .venv and what tools left behind"
 
 demo: $(DEMO)
@@ -39,10 +40,13 @@ format: $(TEST)
 	$(BIN)/ruff format .
 
 bench: $(TEST)
-	$(BIN)/python -m benchmarks $(ARGS)
+	$(BIN)/python benchmarks/scale.py $(ARGS)
 
 constraints: $(TEST)
 	$(BIN)/python .ci/constraints.py
+
+picture: $(TEST)
+	$(BIN)/python .ci/picture.py
 
 clean:
 	rm -rf .venv .pytest_cache .ruff_cache .hypothesis .import_linter_cache build dist
