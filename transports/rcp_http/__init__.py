@@ -1,1 +1,34 @@
-"""Placeholder."""
+"""Requests over HTTP under /rcp/v1: resources, envelopes, commands, catalogue, health."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncGenerator, Iterable
+from contextlib import asynccontextmanager
+from typing import Any
+
+from rcp_http.app import PREFIX, HttpApp
+from rcp_http.config import HttpConfig
+from rcp_http.openapi import Described
+from rcp_kernel.door import Door, Mount
+from rcp_kernel.hookspecs import hookimpl
+from rcp_kernel.spi import TransportKind
+
+__all__ = ["HttpConfig", "open_http", "rcp_transports"]
+
+
+@asynccontextmanager
+async def open_http(config: HttpConfig, door: Door) -> AsyncGenerator[dict[str, Any]]:
+    """Offer the calls to the listener while entered."""
+    app, described = HttpApp(config, door), Described(door)
+    mount = Mount(name="http", prefix=PREFIX, app=app, openapi=described.part)
+    door.mount(mount)
+    try:
+        yield {"path": PREFIX}
+    finally:
+        door.unmount(mount)
+
+
+@hookimpl
+def rcp_transports() -> Iterable[TransportKind]:
+    """Offer HTTP."""
+    return [TransportKind("http", HttpConfig, open_http, __doc__ or "")]

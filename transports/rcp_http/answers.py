@@ -1,0 +1,111 @@
+"""From a reply to a response: status, headers, validators, content coding."""
+
+from __future__ import annotations
+
+import secrets
+from typing import Any
+
+from rcp_http.asked import Asked
+from rcp_http.compress import compress
+from rcp_http.config import HttpConfig
+from rcp_http.negotiate import coding
+from rcp_kernel.asgi import MEDIA, Headers, Send, status_of
+from rcp_kernel.pending import crash
+from rcp_kernel.values import Encoding
+from rcp_kernel.wire import Reply, encode_reply, failure
+
+__all__ = ["BOOT", "Answers", "matches"]
+
+BOOT = secrets.token_hex(4).encode()
+"""Part of every validator: numbers begin anew with the process."""
+_MEDIA = {encoding: (b"content-type", name) for encoding, name in MEDIA.items()}
+_NO_CACHE = (b"cache-control", b"no-cache")
+_VARY = (b"vary", b"accept, accept-encoding, authorization, x-rcp-tenant")
+_CODED = {name: (b"content-encoding", name.encode()) for name in ("zstd", "gzip")}
+_METHODS = {"read": "GET", "write": "PUT", "execute": "POST", "subscribe": "GET"}
+
+
+class Answers:
+    """Writes responses."""
+
+    def __init__(self, config: HttpConfig) -> None:
+        self._threshold = config.compress_above
+
+    async def reply(
+        self, send: Send, asked: Asked, reply: Reply, headers: Headers | None = None
+    ) -> None:
+        """Answer with an envelope."""
+        etag = None
+        if reply.seq is not None and reply.type == "read" and reply.error is None:
+            etag = b'W/"%b.%d.%b"' % (BOOT, reply.seq, b"s" if reply.state == "stale" else b"f")
+        status = status_of(reply)
+        found = [] if headers is None else headers
+        if reply.error is not None:
+            found += _error_headers(status, reply.error)
+        if reply.command is not None and asked.method == "POST":
+            place = f"{asked.root_path}/rcp/v1/commands/{reply.command}"
+            found.append((b"location", place.encode("latin-1")))
+        if etag is not None and matches(asked, etag):
+            await self.unchanged(send, etag)
+            return
+        await self.body(send, asked, status, _encode(reply, asked.encoding), found, etag)
+
+    async def unchanged(self, send: Send, etag: bytes) -> None:
+        """Tell that the client has it already."""
+        headers = [(b"etag", etag), _NO_CACHE, _VARY]
+        await send({"type": "http.response.start", "status": 304, "headers": headers})
+        await send({"type": "http.response.body", "body": b""})
+
+    async def body(
+        self,
+        send: Send,
+        asked: Asked,
+        status: int,
+        data: bytes,
+        headers: Headers,
+        etag: bytes | None = None,
+    ) -> None:
+        """Send an encoded answer, compressed if that is worth it."""
+        headers += _MEDIA[asked.encoding], _NO_CACHE, _VARY
+        if etag is not None:
+            headers.append((b"etag", etag))
+        if len(data) > self._threshold and (how := asked.found.get("accept_encoding")) is not None:
+            chosen = coding(how)
+            if chosen is not None:
+                data = await compress(data, chosen)
+                headers.append(_CODED[chosen])
+        headers.append((b"content-length", b"%d" % len(data)))
+        await send({"type": "http.response.start", "status": status, "headers": headers})
+        await send({"type": "http.response.body", "body": data})
+
+
+def matches(asked: Asked, etag: bytes) -> bool:
+    """Tell whether the client named this validator in If-None-Match."""
+    named = asked.found.get("if_none_match")
+    if named is None:
+        return False
+    wanted = etag.removeprefix(b"W/")
+    return named.strip() == b"*" or any(
+        part.strip().removeprefix(b"W/") == wanted for part in named.split(b",")
+    )
+
+
+def _encode(reply: Reply, encoding: Encoding) -> bytes:
+    try:
+        return encode_reply(reply, encoding)
+    except Exception as error:
+        told = crash(error, path=reply.path)
+        return encode_reply(failure(told, reply.type, reply.id, reply.path), encoding)
+
+
+def _error_headers(status: int, error: dict[str, Any]) -> Headers:
+    headers: Headers = []
+    if status == 401:
+        headers.append((b"www-authenticate", b"Bearer"))
+    if (after := error.get("retry_after")) is not None:
+        headers.append((b"retry-after", b"%d" % max(1, round(after))))
+    if status == 405:
+        allowed = (error.get("details") or {}).get("allowed", ())
+        methods = dict.fromkeys(_METHODS[name] for name in allowed if name in _METHODS)
+        headers.append((b"allow", ", ".join((*methods, "OPTIONS")).encode()))
+    return headers

@@ -1,0 +1,193 @@
+"""Everything under `/rcp/v1` that is not a resource: envelopes, commands, catalogue, health."""
+
+from __future__ import annotations
+
+import hashlib
+from typing import Any
+
+import msgspec
+from msgspec import Raw
+
+from rcp_http.answers import BOOT, Answers, matches
+from rcp_http.asked import Asked, flag
+from rcp_http.config import HttpConfig
+from rcp_http.context import Context, Follower
+from rcp_http.negotiate import body_encoding
+from rcp_kernel.asgi import Receive, Send, respond
+from rcp_kernel.clock import iso, now
+from rcp_kernel.door import Door
+from rcp_kernel.errors import BadRequest, RcpError, UnknownPath, UnsupportedOperation
+from rcp_kernel.sessions import Session
+from rcp_kernel.values import Encoding
+from rcp_kernel.wire import FINAL, Reply, Request, decode_request, encode_reply, failure, salvage
+
+__all__ = ["Calls"]
+
+_LISTED = 1000  # commands in one answer
+_STREAMS = ("subscribe", "unsubscribe", "hello")
+
+
+class Calls:
+    """The handlers."""
+
+    def __init__(self, door: Door, config: HttpConfig, answers: Answers, context: Context) -> None:
+        self._door = door
+        self._config = config
+        self._answers = answers
+        self._context = context
+
+    async def _ask(self, asked: Asked, session: Session, request: Request, send: Send) -> None:
+        follower = Follower()
+        self._door.submit(session, request, follower)
+        await self._answers.reply(send, asked, await follower.final(None))
+
+    # -- envelopes -----------------------------------------------------------------------------
+
+    async def messages(self, asked: Asked, session: Session, receive: Receive, send: Send) -> None:
+        """POST /messages: any one envelope."""
+        asked.allow()
+        data = await asked.body(receive, self._door.limits.message, self._config.body_timeout)
+        encoding = body_encoding(asked.found.get("content_type", b"")) or Encoding.JSON
+        if "accept" not in asked.found or asked.found["accept"] == b"*/*":
+            asked.encoding = encoding
+        try:
+            request = decode_request(data, encoding)
+            if request.type in _STREAMS:
+                raise UnsupportedOperation(
+                    f"`{request.type}` needs a connection, and HTTP has none",
+                    remedy="Use the WebSocket at /rcp/v1/ws, or GET /rcp/v1/events.",
+                )
+        except RcpError as error:
+            type_, id_ = salvage(data, encoding)
+            self._door.refused(type_, error.code)
+            await self._answers.reply(send, asked, failure(error, type_, id_))
+            return
+        if request.type != "execute":
+            await self._ask(asked, session, request, send)
+            return
+        await self._context.run(asked, session, request, send, self._patience(asked, request))
+
+    def _patience(self, asked: Asked, request: Request) -> float | None:
+        """How long an execute may hold its answer back: a service is a short call, an action not."""
+        if asked.at_once:
+            return None
+        if asked.wait is not None:
+            return asked.wait
+        if request.deadline is not None:
+            return request.deadline + 1.0  # the gateway ends the command in time
+        service = request.path is not None and "/service/" in request.path
+        return self._door.limits.deadline if service else None
+
+    # -- commands ------------------------------------------------------------------------------
+
+    async def commands(self, asked: Asked, session: Session, send: Send) -> None:
+        """GET /commands: the newest first, without their histories."""
+        asked.allow("status", "path", "limit")
+        status, path = asked.one("status"), asked.one("path")
+        limit = _count(asked.one("limit"))
+        found: list[dict[str, Any]] = []
+        for command in self._door.commands(session):
+            if len(found) == limit:
+                break
+            live = status == "running" and command.status not in FINAL
+            if (status is None or live or command.status == status) and (
+                path is None or command.path == path
+            ):
+                facts = command.plain()
+                del facts["history"]
+                found.append(facts)
+        await self._plain(asked, send, found, "/system/commands")
+
+    async def command(self, asked: Asked, session: Session, id_: str, send: Send) -> None:
+        """GET /commands/<id>: the state, with feedback and history."""
+        asked.allow()
+        body = self._door.command(session, id_).plain()
+        await self._plain(asked, send, body, "/system/commands")
+
+    async def cancel(self, asked: Asked, session: Session, id_: str, send: Send) -> None:
+        """DELETE /commands/<id>: have it cancelled."""
+        asked.allow()
+        request = asked.request("cancel")
+        request.command = id_
+        await self._ask(asked, session, request, send)
+
+    async def _plain(self, asked: Asked, send: Send, body: Any, path: str | None) -> None:
+        request = asked.request("read")
+        reply = Reply(
+            type="read",
+            id=request.id,
+            path=path,
+            body=body,
+            timestamp=iso(now()),
+            custom=request.custom,
+        )
+        await self._answers.reply(send, asked, reply)
+
+    # -- catalogue -----------------------------------------------------------------------------
+
+    async def discovery(self, asked: Asked, session: Session, send: Send) -> None:
+        """GET /discovery: the catalogue."""
+        asked.allow("path", "kind", "op", "q", "limit", "cursor", "schemas")
+        etag = self._etag(asked, session)
+        if matches(asked, etag):
+            await self._answers.unchanged(send, etag)
+            return
+        query: dict[str, Any] = {}
+        for name in ("kind", "op", "q", "cursor"):
+            if (text := asked.one(name)) is not None:
+                query[name] = text
+        if "limit" in asked.query:
+            query["limit"] = _count(asked.one("limit"))
+        if (text := asked.one("schemas")) is not None:
+            query["schemas"] = flag("schemas", text)
+        request = asked.request("discover", asked.one("path"))
+        request.body = Raw(msgspec.json.encode(query))
+        follower = Follower()
+        self._door.submit(session, request, follower)
+        reply = await follower.final(None)
+        if reply.error is not None:
+            await self._answers.reply(send, asked, reply)
+            return
+        data = encode_reply(reply, asked.encoding)
+        await self._answers.body(send, asked, 200, data, [], etag)
+
+    def _etag(self, asked: Asked, session: Session) -> bytes:
+        """Make the validator of what a session sees of the tree, as it was asked for."""
+        seen = (
+            session.rights.tenants,
+            session.principal.roles,
+            session.tenant,
+            sorted(asked.query.items()),
+            id(session.rights),
+        )
+        digest = hashlib.sha256(repr(seen).encode()).hexdigest()[:16].encode()
+        return b'W/"%b.g%d.%b"' % (BOOT, self._door.generation, digest)
+
+    async def status(self, asked: Asked, session: Session, send: Send) -> None:
+        """GET /status: the health report."""
+        asked.allow()
+        await self._ask(asked, session, asked.request("status"), send)
+
+    async def schemas(self, asked: Asked, session: Session, send: Send) -> None:
+        """GET /schemas: every schema of what the caller may see, by id."""
+        asked.allow()
+        await self._plain(asked, send, self._door.schemas(session), None)
+
+    async def schema(self, asked: Asked, session: Session, id_: str, send: Send) -> None:
+        """GET /schemas/<id>: one; bare for those who accept `application/schema+json`."""
+        asked.allow()
+        found = self._door.schemas(session).get(id_.removeprefix("rcp:schema:"))
+        if found is None:
+            raise UnknownPath(f"there is no schema '{id_[:80]}'", remedy="List /rcp/v1/schemas.")
+        if b"application/schema+json" in asked.found.get("accept", b""):
+            await respond(send, 200, msgspec.json.encode(found), b"application/schema+json")
+            return
+        await self._plain(asked, send, found, None)
+
+
+def _count(text: str | None) -> int:
+    if text is None:
+        return 100
+    if not text.isdigit() or not 1 <= int(text) <= _LISTED:
+        raise BadRequest(f"`limit` is a number from 1 to {_LISTED}, not {text[:40]!r}")
+    return int(text)

@@ -1,0 +1,34 @@
+"""Content coding of answers; long ones are coded off the event loop."""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+import zlib
+
+import zstandard
+
+from rcp_http.negotiate import Coding
+
+__all__ = ["compress"]
+
+_IN_PLACE = 128 * 1024  # bytes up to which coding takes less than a thread's hand-over is worth
+_GZIP = 31  # window bits: the largest, with gzip's head and tail
+_local = threading.local()
+
+
+async def compress(data: bytes, how: Coding) -> bytes:
+    """Code an answer."""
+    if len(data) <= _IN_PLACE:
+        return _compress(data, how)
+    return await asyncio.to_thread(_compress, data, how)
+
+
+def _compress(data: bytes, how: Coding) -> bytes:
+    if how == "gzip":
+        return zlib.compress(data, 1, _GZIP)
+    compressor: zstandard.ZstdCompressor | None = getattr(_local, "zstd", None)
+    if compressor is None:
+        # It holds a context that must not be used by two threads at once.
+        compressor = _local.zstd = zstandard.ZstdCompressor(level=1)
+    return compressor.compress(data)

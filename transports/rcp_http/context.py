@@ -1,0 +1,153 @@
+"""`/context/<path>`: read, write and execute resources."""
+
+from __future__ import annotations
+
+import asyncio
+
+import msgspec
+from msgspec import Raw
+
+from rcp_http.answers import Answers
+from rcp_http.asked import Asked, flag
+from rcp_http.config import HttpConfig
+from rcp_http.octets import bytes_of, send_octets
+from rcp_kernel.asgi import Receive, Send, respond
+from rcp_kernel.discovery import Query
+from rcp_kernel.door import Door
+from rcp_kernel.errors import BadRequest, RcpError, UnknownPath
+from rcp_kernel.sessions import Session
+from rcp_kernel.wire import Reply, Request, failure
+
+__all__ = ["Context", "Follower"]
+
+_OPERATIONS = {"read": ("GET", "HEAD"), "write": ("PUT",), "execute": ("POST",)}
+
+
+class Follower:
+    """The replies to one request: the latest, and futures for whoever waits for the rest."""
+
+    __slots__ = ("_final", "_first", "latest")
+
+    def __init__(self) -> None:
+        self.latest: Reply | None = None
+        self._first: asyncio.Future[None] | None = None
+        self._final: asyncio.Future[None] | None = None
+
+    def __call__(self, reply: Reply) -> None:
+        self.latest = reply
+        for waiter in (self._first, self._final if reply.final else None):
+            if waiter is not None and not waiter.done():
+                waiter.set_result(None)
+
+    async def first(self) -> Reply:
+        """Return a reply as soon as there is one."""
+        if self.latest is None:
+            self._first = asyncio.get_running_loop().create_future()
+            await self._first
+        assert self.latest is not None
+        return self.latest
+
+    async def final(self, timeout: float | None) -> Reply:
+        """Return the final reply, or what there is after `timeout` seconds."""
+        if self.latest is None or not self.latest.final:
+            self._final = asyncio.get_running_loop().create_future()
+            await asyncio.wait((self._final,), timeout=timeout)
+        return await self.first()
+
+
+class Context:
+    """The handlers of one kind of URL."""
+
+    def __init__(self, door: Door, config: HttpConfig, answers: Answers) -> None:
+        self._door = door
+        self._config = config
+        self._answers = answers
+
+    async def read(self, asked: Asked, session: Session, path: str, send: Send) -> None:
+        """GET: the value."""
+        if asked.query:
+            asked.allow("fields", "fresh")
+        request = asked.request("read", path)
+        if asked.query:
+            self._options(asked, request)
+        follower = Follower()
+        self._door.submit(session, request, follower)
+        reply = follower.latest
+        if reply is None or not reply.final:
+            reply = await follower.final(None)
+        if (asked.octets or "range" in asked.found) and reply.error is None:
+            data = bytes_of(reply)
+            if data is not None:
+                await send_octets(send, asked, reply, data)
+                return
+            if asked.octets and b"json" not in asked.found["accept"]:
+                raise BadRequest(
+                    f"the value of {reply.path} is not bytes",
+                    path=reply.path,
+                    remedy="Accept application/json, or name a field of bytes with `fields`.",
+                )
+        await self._answers.reply(send, asked, reply)
+
+    def _options(self, asked: Asked, request: Request) -> None:
+        options: dict[str, object] = {}
+        if "fields" in asked.query:
+            names = ",".join(asked.query["fields"]).split(",")
+            options["fields"] = [name for name in names if name]
+        if (fresh := asked.one("fresh")) is not None:
+            options["fresh"] = flag("fresh", fresh)
+        if options:
+            request.body = Raw(msgspec.json.encode(options))
+
+    async def write(
+        self, asked: Asked, session: Session, path: str, receive: Receive, send: Send
+    ) -> None:
+        """PUT: the body is the value."""
+        asked.allow()
+        request = asked.request("write", path)
+        await self._take_body(asked, request, receive)
+        if not request.body:
+            raise BadRequest("the request has no body", remedy="Send the value as the body.")
+        follower = Follower()
+        self._door.submit(session, request, follower)
+        await self._answers.reply(send, asked, await follower.final(None))
+
+    async def execute(
+        self, asked: Asked, session: Session, path: str, receive: Receive, send: Send
+    ) -> None:
+        """POST: the body is the input; answered at once unless the client says that it waits."""
+        asked.allow()
+        request = asked.request("execute", path)
+        await self._take_body(asked, request, receive)
+        wait = asked.wait
+        await self.run(asked, session, request, send, wait)
+
+    async def run(
+        self, asked: Asked, session: Session, request: Request, send: Send, wait: float | None
+    ) -> None:
+        """Submit an execute and answer with its first reply, or its last within `wait` seconds."""
+        follower = Follower()
+        self._door.submit(session, request, follower)
+        reply = await follower.first()
+        headers: list[tuple[bytes, bytes]] = []
+        if wait and not reply.final:
+            limit = min(wait, self._config.max_wait)
+            headers.append((b"preference-applied", b"wait=%d" % limit))
+            reply = await follower.final(limit)
+        await self._answers.reply(send, asked, reply, headers)
+
+    async def _take_body(self, asked: Asked, request: Request, receive: Receive) -> None:
+        limits = self._door.limits
+        data = await asked.body(receive, limits.message, self._config.body_timeout)
+        asked.put_body(request, data)
+
+    async def options(self, asked: Asked, session: Session, path: str, send: Send) -> None:
+        """OPTIONS: what may be done with the resource."""
+        try:
+            found = self._door.discover(session, path, Query(limit=1, schemas=False))["resources"]
+        except RcpError as error:
+            await self._answers.reply(send, asked, failure(error, "discover", None, path))
+            return
+        if not found:
+            raise UnknownPath(f"there is no resource {path}", path=path)
+        named = [m for op in found[0]["operations"] for m in _OPERATIONS.get(op, ())]
+        await respond(send, 204, b"", headers=[(b"allow", ", ".join([*named, "OPTIONS"]).encode())])

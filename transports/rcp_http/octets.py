@@ -1,0 +1,79 @@
+"""Values of bytes as they are, whole or a range of them (RFC 9110, section 14)."""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+from rcp_http.answers import BOOT, matches
+from rcp_http.asked import Asked
+from rcp_http.negotiate import OCTETS
+from rcp_kernel.asgi import Headers, Send, respond
+from rcp_kernel.errors import BadRequest, RcpError
+from rcp_kernel.samples import Sample
+from rcp_kernel.wire import Reply
+
+__all__ = ["bytes_of", "range_headers", "send_octets"]
+
+_RANGE = re.compile(r"bytes=(\d*)-(\d*)\Z")
+_MEDIA = OCTETS.encode()
+
+
+class NotSatisfiable(BadRequest):
+    """The range lies outside of the value."""
+
+    http = 416
+
+
+def bytes_of(reply: Reply) -> bytes | None:
+    """Return the bytes that a reply's body is, or that its only field is; None if it has none."""
+    body: Any = reply.body
+    if isinstance(body, Sample):
+        body = body.native.data if body.native is not None else body.value
+    while isinstance(body, dict) and len(body) == 1:
+        body = next(iter(body.values()))
+    return bytes(body) if isinstance(body, (bytes, bytearray, memoryview)) else None
+
+
+async def send_octets(send: Send, asked: Asked, reply: Reply, data: bytes) -> None:
+    """Answer with bare bytes.
+
+    :raises NotSatisfiable: the range that was asked for lies outside.
+    """
+    etag = b'"%b.%d"' % (BOOT, reply.seq or 0)
+    headers: Headers = [(b"accept-ranges", b"bytes"), (b"etag", etag), (b"vary", b"accept")]
+    if reply.source_timestamp is not None:
+        headers.append((b"x-rcp-timestamp", reply.source_timestamp.encode()))
+    if matches(asked, etag):
+        await respond(send, 304, b"", headers=headers)
+        return
+    wanted = asked.found.get("range")
+    if wanted is not None and asked.found.get("if_range", etag) == etag:
+        part = _part(wanted.decode("latin-1"), len(data))
+        if part is not None:
+            start, stop = part
+            headers.append((b"content-range", b"bytes %d-%d/%d" % (start, stop - 1, len(data))))
+            await respond(send, 206, data[start:stop], _MEDIA, headers)
+            return
+    await respond(send, 200, data, _MEDIA, headers)
+
+
+def _part(text: str, size: int) -> tuple[int, int] | None:
+    match = _RANGE.match(text.strip())
+    if match is None or match[0] == "bytes=-":
+        return None  # several ranges, or another unit: the whole is a right answer too
+    if match[1]:
+        start = int(match[1])
+        stop = min(size, int(match[2]) + 1) if match[2] else size
+    else:
+        start, stop = max(0, size - int(match[2])), size
+    if start >= stop:
+        raise NotSatisfiable(f"the value has {size} bytes", details={"size": size})
+    return start, stop
+
+
+def range_headers(error: RcpError) -> Headers:
+    """Return the header that tells the size to a client whose range lay outside."""
+    if isinstance(error, NotSatisfiable) and error.details is not None:
+        return [(b"content-range", b"bytes */%d" % error.details["size"])]
+    return []
