@@ -1,1 +1,101 @@
-"""Placeholder."""
+"""Server-sent events: updates, a command's replies and the status as streams over HTTP."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncGenerator, Iterable
+from contextlib import AsyncExitStack, asynccontextmanager
+from typing import Any
+
+from rcp_kernel.asgi import Receive, Scope, Send, header, refuse, respond, status_of
+from rcp_kernel.door import Asgi, Door, Mount
+from rcp_kernel.errors import BadRequest, RcpError, UnknownPath, UnsupportedOperation
+from rcp_kernel.hookspecs import hookimpl
+from rcp_kernel.pending import crash
+from rcp_kernel.sessions import Session
+from rcp_kernel.spi import TransportKind
+from rcp_kernel.values import Encoding
+from rcp_kernel.wire import encode_reply
+from rcp_sse.config import SseConfig
+from rcp_sse.events import Events, Refusal
+from rcp_sse.openapi import described
+from rcp_sse.replies import Replies
+
+__all__ = ["SseConfig", "open_sse", "rcp_transports"]
+
+_EVENTS = "/rcp/v1/events"
+_STATUS = "/rcp/v1/status/events"
+_COMMANDS = "/rcp/v1/commands"
+_TAIL = "/events"
+
+
+class _Sse:
+    """The ASGI application behind the three mounts."""
+
+    def __init__(self, door: Door, events: Events, replies: Replies) -> None:
+        self._door = door
+        self._events = events
+        self._replies = replies
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        try:
+            if scope["method"] == "OPTIONS":
+                await respond(send, 204, b"", headers=[(b"allow", b"GET, OPTIONS")])
+                return
+            _check(scope)
+            await self._serve(scope, receive, send)
+        except Refusal as refusal:
+            body = encode_reply(refusal.reply, Encoding.JSON)
+            await respond(send, status_of(refusal.reply), body)
+        except Exception as error:
+            told = crash(error, path=scope["path"])
+            self._door.refused("subscribe", told.code)
+            await refuse(send, told, "subscribe")
+
+    async def _serve(self, scope: Scope, receive: Receive, send: Send) -> None:
+        path: str = scope["path"]
+        if path == _EVENTS:
+            await self._events.serve(scope, receive, send)
+        elif path == _STATUS:
+            await self._events.serve(scope, receive, send, "/system/status")
+        elif path.startswith(_COMMANDS) and path.count("/") == _COMMANDS.count("/") + 2:
+            id_ = path[len(_COMMANDS) + 1 : -len(_TAIL)]
+            await self._replies.serve(scope, receive, send, id_)
+        else:
+            raise UnknownPath(f"nothing is at {path}")
+
+
+def _check(scope: Scope) -> None:
+    if scope["method"] != "GET":
+        raise UnsupportedOperation(f"{scope['path']} does not take {scope['method']}")
+    accept = header(scope, b"accept")
+    if accept is not None and not any(
+        name in accept for name in (b"text/event-stream", b"text/*", b"*/*")
+    ):
+        raise BadRequest("this is a stream", remedy="Accept text/event-stream.")
+
+
+@asynccontextmanager
+async def open_sse(config: SseConfig, door: Door) -> AsyncGenerator[dict[str, Any]]:
+    """Offer the streams to the listener while entered."""
+    events = Events(config, door)
+    app: Asgi = _Sse(door, events, Replies(config, door))
+
+    def openapi(session: Session) -> dict[str, Any]:
+        return described()
+
+    async with AsyncExitStack() as stack:
+        stack.callback(events.close)
+        for mount in (
+            Mount(name="sse", prefix=_EVENTS, app=app, openapi=openapi),
+            Mount(name="sse", prefix=_STATUS, app=app),
+            Mount(name="sse", prefix=_COMMANDS, suffix=_TAIL, app=app),
+        ):
+            door.mount(mount)
+            stack.callback(door.unmount, mount)
+        yield {"path": _EVENTS}
+
+
+@hookimpl
+def rcp_transports() -> Iterable[TransportKind]:
+    """Offer server-sent events."""
+    return [TransportKind("sse", SseConfig, open_sse, __doc__ or "")]

@@ -1,0 +1,19 @@
+"""What `[transports.sse]` may say."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import msgspec
+from msgspec import Meta
+
+__all__ = ["SseConfig"]
+
+
+class SseConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Server-sent events. Times in seconds."""
+
+    comment: Annotated[float, Meta(gt=0)] = 15.0
+    """Between the comments that keep proxies awake."""
+    journal: Annotated[int, Meta(ge=16)] = 4096
+    """Events of a stream whose place is known when its client comes back."""

@@ -1,0 +1,157 @@
+"""GET /events and /status/events: a subscription as a stream that its client can come back to."""
+
+from __future__ import annotations
+
+import msgspec
+from msgspec import Raw
+
+from rcp_kernel.asgi import Receive, Scope, Send, bearer, header
+from rcp_kernel.clock import iso, now
+from rcp_kernel.door import Door
+from rcp_kernel.errors import Gap, RcpError
+from rcp_kernel.sessions import Connection, Hello
+from rcp_kernel.streams import Feed
+from rcp_kernel.samples import Sample
+from rcp_kernel.values import Encoding
+from rcp_kernel.wire import Reply, Request, encode_frame
+from rcp_sse.config import SseConfig
+from rcp_sse.journal import Journal, Journals, parse_event_id
+from rcp_sse.options import Query, read_query, subscription
+from rcp_sse.stream import Stream
+
+__all__ = ["Events", "event"]
+
+_NOTICE = b'{"type":"notice"'
+
+
+def event(name: bytes, data: bytes, id_: bytes = b"") -> bytes:
+    """Write one event; JSON has no line breaks of its own, so `data` is one line."""
+    return b"%bevent: %b\ndata: %b\n\n" % (b"id: %b\n" % id_ if id_ else b"", name, data)
+
+
+class Events:
+    """The handler."""
+
+    def __init__(self, config: SseConfig, door: Door) -> None:
+        self._config = config
+        self._door = door
+        self._journals = Journals(config.journal)
+
+    async def serve(
+        self, scope: Scope, receive: Receive, send: Send, path: str | None = None
+    ) -> None:
+        """Stream until the client leaves or the subscription ends.
+
+        :raises RcpError: nothing was sent yet, and nothing will be.
+        """
+        query = read_query(scope["query_string"])
+        stream = Stream(scope, receive, send, self._config.comment)
+        connection, lost = self._connect(scope, query, stream)
+        try:
+            if not connection.session.subscriptions:
+                self._subscribe(connection, query, path)
+            await self._run(connection, stream, lost)
+        finally:
+            self._leave(connection)
+
+    def _connect(self, scope: Scope, query: Query, stream: Stream) -> tuple[Connection, bool]:
+        """Open a connection, with the session of the client's last one if it is still there."""
+        door = self._door
+        tenant = query.get("tenant", [None])[0]
+        named = header(scope, b"x-rcp-tenant")
+        if tenant is None and named is not None:
+            tenant = named.decode("latin-1")
+        principal = door.authenticate(bearer(header(scope, b"authorization")))
+        connection = door.connect(principal, Encoding.JSON, stream.wake, tenant)
+        sent = header(scope, b"last-event-id")
+        text = sent.decode("latin-1") if sent else query.get("last_event_id", [None])[0]
+        last = parse_event_id(text)
+        lost = False
+        try:
+            if last is None:
+                door.hello(connection, Hello())
+            else:
+                lost = not self._return(connection, *last)
+        except RcpError:
+            connection.close()
+            raise
+        return connection, lost
+
+    def _return(self, connection: Connection, session: str, number: int) -> bool:
+        journal = self._journals.find(session)
+        have = None if journal is None else journal.until(number)
+        try:
+            self._door.hello(connection, Hello(session=session, resume_from=have))
+        except Gap:
+            self._door.hello(connection, Hello())
+            return False
+        return have is not None
+
+    def _subscribe(self, connection: Connection, query: Query, path: str | None) -> None:
+        first, body = subscription(query, path)
+        id_ = query.get("id", [None])[0]
+        request = Request(type="subscribe", path=first, id=id_, body=Raw(msgspec.json.encode(body)))
+        replies: list[Reply] = []
+        self._door.submit(connection.session, request, replies.append)
+        error = replies[0].error
+        if error is not None:
+            raise Refusal(replies[0])
+
+    async def _run(self, connection: Connection, stream: Stream, lost: bool) -> None:  # noqa: FBT001
+        session = connection.session
+        journal = self._journals.of(session.id)
+        prefix = session.id.encode() + b":"
+        mailbox = connection.mailbox
+        wrap = _wrapper(journal, prefix)
+        first = [_gap()] if lost else []
+
+        def collect() -> tuple[list[bytes], bool]:
+            out = first + mailbox.collect(wrap=wrap)
+            first.clear()
+            if mailbox.pending:
+                stream.wake()
+            return out, bool(session.subscriptions) and not connection.expelled
+
+        await stream.run(collect)
+
+    def _leave(self, connection: Connection) -> None:
+        session = connection.session
+        if not session.subscriptions:
+            session.greeted = False  # it ended: nobody comes back to it
+        connection.close()
+        after = self._door.limits.session_ttl if session.greeted else 0.0
+        self._journals.forget(session.id, after)
+
+    def close(self) -> None:
+        """Forget everything."""
+        self._journals.close()
+
+
+class Refusal(Exception):
+    """A subscription that the gateway refused, with its reply."""
+
+    def __init__(self, reply: Reply) -> None:
+        super().__init__(reply.message)
+        self.reply = reply
+
+
+def _wrapper(journal: Journal, prefix: bytes):
+    note = journal.note
+
+    def wrap(data: bytes, feed: Feed | None, sample: Sample | None) -> bytes:
+        if feed is not None and sample is not None:
+            number = note(feed.entry.path, sample.seq)
+            return b"id: %b%d\nevent: update\ndata: %b\n\n" % (prefix, number, data)
+        return event(b"notice" if data.startswith(_NOTICE) else b"reply", data)
+
+    return wrap
+
+
+def _gap() -> bytes:
+    facts = {
+        "type": "notice",
+        "code": "gap",
+        "message": "what came after the last event is not known any more; from here on it is live",
+        "timestamp": iso(now()),
+    }
+    return event(b"notice", encode_frame(facts, b"", Encoding.JSON))

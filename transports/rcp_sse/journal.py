@@ -1,0 +1,86 @@
+"""What a stream has told, by number, so that its client may come back to any place of it."""
+
+from __future__ import annotations
+
+import asyncio
+from collections import deque
+
+__all__ = ["Journal", "Journals", "parse_event_id"]
+
+
+class Journal:
+    """The numbers of one session's events: a bounded memory of path and sample of each."""
+
+    __slots__ = ("_before", "_first", "_seen", "last")
+
+    def __init__(self, size: int) -> None:
+        self.last = 0
+        """Number of the last event."""
+        self._seen: deque[tuple[str, int]] = deque(maxlen=size)
+        self._first = 1
+        """Number of the oldest event that is still in `_seen`."""
+        self._before: dict[str, int] = {}
+        """The last sample of each path before that one."""
+
+    def note(self, path: str, seq: int) -> int:
+        """Note an update; return its number."""
+        seen = self._seen
+        if len(seen) == seen.maxlen:
+            old_path, old_seq = seen[0]
+            self._before[old_path] = old_seq
+            self._first += 1
+        seen.append((path, seq))
+        self.last += 1
+        return self.last
+
+    def until(self, number: int) -> dict[str, int] | None:
+        """Return the last sample of each path up to an event; None if that is not known any more."""
+        if number < self._first - 1 or number > self.last:
+            return None
+        known = dict(self._before)
+        for path, seq in list(self._seen)[: number - self._first + 1]:
+            known[path] = seq
+        return known
+
+
+class Journals:
+    """The journals of sessions whose clients may come back."""
+
+    def __init__(self, size: int) -> None:
+        self._size = size
+        self._known: dict[str, Journal] = {}
+        self._timers: dict[str, asyncio.TimerHandle] = {}
+
+    def of(self, session: str) -> Journal:
+        """Return the journal of a session; a new one if it has none."""
+        timer = self._timers.pop(session, None)
+        if timer is not None:
+            timer.cancel()
+        return self._known.setdefault(session, Journal(self._size))
+
+    def find(self, session: str) -> Journal | None:
+        """Return the journal of a session, if there is one."""
+        return self._known.get(session)
+
+    def forget(self, session: str, after: float = 0.0) -> None:
+        """Let a journal go after so many seconds, unless its session comes back."""
+        if after <= 0:
+            self._known.pop(session, None)
+        elif session in self._known and session not in self._timers:
+            loop = asyncio.get_running_loop()
+            self._timers[session] = loop.call_later(after, self._expire, session)
+
+    def _expire(self, session: str) -> None:
+        self._timers.pop(session, None)
+        self._known.pop(session, None)
+
+    def close(self) -> None:
+        """Let all of them go."""
+        for timer in self._timers.values():
+            timer.cancel()
+
+
+def parse_event_id(text: str | None) -> tuple[str, int] | None:
+    """Read `<session id>:<number>`; None for anything else."""
+    session, _, number = (text or "").rpartition(":")
+    return (session, int(number)) if session and number.isdigit() and len(number) < 16 else None

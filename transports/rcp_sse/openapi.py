@@ -1,0 +1,57 @@
+"""The streams in the OpenAPI document."""
+
+from __future__ import annotations
+
+from typing import Any
+
+__all__ = ["described"]
+
+_OPTIONS = {
+    "rate": "At most so many updates a second, for each path.",
+    "on": "`sample` or `change`.",
+    "deadband": "A number, a percentage, or a JSON object of field to either.",
+    "where": "A condition, as JSON.",
+    "fields": "Only these fields, separated by commas.",
+    "history": "Replay first: a number of samples, or a duration.",
+    "initial": "Whether the present value comes at once.",
+    "qos": "Quality of service, as JSON.",
+    "duration": "Seconds after which the stream ends.",
+    "count": "Updates after which the stream ends.",
+    "last_event_id": "Like the header `Last-Event-ID`.",
+}
+
+
+def _parameter(name: str, place: str, text: str, *, required: bool = False) -> dict[str, Any]:
+    schema = {"type": "string"}
+    return {"name": name, "in": place, "schema": schema, "description": text, "required": required}
+
+
+def _stream(summary: str, parameters: list[dict[str, Any]]) -> dict[str, Any]:
+    return {
+        "get": {
+            "summary": summary,
+            "tags": ["streams"],
+            "parameters": parameters,
+            "responses": {
+                "200": {
+                    "description": "Events until one side closes.",
+                    "content": {"text/event-stream": {"schema": {"type": "string"}}},
+                },
+                "default": {"description": "Refused, with an envelope."},
+            },
+        }
+    }
+
+
+def described() -> dict[str, Any]:
+    """Describe the calls."""
+    options = [_parameter(name, "query", text) for name, text in _OPTIONS.items()]
+    path = _parameter("path", "query", "A path or pattern; may be given again.", required=True)
+    id_ = _parameter("id", "path", "The command.", required=True)
+    return {
+        "paths": {
+            "/rcp/v1/events": _stream("Stream updates.", [path, *options]),
+            "/rcp/v1/status/events": _stream("Stream the health report.", options),
+            "/rcp/v1/commands/{id}/events": _stream("Stream a command's replies.", [id_]),
+        }
+    }

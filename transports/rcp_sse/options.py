@@ -1,0 +1,129 @@
+"""From query parameters to the body of `subscribe`."""
+
+from __future__ import annotations
+
+from typing import Any
+from urllib.parse import parse_qsl
+
+import msgspec
+
+from rcp_kernel.errors import BadRequest
+
+__all__ = ["Wish", "read_query", "subscription"]
+
+_NUMBERS = ("rate", "duration")
+_INTEGERS = ("count",)
+_LISTS = ("fields",)
+_JSON = ("where", "qos")
+_TEXTS = ("on", "encoding")
+_QOS = {"reliability": str, "depth": int, "priority": int, "lifespan": float, "qos.deadline": float}
+"""Parts of `qos` that may stand alone: `reliability=reliable`, or with `qos.` before them."""
+_OTHER = ("path", "paths", "history", "initial", "deadband", "id", "tenant", "last_event_id")
+Query = dict[str, list[str]]
+Wish = tuple[str, dict[str, Any]]
+"""The first path, and the body."""
+
+
+def read_query(text: bytes) -> Query:
+    """Read the query string.
+
+    :raises BadRequest: it cannot be read.
+    """
+    found: Query = {}
+    try:
+        pairs = parse_qsl(text.decode("ascii"), keep_blank_values=True, max_num_fields=2000)
+    except ValueError:
+        raise BadRequest("the query cannot be read, or has too many parameters") from None
+    for key, value in pairs:
+        found.setdefault(key, []).append(value)
+    return found
+
+
+def subscription(query: Query, path: str | None) -> Wish:
+    """Make the subscription that the query asks for; `path` is given by the URL, or None.
+
+    :raises BadRequest: a parameter is unknown or not what it should be, or no path is named.
+    """
+    paths = [*query.get("path", ()), *query.get("paths", ())]
+    if path is not None:
+        if paths:
+            raise BadRequest("the path of this stream is in its URL")
+        paths = [path]
+    if not paths:
+        raise BadRequest("no path is named", remedy="Add ?path=<path or pattern>.")
+    body: dict[str, Any] = {"paths": paths[1:]} if len(paths) > 1 else {}
+    qos: dict[str, Any] = {}
+    for name, values in query.items():
+        if name in _OTHER and name not in ("history", "initial", "deadband"):
+            continue
+        part = name.removeprefix("qos.") if name != "qos.deadline" else name
+        if part in _QOS:
+            qos[part.removeprefix("qos.")] = _cast(name, _one(name, values), _QOS[part])
+        else:
+            body[name] = _value(name, values)
+    if qos:
+        if "qos" in body and not isinstance(body["qos"], dict):
+            raise BadRequest("`qos` is an object")
+        body["qos"] = {**body.get("qos", {}), **qos}
+    return paths[0], body
+
+
+def _one(name: str, values: list[str]) -> str:
+    if len(values) > 1:
+        raise BadRequest(f"the parameter `{name}` is given {len(values)} times")
+    return values[0]
+
+
+def _value(name: str, values: list[str]) -> Any:
+    if name in _LISTS:
+        return [part for part in ",".join(values).split(",") if part]
+    text = _one(name, values)
+    if name in _NUMBERS:
+        return _cast(name, text, float)
+    if name in _INTEGERS:
+        return _cast(name, text, int)
+    if name in _JSON:
+        return _json(name, text)
+    if name == "initial":
+        return _flag(name, text)
+    if name == "history":
+        return int(text) if text.isdigit() else text
+    if name == "deadband":
+        return _json(name, text) if text.startswith("{") else _number_or_text(text)
+    if name in _TEXTS:
+        return text
+    if name.startswith("x-"):
+        raise BadRequest("a stream keeps no fields of your own")
+    raise BadRequest(
+        f"unknown parameter {name[:60]!r}",
+        remedy="The parameters are path and the options of `subscribe`: rate, on, deadband, where, "
+        "fields, history, initial, qos, duration, count.",
+    )
+
+
+def _cast(name: str, text: str, kind: type[Any]) -> Any:
+    try:
+        return kind(text)
+    except ValueError:
+        raise BadRequest(f"`{name}` is a number, not {text[:40]!r}") from None
+
+
+def _json(name: str, text: str) -> Any:
+    try:
+        return msgspec.json.decode(text)
+    except msgspec.DecodeError as error:
+        raise BadRequest(f"`{name}` is JSON: {error}") from None
+
+
+def _flag(name: str, text: str) -> bool:
+    known = {"true": True, "1": True, "": True, "false": False, "0": False}
+    if text.lower() not in known:
+        raise BadRequest(f"`{name}` is true or false, not {text[:40]!r}")
+    return known[text.lower()]
+
+
+def _number_or_text(text: str) -> float | str:
+    try:
+        return float(text)
+    except ValueError:
+        return text

@@ -1,0 +1,66 @@
+"""GET /commands/<id>/events: what a command has said and says, until its final status."""
+
+from __future__ import annotations
+
+from collections import deque
+
+from rcp_kernel.asgi import Receive, Scope, Send, header, session_of
+from rcp_kernel.door import Door
+from rcp_kernel.values import Encoding
+from rcp_kernel.wire import Reply, encode_reply
+from rcp_sse.config import SseConfig
+from rcp_sse.events import event
+from rcp_sse.journal import parse_event_id
+from rcp_sse.options import read_query
+from rcp_sse.stream import Stream
+
+__all__ = ["Replies"]
+
+
+class Replies:
+    """The handler."""
+
+    def __init__(self, config: SseConfig, door: Door) -> None:
+        self._config = config
+        self._door = door
+
+    async def serve(self, scope: Scope, receive: Receive, send: Send, id_: str) -> None:
+        """Stream the replies; those that the client has (`Last-Event-ID`) are left out.
+
+        :raises UnknownPath: there is no such command, or not for this caller.
+        """
+        query = read_query(scope["query_string"])
+        session = session_of(self._door, scope, query.get("tenant", [None])[0])
+        command = self._door.command(session, id_)
+        sent = header(scope, b"last-event-id")
+        last = parse_event_id(sent.decode("latin-1") if sent else None)
+        skip = last[1] if last is not None and last[0] == id_ else 0
+        stream = Stream(scope, receive, send, self._config.comment)
+        # A history that was thinned out has fewer records than were told: then the last one will do.
+        records = command.history[skip:] or command.history[-1:]
+        waiting: deque[Reply] = deque(command.reply(record) for record in records)
+        told = skip
+
+        def follow(reply: Reply) -> None:
+            if waiting and not reply.final and waiting[-1].status == "in_progress":
+                waiting.pop()  # the newest feedback wins for a client that is slow
+            waiting.append(reply)
+            stream.wake()
+
+        def collect() -> tuple[list[bytes], bool]:
+            nonlocal told
+            out: list[bytes] = []
+            more = True
+            while waiting:
+                reply = waiting.popleft()
+                told += 1
+                more = not reply.final
+                data = encode_reply(reply, Encoding.JSON)
+                out.append(event(b"reply", data, f"{id_}:{told}".encode()))
+            return out, more
+
+        stop = self._door.follow(command, follow)
+        try:
+            await stream.run(collect)
+        finally:
+            stop()
