@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import itertools
 import logging
+import os
 from collections.abc import Callable
 from ssl import SSLContext
 from typing import Any
@@ -96,7 +97,8 @@ class Link(WSListener):
         except WSHandshakeError as error:
             raise _refusal(error, address) from error
         except (OSError, WSError) as error:
-            reason = getattr(error, "strerror", None) or str(error) or "no answer"
+            number = getattr(error, "errno", None)
+            reason = os.strerror(number) if number else str(error) or "no answer"
             raise ConnectionLost(f"cannot reach {address.url}: {reason}") from error
         assert isinstance(link, cls)
         spoken = transport.response.headers.get("Sec-WebSocket-Protocol")

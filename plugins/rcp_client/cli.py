@@ -1,0 +1,226 @@
+"""`rcpctl`: a gateway's client for terminals and shell scripts.
+
+Only what parses the command line is imported here; the client comes in when a command runs.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+import click
+
+__all__ = ["main"]
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+_USAGE = 2
+_INTERRUPTED = 130
+_CONTEXT = {"help_option_names": ["-h", "--help"], "max_content_width": 100}
+# `write PATH -0.5` is a value, not an option.
+_WITH_VALUE = {**_CONTEXT, "ignore_unknown_options": True}
+
+
+def _keep(ctx: click.Context, param: click.Parameter, value: Any) -> None:
+    """Note an option of every command; the one nearest to its end of the line wins."""
+    if value is not None and param.name is not None:
+        ctx.ensure_object(dict)[param.name] = value
+
+
+def _shared(*names: str, **facts: Any) -> Callable[[F], F]:
+    return click.option(*names, expose_value=False, callback=_keep, **facts)
+
+
+def _common(function: F) -> F:
+    """Add the options that may stand before or after the subcommand."""
+    options = (
+        _shared("--url", metavar="URL", help="Gateway [RCP_URL; http://127.0.0.1:8080]."),
+        _shared("--token", metavar="TEXT", help="API key or JWT [RCP_TOKEN; rcpd demo's]."),
+        _shared("--tenant", metavar="NAME", help="Tenant of relative paths [RCP_TENANT]."),
+        _shared(
+            "--timeout",
+            type=click.FloatRange(0, min_open=True),
+            metavar="SECONDS",
+            help="How long to wait for an answer [10].",
+        ),
+        _shared(
+            "--json/--text",
+            "json",
+            default=None,
+            help="One JSON document a line, or text [text on a terminal, else JSON].",
+        ),
+    )
+    for option in reversed(options):
+        function = option(function)
+    return function
+
+
+def _run(ctx: click.Context, name: str, **arguments: Any) -> int:
+    from rcp_client.run import run
+
+    return run(name, ctx.ensure_object(dict), arguments)
+
+
+@click.group(context_settings=_CONTEXT)
+@_common
+@click.version_option(package_name="rcp-gateway", message="rcpctl %(version)s")
+def rcpctl() -> None:
+    """Talk to an RCP gateway: look, read, write, command, watch.
+
+    PATH is a resource's path; without /tenant/<name> it means your own tenant's. In a PATTERN, *
+    is one segment and ** any number. A VALUE or INPUT is JSON, or plain text where the path takes
+    text; - reads it from standard input, @FILE from a file.
+
+    Exit status: 0 completed, 1 failed, 2 usage, 3 rejected or denied, 4 unreachable, 130
+    interrupted.
+    """
+
+
+@rcpctl.command(context_settings=_CONTEXT)
+@_common
+@click.argument("pattern", required=False)
+@click.option("--kind", type=click.Choice(["sensor", "actuator", "param", "action", "service",
+                                           "event"]), help="Only resources of this kind.")  # fmt: skip
+@click.option("--op", type=click.Choice(["read", "write", "execute", "subscribe"]),
+              help="Only those that you may do this with.")  # fmt: skip
+@click.option("-q", "--query", "q", metavar="WORDS", help="Words in the path or description.")
+@click.pass_context
+def discover(ctx: click.Context, **arguments: Any) -> int:
+    """List what there is; a plain path shows that resource with its schemas and examples."""
+    return _run(ctx, "discover", **arguments)
+
+
+@rcpctl.command(context_settings=_CONTEXT)
+@_common
+@click.argument("paths", nargs=-1, required=True, metavar="PATH...")
+@click.option("--field", "fields", multiple=True, metavar="NAME",
+              help="Only this field (position.x); may be repeated.")  # fmt: skip
+@click.option("--fresh", is_flag=True, help="Ask the robot, even where a value is at hand.")
+@click.pass_context
+def read(ctx: click.Context, **arguments: Any) -> int:
+    """Show the present value of each PATH (or PATTERN)."""
+    return _run(ctx, "read", **arguments)
+
+
+@rcpctl.command(context_settings=_WITH_VALUE)
+@_common
+@click.argument("path")
+@click.argument("value")
+@click.option("--valid-for", type=float, metavar="SECONDS",
+              help="How long a velocity stands before the gateway stops the robot.")  # fmt: skip
+@click.option("--dry-run", is_flag=True, help="Check everything, change nothing.")
+@click.option("--key", metavar="TEXT", help="Idempotency key: sent twice, written once.")
+@click.pass_context
+def write(ctx: click.Context, **arguments: Any) -> int:
+    """Write VALUE to PATH and show what is in force."""
+    return _run(ctx, "write", **arguments)
+
+
+@rcpctl.command(context_settings=_WITH_VALUE)
+@_common
+@click.argument("path")
+@click.argument("input", required=False)
+@click.option("--wait/--no-wait", default=True, help="Wait for the end [--wait].")
+@click.option("--deadline", type=click.FloatRange(0, min_open=True), metavar="SECONDS",
+              help="Have it stopped if it takes longer [what the path allows].")  # fmt: skip
+@click.option("--feedback/--no-feedback", default=None,
+              help="Show feedback while it runs [on a terminal].")  # fmt: skip
+@click.option("--dry-run", is_flag=True, help="Check everything, change nothing.")
+@click.option("--key", metavar="TEXT", help="Idempotency key: sent twice, run once.")
+@click.pass_context
+def execute(ctx: click.Context, **arguments: Any) -> int:
+    """Carry out the action or service at PATH.
+
+    The first Ctrl-C has the command cancelled and waits for its final status; the second leaves.
+    """
+    return _run(ctx, "execute", **arguments)
+
+
+@rcpctl.command(context_settings=_CONTEXT)
+@_common
+@click.argument("patterns", nargs=-1, required=True, metavar="PATTERN...")
+@click.option("--rate", type=click.FloatRange(0, min_open=True), metavar="HZ",
+              help="At most so many updates a second, of each path.")  # fmt: skip
+@click.option("--count", type=click.IntRange(1), metavar="N", help="Stop after N updates.")
+@click.option("--duration", type=click.FloatRange(0, min_open=True), metavar="SECONDS",
+              help="Stop after so long.")  # fmt: skip
+@click.option("--history", metavar="N|SPAN", help="First the last N samples, or those of 30s.")
+@click.option("--change", is_flag=True, help="Only values that differ from the last.")
+@click.option("--deadband", metavar="NUMBER|P%|JSON", help="Only changes of at least so much.")
+@click.option("--where", metavar="JSON", help='Only where {"field":"voltage","lt":11.1} holds.')
+@click.option("--field", "fields", multiple=True, metavar="NAME",
+              help="Only this field (position.x); may be repeated.")  # fmt: skip
+@click.option("--reliable", is_flag=True, help="Every sample in order, or an error.")
+@click.option("--initial/--no-initial", default=True, help="Begin with the present value [yes].")
+@click.pass_context
+def watch(ctx: click.Context, **arguments: Any) -> int:
+    """Print a line for every new value, until Ctrl-C; notices go to standard error."""
+    return _run(ctx, "watch", **arguments)
+
+
+@rcpctl.command(context_settings=_CONTEXT)
+@_common
+@click.option("-w", "--watch", is_flag=True, help="Go on showing it, once a second.")
+@click.pass_context
+def status(ctx: click.Context, **arguments: Any) -> int:
+    """Show the health of the gateway and everything connected to it."""
+    return _run(ctx, "status", **arguments)
+
+
+@rcpctl.command(context_settings=_CONTEXT)
+@_common
+@click.option("--running", is_flag=True, help="Only those that have not ended.")
+@click.pass_context
+def commands(ctx: click.Context, **arguments: Any) -> int:
+    """List running and recent commands, newest first."""
+    return _run(ctx, "commands", **arguments)
+
+
+@rcpctl.command(context_settings=_CONTEXT)
+@_common
+@click.argument("command", metavar="ID|PATH")
+@click.pass_context
+def cancel(ctx: click.Context, **arguments: Any) -> int:
+    """Cancel a command by its ID, or whatever runs at PATH."""
+    return _run(ctx, "cancel", **arguments)
+
+
+@rcpctl.command(context_settings=_CONTEXT)
+@_common
+@click.option("--reset", is_flag=True, help="Release the stop; takes a role that may.")
+@click.option("--scope", metavar="SCOPE", help="/tenant/<tenant> or a backend [all you may see].")
+@click.option("--reason", metavar="TEXT", help="Why, for the record and for others.")
+@click.pass_context
+def estop(ctx: click.Context, **arguments: Any) -> int:
+    """Stop every robot now; commands are refused until somebody resets the stop."""
+    return _run(ctx, "estop", **arguments)
+
+
+@rcpctl.command(context_settings=_CONTEXT)
+@_common
+@click.option("--lang", required=True, type=click.Choice(["python", "typescript"]),
+              help="Language to write.")  # fmt: skip
+@click.argument("pattern", required=False)
+@click.pass_context
+def codegen(ctx: click.Context, **arguments: Any) -> int:
+    """Write a typed client module for what there is (or matches PATTERN) to standard output."""
+    return _run(ctx, "codegen", **arguments)
+
+
+def main() -> None:
+    """Run `rcpctl` and exit with its status."""
+    try:
+        code = rcpctl.main(standalone_mode=False, prog_name="rcpctl")
+    except click.exceptions.Exit as told:
+        code = told.exit_code
+    except click.ClickException as error:
+        error.show()
+        code = _USAGE
+    except (click.Abort, KeyboardInterrupt):
+        code = _INTERRUPTED
+    except BrokenPipeError:  # whoever reads has had enough, as in `rcpctl watch … | head`
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        code = 0
+    sys.exit(code or 0)

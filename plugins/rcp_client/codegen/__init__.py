@@ -1,0 +1,16 @@
+"""Typed clients written from what discovery says."""
+
+from __future__ import annotations
+
+from rcp_client.codegen.python import write_python
+from rcp_client.codegen.typescript import write_typescript
+from rcp_client.messages import ResourceInfo
+
+__all__ = ["generate"]
+
+_WRITERS = {"python": write_python, "typescript": write_typescript}
+
+
+def generate(language: str, resources: list[ResourceInfo], url: str) -> str:
+    """Write a module of a language, `python` or `typescript`, for these resources."""
+    return _WRITERS[language](resources, url)
