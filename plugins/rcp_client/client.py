@@ -125,7 +125,7 @@ class Client:
         deadline: float | None = None,
     ) -> Reply:
         """Read a path and return the whole reply: value, number, source time, freshness."""
-        body = _kept({"fields": fields and list(fields), "fresh": fresh or None})
+        body = _kept({"fields": list(fields) if fields else None, "fresh": fresh or None})
         envelope = _kept({"type": "read", "path": path, "deadline": deadline, "body": body or None})
         return await self.channel.ask(envelope)
 
@@ -291,7 +291,7 @@ class Client:
             "on": on,
             "deadband": deadband,
             "where": where,
-            "fields": fields and list(fields),
+            "fields": list(fields) if fields else None,
             "history": history,
             "initial": initial,
             "qos": qos,

@@ -6,6 +6,7 @@ import os
 import re
 import shutil
 import sys
+import textwrap
 from collections.abc import Iterable, Sequence
 from typing import Any
 
@@ -13,7 +14,7 @@ import msgspec
 
 from rcp_client.errors import ConnectionLost
 from rcp_kernel.errors import RcpError
-from rcp_kernel.values import Encoding, dump
+from rcp_kernel.values import Encoding, dump, parse
 from rcp_kernel.wire import error_body
 
 __all__ = ["Output", "compact", "exit_code", "pretty"]
@@ -25,6 +26,7 @@ _COLORS = {
 }
 _COLOR_OF = {word: code for code, words in _COLORS.items() for word in words.split()}
 _CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f]")
+_WIDE = 88  # characters of a line
 _SHORT = 200  # characters of one text inside a value that people are shown
 
 
@@ -36,11 +38,28 @@ def exit_code(error: BaseException) -> int:
 
 
 def pretty(value: Any) -> str:
-    """Write a value for people, indented if it is large."""
-    line = compact(value)
-    if len(line) <= 80:
-        return line
-    return msgspec.json.format(_encoded(_shortened(value)), indent=2).decode()
+    """Write a value for people, in one line where it fits, else indented."""
+    return "\n".join(_layout(parse(_encoded(_shortened(value)), Encoding.JSON), ""))
+
+
+def _layout(value: Any, indent: str) -> list[str]:
+    line = msgspec.json.format(msgspec.json.encode(value), indent=0).decode()
+    if len(line) + len(indent) <= _WIDE or not value or not isinstance(value, (dict, list)):
+        return [line]
+    deeper = indent + "  "
+    if isinstance(value, dict):
+        parts = [(f"{msgspec.json.encode(key).decode()}: ", item) for key, item in value.items()]
+    elif any(isinstance(item, (dict, list)) for item in value):
+        parts = [("", item) for item in value]
+    else:
+        filled = textwrap.fill(line[1:-1], _WIDE, initial_indent=deeper, subsequent_indent=deeper)
+        return ["[", *filled.splitlines(), indent + "]"]
+    lines = ["{" if isinstance(value, dict) else "["]
+    for place, (head, item) in enumerate(parts):
+        first, *rest = _layout(item, deeper)
+        lines += [deeper + head + first, *rest]
+        lines[-1] += "," * (place < len(parts) - 1)
+    return [*lines, indent + ("}" if isinstance(value, dict) else "]")]
 
 
 def compact(value: Any) -> str:
@@ -112,16 +131,25 @@ class Output:
         return f"\x1b[2m{text}\x1b[0m" if self._color else text
 
     def table(self, head: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
-        """Print rows in columns; on a terminal the last column is cut at its edge."""
-        texts = [[clean(str(cell)) if cell is not None else "" for cell in row] for row in rows]
-        widths = [max(map(len, column)) for column in zip(head, *texts, strict=True)]
+        """Print rows in columns under a head."""
+        self._columns([head, *rows], head=True)
+
+    def rows(self, rows: Iterable[Sequence[Any]]) -> None:
+        """Print rows in columns; on a terminal the last one is cut at its edge."""
+        self._columns(list(rows), head=False)
+
+    def _columns(self, rows: Sequence[Sequence[Any]], *, head: bool) -> None:
+        texts = [["" if cell is None else clean(str(cell)) for cell in row] for row in rows]
+        widths = [max(map(len, column)) for column in zip(*texts, strict=True)]
         edge = shutil.get_terminal_size().columns if self.terminal else 10_000
-        room = max(10, edge - sum(widths[:-1]) - 2 * (len(head) - 1))
-        for row in ([*head], *texts):
-            last = row[-1] if len(row[-1]) <= room else row[-1][: room - 1] + "…"
-            cells = [cell.ljust(width) for cell, width in zip(row[:-1], widths, strict=False)]
-            joined = "  ".join([*map(self.paint, cells), self.paint(last)])
-            self.line(self.dim(joined.rstrip()) if row == [*head] else joined.rstrip())
+        room = max(10, edge - sum(widths[:-1]) - 2 * (len(widths) - 1))
+        for place, (*cells, last) in enumerate(texts):
+            cut = last if len(last) <= room else last[: room - 1] + "…"
+            padded = [cell.ljust(width) for cell, width in zip(cells, widths, strict=False)]
+            if head and place == 0:
+                self.line(self.dim("  ".join([*padded, cut]).rstrip()))
+            else:
+                self.line("  ".join(map(self.paint, [*padded, cut])).rstrip())
 
 
 def clean(text: str) -> str:

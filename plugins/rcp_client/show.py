@@ -8,6 +8,7 @@ from typing import Any
 import click
 
 from rcp_client.messages import Reply, ResourceInfo, Update
+from rcp_client.outline import outline
 from rcp_client.output import Output, clean, compact, pretty
 from rcp_kernel.errors import BadRequest
 from rcp_kernel.values import Encoding, parse
@@ -45,14 +46,10 @@ def resource(out: Output, found: ResourceInfo) -> None:
     for name, fact in rows:
         out.line(f"  {name:<11} {clean(fact)}")
     for name, schema in found.schemas.items():
-        out.line(f"{name} schema  {out.dim(found.schema_ids.get(name, ''))}".rstrip())
-        out.line(_indented(pretty(schema)))
+        out.line(f"{name}  {out.dim(found.schema_ids.get(name, ''))}".rstrip())
+        out.rows([("  " + field, type_, note) for field, type_, note in outline(schema)])
     for example in found.examples:
         out.line(f"example  {compact(example)}")
-
-
-def _indented(text: str) -> str:
-    return "\n".join("  " + line for line in text.splitlines())
 
 
 def value_facts(reply: Reply) -> dict[str, Any]:
