@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, cast
 
 from litestar import Litestar, Request, Response, get
 from litestar.datastructures import State
@@ -10,7 +10,7 @@ from litestar.exceptions import HTTPException, MethodNotAllowedException, NotFou
 
 from rcp_asgi.index import index_page
 from rcp_asgi.openapi import document
-from rcp_kernel.asgi import session_of, status_of
+from rcp_kernel.asgi import Scope, session_of, status_of
 from rcp_kernel.door import Asgi, Door
 from rcp_kernel.errors import (
     BadRequest,
@@ -20,6 +20,7 @@ from rcp_kernel.errors import (
     UnknownPath,
     UnsupportedOperation,
 )
+from rcp_kernel.sessions import Session
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import encode_reply, failure
 
@@ -54,14 +55,14 @@ def house(door: Door) -> Asgi:
     def metrics(request: Asked) -> Response[bytes]:
         """Write the Prometheus exposition: it names every tenant's robots."""
         if not _sees_all(door, request):
-            session_of(door, request.scope)  # 401 for those who did not say who they are
+            _session(door, request)  # 401 for those who did not say who they are
             raise Forbidden("metrics are for those who act in every tenant")
         return Response(door.metrics(), media_type=_METRICS)
 
     @get(["/openapi.json", "/rcp/v1/openapi.json"], sync_to_thread=False)
     def openapi(request: Asked) -> dict[str, Any]:
         """Describe what the caller may see."""
-        return document(door, session_of(door, request.scope))
+        return document(door, _session(door, request))
 
     @get(["/", "/rcp/v1"], sync_to_thread=False)
     def index(request: Asked) -> Response[str]:
@@ -78,9 +79,13 @@ def house(door: Door) -> Asgi:
     )  # type: ignore[return-value] - an ASGI application under litestar's own names for types
 
 
+def _session(door: Door, request: Asked) -> Session:
+    return session_of(door, cast("Scope", request.scope))
+
+
 def _sees_all(door: Door, request: Asked) -> bool:
     try:
-        return "*" in session_of(door, request.scope).rights.tenants
+        return "*" in _session(door, request).rights.tenants
     except RcpError:
         return False
 

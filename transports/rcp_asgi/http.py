@@ -17,6 +17,7 @@ from uvicorn.server import ServerState
 
 from rcp_asgi.settings import Settings
 from rcp_asgi.upgrade import Upgrade
+from rcp_kernel.door import Asgi
 from rcp_kernel.errors import BadRequest, PayloadTooLarge, QueueFull, RcpError
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import encode_reply, failure
@@ -68,7 +69,7 @@ class HttpProtocol(HttpToolsProtocol):
         """Parse; what is no HTTP is told so and cut."""
         self._unset_keepalive_if_required()
         try:
-            self.parser.feed_data(data)
+            self.parser.feed_data(data)  # pyright: ignore[reportOptionalMemberAccess] - None once lost
         except httptools.HttpParserUpgrade as upgrade:
             if self._should_upgrade():
                 self._upgrade(data[upgrade.args[0] :])
@@ -139,7 +140,7 @@ class HttpProtocol(HttpToolsProtocol):
         Upgrade(
             scope,
             self.transport,
-            self.app,
+            cast("Asgi", self.app),
             settings=self._settings,
             state=self.server_state,
             loop=self.loop,

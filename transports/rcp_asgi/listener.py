@@ -90,7 +90,7 @@ def _bind(config: AsgiConfig) -> socket.socket:
         raise ConfigError(
             f"[transports.asgi] cannot listen on {config.host}:{config.port}: {why}"
         ) from None
-    made.setblocking(False)  # noqa: FBT003 - socket's own signature
+    made.setblocking(False)
     return made
 
 

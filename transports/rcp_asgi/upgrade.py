@@ -38,7 +38,8 @@ from rcp_kernel.wire import encode_reply, failure
 __all__ = ["Upgrade"]
 
 log = structlog.get_logger("rcp.asgi")
-_silent = logging.Logger("rcp.picows", logging.CRITICAL)  # each connection would log three lines
+_silent = logging.getLogger("rcp.picows")
+_silent.setLevel(logging.CRITICAL)  # each connection would log three lines
 _READ_BUFFER = 16 * 1024  # bytes to begin with; it grows with the messages
 _QUEUE = 64  # messages that an ASGI application may leave unread before reading stops
 _GOING_AWAY = 1001
@@ -66,7 +67,7 @@ class Upgrade(asyncio.Protocol):
         self._state = state
         self._loop = loop
         self._rest = rest
-        self._headers = {name: value for name, value in scope["headers"]}
+        self._headers = dict(scope["headers"])
         self._key = self._headers.get(b"sec-websocket-key", b"")
         self._stage = "connecting"  # → accepted | denied | closed
         self._denial: tuple[int, list[tuple[bytes, bytes]]] = (403, [])
@@ -181,7 +182,7 @@ class Upgrade(asyncio.Protocol):
             fields.append(("Sec-WebSocket-Extensions", RESPONSE))
         fields += [(k.decode(), v.decode()) for k, v in self._state.default_headers]
 
-        def listen(request: WSUpgradeRequest) -> WSUpgradeResponseWithListener:
+        def listen(_: WSUpgradeRequest) -> WSUpgradeResponseWithListener:
             response = WSUpgradeResponse.create_101_response(fields)
             return WSUpgradeResponseWithListener(response, self.socket)
 

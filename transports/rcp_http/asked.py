@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import math
+from contextlib import suppress
 from typing import Any
 from urllib.parse import parse_qsl
 
@@ -148,10 +149,8 @@ class Asked:
         if "dry_run" in fields:
             fields["dry_run"] = flag("dry_run", fields["dry_run"])
         if "timestamp" in fields:
-            try:
+            with suppress(ValueError):  # ISO 8601, or refused for being neither
                 fields["timestamp"] = float(fields["timestamp"])
-            except ValueError:
-                pass  # ISO 8601, or refused for being neither
         return fields
 
     @property
@@ -173,7 +172,7 @@ class Asked:
         """Whether the client wants no waiting: `Prefer: respond-async` (RFC 7240)."""
         return b"respond-async" in self.found.get("prefer", b"").lower()
 
-    async def body(self, receive: Receive, limit: int, timeout: float) -> bytes:
+    async def body(self, receive: Receive, limit: int, patience: float) -> bytes:
         """Read the body.
 
         :raises PayloadTooLarge: it is longer than `limit`.
@@ -191,7 +190,7 @@ class Asked:
         parts = [message["body"]]
         size = len(parts[0])
         try:
-            async with asyncio.timeout(timeout):
+            async with asyncio.timeout(patience):
                 while message.get("more_body"):
                     message = await receive()
                     parts.append(message.get("body", b""))
@@ -199,7 +198,7 @@ class Asked:
                     if size > limit:
                         raise _too_large(limit)
         except TimeoutError:
-            raise DeadlineExceeded(f"the body did not come within {timeout:g} s") from None
+            raise DeadlineExceeded(f"the body did not come within {patience:g} s") from None
         return b"".join(parts)
 
     def put_body(self, request: Request, data: bytes) -> None:

@@ -39,7 +39,7 @@ class Calls:
     async def _ask(self, asked: Asked, session: Session, request: Request, send: Send) -> None:
         follower = Follower()
         self._door.submit(session, request, follower)
-        await self._answers.reply(send, asked, await follower.final(None))
+        await self._answers.reply(send, asked, await follower.final())
 
     # -- envelopes -----------------------------------------------------------------------------
 
@@ -144,7 +144,7 @@ class Calls:
         request.body = Raw(msgspec.json.encode(query))
         follower = Follower()
         self._door.submit(session, request, follower)
-        reply = await follower.final(None)
+        reply = await follower.final()
         if reply.error is not None:
             await self._answers.reply(send, asked, reply)
             return

@@ -34,6 +34,7 @@ class Follower:
         self._final: asyncio.Future[None] | None = None
 
     def __call__(self, reply: Reply) -> None:
+        """Take the next reply."""
         self.latest = reply
         for waiter in (self._first, self._final if reply.final else None):
             if waiter is not None and not waiter.done():
@@ -47,11 +48,11 @@ class Follower:
         assert self.latest is not None
         return self.latest
 
-    async def final(self, timeout: float | None) -> Reply:
-        """Return the final reply, or what there is after `timeout` seconds."""
+    async def final(self, patience: float | None = None) -> Reply:
+        """Return the final reply, or what there is after `patience` seconds."""
         if self.latest is None or not self.latest.final:
             self._final = asyncio.get_running_loop().create_future()
-            await asyncio.wait((self._final,), timeout=timeout)
+            await asyncio.wait((self._final,), timeout=patience)
         return await self.first()
 
 
@@ -74,7 +75,7 @@ class Context:
         self._door.submit(session, request, follower)
         reply = follower.latest
         if reply is None or not reply.final:
-            reply = await follower.final(None)
+            reply = await follower.final()
         if (asked.octets or "range" in asked.found) and reply.error is None:
             data = bytes_of(reply)
             if data is not None:
@@ -109,7 +110,7 @@ class Context:
             raise BadRequest("the request has no body", remedy="Send the value as the body.")
         follower = Follower()
         self._door.submit(session, request, follower)
-        await self._answers.reply(send, asked, await follower.final(None))
+        await self._answers.reply(send, asked, await follower.final())
 
     async def execute(
         self, asked: Asked, session: Session, path: str, receive: Receive, send: Send

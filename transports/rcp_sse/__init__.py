@@ -8,10 +8,9 @@ from typing import Any
 
 from rcp_kernel.asgi import Receive, Scope, Send, header, refuse, respond, status_of
 from rcp_kernel.door import Asgi, Door, Mount
-from rcp_kernel.errors import BadRequest, RcpError, UnknownPath, UnsupportedOperation
+from rcp_kernel.errors import BadRequest, UnknownPath, UnsupportedOperation
 from rcp_kernel.hookspecs import hookimpl
 from rcp_kernel.pending import crash
-from rcp_kernel.sessions import Session
 from rcp_kernel.spi import TransportKind
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import encode_reply
@@ -80,13 +79,10 @@ async def open_sse(config: SseConfig, door: Door) -> AsyncGenerator[dict[str, An
     events = Events(config, door)
     app: Asgi = _Sse(door, events, Replies(config, door))
 
-    def openapi(session: Session) -> dict[str, Any]:
-        return described()
-
     async with AsyncExitStack() as stack:
         stack.callback(events.close)
         for mount in (
-            Mount(name="sse", prefix=_EVENTS, app=app, openapi=openapi),
+            Mount(name="sse", prefix=_EVENTS, app=app, openapi=described),
             Mount(name="sse", prefix=_STATUS, app=app),
             Mount(name="sse", prefix=_COMMANDS, suffix=_TAIL, app=app),
         ):

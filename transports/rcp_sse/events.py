@@ -9,9 +9,10 @@ from rcp_kernel.asgi import Receive, Scope, Send, bearer, header
 from rcp_kernel.clock import iso, now
 from rcp_kernel.door import Door
 from rcp_kernel.errors import Gap, RcpError
+from rcp_kernel.mailbox import Wrap
+from rcp_kernel.samples import Sample
 from rcp_kernel.sessions import Connection, Hello
 from rcp_kernel.streams import Feed
-from rcp_kernel.samples import Sample
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import Reply, Request, encode_frame
 from rcp_sse.config import SseConfig
@@ -135,7 +136,7 @@ class Refusal(Exception):
         self.reply = reply
 
 
-def _wrapper(journal: Journal, prefix: bytes):
+def _wrapper(journal: Journal, prefix: bytes) -> Wrap:
     note = journal.note
 
     def wrap(data: bytes, feed: Feed | None, sample: Sample | None) -> bytes:

@@ -37,10 +37,7 @@ class Journal:
         """Return the last sample of each path up to an event; None if that is not known any more."""
         if number < self._first - 1 or number > self.last:
             return None
-        known = dict(self._before)
-        for path, seq in list(self._seen)[: number - self._first + 1]:
-            known[path] = seq
-        return known
+        return self._before | dict(list(self._seen)[: number - self._first + 1])
 
 
 class Journals:

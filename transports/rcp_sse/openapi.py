@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
+from rcp_kernel.sessions import Session
+
 __all__ = ["described"]
 
 _OPTIONS = {
@@ -43,8 +45,8 @@ def _stream(summary: str, parameters: list[dict[str, Any]]) -> dict[str, Any]:
     }
 
 
-def described() -> dict[str, Any]:
-    """Describe the calls."""
+def described(_: Session) -> dict[str, Any]:
+    """Describe the calls; they are the same for everybody."""
     options = [_parameter(name, "query", text) for name, text in _OPTIONS.items()]
     path = _parameter("path", "query", "A path or pattern; may be given again.", required=True)
     id_ = _parameter("id", "path", "The command.", required=True)

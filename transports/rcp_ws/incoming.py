@@ -72,7 +72,7 @@ class Incoming:
         transfer = self._transfers.get(segment.id)
         if transfer is None:
             transfer = self._begin(segment)
-        total, size, sha256 = transfer.facts
+        total, size, _ = transfer.facts
         if (segment.total, segment.size, segment.sha256.lower()) != transfer.facts:
             self._drop(segment.id)
             raise SegmentCorrupt(f"segment {segment.num} belongs to another message than the first")
