@@ -18,7 +18,10 @@ if TYPE_CHECKING:
     from rcp_kernel.samples import Sample
     from rcp_kernel.streams import Feed
 
-__all__ = ["Mailbox", "Ticker", "Wrap"]
+__all__ = ["Framing", "Mailbox", "Ticker", "Wrap"]
+
+Framing = Callable[[int, bool], bytes]
+"""Make the head of a transport's frame, for a message of so many bytes, text or not."""
 
 Wrap = Callable[[bytes, "Feed | None", "Sample | None"], bytes]
 """Frame one message for its transport: an update with its feed and sample, or a control message."""
@@ -56,6 +59,7 @@ class Mailbox:
         "dirty",
         "encoding",
         "feedback",
+        "framing",
         "high_water",
         "pending",
         "prioritised",
@@ -67,6 +71,9 @@ class Mailbox:
         self._flush: Callable[[], None] | None = flush
         self.encoding = encoding
         self.dirty = False
+        self.framing: Framing | None = None
+        """Set by a transport that sends whole messages in frames: `collect` then returns bytes
+        ready for the socket, a long message in two parts, and like receivers share frames."""
         self.control: list[bytes] = []
         """Replies and notices: in order, never dropped."""
         self.feedback: dict[str, Callable[[], bytes]] = {}
@@ -125,6 +132,9 @@ class Mailbox:
             self.feedback.clear()
         if wrap is not None:
             out = [wrap(data, None, None) for data in out]
+        elif self.framing is not None:
+            text = self.encoding is Encoding.JSON
+            out = [self.framing(len(data), text) + data for data in out]
         pending = self.pending
         if not pending:
             return out
@@ -132,7 +142,6 @@ class Mailbox:
         self.pending = later
         if self.prioritised:
             pending.sort(key=_urgency)
-        control = len(out)
         self.high_water = max(self.high_water, len(pending))
         for place, feed in enumerate(pending):
             budget -= feed.drain(out, budget, wrap, big)
@@ -143,7 +152,6 @@ class Mailbox:
             if budget <= 0:
                 later.extend(pending[place + 1 :])
                 break
-        self.updates += len(out) - control
         return out
 
 

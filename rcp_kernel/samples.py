@@ -109,8 +109,9 @@ class Sample(Body):
     def _splice(self, encoding: Encoding, body: bytes) -> bytes:
         if encoding is Encoding.JSON:
             return b'"seq":%d,"timestamp":"%b","body":%b}' % (self.seq, self.time.encode(), body)
-        facts = {"seq": self.seq, "timestamp": self.time}
-        return encode_frame(facts, body, encoding)[1:]  # without the map's own head
+        facts = encode_frame({"seq": self.seq, "timestamp": self.time}, b"", encoding)
+        key = b"\xa4body" if encoding is Encoding.MSGPACK else b"\x64body"
+        return b"".join((facts[1:], key, body))  # without the map's own head
 
     def forget_encodings(self) -> None:
         """Give the memory of the encodings back; they are made anew if asked for."""

@@ -22,12 +22,17 @@ from rcp_kernel.wire import encode_frame
 
 if TYPE_CHECKING:
     from rcp_kernel.hub import Hub
-    from rcp_kernel.mailbox import Mailbox, Wrap
+    from rcp_kernel.mailbox import Framing, Mailbox, Wrap
 
 __all__ = ["Feed", "FilteredFeed", "Subscription", "ViewFeed"]
 
 _CBOR_MAP = 0xA0
+_SHARED = 16_384  # bytes; a longer update is not copied into a frame that its receivers share
 _MSGPACK_MAP = 0x80
+
+
+_shares: dict[Any, object] = {}
+_MANY = 100_000  # after which sharing starts afresh: it costs a frame, no more
 
 
 class Feed:
@@ -38,6 +43,7 @@ class Feed:
         "_heads",
         "_lifespan",
         "_plain",
+        "_share",
         "backlog",
         "depth",
         "dropped",
@@ -81,6 +87,8 @@ class Feed:
         self._lifespan = options.qos.lifespan
         self._plain = self._lifespan is None and not self.native and options.count is None
         self._heads: tuple[Encoding, bytes, bytes] | None = None
+        self._share: object = None
+        """Under what a sample keeps the frame that all feeds with the same head send."""
 
     @property
     def waiting(self) -> int:
@@ -148,7 +156,14 @@ class Feed:
             self.dropped = 0
             self.sent = sample.seq
             size += len(data)
-            out.append(data if wrap is None else wrap(data, self, sample))
+            mailbox = self.mailbox
+            assert mailbox is not None
+            if wrap is not None:
+                data = wrap(data, self, sample)
+            elif mailbox.framing is not None:
+                data = mailbox.framing(len(data), data[:1] == b"{") + data
+            out.append(data)
+            mailbox.updates += 1
             if self.subscription.remaining is not None and self.subscription.delivered():
                 self.queue.clear()
                 self.backlog = None
@@ -157,7 +172,11 @@ class Feed:
 
     def _drain_plain(self, out: list[bytes], budget: int) -> int:
         """Drain a feed that has nothing to look at but its queue: the hot loop of every fan-out."""
+        mailbox = self.mailbox
+        assert mailbox is not None
         encoding, head, _ = self._heads or self._make_heads()
+        if mailbox.framing is not None:
+            return self._drain_framed(out, budget, mailbox, mailbox.framing)
         key = encoding if self._fields is None else (encoding, self._fields)
         queue = self.queue
         size = 0
@@ -172,7 +191,45 @@ class Feed:
             self.sent = sample.seq
             size += len(data)
             out.append(data)
+            mailbox.updates += 1
         return size
+
+    def _drain_framed(
+        self, out: list[bytes], budget: int, mailbox: Mailbox, framing: Framing
+    ) -> int:
+        """Drain with frames of the transport's own making, made once for all alike receivers."""
+        share = self._share
+        queue = self.queue
+        size = count = 0
+        while queue and size < budget:
+            sample = queue.popleft()
+            data = None if self.dropped else sample.tails.get(share)
+            if data is None:
+                try:
+                    data = self._make_frame(sample, out, framing)
+                except RcpError:  # reported as the backend's fault where it was found
+                    continue
+            self.sent = sample.seq
+            size += len(data)
+            count += 1
+            out.append(data)
+        mailbox.updates += count
+        return size
+
+    def _make_frame(self, sample: Sample, out: list[bytes], framing: Framing) -> bytes:
+        encoding, head, _ = self._heads or self._make_heads()
+        text = encoding is Encoding.JSON
+        if self.dropped:
+            data = self._frame(sample)
+            self.dropped = 0
+            return framing(len(data), text) + data
+        tail = sample.tail(encoding, self._fields)
+        start = framing(len(head) + len(tail), text) + head
+        if len(tail) > _SHARED:
+            out.append(start)
+            return tail
+        data = sample.tails[self._share] = start + tail
+        return data
 
     def _frame(self, sample: Sample) -> bytes:
         encoding, head, head_dropped = self._heads or self._make_heads()
@@ -194,6 +251,9 @@ class Feed:
         encoding = self.subscription.options.splice or self.mailbox.encoding
         facts = {"type": "update", "id": self.subscription.id, "path": self.entry.path}
         head = encode_frame(facts, b"", encoding)
+        self._share = _shares.setdefault((head, self._fields, self.mailbox.framing), object())
+        if len(_shares) > _MANY:
+            _shares.clear()
         if encoding is Encoding.JSON:
             head = head[:-1] + b","
             self._heads = encoding, head, head

@@ -11,12 +11,14 @@ import re
 import sys
 import time
 
+import msgspec
 import uvloop
 from picows import WSListener, WSMsgType, ws_connect
 
 KIND, PORT, COUNT, SECONDS, PATH = (
     sys.argv[1], int(sys.argv[2]), int(sys.argv[3]), float(sys.argv[4]), sys.argv[5],
 )  # fmt: skip
+BINARY = PATH.endswith("blob")  # bytes travel as bytes
 SENT = re.compile(rb'"sent":"?(\d+)')
 
 
@@ -37,7 +39,10 @@ class Listener(WSListener):
         if KIND == "rcp":
             depth = {"depth": 512}
             envelope = {"type": "subscribe", "id": "s", "path": PATH, "body": {"qos": depth}}
-            transport.send(WSMsgType.TEXT, json.dumps(envelope).encode())
+            if BINARY:
+                transport.send(WSMsgType.BINARY, msgspec.msgpack.encode(envelope))
+            else:
+                transport.send(WSMsgType.TEXT, json.dumps(envelope).encode())
             State.ready += 1
 
     def on_ws_frame(self, transport, frame) -> None:
@@ -51,7 +56,7 @@ class Listener(WSListener):
             data = frame.get_payload_as_bytes()
             found = SENT.search(data)
             if found:
-                State.ages.append(time.time_ns() - int(found[1]))
+                State.ages.append(time.time_ns() // 1000 - int(found[1]))
 
     def advertised(self, transport, message) -> None:
         if message["op"] == "advertise":
@@ -63,9 +68,9 @@ class Listener(WSListener):
 
 async def main() -> None:
     url = f"ws://127.0.0.1:{PORT}" + ("/rcp/v1/ws" if KIND == "rcp" else "/")
-    protocol = "rcp.v1.json" if KIND == "rcp" else "foxglove.sdk.v1"
-    if KIND == "rcp" and PATH.endswith("blob"):
-        protocol = "rcp.v1.json"
+    protocol = "foxglove.sdk.v1"
+    if KIND == "rcp":
+        protocol = "rcp.v1.msgpack" if BINARY else "rcp.v1.json"
     for _ in range(COUNT):
         await ws_connect(
             Listener,
@@ -87,8 +92,8 @@ async def main() -> None:
         "frames": State.frames,
         "bytes": State.bytes,
         "seconds": took,
-        "p50_ms": ages[len(ages) // 2] / 1e6,
-        "p99_ms": ages[int(len(ages) * 0.99)] / 1e6,
+        "p50_ms": ages[len(ages) // 2] / 1e3,
+        "p99_ms": ages[int(len(ages) * 0.99)] / 1e3,
     }
     print(json.dumps(result), flush=True)
 

@@ -22,7 +22,7 @@ period, due = BURST / RATE, time.monotonic()
 parent = os.getppid()
 while os.getppid() == parent:
     for _ in range(BURST):
-        channel.log(blob if SIZE else encoded(time.time_ns()))
+        channel.log(blob if SIZE else encoded(time.time_ns() // 1000))
     due = max(due + period, time.monotonic() - period)
     time.sleep(max(0.0, due - time.monotonic()))
 server.stop()

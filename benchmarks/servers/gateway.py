@@ -11,6 +11,7 @@ import os
 import sys
 import time
 from contextlib import asynccontextmanager
+from typing import Annotated
 
 import msgspec
 import uvloop
@@ -21,15 +22,20 @@ from rcp_kernel.log import configure
 from rcp_kernel.model import Resource
 from rcp_kernel.server import Prepared, prepare, running
 from rcp_kernel.spi import BackendKind, BaseBackend
-from rcp_kernel.types import Int64, Point, PoseStamped, Quaternion
+from rcp_kernel.types import Point, PoseStamped, Quaternion
 
 RATE, BURST, SIZE = float(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3])
 CONFIG = """
 log = {level = "error"}
 limits = {sessions = 5000}
+transports.http = false
+transports.sse = false
 [transports.asgi]
 port = 0
 """
+
+
+Micros = Annotated[int, msgspec.Meta(ge=0, le=2**53 - 1)]
 
 
 class Update(msgspec.Struct):
@@ -37,7 +43,7 @@ class Update(msgspec.Struct):
     orientation: Quaternion
     frame_id: str
     timestamp: str
-    sent: Int64
+    sent: Micros
     note: str
 
 
@@ -55,7 +61,7 @@ async def produce(host) -> None:
             if SIZE:
                 host.publish("sensor/blob", blob)
             else:
-                host.publish("sensor/pose", msgspec.structs.replace(first, sent=time.time_ns()))
+                host.publish("sensor/pose", msgspec.structs.replace(first, sent=time.time_ns() // 1000))
         due = max(due + period, loop.time() - period)
         await asyncio.sleep(max(0.0, due - loop.time()))
 

@@ -10,9 +10,9 @@ UPDATE = {
     "frame_id": "map",
     "timestamp": "2026-05-29T14:12:04.123456789Z",
     "sent": 0,
-    "note": "x" * 60,
+    "note": "x" * 80,
 }
-"""About 300 B as JSON; `sent` carries the ns of its making, for latencies."""
+"""About 300 B as JSON; `sent` carries the µs of its making, for latencies."""
 
 
 def encoded(sent: int) -> bytes:

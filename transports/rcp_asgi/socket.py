@@ -11,7 +11,7 @@ import asyncio
 import zlib
 from typing import Protocol
 
-from picows import WSCloseCode, WSFrame, WSListener, WSMsgType, WSTransport
+from picows import WSFrame, WSListener, WSMsgType, WSTransport
 
 from rcp_asgi import heads
 from rcp_asgi.deflate import TooLong, deflate, inflate
@@ -24,7 +24,10 @@ _PING, _PONG, _CLOSE = WSMsgType.PING, WSMsgType.PONG, WSMsgType.CLOSE
 _HIGH_WATER = 64 * 1024  # bytes in the write buffer above which the socket is not writable
 _CLOSE_WAIT = 2.0  # s the peer has to answer a close
 _UNANSWERED = 2  # pings after which the peer counts as gone
+# RFC 6455 7.4.1
+_PROTOCOL_ERROR = 1002
 _GONE = 1006
+_INVALID_TEXT = 1007
 
 
 class Receiver(Protocol):
@@ -156,7 +159,7 @@ class Socket(WSListener):
 
     def _control(self, frame: WSFrame, opcode: WSMsgType) -> None:
         if frame.rsv1 or frame.rsv2 or frame.rsv3:
-            self.close(WSCloseCode.PROTOCOL_ERROR, "reserved bits")
+            self.close(_PROTOCOL_ERROR, "reserved bits")
         elif opcode is _PING:
             if self.writable:
                 self._transport.send_pong(frame.get_payload_as_bytes())
@@ -181,7 +184,7 @@ class Socket(WSListener):
         begins = opcode is not _CONTINUATION
         bad_bits = frame.rsv2 or frame.rsv3 or (frame.rsv1 and not (self.deflates and begins))
         if bad_bits or begins is (parts is not None):
-            self.close(WSCloseCode.PROTOCOL_ERROR, "frames out of order or reserved bits")
+            self.close(_PROTOCOL_ERROR, "frames out of order or reserved bits")
             return
         if parts is None:
             parts = self._parts = []
@@ -209,7 +212,7 @@ class Socket(WSListener):
                 self._receiver.oversized(self._limit + 1)
                 return
             except zlib.error:
-                self.close(WSCloseCode.INVALID_TEXT, "the compressed message is damaged")
+                self.close(_INVALID_TEXT, "the compressed message is damaged")
                 return
         text = self._opcode is _TEXT
         if text and not _is_utf8(data):
@@ -220,7 +223,7 @@ class Socket(WSListener):
     def _garbled(self, data: bytes) -> None:
         # RFC 6455 8.1: the connection fails; the request is answered all the same.
         self._receiver.garbled(data)
-        self.close(WSCloseCode.INVALID_TEXT, "the text is not UTF-8")
+        self.close(_INVALID_TEXT, "the text is not UTF-8")
 
     # -- out -----------------------------------------------------------------------------------
 
@@ -247,6 +250,30 @@ class Socket(WSListener):
             self._transport.send(_TEXT if data[0] == 0x7B else _BINARY, data)
         if short:
             self._raw.write(heads.join(short))
+
+    @staticmethod
+    def head(size: int, text: bool) -> bytes:  # noqa: FBT001 - a frame's own flag
+        """Return the head of a frame around a whole message of `size` bytes."""
+        return (heads.TEXT if text else heads.BINARY)[size]
+
+    def write_frames(self, parts: list[bytes]) -> None:
+        """Send what is framed already, in as few writes as there are long parts."""
+        if not self.open:
+            return
+        if len(parts) == 1:
+            self._raw.write(parts[0])
+            return
+        short: list[bytes] = []
+        for data in parts:
+            if len(data) <= heads.JOINED:
+                short.append(data)
+                continue
+            if short:
+                self._raw.write(b"".join(short))
+                short = []
+            self._raw.write(data)
+        if short:
+            self._raw.write(b"".join(short))
 
     def send(self, data: bytes, *, text: bool) -> None:
         """Send one message."""
@@ -275,7 +302,7 @@ class Socket(WSListener):
         if not self.open:
             return
         self.open = False
-        self.code = int(code)
+        self.code = code
         payload = self.code.to_bytes(2, "big") + reason.encode()[:120]
         self._transport.send(_CLOSE, payload)
         if not self._reading:

@@ -104,7 +104,7 @@ class Peer:
     def _release(self) -> None:
         self._held = False
         while self._inbox and not self._held:
-            self.received(self._inbox.popleft(), False)  # noqa: FBT003 - nobody looks at it
+            self.received(self._inbox.popleft(), False)
         if not self._held:
             self._socket.resume_reading()
 
@@ -162,6 +162,8 @@ class Peer:
         wanted = hello.segment_size
         agreed = None if wanted is None else min(wanted, self._config.segment_size)
         self._outgoing.size = agreed
+        if agreed is not None:
+            self._mailbox.framing = None
         return {"limits": {"segment_size": agreed, "segments": self._config.segments}}
 
     # -- out -----------------------------------------------------------------------------------
@@ -174,10 +176,13 @@ class Peer:
         mailbox = self._mailbox
         if self._outgoing.size is not None:
             self._flush_cut(self._outgoing, self._outgoing.size)
-        else:
-            messages = mailbox.collect()
-            if messages:
+        elif socket.compresses:
+            if messages := mailbox.collect():
                 socket.write(messages)
+        else:
+            mailbox.framing = socket.head
+            if parts := mailbox.collect():
+                socket.write_frames(parts)
         if mailbox.pending and socket.writable:
             mailbox.mark()
         if self.connection.expelled:

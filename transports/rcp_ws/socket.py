@@ -37,6 +37,8 @@ class NativeSocket(Protocol):
     writable: bool
     """Whether the write buffer has room; `Receiver.drained` tells when it has again."""
     open: bool
+    compresses: bool
+    """Whether messages are compressed one by one, so that frames cannot be made beforehand."""
 
     def attach(self, receiver: Receiver) -> None:
         """Have everything told to `receiver`."""
@@ -44,6 +46,14 @@ class NativeSocket(Protocol):
 
     def write(self, messages: list[bytes]) -> None:
         """Send whole messages in one write; JSON objects go as text, all else as binary."""
+        ...
+
+    def head(self, size: int, text: bool) -> bytes:  # noqa: FBT001 - a frame's own flag
+        """Return the head of a frame around a whole message of `size` bytes."""
+        ...
+
+    def write_frames(self, parts: list[bytes]) -> None:
+        """Send what is framed already."""
         ...
 
     def pause_reading(self) -> None:

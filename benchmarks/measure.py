@@ -1,0 +1,48 @@
+"""Run a server on core 0 and a load on core 1; take what the server's CPU did for it."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import time
+
+import psutil
+
+SECONDS = 3.0
+
+
+def measured(script: str, server: str, *load: str) -> dict[str, float]:
+    """Run `script serve <server>` and `script load <port> …`; the load prints a JSON object.
+
+    The server prints its port. The load prints a line when it is connected, then `done` messages
+    counted over its time.
+    """
+    with subprocess.Popen(
+        [sys.executable, script, "serve", server],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+    ) as process:
+        info = psutil.Process(process.pid)
+        info.cpu_affinity([0])
+        assert process.stdout
+        port = process.stdout.readline().decode().strip()
+        client = subprocess.Popen(
+            [sys.executable, script, "load", port, server, *load], stdout=subprocess.PIPE
+        )
+        psutil.Process(client.pid).cpu_affinity([1])
+        assert client.stdout
+        client.stdout.readline()
+        before, begun = info.cpu_times(), time.perf_counter()
+        result = json.loads(client.stdout.readline())
+        after, ended = info.cpu_times(), time.perf_counter()
+        client.wait()
+        process.terminate()
+    cpu = after.user + after.system - before.user - before.system
+    return {**result, "cpu": cpu, "busy": cpu / (ended - begun), "per_cpu": result["done"] / cpu}
+
+
+def row(name: str, found: dict[str, float], base: dict[str, float] | None = None) -> None:
+    """Print one line of a table."""
+    ratio = f"  {found['per_cpu'] / base['per_cpu']:5.2f} ×" if base else ""
+    print(f"  {name:34} {found['per_cpu'] / 1000:9.1f} k/CPU-s  cpu {found['busy']:5.0%}{ratio}")

@@ -1,0 +1,83 @@
+"""The gateway that the transports' benchmarks measure: one robot, published as each of them wants."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncGenerator
+from contextlib import asynccontextmanager
+
+import msgspec
+import uvloop
+
+from rcp_kernel.config import BackendConfig, parse
+from rcp_kernel.log import configure
+from rcp_kernel.model import Resource
+from rcp_kernel.server import Prepared, prepare, running
+from rcp_kernel.spi import BackendKind, BaseBackend, Host
+from rcp_kernel.types import Point, PoseStamped, Quaternion
+
+POSE = PoseStamped(Point(1.25, -3.5, 0.125), Quaternion(), "map", "2026-05-29T14:12:04Z")
+_CONFIG = 'limits = {sessions = 5000}\ntransports.asgi = {port = 0}\nlog = {level = "error"}\n'
+
+
+class Nothing(msgspec.Struct):
+    """No options."""
+
+
+class Bench(BaseBackend):
+    """Publishes when it is told to."""
+
+    def __init__(self, host: Host) -> None:
+        self.host = host
+
+    def publish(self) -> None:
+        self.host.publish("sensor/pose", POSE)
+
+
+@asynccontextmanager
+async def gateway() -> AsyncGenerator[tuple[Bench, str]]:
+    """Run the gateway; yield its robot and its URL."""
+    configure("error")
+    bare = prepare(parse(_CONFIG, "benchmark"), "benchmark")
+    robots: list[Bench] = []
+
+    @asynccontextmanager
+    async def open_bench(_config: Nothing, host: Host) -> AsyncGenerator[Bench]:
+        host.declare(
+            Resource(name="sensor/pose", description="A pose.", value=PoseStamped, live=True)
+        )
+        robots.append(Bench(host))
+        robots[0].publish()
+        yield robots[0]
+
+    config = msgspec.structs.replace(
+        bare.config, backends=(BackendConfig(use="bench", name="bench", tenant="t"),)
+    )
+    bare.plugins.backends["bench"] = BackendKind("bench", Nothing, open_bench)
+    made = Prepared(config, bare.plugins, (Nothing(),), bare.transports, bare.adapters)
+    async with running(made) as server:
+        url = next(facts["url"] for facts in server.status.transports if "url" in facts)
+        yield robots[0], url
+
+
+def serve_gateway(rate: float = 0.0, burst: int = 1) -> None:
+    """Serve until killed; publish `rate` poses a second in bursts of `burst`."""
+
+    async def main() -> None:
+        async with gateway() as (robot, url):
+            print(url.rpartition(":")[2], flush=True)
+            await produce(robot.publish, rate, burst)
+
+    uvloop.run(main())
+
+
+async def produce(publish, rate: float, burst: int) -> None:
+    """Call `publish` so many times a second; 0 never does."""
+    loop = asyncio.get_running_loop()
+    due = loop.time()
+    while rate:
+        for _ in range(burst):
+            publish()
+        due = max(due + burst / rate, loop.time() - 0.1)
+        await asyncio.sleep(max(0.0, due - loop.time()))
+    await asyncio.Event().wait()

@@ -1,0 +1,78 @@
+"""WebSocket request and reply beside a bare echo on the same framing. Run: python benchmarks/ws_rtt.py"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import sys
+
+import uvloop
+from measure import SECONDS, measured, row
+from picows import WSListener, WSMsgType, ws_connect, ws_create_server
+
+CLIENTS = 32
+ECHO = b'{"type":"read","id":"c-17","path":"/tenant/t/sensor/pose"}'
+FLOOR = 0.6
+
+
+class Echo(WSListener):
+    def on_ws_frame(self, transport, frame):
+        if frame.msg_type == WSMsgType.TEXT:
+            # As long as the gateway's answer, so that both write the same.
+            transport.send(WSMsgType.TEXT, REPLY)
+
+
+REPLY = b"x" * 345
+
+
+class Asker(WSListener):
+    done = 0
+    request = ECHO
+
+    def on_ws_frame(self, transport, frame):
+        Asker.done += 1
+        Asker.size = frame.payload_size
+        transport.send(WSMsgType.TEXT, self.request)
+
+
+async def load(port: str, server: str, request: str) -> None:
+    path = "/rcp/v1/ws" if server == "gateway" else "/"
+    Asker.request = request.encode()
+    for _ in range(CLIENTS):
+        transport, _ = await ws_connect(Asker, f"ws://127.0.0.1:{port}{path}")
+        transport.send(WSMsgType.TEXT, Asker.request)
+    await asyncio.sleep(0.3)
+    print("ready", flush=True)
+    before = Asker.done
+    await asyncio.sleep(SECONDS)
+    print(json.dumps({"done": Asker.done - before, "size": Asker.size}), flush=True)
+
+
+async def echo() -> None:
+    server = await ws_create_server(lambda _: Echo(), "127.0.0.1", 0)
+    print(server.sockets[0].getsockname()[1], flush=True)
+    await server.serve_forever()
+
+
+def main() -> None:
+    ping = '{"type":"ping","id":"c-17"}'
+    base = measured(__file__, "echo", ECHO.decode())
+    row("bare picows echo", base)
+    read = measured(__file__, "gateway", ECHO.decode())
+    row(f"gateway: read ({read['size']:.0f} B)", read, base)
+    row("gateway: ping", measured(__file__, "gateway", ping), base)
+    print(f"  floor {FLOOR}")
+
+
+if __name__ == "__main__":
+    if sys.argv[1:2] == ["serve"]:
+        if sys.argv[2] == "echo":
+            uvloop.run(echo())
+        else:
+            from served import serve_gateway
+
+            serve_gateway()
+    elif sys.argv[1:2] == ["load"]:
+        uvloop.run(load(*sys.argv[2:5]))
+    else:
+        main()
