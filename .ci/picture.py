@@ -26,10 +26,11 @@ BIN = Path(sys.executable).parent
 WIDTH = 100
 COMMANDS = (
     "rcpctl discover '/action/*'",
-    "rcpctl read /sensor/pose",
     "rcpctl write /param/speed_limit 9",
-    'rcpctl execute /action/move_to \'{"position": {"x": 1, "y": 0.5, "z": 0}}\'',
-    "rcpctl watch /sensor/pose --rate 2 --count 2",
+    'rcpctl execute /action/move_to \'{"position": {"x": 4, "y": 0}}\' --no-wait',
+    "rcpctl watch /sensor/pose --field position --rate 2 --count 4",
+    "rcpctl estop --reason 'person in the hall'",
+    "rcpctl execute /action/dock",
 )
 
 
@@ -89,8 +90,18 @@ def main() -> None:
     # No font is fetched from anywhere: the reader's own monospaced one will do.
     svg = re.sub(r"@font-face \{.*?\}\s*", "", svg, flags=re.DOTALL)
     svg = svg.replace("Fira Code", "ui-monospace, monospace")
+    svg = re.sub(
+        r'x="([\d.]+)"( y="[\d.]+") textLength="([\d.]+)"([^>]*)>((?:&#160;)+)', _shift, svg
+    )
     svg = re.sub(r"<!-- Generated.*?-->", "", svg)
     (DOCS / "demo.svg").write_text(svg, encoding="utf-8")
+
+
+def _shift(text: re.Match[str]) -> str:
+    """Move a text instead of beginning it with blanks, which some viewers drop."""
+    width = 12.2 * text[5].count("&")
+    x, length = float(text[1]) + width, max(0.0, float(text[3]) - width)
+    return f'x="{x:g}"{text[2]} textLength="{length:g}"{text[4]}>'
 
 
 def _show(console: Console, command: str, output: str) -> None:
