@@ -101,7 +101,7 @@ RCP gateway demo: simulated rovers of the tenants alpha and beta
 
   operator key  {self._operator}   (reads, writes, commands)
   admin key     {self._admin}   (and resets an e-stop)
-  Without a key you may look, not move. rcpctl of this user finds the operator key by itself.
+  Without one you may look, not move. rcpctl finds the first one by itself, for this user.
 
 Try:
   rcpctl --url {url} read /tenant/alpha/sensor/pose

@@ -346,6 +346,12 @@ class FilteredFeed(Feed):
         except RcpError:
             return False
 
+    def replay(self, samples: Iterable[Sample]) -> None:
+        """Queue earlier samples; the next new one keeps the rate's distance from them."""
+        super().replay(samples)
+        if self.backlog and self._interval:
+            self._due = time.monotonic() + self._interval
+
     def admit(self, sample: Sample) -> bool:
         """Tell whether an earlier sample passes; the rate does not hold the past back."""
         if self._where is not None and not self._passes(sample):

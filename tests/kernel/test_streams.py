@@ -130,13 +130,14 @@ async def test_history_comes_first_and_in_order(world: World) -> None:
 
 
 async def test_a_rate_lets_the_newest_through_at_its_time(world: World) -> None:
+    publish(world, 1.0)
     client = world.client()
     id_ = await subscribed(client, rate=20)
-    publish(world, 1.0)
     first = await client.update(id_)
     publish(world, 2.0, 3.0)
     second = await client.update(id_)
     assert (first["body"], second["body"]) == (1.0, 3.0)
+    assert len([m for m in client.inbox if m["type"] == "update"]) == 0
 
 
 async def test_a_count_ends_the_subscription_by_itself(world: World) -> None:
