@@ -1,7 +1,8 @@
 """The gateway with a backend that publishes as a benchmark wants it.
 
 python gateway.py RATE BURST SIZE: RATE updates a second in bursts of BURST; SIZE bytes, or 0 for
-the update of about 300 B. Prints its port, then serves until its input ends.
+the update of about 300 B. A fourth word, HZ, publishes both: the update at RATE, bytes at HZ.
+Prints its port, then serves until its input ends.
 """
 
 from __future__ import annotations
@@ -25,11 +26,10 @@ from rcp_kernel.spi import BackendKind, BaseBackend
 from rcp_kernel.types import Point, PoseStamped, Quaternion
 
 RATE, BURST, SIZE = float(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3])
+BOTH = float(sys.argv[4]) if len(sys.argv) > 4 else 0.0
 CONFIG = """
 log = {level = "error"}
 limits = {sessions = 5000}
-transports.http = false
-transports.sse = false
 [transports.asgi]
 port = 0
 """
@@ -58,12 +58,21 @@ async def produce(host) -> None:
     period, due = BURST / RATE, loop.time()
     while True:
         for _ in range(BURST):
-            if SIZE:
+            if SIZE and not BOTH:
                 host.publish("sensor/blob", blob)
             else:
-                host.publish("sensor/pose", msgspec.structs.replace(first, sent=time.time_ns() // 1000))
+                host.publish(
+                    "sensor/pose", msgspec.structs.replace(first, sent=time.time_ns() // 1000)
+                )
         due = max(due + period, loop.time() - period)
         await asyncio.sleep(max(0.0, due - loop.time()))
+
+
+async def produce_maps(host) -> None:
+    blob = os.urandom(SIZE)
+    while True:
+        host.publish("sensor/blob", blob)
+        await asyncio.sleep(1 / BOTH)
 
 
 @asynccontextmanager
@@ -75,9 +84,11 @@ async def open_bench(_config: Nothing, host):
     )
     still = PoseStamped(Point(1.23, 4.56), Quaternion(), "map", "2026-05-29T14:12:04Z")
     host.publish("sensor/still", still)
-    task = asyncio.create_task(produce(host)) if RATE else None
+    tasks = [asyncio.create_task(produce(host))] if RATE else []
+    if BOTH:
+        tasks.append(asyncio.create_task(produce_maps(host)))
     yield BaseBackend()
-    if task is not None:
+    for task in tasks:
         task.cancel()
 
 
