@@ -361,11 +361,10 @@ class Channel:
         again runs once. A new session on the same gateway does too; one that was restarted since
         does not, and then a command's fate is looked up, never tried again.
         """
-        anew = self._doubt
-        restarted = anew and await self._restarted()
+        restarted = self._doubt and await self._restarted()
         calls = [call for call in self.calls.every() if call.link is not self._link]
         for subscription in list(self.subscriptions.values()):
-            subscription.restore(anew=anew, restarted=restarted)
+            subscription.restore(restarted=restarted)
         lost: list[Call] = []
         for call in calls:
             if call.sent is None or call.repeat == "always":

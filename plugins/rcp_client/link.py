@@ -100,7 +100,8 @@ class Link(WSListener):
             number = getattr(error, "errno", None)
             reason = os.strerror(number) if number else str(error) or "no answer"
             raise ConnectionLost(f"cannot reach {address.url}: {reason}") from error
-        assert isinstance(link, cls)
+        if not isinstance(link, cls):  # picows' word for a hang-up in the middle of the handshake
+            raise ConnectionLost(f"{address.url} hung up")
         spoken = transport.response.headers.get("Sec-WebSocket-Protocol")
         if spoken != codec.subprotocol:
             transport.disconnect()

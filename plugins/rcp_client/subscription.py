@@ -68,8 +68,10 @@ class Subscription:
         on_change = self._options.get("on") == "change"
         self._whole = self._reliable and not on_change and self._options.keys().isdisjoint(_FILTERS)
         """Every sample of a path must come, so a number left out is a gap."""
-        self._left: int | None = self._options.get("count")
-        self._until: float | None = None
+        # Counted and timed here: the gateway would count what a cut keeps from arriving.
+        self._left: int | None = self._options.pop("count", None)
+        self._duration: float | None = self._options.pop("duration", None)
+        self._timer: asyncio.TimerHandle | None = None
         self._queue: deque[Update | Notice] = deque()
         self._skipped: dict[str, int] = {}
         self._wake = asyncio.Event()
@@ -88,27 +90,27 @@ class Subscription:
         self.close()
 
     async def _begin(self) -> None:
-        if (duration := self._options.get("duration")) is not None:
-            self._until = time.monotonic() + duration
         self._channel.subscriptions[self.id] = self
         try:
             reply = await self._subscribe()
+            while reply is None:  # with its first reply the first values may have been lost
+                self._drop()
+                self.id = self._channel.new_id()
+                self._channel.subscriptions[self.id] = self
+                reply = await self._subscribe()
         except BaseException:
             self._channel.subscriptions.pop(self.id, None)
             raise
         self._standing = True
-        if reply is not None and isinstance(reply.body, dict):
-            self.paths = reply.body.get("paths", [])
+        if self._duration is not None:
+            self._timer = asyncio.get_running_loop().call_later(self._duration, self.close)
+        self.paths = (reply.body or {}).get("paths", [])
 
     async def _subscribe(self) -> Reply | None:
         """Ask for it; None says that the gateway has it already, from before a cut."""
         channel = self._channel
         limit = channel.settings.deadline
         body = {**self._options, "paths": self.patterns[1:]}
-        if self._left is not None:
-            body["count"] = max(1, self._left)
-        if self._until is not None:
-            body["duration"] = max(0.001, self._until - time.monotonic())
         envelope = {"type": "subscribe", "path": self.patterns[0], "body": body}
         call = channel.start(envelope, "always", id_=self.id)
         try:
@@ -120,9 +122,13 @@ class Subscription:
 
     def close(self) -> None:
         """End it; the gateway is told and not waited for."""
-        if self._channel.subscriptions.pop(self.id, None) is not None and not self._finished:
-            self._channel.post({"type": "unsubscribe", "body": {"subscription": self.id}})
+        if not self._finished:
+            self._drop()
         self._finish()
+
+    def _drop(self) -> None:
+        if self._channel.subscriptions.pop(self.id, None) is not None:
+            self._channel.post({"type": "unsubscribe", "body": {"subscription": self.id}})
 
     def fail(self, error: RcpError) -> None:
         """End it with an error, which iteration raises after what came before it."""
@@ -133,6 +139,8 @@ class Subscription:
     def _finish(self) -> None:
         self._finished = True
         self._channel.subscriptions.pop(self.id, None)
+        if self._timer is not None:
+            self._timer.cancel()
         renewal = self._renewal
         if renewal is not None and renewal is not asyncio.current_task():
             renewal.cancel()
@@ -184,7 +192,7 @@ class Subscription:
         if seq <= last:
             self.duplicates += 1
             return
-        if self._finished or self._left == 0:
+        if self._finished:
             return
         if self._whole and last and seq > last + 1:
             self._channel.tell(_gap(self.id, path, last + 1, seq - 1))
@@ -208,7 +216,7 @@ class Subscription:
         if self._left is not None:
             self._left -= 1
             if self._left == 0:
-                self._finish()
+                self.close()
 
     def _skip(self) -> None:
         """Let the oldest go: the newest value wins, and the next update says how many it cost."""
@@ -235,10 +243,7 @@ class Subscription:
             last = notice.facts.get("last", 0)
             self.seen[notice.path] = max(last, self.seen.get(notice.path, 0))
         elif notice.code == "subscription_ended":
-            if self._left and notice.facts.get("reason") == "count":
-                self._begin_again(anew=True)  # replays were counted too: some are still to come
-            else:
-                self._finish()
+            self._finish()
         elif (told := notice.facts.get("error")) is not None:
             class_ = BY_CODE.get(told.get("code"), Overrun)
             facts = {key: told.get(key) for key in ("path", "remedy", "details")}
@@ -246,23 +251,17 @@ class Subscription:
 
     # -- after a cut ---------------------------------------------------------------------------
 
-    def restore(self, *, anew: bool, restarted: bool) -> None:
+    def restore(self, *, restarted: bool) -> None:
         """Make sure that the subscription stands on a new connection."""
         if restarted:  # numbers begin again
             self.seen.clear()
         if not self._standing:
             return  # its `subscribe` is under way, and sent again
-        if self._until is not None and time.monotonic() > self._until:
-            self._finish()
-            return
-        self._begin_again(anew=anew)
-
-    def _begin_again(self, *, anew: bool) -> None:
         if self._renewal is not None:
             self._renewal.cancel()
-        self._renewal = asyncio.create_task(self._renew(anew=anew))
+        self._renewal = asyncio.create_task(self._renew())
 
-    async def _renew(self, *, anew: bool) -> None:
+    async def _renew(self) -> None:
         """Subscribe under the same id: that it is taken shows that the subscription is there."""
         pause = 0.1
         patience = self._channel.settings.patience
@@ -281,12 +280,8 @@ class Subscription:
             except RcpError as error:
                 self.fail(error)
                 return
-        if reply is None:
-            return
-        if not anew and (self._left is not None or self._until is not None):
-            self.close()  # it had come to its end, and the notice of that was lost
-            return
-        self._channel.tell(_gap(self.id, None, None, None))
+        if reply is not None:
+            self._channel.tell(_gap(self.id, None, None, None))
 
 
 def _gap(id_: str, path: str | None, first: int | None, last: int | None) -> Notice:

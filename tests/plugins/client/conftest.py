@@ -1,0 +1,49 @@
+"""A gateway with robots, a proxy before it, and clients that find their way only to these."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncGenerator, Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import rcp_client
+from plugins.client.gateway import OPERATOR, Gateway
+from plugins.client.proxy import Proxy
+
+
+@pytest.fixture
+def anyio_backend() -> str:
+    """Run on asyncio: the client's event loop."""
+    return "asyncio"
+
+
+@pytest.fixture(autouse=True)
+def alone(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Keep what this user has set up out of the tests."""
+    for name in ("RCP_URL", "RCP_TOKEN", "RCP_TENANT"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path / "run"))
+
+
+@pytest.fixture
+async def gateway() -> AsyncGenerator[Gateway]:
+    async with Gateway() as made:
+        yield made
+
+
+@pytest.fixture
+async def proxy(gateway: Gateway) -> AsyncGenerator[Proxy]:
+    async with Proxy(gateway.port) as made:
+        yield made
+
+
+@pytest.fixture
+def connect() -> Callable[..., rcp_client.Client]:
+    """Make an operator's client of a gateway or proxy."""
+
+    def made(to: Gateway | Proxy, **options: Any) -> rcp_client.Client:
+        return rcp_client.connect(to.url, **{"token": OPERATOR, **options})
+
+    return made

@@ -1,0 +1,193 @@
+"""A real gateway on a real port around a robot that does as a test says; it can be started anew."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncGenerator
+from contextlib import AsyncExitStack, asynccontextmanager
+from typing import Any, Self
+
+import msgspec
+
+from rcp_kernel.config import parse
+from rcp_kernel.log import configure
+from rcp_kernel.model import Resource
+from rcp_kernel.plugins import Plugins
+from rcp_kernel.server import Prepared, Server, running
+from rcp_kernel.spi import BackendKind, BaseBackend, Host, Progress
+from rcp_kernel.types import Twist, quantity
+from rcp_kernel.values import value_type
+
+OPERATOR = "operator-of-these-tests"
+ADMIN = "administrator-of-these-tests"
+BOUND = 10.0  # s that any wait of a test may take
+
+CONFIG = """
+[transports]
+sse = false
+http = false
+[transports.asgi]
+port = {port}
+[limits]
+session_ttl = {session_ttl}
+[[backends]]
+use = "robot"
+name = "robot"
+tenant = "alpha"
+[[backends]]
+use = "robot"
+name = "other"
+tenant = "beta"
+[[keys]]
+name = "operator"
+role = "operator"
+key = "{operator}"
+[[keys]]
+name = "admin"
+role = "admin"
+key = "{admin}"
+{more}
+"""
+
+
+class Point(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    x: quantity("m")  # pyright: ignore[reportInvalidTypeForm]
+    y: quantity("m") = 0.0  # pyright: ignore[reportInvalidTypeForm]
+
+
+class NoOptions(msgspec.Struct):
+    """There is nothing to configure."""
+
+
+class Robot(BaseBackend):
+    """Publishes, waits and answers as its test wants."""
+
+    def __init__(self, host: Host) -> None:
+        self._host = host
+        self.values: dict[str, Any] = {"param/limit": 1.5, "param/label": "crate"}
+        self.writes: list[Any] = []
+        self.started: list[Any] = []
+        self.go = asyncio.Event()
+        """Lets commands go to their end."""
+        self.moving = asyncio.Event()
+        """A command has begun."""
+        self.published = 0
+
+    def declare(self) -> None:
+        self._host.declare(
+            Resource(
+                name="sensor/count",
+                description="Counts up.",
+                value=quantity("1", int),
+                live=True,
+                history=1000,
+            ),
+            Resource(name="sensor/point", description="A point.", value=Point, live=True),
+            Resource(name="sensor/blob", description="Many bytes.", value=bytes, live=True),
+            Resource(name="event/alarm", description="An alarm.", value=str, live=True),
+            Resource(
+                name="param/limit",
+                description="A limit.",
+                value=quantity("m/s", ge=0, le=2.5),
+                examples=(1.0,),
+            ),
+            Resource(name="param/label", description="A label.", value=str),
+            Resource(
+                name="actuator/drive",
+                description="A drive.",
+                value=Twist,
+                valid_for=5.0,
+                safe=Twist(),
+                max_age=2.0,
+            ),
+            Resource(
+                name="action/go",
+                description="Goes.",
+                input=Point,
+                output=Point,
+                feedback=quantity("m"),
+                policy="parallel",
+            ),
+            Resource(name="service/echo", description="Answers.", input=bytes, output=bytes),
+        )
+
+    def publish(self, times: int = 1) -> None:
+        """Publish the next numbers of `sensor/count`."""
+        for _ in range(times):
+            self.published += 1
+            self._host.publish("sensor/count", self.published)
+
+    def say(self, name: str, value: Any) -> None:
+        self._host.publish(name, value)
+
+    async def read(self, name: str) -> Any:
+        return self.values[name]
+
+    async def write(self, name: str, value: Any) -> Any:
+        self.writes.append(value)
+        if name in self.values:
+            self.values[name] = value
+
+    async def execute(self, name: str, value: Any, progress: Progress) -> Any:
+        self.started.append(value)
+        if name == "service/echo":
+            return value
+        progress(value.x / 2, fraction=0.5)
+        self.moving.set()
+        await self.go.wait()
+        return value
+
+    async def halt(self) -> None:
+        pass
+
+
+class Gateway:
+    """The gateway, over its several lives."""
+
+    def __init__(self, **options: Any) -> None:
+        self.port = 0
+        self.robots: dict[str, Robot] = {}
+        self._options = {"session_ttl": 60.0, "more": "", **options}
+        self._stack = AsyncExitStack()
+        self.server: Server | None = None
+
+    @property
+    def url(self) -> str:
+        return f"http://127.0.0.1:{self.port}"
+
+    @property
+    def robot(self) -> Robot:
+        """The present life of alpha's robot."""
+        return self.robots["alpha"]
+
+    async def start(self) -> None:
+        text = CONFIG.format(port=self.port, operator=OPERATOR, admin=ADMIN, **self._options)
+        config = parse(text, "test")
+        plugins = Plugins(msgspec.structs.replace(config, backends=()))
+        plugins.backends["robot"] = BackendKind("robot", NoOptions, self._open)
+        tables = {
+            name: value_type(plugins.transports[name].config).convert(table)
+            for name, table in config.transports.items()
+        }
+        options = tuple(NoOptions() for _ in config.backends)
+        prepared = Prepared(config, plugins, options, tables, {})
+        configure("critical", "json")
+        self.server = await self._stack.enter_async_context(running(prepared))
+        urls = [facts["url"] for facts in self.server.status.transports if "url" in facts]
+        self.port = int(urls[0].rpartition(":")[2])
+
+    async def stop(self) -> None:
+        await self._stack.aclose()
+
+    @asynccontextmanager
+    async def _open(self, _config: NoOptions, host: Host) -> AsyncGenerator[Robot]:
+        robot = self.robots[host.tenant] = Robot(host)
+        robot.declare()
+        yield robot
+
+    async def __aenter__(self) -> Self:
+        await self.start()
+        return self
+
+    async def __aexit__(self, *_: object) -> None:
+        await self.stop()
