@@ -67,5 +67,6 @@ def beside(title: str, rate: float, burst: int, size: int, clients: int) -> None
 if __name__ == "__main__":
     beside("fan-out of 300 B to 10, 32 000/s in bursts of 16", 32_000, 16, 0, 10)
     beside("fan-out of 300 B to 100, 3 200/s in bursts of 16", 3200, 16, 0, 100)
+    beside("one client, paced 100 Hz", 100, 1, 0, 1)
     beside("fan-out of 300 B to 100, paced 50 Hz", 50, 1, 0, 100)
     beside("1 MB payloads to 4", 100, 1, 1_000_000, 4)
