@@ -17,13 +17,17 @@ from msgspec import inspect as mi
 from rcp_kernel._plain import is_map, is_sequence
 from rcp_kernel.types import NONFINITE
 
-__all__ = ["SAFE_INTEGER", "Node", "Shape"]
+__all__ = ["SAFE_INTEGER", "Beyond", "Node", "Shape"]
 
 SAFE_INTEGER = 2**53 - 1
 _NAMES = {"NaN": math.nan, "Infinity": math.inf, "-Infinity": -math.inf}
 
 Node = Callable[[Any, str], Any]
 """Rebuild a builtin value found at a JSON Pointer; `ValueError(pointer, why)` if it is not legal."""
+
+
+class Beyond(ValueError):
+    """An integer lies outside the bits of its type: `(pointer, why, bound)`."""
 
 
 class Shape:
@@ -113,9 +117,11 @@ class Shape:
         if low is not None and high is not None and low >= -SAFE_INTEGER and high <= SAFE_INTEGER:
             return _same
         self.has_wide_int = True
+        if not outward:  # its own bounds are checked by msgspec, which knows what to say
+            return _int_node(-(2**63), extra.get("maximum", 2**63 - 1), outward=False)
         top = extra.get("maximum", high if high is not None else 2**63 - 1)
         bottom = extra.get("minimum", low if low is not None else -(2**63))
-        return _int_node(bottom, top, outward=outward)
+        return _int_node(bottom, top, outward=True)
 
     def _struct_node(self, info: Any, memo: dict[type, Node], *, outward: bool) -> Node:
         fields: dict[str, Node] = {}
@@ -170,7 +176,8 @@ def _float_node(*, free: bool, outward: bool) -> Node:
 def _int_node(bottom: int, top: int, *, outward: bool) -> Node:
     def checked(value: int, pointer: str) -> int:
         if not bottom <= value <= top:
-            raise ValueError(pointer, f"lies outside {bottom}…{top}")
+            bound = f"<= {top}" if value > top else f">= {bottom}"
+            raise Beyond(pointer, f"lies outside {bottom}…{top}", bound)
         return value
 
     def out(value: Any, pointer: str) -> Any:

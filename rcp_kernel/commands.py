@@ -142,7 +142,7 @@ class Command:
         if self.input is not None:
             out["input"] = to_plain(self.input)
         out["history"] = [record.plain() for record in self.history]
-        return out
+        return out | (self.custom or {})
 
     @property
     def progress(self) -> float | None:

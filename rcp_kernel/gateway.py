@@ -33,7 +33,7 @@ from rcp_kernel.hub import Hub
 from rcp_kernel.idempotency import Keys
 from rcp_kernel.identity import Keyring, Principal, fingerprint
 from rcp_kernel.metrics import Histogram
-from rcp_kernel.model import Operation, operation_names, parse_path
+from rcp_kernel.model import Operation, Pattern, operation_names, parse_path
 from rcp_kernel.pending import Pending, crash
 from rcp_kernel.reading import Reading
 from rcp_kernel.registry import Entry, Registry
@@ -169,7 +169,8 @@ class Gateway:
             reply = self._table[request.type](session, request, answer)
         except Exception as error:
             told = crash(error, type=request.type, path=request.path)
-            reply = failure(told, request.type, request.id, told.path or request.path)
+            path = told.path or _full(request.path, session.tenant)
+            reply = failure(told, request.type, request.id, path)
             reply.custom = request.custom
         if reply is not None:
             self.conclude(session, reply, started)
@@ -178,9 +179,10 @@ class Gateway:
     def conclude(self, session: Session, reply: Reply, started: float) -> None:
         """Count a final reply."""
         self.seconds.observe(perf_counter() - started)
-        code = "ok" if reply.error is None else reply.error["code"]
-        key = (session.transport, reply.type, code)
-        self.counts[key] = self.counts.get(key, 0) + 1
+        error = reply.error
+        key = (session.transport, reply.type, "ok" if error is None else error["code"])
+        counts = self.counts
+        counts[key] = counts.get(key, 0) + 1
 
     def count(self, transport: str, type_: str, code: str) -> None:
         """Count one request by its outcome."""
@@ -301,7 +303,8 @@ class Gateway:
                 body=sample,
                 seq=sample.seq,
                 source_timestamp=sample.time,
-                state="stale" if entry.stale else "fresh",
+                # Its backend is there, so only its age can make it stale.
+                state="stale" if entry.deadline is not None and entry.stale else "fresh",
                 timestamp=iso(now()),
                 custom=request.custom,
             )
@@ -346,6 +349,16 @@ class Gateway:
         self.deadman.close()
         await self.commands.close()
         await self.hub.close()
+
+
+def _full(path: str | None, tenant: str | None) -> str | None:
+    """Return the full path or pattern that a refusal is about; what is none, as it came."""
+    if path is None:
+        return None
+    try:
+        return Pattern(path, tenant).text
+    except RcpError:
+        return path
 
 
 def _keyring(config: GatewayConfig) -> Keyring:

@@ -49,8 +49,12 @@ def configure(level: str = "info", format_: Literal["auto", "console", "json"] =
     recent = Recent()
     console = format_ == "console" or (format_ == "auto" and sys.stderr.isatty())
     threshold = logging.getLevelNamesMapping()[level.upper()]
+    # A pretty traceback takes the event loop most of a second, a plain one nothing.
+    console_renderer = structlog.dev.ConsoleRenderer(
+        exception_formatter=structlog.dev.plain_traceback
+    )
     last: list[Any] = (
-        [structlog.dev.ConsoleRenderer()]
+        [console_renderer]
         if console
         else [structlog.processors.format_exc_info, structlog.processors.JSONRenderer()]
     )

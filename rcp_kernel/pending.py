@@ -17,7 +17,7 @@ from rcp_kernel.errors import (
     RcpError,
 )
 
-__all__ = ["Pending", "crash"]
+__all__ = ["Pending", "blame", "crash"]
 
 log = structlog.get_logger("rcp.gateway")
 
@@ -34,6 +34,13 @@ def crash(error: BaseException, **facts: Any) -> RcpError:
     failure.trace_id = secrets.token_hex(8)
     log.error("request_crashed", trace_id=failure.trace_id, exc_info=error, **facts)
     return failure
+
+
+def blame(error: Exception, origin: str, path: str) -> RcpError:
+    """Turn what a backend raised into an error that says whose it is."""
+    told = crash(error, backend=origin, path=path)
+    told.origin = told.origin or origin
+    return told
 
 
 class Pending:

@@ -11,7 +11,7 @@ import msgspec
 from rcp_kernel.clock import iso, now
 from rcp_kernel.errors import AdapterUnavailable, FilterUnsupported, UnsupportedOperation
 from rcp_kernel.model import Operation, Pattern
-from rcp_kernel.pending import crash
+from rcp_kernel.pending import blame, crash
 from rcp_kernel.registry import Entry
 from rcp_kernel.samples import Sample, project
 from rcp_kernel.sessions import Answer, Session
@@ -80,6 +80,8 @@ class Reading:
             value = await backend.read(entry.name)
         except UnsupportedOperation:
             return await _first(entry, backend)
+        except Exception as error:
+            raise blame(error, entry.owner.name, entry.path) from error
         entry.owner.latency = perf_counter() - started
         return entry.publish(value, None)
 

@@ -16,7 +16,7 @@ import cbor2
 import msgspec
 
 from rcp_kernel._plain import is_list, is_map
-from rcp_kernel._shape import SAFE_INTEGER, Shape
+from rcp_kernel._shape import SAFE_INTEGER, Beyond, Shape
 from rcp_kernel.errors import BadRequest, InvalidValue, OutOfRange, PluginError
 from rcp_kernel.types import NONFINITE
 
@@ -133,6 +133,9 @@ class ValueType:
             return msgspec.convert(fixed, self.type)
         except msgspec.ValidationError as error:
             raise self._explain(str(error), plain, label) from None
+        except Beyond as error:
+            pointer, _, bound = error.args
+            raise self._beyond(label, pointer, _at(plain, pointer), bound) from None
         except ValueError as error:
             pointer, why = error.args if len(error.args) == 2 else ("", str(error))
             raise InvalidValue(
@@ -181,8 +184,18 @@ class ValueType:
         try:
             return _json.encode(self._shape.outward(to_plain(value), ""))
         except ValueError as error:
-            pointer, why = error.args if len(error.args) == 2 else ("", str(error))
+            pointer, why = error.args[:2] if len(error.args) > 1 else ("", str(error))
             raise InvalidValue(f"{_named('value', pointer)} {why}") from None
+
+    def _beyond(self, label: str, pointer: str, found: Any, bound: str) -> OutOfRange:
+        unit = self._shape.unit(pointer)
+        operator, _, limit = bound.partition(" ")
+        tail = f" {unit}" if unit and unit != "1" else ""
+        return OutOfRange(
+            f"{_named(label, pointer)} exceeds allowed range: "
+            f"{found} {_BROKEN[operator]} {limit}{tail}",
+            details={"pointer": pointer, "value": found, "bound": bound, "unit": unit},
+        )
 
     def _explain(self, text: str, plain: Any, label: str) -> InvalidValue:
         match = _AT.match(text)
@@ -192,15 +205,8 @@ class ValueType:
         details: dict[str, Any] = {"pointer": pointer}
         bound = _BOUND.match(what)
         if bound and isinstance(found, (int, float)) and not isinstance(found, bool):
-            unit = self._shape.unit(pointer)
             limit = bound["bound"].removesuffix(".0")
-            details |= {"value": found, "bound": f"{bound['op']} {limit}", "unit": unit}
-            tail = f" {unit}" if unit and unit != "1" else ""
-            return OutOfRange(
-                f"{_named(label, pointer)} exceeds allowed range: "
-                f"{found} {_BROKEN[bound['op']]} {limit}{tail}",
-                details=details,
-            )
+            return self._beyond(label, pointer, found, f"{bound['op']} {limit}")
         return InvalidValue(f"{_named(label, pointer)}: {what}", details=details)
 
 
@@ -278,6 +284,7 @@ def _type_name(type_: Any) -> str:
 
 
 _SPELLED = {"enum": ["NaN", "Infinity", "-Infinity"]}
+_BOUNDS = ("minimum", "maximum", "exclusiveMinimum", "exclusiveMaximum")
 
 
 def _published(node: Any) -> Any:
@@ -291,6 +298,9 @@ def _published(node: Any) -> Any:
         for key, item in node.items()
         if key != NONFINITE
     }
+    for key in _BOUNDS:
+        if isinstance(out.get(key), int) and abs(out[key]) > SAFE_INTEGER:
+            out[key] = float(out[key])  # an integer that wide would be a text in JSON
     kept = {key: out.pop(key) for key in ("unit", "description", "default") if key in out}
     if node.get("type") == "number" and node.get(NONFINITE):
         return {**kept, "anyOf": [out, _SPELLED]}

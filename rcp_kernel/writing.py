@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from rcp_kernel.clock import iso, now
 from rcp_kernel.errors import RcpError
 from rcp_kernel.model import Operation
+from rcp_kernel.pending import blame
 from rcp_kernel.registry import Entry
 from rcp_kernel.safety import check_age, check_motion, safe_value
 from rcp_kernel.samples import Sample
@@ -72,9 +73,11 @@ class Writing:
         superseded = deadman.begin(entry) if window is not None else False
         try:
             actual = await backend.write(entry.name, value)
-        except BaseException:
+        except BaseException as error:
             if superseded:
                 deadman.arm(entry, 0)
+            if isinstance(error, Exception):
+                raise blame(error, entry.owner.name, entry.path) from error
             raise
         entry.owner.latency = perf_counter() - started
         if window is not None and value != safe_value(entry):
