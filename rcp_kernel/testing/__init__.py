@@ -1,0 +1,43 @@
+"""The public kit: an author subclasses a suite, and the suite, not the author, wrote the tests.
+
+`BackendSuite` proves a robot's plugin, `TransportSuite` a client's wire, `loopback` and
+`serve_backend` run a real gateway without a socket for tests of one's own. Needs pytest.
+"""
+
+from __future__ import annotations
+
+import rcp_kernel.testing._asserts  # noqa: F401 # pyright: ignore[reportUnusedImport] - comes first
+from rcp_kernel.testing._client import BOUND, Client, MemoryClient, Message
+from rcp_kernel.testing._serve import (
+    ADMIN,
+    OPERATOR,
+    VIEWER,
+    Life,
+    Served,
+    loopback,
+    serve,
+    serve_backend,
+)
+from rcp_kernel.testing._suite import Suite, eventually, proves
+from rcp_kernel.testing.wire import REQUIREMENTS, Requirement, TransportSuite
+
+__all__ = [
+    "ADMIN",
+    "BOUND",
+    "OPERATOR",
+    "REQUIREMENTS",
+    "VIEWER",
+    "Client",
+    "Life",
+    "MemoryClient",
+    "Message",
+    "Requirement",
+    "Served",
+    "Suite",
+    "TransportSuite",
+    "eventually",
+    "loopback",
+    "proves",
+    "serve",
+    "serve_backend",
+]

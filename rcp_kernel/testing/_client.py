@@ -1,0 +1,167 @@
+"""A client that speaks envelopes, whatever carries them; and the one that needs no carrier."""
+
+from __future__ import annotations
+
+import asyncio
+import itertools
+import json
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping
+from typing import Any, NoReturn
+
+import cbor2
+import msgspec
+
+from rcp_kernel.door import Door
+from rcp_kernel.values import Encoding
+
+__all__ = ["BOUND", "Client", "MemoryClient", "Message", "decode", "encode"]
+
+BOUND = 5.0  # s that any wait of a test may take
+_FINAL = frozenset(("completed", "failed", "rejected", "cancelled"))
+
+Message = dict[str, Any]
+"""One envelope as plain data."""
+
+
+def _no_constant(name: str) -> NoReturn:
+    raise ValueError(f"a bare {name} in JSON")
+
+
+def encode(message: Any, encoding: Encoding) -> bytes:
+    """Write plain data in an encoding, by libraries that the gateway's own codec does not use."""
+    if encoding is Encoding.JSON:
+        return json.dumps(message).encode()
+    if encoding is Encoding.CBOR:
+        return cbor2.dumps(message)
+    return msgspec.msgpack.encode(message)
+
+
+def decode(data: bytes, encoding: Encoding) -> Any:
+    """Read plain data, as strictly as the encoding's own standard asks."""
+    if encoding is Encoding.JSON:
+        return json.loads(data, parse_constant=_no_constant)
+    if encoding is Encoding.CBOR:
+        return cbor2.loads(data)
+    return msgspec.msgpack.decode(data)
+
+
+class Client(ABC):
+    """Sends requests and sorts what comes back; every wait is bounded and says what it missed."""
+
+    def __init__(self, encoding: Encoding = Encoding.JSON) -> None:
+        self.encoding = encoding
+        self.inbox: list[Message] = []
+        """What came and was not asked for yet, in order."""
+        self._arrived = asyncio.Event()
+        self._count = itertools.count(1)
+
+    @abstractmethod
+    async def transmit_raw(self, data: bytes) -> None:
+        """Send one message as it is, well-formed or not."""
+
+    @abstractmethod
+    async def close(self) -> None:
+        """Cut the connection."""
+
+    async def transmit(self, message: Message) -> None:
+        """Send one envelope."""
+        await self.transmit_raw(encode(message, self.encoding))
+
+    def received(self, message: Message) -> None:
+        """Take in what the carrier brought."""
+        self.inbox.append(message)
+        self._arrived.set()
+
+    async def send(self, envelope: Mapping[str, Any] | None = None, /, **fields: Any) -> str:
+        """Send a request, with an id of its own if none is given; return the id."""
+        message: Message = {**(envelope or {}), **fields}
+        id_: str = message.setdefault("id", f"c-{next(self._count)}")
+        await self.transmit(message)
+        return id_
+
+    async def request(
+        self, type_: str, path: str | None = None, *, within: float = BOUND, **fields: Any
+    ) -> Message:
+        """Send a request and return its final reply."""
+        if path is not None:
+            fields["path"] = path
+        return await self.final(await self.send(fields, type=type_), within)
+
+    async def until(self, wanted: Callable[[Message], bool], within: float = BOUND) -> Message:
+        """Take the first message out of the inbox for which `wanted` holds.
+
+        :raises AssertionError: none came within so many seconds.
+        """
+        try:
+            async with asyncio.timeout(within):
+                while True:
+                    for place, message in enumerate(self.inbox):
+                        if wanted(message):
+                            return self.inbox.pop(place)
+                    self._arrived.clear()
+                    await self._arrived.wait()
+        except TimeoutError:
+            held = f"{self.inbox!r:.2000}"
+            raise AssertionError(f"nothing of the kind in {within} s; it holds {held}") from None
+
+    async def reply(self, id_: str | None, within: float = BOUND) -> Message:
+        """Wait for the next reply to a request, final or not."""
+        return await self.until(lambda m: _answers(m, id_), within)
+
+    async def final(self, id_: str | None, within: float = BOUND) -> Message:
+        """Wait for the final reply to a request."""
+        return await self.until(lambda m: _answers(m, id_) and m["status"] in _FINAL, within)
+
+    async def replies(self, id_: str, within: float = BOUND) -> list[Message]:
+        """Wait for every reply to a request, the final one last."""
+        found = [await self.reply(id_, within)]
+        while found[-1]["status"] not in _FINAL:
+            found.append(await self.reply(id_, within))
+        return found
+
+    async def update(self, id_: str, within: float = BOUND) -> Message:
+        """Wait for the next update of a subscription."""
+        return await self.until(lambda m: m["type"] == "update" and m["id"] == id_, within)
+
+    async def notice(self, code: str, within: float = BOUND) -> Message:
+        """Wait for a notice."""
+        return await self.until(lambda m: m["type"] == "notice" and m["code"] == code, within)
+
+    async def subscribe(self, path: str, **options: Any) -> str:
+        """Subscribe with the options of the body; return the subscription's id."""
+        reply = await self.request("subscribe", path, body=options)
+        assert reply["status"] == "completed", reply
+        return reply["body"]["subscription"]
+
+
+def _answers(message: Message, id_: str | None) -> bool:
+    return message["type"] not in ("update", "notice") and message.get("id") == id_
+
+
+class MemoryClient(Client):
+    """A client without a socket: the gateway's own connection, message by message."""
+
+    def __init__(self, door: Door, token: str | None, encoding: Encoding = Encoding.JSON) -> None:
+        super().__init__(encoding)
+        self.stalled = False
+        """While set, nothing is taken from the gateway: a client whose socket is full."""
+        self.connection = door.connect(door.authenticate(token), encoding, self._flush)
+
+    def _flush(self) -> None:
+        while not self.stalled and (batch := self.connection.mailbox.collect()):
+            for data in batch:
+                self.received(decode(data, self.encoding))
+
+    def read_on(self) -> None:
+        """Take what waited while the client was stalled."""
+        self.stalled = False
+        self._flush()
+
+    async def transmit_raw(self, data: bytes) -> None:
+        """Hand one message over."""
+        self.connection.receive(data)
+
+    async def close(self) -> None:
+        """Be gone."""
+        self.connection.close()

@@ -1,0 +1,66 @@
+"""A `Host` that notes what a backend does with it, and passes everything on."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from rcp_kernel.model import Resource
+from rcp_kernel.spi import Host, Publication
+
+__all__ = ["Recorder"]
+
+
+class Recorder:
+    """Stands between a backend and the kernel."""
+
+    def __init__(self, host: Host) -> None:
+        self._host = host
+        self.tenant = host.tenant
+        self.robot = host.robot
+        self.resources: dict[str, Resource] = {}
+        """What is declared now, by name."""
+        self.published: dict[str, int] = {}
+        """How many values were published of each name."""
+        self.wrong_thread: set[str] = set()
+        """Methods that were called from another thread than the event loop's, and must not be."""
+        self._thread = threading.get_ident()
+
+    def _check(self, method: str) -> None:
+        if threading.get_ident() != self._thread:
+            self.wrong_thread.add(method)
+
+    def declare(self, *resources: Resource) -> None:
+        """Note and pass on."""
+        self._check("declare")
+        self._host.declare(*resources)
+        self.resources.update({resource.name: resource for resource in resources})
+
+    def withdraw(self, *names: str) -> None:
+        """Note and pass on."""
+        self._check("withdraw")
+        self._host.withdraw(*names)
+        for name in names:
+            self.resources.pop(name, None)
+
+    def publish(self, name: str, value: Any, timestamp: int | None = None) -> None:
+        """Note and pass on."""
+        self._check("publish")
+        self.published[name] = self.published.get(name, 0) + 1
+        self._host.publish(name, value, timestamp)
+
+    def publish_batch(self, batch: Sequence[Publication]) -> None:
+        """Note and pass on; from any thread."""
+        for item in batch:
+            self.published[item.name] = self.published.get(item.name, 0) + 1
+        self._host.publish_batch(batch)
+
+    def call_soon(self, function: Callable[..., object], *args: Any) -> None:
+        """Pass on."""
+        self._host.call_soon(function, *args)
+
+    def report(self, detail: str | None, *, down: bool = False) -> None:
+        """Pass on."""
+        self._check("report")
+        self._host.report(detail, down=down)

@@ -1,0 +1,180 @@
+"""A real gateway for a test: whole, around a robot of the author's, and without a socket."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncGenerator, Callable, Mapping
+from contextlib import AbstractAsyncContextManager, asynccontextmanager
+from typing import Any
+
+import msgspec
+import structlog
+
+from rcp_kernel.config import GatewayConfig, KeyConfig, decode_table, parse
+from rcp_kernel.plugins import Plugins
+from rcp_kernel.server import Prepared, Server, running
+from rcp_kernel.spi import Backend, BackendKind, Host
+from rcp_kernel.supervisor import Slot
+from rcp_kernel.testing._client import MemoryClient
+from rcp_kernel.testing._recorder import Recorder
+from rcp_kernel.values import Encoding
+
+__all__ = ["ADMIN", "OPERATOR", "VIEWER", "Life", "Served", "loopback", "serve", "serve_backend"]
+
+Open = Callable[[Any, Host], AbstractAsyncContextManager[Backend]]
+
+OPERATOR = "operator-of-the-test-kit"
+VIEWER = "viewer-of-the-test-kit"
+ADMIN = "admin-of-the-test-kit"
+"""API keys of the gateways that `serve_backend` runs, each with the role of its name."""
+
+_KEYS = tuple(
+    KeyConfig(name=role, role=role, key=key)
+    for role, key in (("operator", OPERATOR), ("viewer", VIEWER), ("admin", ADMIN))
+)
+
+
+class Life(msgspec.Struct, frozen=True):
+    """One life of a backend, from its opening on; kept after it has closed."""
+
+    backend: Backend
+    host: Recorder
+
+
+class Served:
+    """A gateway that is up, and the backends that were opened in it."""
+
+    def __init__(self, server: Server, lives: list[Life]) -> None:
+        self.server = server
+        self.lives = lives
+
+    @property
+    def life(self) -> Life:
+        """The latest life of a backend given as a kind."""
+        return self.lives[-1]
+
+    @property
+    def slot(self) -> Slot:
+        """The supervisor's side of the first backend."""
+        return self.server.slots[0]
+
+    def client(self, token: str | None = None, encoding: Encoding = Encoding.JSON) -> MemoryClient:
+        """Connect a client in memory; without a token it is anonymous."""
+        return MemoryClient(self.server.door, token, encoding)
+
+
+@asynccontextmanager
+async def serve(config: str | GatewayConfig, *kinds: BackendKind) -> AsyncGenerator[Served]:
+    """Run the gateway of a configuration while entered.
+
+    The `kinds` serve its `[[backends]]` by name, without an entry point. Transports that the
+    configuration names are opened; a text that names none opens none.
+
+    :raises StartupError: as `rcpd serve` would.
+    """
+    if isinstance(config, str):
+        config = parse(_QUIET + config, "test")
+    if not structlog.is_configured():
+        _log_plainly()
+    lives: list[Life] = []
+    given = {kind.name: _noted(kind, lives) for kind in kinds}
+    elsewhere = tuple(b for b in config.backends if b.use not in given)
+    plugins = Plugins(msgspec.structs.replace(config, backends=elsewhere))
+    plugins.backends.update(given)
+    tables = [
+        decode_table(b.options, plugins.backends[b.use].config, f"test: backend '{b.name}': ")
+        for b in config.backends
+    ]
+    transports = {
+        name: decode_table(table, plugins.transports[name].config, f"test: [transports.{name}]: ")
+        for name, table in config.transports.items()
+    }
+    adapters = {
+        name: decode_table(table, plugins.adapters[name].config, f"test: [plugins.{name}]: ")
+        for name, table in config.plugins.items()
+    }
+    prepared = Prepared(config, plugins, tuple(tables), transports, adapters)
+    async with running(prepared) as server:
+        yield Served(server, lives)
+
+
+def _log_plainly() -> None:
+    """Write tracebacks plainly: a pretty one holds the gateway up for most of a second."""
+    structlog.configure(
+        processors=[
+            structlog.processors.add_log_level,
+            structlog.dev.ConsoleRenderer(
+                colors=False, exception_formatter=structlog.dev.plain_traceback
+            ),
+        ]
+    )
+
+
+_QUIET = "[transports]\nasgi = false\nhttp = false\nws = false\nsse = false\n"
+
+
+@asynccontextmanager
+async def serve_backend(
+    backend: BackendKind | Open,
+    options: Mapping[str, Any] | msgspec.Struct | None = None,
+    *,
+    tenant: str = "t",
+    robot: str | None = None,
+) -> AsyncGenerator[Served]:
+    """Run a gateway around one backend: a kind with its table, or an `open` with its Struct.
+
+    Clients get in by the keys `OPERATOR`, `VIEWER` and `ADMIN`.
+
+    :raises ConfigError: the table does not fit the kind's type.
+    """
+    if not isinstance(backend, BackendKind):
+        type_ = type(options) if isinstance(options, msgspec.Struct) else msgspec.Struct
+        backend = BackendKind("backend", type_, backend)
+    table = options if isinstance(options, Mapping) else msgspec.to_builtins(options or {})
+    raw = {
+        "backends": [
+            {
+                "use": backend.name,
+                "name": backend.name,
+                "tenant": tenant,
+                "robot": robot,
+                "options": dict(table),
+            }
+        ]
+    }
+    config = decode_table(raw, GatewayConfig, "test: ")
+    async with serve(msgspec.structs.replace(config, keys=_KEYS), backend) as served:
+        yield served
+
+
+@asynccontextmanager
+async def loopback(
+    source: str | GatewayConfig | BackendKind | Open,
+    options: Mapping[str, Any] | msgspec.Struct | None = None,
+    *,
+    token: str | None = None,
+    encoding: Encoding = Encoding.JSON,
+) -> AsyncGenerator[MemoryClient]:
+    """Run a gateway without sockets and yield a client of it.
+
+    `source` is a configuration, or a backend as `serve_backend` takes it; a backend's client is
+    an operator unless a token says otherwise.
+    """
+    if isinstance(source, (str, GatewayConfig)):
+        async with serve(source) as served:
+            yield served.client(token, encoding)
+    else:
+        async with serve_backend(source, options) as served:
+            yield served.client(token or OPERATOR, encoding)
+
+
+def _noted(kind: BackendKind, lives: list[Life]) -> BackendKind:
+    """Return the kind, with each of its lives put on the list."""
+
+    @asynccontextmanager
+    async def open_noted(config: Any, host: Host) -> AsyncGenerator[Backend]:
+        recorder = Recorder(host)
+        async with kind.open(config, recorder) as backend:
+            lives.append(Life(backend, recorder))
+            yield backend
+
+    return msgspec.structs.replace(kind, open=open_noted)

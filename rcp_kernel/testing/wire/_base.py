@@ -1,0 +1,166 @@
+"""The ground the wire tests stand on: a gateway with robots, and clients over one transport."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncGenerator
+from typing import Any, ClassVar
+
+import pytest
+
+from rcp_kernel.config import GatewayConfig, parse
+from rcp_kernel.server import Server
+from rcp_kernel.testing._client import Client
+from rcp_kernel.testing._serve import ADMIN, OPERATOR, VIEWER, Served, serve
+from rcp_kernel.testing._suite import Suite
+from rcp_kernel.testing.wire._requirements import REQUIREMENTS
+from rcp_kernel.testing.wire._robot import DEAD, ROBOT, WireRobot
+from rcp_kernel.values import Encoding
+
+__all__ = ["LOCAL", "Wire", "World", "configuration"]
+
+LOCAL = "local-of-the-test-kit"
+"""API key of an operator of one tenant, who may not see `sensor/secret`."""
+
+_CONFIG = f"""
+[[backends]]
+use = "wire-robot"
+name = "main"
+tenant = "alpha"
+
+[[backends]]
+use = "wire-robot"
+name = "drone"
+tenant = "alpha"
+robot = "drone1"
+small = true
+
+[[backends]]
+use = "dead-robot"
+name = "ghost"
+tenant = "alpha"
+robot = "ghost"
+
+[[backends]]
+use = "wire-robot"
+name = "other"
+tenant = "beta"
+small = true
+
+[roles.blinkered]
+deny = [{{ operations = ["discover"], paths = ["/sensor/secret"] }}]
+
+[[keys]]
+name = "operator"
+role = "operator"
+key = "{OPERATOR}"
+
+[[keys]]
+name = "viewer"
+role = "viewer"
+key = "{VIEWER}"
+
+[[keys]]
+name = "admin"
+role = "admin"
+key = "{ADMIN}"
+
+[[keys]]
+name = "local"
+role = ["operator", "blinkered"]
+tenants = ["alpha"]
+key = "{LOCAL}"
+
+[limits]
+message = 262144
+subscriptions = 40
+batch = 64
+deadline = 2.0
+in_flight = 2000
+session_ttl = 5.0
+"""
+
+
+def configuration(transports: dict[str, dict[str, Any]]) -> GatewayConfig:
+    """Return the gateway's configuration, with some transports open."""
+    off = [f"{name} = false" for name in ("asgi", "http", "ws", "sse") if name not in transports]
+    tables = "".join(
+        f"[transports.{name}]\n" + "".join(f"{k} = {_toml(v)}\n" for k, v in table.items())
+        for name, table in transports.items()
+    )
+    return parse("[transports]\n" + "\n".join(off) + "\n" + tables + _CONFIG, "test")
+
+
+def _toml(value: Any) -> str:
+    return str(value).lower() if isinstance(value, bool) else repr(value).replace("'", '"')
+
+
+class World:
+    """A gateway with its robots, and clients that are let go of in the end."""
+
+    def __init__(self, served: Served, suite: Wire) -> None:
+        self._served = served
+        self._suite = suite
+        self._clients: list[Client] = []
+
+    @property
+    def server(self) -> Server:
+        """The gateway."""
+        return self._served.server
+
+    def robot(self, name: str = "main") -> WireRobot:
+        """Return one of the robots by the name of its backend."""
+        slot = next(slot for slot in self.server.slots if slot.name == name)
+        found = slot.backend
+        assert isinstance(found, WireRobot)
+        return found
+
+    def publish(self, name: str, *values: Any) -> None:
+        """Have the main robot publish."""
+        for value in values:
+            self.robot().host.publish(name, value)
+
+    async def client(
+        self, token: str | None = OPERATOR, encoding: Encoding = Encoding.JSON
+    ) -> Client:
+        """Connect a client over the transport under test."""
+        client = await self._suite.connect(self.server, token, encoding)
+        self._clients.append(client)
+        return client
+
+    async def close(self) -> None:
+        """Cut every connection."""
+        for client in self._clients:
+            await client.close()
+
+
+class Wire(Suite):
+    """Base of the themes of the wire suite: what the author gives, and the gateway they share."""
+
+    offers: ClassVar[frozenset[str]] = frozenset({"stream", "connection", "session"})
+    """What the transport carries: `stream` for subscriptions and feedback, `connection` for many
+    requests in flight on one, `session` for `hello` and resume."""
+    encodings: ClassVar[tuple[Encoding, ...]] = tuple(Encoding)
+    """The encodings that it carries."""
+    transports: ClassVar[dict[str, dict[str, Any]]] = {}
+    """The tables of `[transports]` that have to be open."""
+
+    def __init_subclass__(cls, **kwargs: Any) -> None:
+        super().__init_subclass__(**kwargs)
+        for name in dir(cls):
+            ids: tuple[str, ...] = getattr(getattr(cls, name), "proves", ())
+            if any(not REQUIREMENTS[id_].needs <= cls.offers for id_ in ids):
+                setattr(cls, name, None)  # the requirement does not apply: not collected
+
+    async def connect(self, server: Server, token: str | None, encoding: Encoding) -> Client:
+        """Connect a client to a running gateway, through the transport under test."""
+        raise NotImplementedError
+
+    @pytest.fixture
+    async def world(self) -> AsyncGenerator[World]:
+        """A gateway with robots, for one test."""
+        async with serve(configuration(self.transports), ROBOT, DEAD) as served:
+            world = World(served, self)
+            try:
+                yield world
+            finally:
+                await world.close()

@@ -1,0 +1,142 @@
+"""The robot behind the wire suite: a twin whose every reaction a test decides.
+
+What it does is chosen by the value that it is sent, so that a test needs nothing but the wire;
+what it was made to do can be looked up in it.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncGenerator
+from contextlib import asynccontextmanager
+from typing import Any
+
+import msgspec
+
+from rcp_kernel.errors import DeviceRejected, DeviceTimeout, NotReady
+from rcp_kernel.spi import BackendKind, BaseBackend, Host, Progress
+from rcp_kernel.testing.wire._resources import BROKEN, ghost, resources, small
+
+__all__ = ["DEAD", "ROBOT", "WireRobot"]
+
+
+class WireConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """The robot's table."""
+
+    small: bool = False
+    """Only a level and a limit: a second robot beside the first."""
+
+
+class WireRobot(BaseBackend):
+    """One robot."""
+
+    def __init__(self, host: Host) -> None:
+        self.host = host
+        self.values: dict[str, Any] = {
+            "param/limit": 1.5,
+            "param/label": "one",
+            "param/fixed": 7,
+            "param/cut": 0.5,
+            "sensor/asked": 3.0,
+        }
+        self.reads: list[str] = []
+        self.writes: list[tuple[str, Any]] = []
+        self.ran: list[tuple[str, Any]] = []
+        self.stopped: list[str] = []
+        """Names of actions whose cancellation reached the robot."""
+        self.watched: list[tuple[str, float | None]] = []
+        self.left: list[str] = []
+        self.halts = 0
+        self.release = asyncio.Event()
+        """Lets what waits go on."""
+
+    async def read(self, name: str) -> Any:
+        """Answer, or fail the way the name says."""
+        self.reads.append(name)
+        if name == "sensor/silent":
+            await asyncio.Event().wait()
+        if name in BROKEN:
+            raise BROKEN[name]
+        if name not in self.values:
+            return await super().read(name)
+        return self.values[name]
+
+    async def write(self, name: str, value: Any) -> Any:
+        """Take a value, or refuse it the way the name says."""
+        if name == "param/refused":
+            raise DeviceRejected("the valve is locked")
+        if name == "param/slow":
+            await self.release.wait()
+        self.writes.append((name, value))
+        self.values[name] = min(value, 1.0) if name == "param/cut" else value
+        return self.values[name]
+
+    async def execute(self, name: str, value: Any, progress: Progress) -> Any:
+        """Run what the name says; an action does as its `mode` says."""
+        self.ran.append((name, value))
+        match name:
+            case "service/echo":
+                return value
+            case "service/nothing":
+                return None
+            case "service/liar":
+                return "a text where a number was promised"
+            case _:
+                return await self._go(name, value, progress)
+
+    async def _go(self, name: str, value: Any, progress: Progress) -> Any:
+        if value.mode == "refuse":
+            raise DeviceRejected("the way is blocked")
+        if value.mode == "crash":
+            raise ZeroDivisionError("a secret of the backend's code")
+        progress(value.distance / 2, fraction=0.5)
+        match value.mode:
+            case "stumble":
+                raise DeviceRejected("lost the way after 1 m")
+            case "timeout":
+                raise DeviceTimeout("the wheels did not answer")
+            case "wait":
+                try:
+                    await self.release.wait()
+                except asyncio.CancelledError:
+                    self.stopped.append(name)
+                    raise
+            case _:
+                pass
+        return value.distance
+
+    @asynccontextmanager
+    async def _watching(self, name: str, rate: float | None) -> AsyncGenerator[None]:
+        self.watched.append((name, rate))
+        if name == "sensor/lazy":
+            self.host.publish(name, 7.0)
+        try:
+            yield
+        finally:
+            self.left.append(name)
+
+    def watch(self, name: str, rate: float | None) -> Any:
+        """Note it; the lazy sensor publishes once it is watched."""
+        return self._watching(name, rate)
+
+    async def halt(self) -> None:
+        """Note it."""
+        self.halts += 1
+
+
+@asynccontextmanager
+async def _open(config: WireConfig, host: Host) -> AsyncGenerator[WireRobot]:
+    host.declare(*(small() if config.small else resources()))
+    yield WireRobot(host)
+
+
+@asynccontextmanager
+async def _never(_config: WireConfig, host: Host) -> AsyncGenerator[WireRobot]:
+    host.declare(*ghost())
+    raise NotReady("nobody answers at the other end")
+    yield WireRobot(host)
+
+
+ROBOT = BackendKind("wire-robot", WireConfig, _open)
+DEAD = BackendKind("dead-robot", WireConfig, _never)
+"""A robot that is declared and never comes up."""

@@ -1,0 +1,12 @@
+"""The wire suite in memory: the gateway itself, with no transport to blame."""
+
+from __future__ import annotations
+
+from rcp_kernel.server import Server
+from rcp_kernel.testing import Client, MemoryClient, TransportSuite
+from rcp_kernel.values import Encoding
+
+
+class TestMemory(TransportSuite):
+    async def connect(self, server: Server, token: str | None, encoding: Encoding) -> Client:
+        return MemoryClient(server.door, token, encoding)
