@@ -16,6 +16,7 @@ from typing import Any
 
 import structlog
 
+from rcp_kernel.chorus import ChorusFeed, feeds_of, join, part
 from rcp_kernel.clock import iso, now
 from rcp_kernel.errors import RcpError
 from rcp_kernel.mailbox import Mailbox, Ticker
@@ -127,7 +128,10 @@ class Hub:
 
     def _relink(self, feed: Feed) -> None:
         entry = feed.entry
-        entry.listeners.append(feed)
+        if isinstance(feed, ChorusFeed):
+            join(feed, entry)
+        else:
+            entry.listeners.append(feed)
         if len(entry.listeners) == 1:
             entry.size_ring()
         feed.heard = time.monotonic()
@@ -140,11 +144,28 @@ class Hub:
     def unlink(self, feed: Feed) -> None:
         """Offer a feed nothing more."""
         entry = feed.entry
-        if feed in entry.listeners:
-            entry.listeners.remove(feed)
+        if self._cut(feed):
             if not entry.listeners:
                 self._timed.pop(entry, None)
             self._retune(entry)
+
+    @staticmethod
+    def _cut(feed: Feed) -> bool:
+        """Take a feed from its entry's listeners; tell whether it was among them."""
+        if isinstance(feed, ChorusFeed):
+            return part(feed, feed.entry)
+        if feed not in feed.entry.listeners:
+            return False
+        feed.entry.listeners.remove(feed)
+        return True
+
+    @staticmethod
+    def plain_feed(subscription: Subscription, entry: Entry, mailbox: Mailbox | None) -> Feed:
+        """Make the feed of a subscription that wants every sample as it comes."""
+        options = subscription.options
+        alone = options.qos.reliability == "reliable" or options.encoding == "native"
+        kind = Feed if alone or options.count is not None else ChorusFeed
+        return kind(subscription, entry, mailbox)
 
     # -- cut and resume ------------------------------------------------------------------------
 
@@ -207,7 +228,7 @@ class Hub:
             known = subscription.feeds.get(entry.path)
             if known is not None:
                 known.entry = entry
-                if subscription.mailbox is not None and known not in entry.listeners:
+                if subscription.mailbox is not None and known not in feeds_of(entry):
                     self._relink(known)
                     notice(
                         subscription.mailbox, "resource_added", id=subscription.id, path=entry.path
@@ -221,10 +242,9 @@ class Hub:
             self._retune(entry)
 
     def _removed(self, entry: Entry) -> None:
-        for listener in list(entry.listeners):
-            if isinstance(listener, Feed):
-                entry.listeners.remove(listener)
-                subscription = listener.subscription
+        for feed in list(feeds_of(entry)):
+            if self._cut(feed):
+                subscription = feed.subscription
                 notice(
                     subscription.mailbox, "resource_removed", id=subscription.id, path=entry.path
                 )
@@ -267,11 +287,10 @@ class Hub:
             stale = entry.latest is not None and entry.stale
             if stale is not known:
                 self._timed[entry] = stale
-            for listener in entry.listeners:
-                if isinstance(listener, Feed):
-                    if stale and not known:
-                        self._tell_stale(listener)
-                    self._check_deadline(listener, moment)
+            for feed in feeds_of(entry):
+                if stale and not known:
+                    self._tell_stale(feed)
+                self._check_deadline(feed, moment)
         if self._timed:
             self._sweep = self.loop.call_later(_SWEEP, self._look_for_stale)
 

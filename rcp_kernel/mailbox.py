@@ -63,6 +63,7 @@ class Mailbox:
         "high_water",
         "pending",
         "prioritised",
+        "text",
         "updates",
     )
 
@@ -70,6 +71,7 @@ class Mailbox:
         self._ticker = ticker
         self._flush: Callable[[], None] | None = flush
         self.encoding = encoding
+        self.text = encoding is Encoding.JSON
         self.dirty = False
         self.framing: Framing | None = None
         """Set by a transport that sends whole messages in frames: `collect` then returns bytes
@@ -133,7 +135,7 @@ class Mailbox:
         if wrap is not None:
             out = [wrap(data, None, None) for data in out]
         elif self.framing is not None:
-            text = self.encoding is Encoding.JSON
+            text = self.text
             out = [self.framing(len(data), text) + data for data in out]
         pending = self.pending
         if not pending:

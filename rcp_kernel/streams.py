@@ -39,7 +39,6 @@ class Feed:
     """One path of one subscription, without filters."""
 
     __slots__ = (
-        "_fields",
         "_heads",
         "_lifespan",
         "_plain",
@@ -48,6 +47,7 @@ class Feed:
         "depth",
         "dropped",
         "entry",
+        "fields",
         "heard",
         "mailbox",
         "marked",
@@ -83,7 +83,7 @@ class Feed:
         """Monotonic time of the last sample, kept where a deadline was asked for."""
         self.missed = False
         self.marked = False
-        self._fields = options.fields
+        self.fields = options.fields
         self._lifespan = options.qos.lifespan
         self._plain = self._lifespan is None and not self.native and options.count is None
         self._heads: tuple[Encoding, bytes, bytes] | None = None
@@ -107,9 +107,10 @@ class Feed:
             self.skipped += 1
         queue.append(sample)
         if not self.marked:
-            self._mark()
+            self.mark()
 
-    def _mark(self) -> None:
+    def mark(self) -> None:
+        """Have the mailbox collect this feed in the coming tick."""
         mailbox = self.mailbox
         if mailbox is not None:
             self.marked = True
@@ -121,7 +122,7 @@ class Feed:
         """Queue earlier samples ahead of everything else."""
         self.backlog = deque(samples)
         if self.backlog and not self.marked:
-            self._mark()
+            self.mark()
 
     def admit(self, sample: Sample) -> bool:
         """Tell whether an earlier sample passes the filters, for history and resume."""
@@ -177,13 +178,13 @@ class Feed:
         encoding, head, _ = self._heads or self._make_heads()
         if mailbox.framing is not None:
             return self._drain_framed(out, budget, mailbox, mailbox.framing)
-        key = encoding if self._fields is None else (encoding, self._fields)
+        key = encoding if self.fields is None else (encoding, self.fields)
         queue = self.queue
         size = 0
         while queue and size < budget:
             sample = queue.popleft()
             try:
-                tail = sample.tails.get(key) or sample.tail(encoding, self._fields)
+                tail = sample.tails.get(key) or sample.tail(encoding, self.fields)
                 data = self._frame(sample) if self.dropped else head + tail
             except RcpError:  # reported as the backend's fault where it was found
                 continue
@@ -206,7 +207,7 @@ class Feed:
             data = None if self.dropped else sample.tails.get(share)
             if data is None:
                 try:
-                    data = self._make_frame(sample, out, framing)
+                    data = self.make_frame(sample, out, framing)
                 except RcpError:  # reported as the backend's fault where it was found
                     continue
             self.sent = sample.seq
@@ -216,14 +217,15 @@ class Feed:
         mailbox.updates += count
         return size
 
-    def _make_frame(self, sample: Sample, out: list[bytes], framing: Framing) -> bytes:
+    def make_frame(self, sample: Sample, out: list[bytes], framing: Framing) -> bytes:
+        """Return an update as a frame; of a long one the head goes to `out` before it."""
         encoding, head, _ = self._heads or self._make_heads()
         text = encoding is Encoding.JSON
         if self.dropped:
             data = self._frame(sample)
             self.dropped = 0
             return framing(len(data), text) + data
-        tail = sample.tail(encoding, self._fields)
+        tail = sample.tail(encoding, self.fields)
         start = framing(len(head) + len(tail), text) + head
         if len(tail) > _SHARED:
             out.append(start)
@@ -235,7 +237,7 @@ class Feed:
         encoding, head, head_dropped = self._heads or self._make_heads()
         if self.native:
             return self._native_frame(sample, encoding)
-        tail = sample.tail(encoding, self._fields)
+        tail = sample.tail(encoding, self.fields)
         if not self.dropped:
             return head + tail
         return (
@@ -251,7 +253,7 @@ class Feed:
         encoding = self.subscription.options.splice or self.mailbox.encoding
         facts = {"type": "update", "id": self.subscription.id, "path": self.entry.path}
         head = encode_frame(facts, b"", encoding)
-        self._share = _shares.setdefault((head, self._fields, self.mailbox.framing), object())
+        self._share = _shares.setdefault((head, self.fields, self.mailbox.framing), object())
         if len(_shares) > _MANY:
             _shares.clear()
         if encoding is Encoding.JSON:
@@ -399,8 +401,8 @@ class ViewFeed(Feed):
             "timestamp": sample.time,
         }
         value = self._view()
-        if self._fields is not None:
-            value = project(value, self._fields)
+        if self.fields is not None:
+            value = project(value, self.fields)
         return encode_frame(facts, dump(value, encoding), encoding)
 
 
@@ -459,8 +461,9 @@ class Subscription:
         view = self.view(entry)
         if view is not None:
             return ViewFeed(self, entry, self.mailbox, view)
-        kind = Feed if self.options.plain else FilteredFeed
-        return kind(self, entry, self.mailbox)
+        if not self.options.plain:
+            return FilteredFeed(self, entry, self.mailbox)
+        return self.hub.plain_feed(self, entry, self.mailbox)
 
     def delivered(self) -> bool:
         """Count one update; tell whether it was the last of a limited number."""

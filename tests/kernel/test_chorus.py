@@ -1,0 +1,96 @@
+"""Receivers of the same bytes share their making, and nothing of each other's fate."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import pytest
+
+from kernel.world import World
+from rcp_kernel.chorus import Chorus
+from rcp_kernel.values import Encoding
+
+pytestmark = pytest.mark.anyio
+LEVEL = "/tenant/alpha/sensor/level"
+
+
+class Socket:
+    """A transport that frames messages and takes them only when it is told to."""
+
+    def __init__(self, world: World, depth: int, id_: str = "s") -> None:
+        door = world.server.door
+        self.connection = door.connect(door.authenticate(None), Encoding.JSON, lambda: None)
+        self.connection.mailbox.framing = lambda size, _text: b"%04d" % size
+        envelope = {
+            "type": "subscribe",
+            "id": id_,
+            "path": LEVEL,
+            "body": {"qos": {"depth": depth}},
+        }
+        self.connection.receive(json.dumps(envelope).encode())
+        self.take()
+
+    def take(self) -> list[Any]:
+        """Collect what waits, and cut it where the frames say."""
+        data = b"".join(self.connection.mailbox.collect())
+        out: list[Any] = []
+        while data:
+            size = int(data[:4])
+            out.append(json.loads(data[4 : 4 + size]))
+            data = data[4 + size :]
+        return out
+
+
+def publish(world: World, *values: float) -> None:
+    for value in values:
+        world.robot.host.publish("sensor/level", value)
+
+
+async def test_receivers_of_the_same_bytes_are_served_from_one_ring(world: World) -> None:
+    sockets = [Socket(world, 8) for _ in range(3)]
+    listeners = world.server.gateway.registry.entries[LEVEL].listeners
+    assert [type(listener) for listener in listeners] == [Chorus]
+    publish(world, 1.0, 2.0)
+    taken = [socket.take() for socket in sockets]
+    assert [m["body"] for m in taken[0]] == [1.0, 2.0]
+    assert taken[0] == taken[1] == taken[2]
+
+
+async def test_one_that_falls_behind_skips_alone_and_is_told(world: World) -> None:
+    quick, slow = Socket(world, 4), Socket(world, 4)
+    seen: list[float] = []
+    for value in range(10):
+        publish(world, float(value))
+        seen += [m["body"] for m in quick.take()]
+    assert seen == [float(value) for value in range(10)]
+    late = slow.take()
+    assert [m["body"] for m in late] == [6.0, 7.0, 8.0, 9.0]
+    assert [m.get("dropped") for m in late] == [6, None, None, None]
+    publish(world, 10.0)
+    assert slow.take() == quick.take()
+
+
+async def test_a_newcomer_hears_only_what_comes_after_it(world: World) -> None:
+    first = Socket(world, 8)
+    publish(world, 1.0)
+    second = Socket(world, 8)
+    publish(world, 2.0)
+    assert [m["body"] for m in first.take()] == [1.0, 2.0]
+    assert [m["body"] for m in second.take()] == [2.0]
+
+
+async def test_those_who_leave_are_forgotten(world: World) -> None:
+    sockets = [Socket(world, 8) for _ in range(2)]
+    listeners = world.server.gateway.registry.entries[LEVEL].listeners
+    sockets[0].connection.close()
+    publish(world, 1.0)
+    assert [m["body"] for m in sockets[1].take()] == [1.0]
+    sockets[1].connection.close()
+    assert listeners == []
+
+
+async def test_a_bad_value_is_left_out_for_all(world: World) -> None:
+    sockets = [Socket(world, 8) for _ in range(2)]
+    publish(world, 1.0, float("nan"), 2.0)
+    assert [[m["body"] for m in socket.take()] for socket in sockets] == [[1.0, 2.0]] * 2
