@@ -36,11 +36,11 @@ from rcp_kernel.values import Encoding
 if TYPE_CHECKING:
     from rcp_client.subscription import Subscription
 
-__all__ = ["Channel", "Settings"]
+__all__ = ["MARGIN", "Channel", "Settings"]
 
 log = logging.getLogger("rcp.client")
 _SEGMENT = 256 * 1024  # bytes of one frame: a pose waits at most that long behind a map
-_MARGIN = 2.0  # s that the gateway's own answer is given beyond the deadline
+MARGIN = 2.0  # s that the gateway's own answer is given beyond the deadline
 
 
 @dataclass(frozen=True, slots=True)
@@ -281,7 +281,7 @@ class Channel:
         """
         deadline = envelope.setdefault("deadline", self.settings.deadline)
         call = self.start(envelope, repeat)
-        return await self.finish(call, deadline + _MARGIN)
+        return await self.finish(call, deadline + MARGIN)
 
     async def finish(self, call: Call, limit: float | None) -> Reply:
         """Wait for a call's end.

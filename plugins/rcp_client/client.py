@@ -14,7 +14,7 @@ import msgspec
 
 from rcp_client.address import DEFAULT_URL, Address
 from rcp_client.calls import Repeat
-from rcp_client.channel import Channel, Settings
+from rcp_client.channel import MARGIN, Channel, Settings
 from rcp_client.command import CommandHandle, Feedback
 from rcp_client.credentials import find_token
 from rcp_client.messages import Notice, Reply, ResourceInfo
@@ -176,7 +176,7 @@ class Client:
         :raises RcpError: it was refused.
         """
         handle = self._execute(path, input, deadline, idempotency_key, on_feedback, type)
-        await handle.accepted(min(deadline or self.settings.deadline, self.settings.deadline) + 2)
+        await handle.accepted(self._first_wait(deadline))
         return handle
 
     async def execute(
@@ -197,19 +197,17 @@ class Client:
         if dry_run:
             envelope = {"type": "execute", "path": path, "dry_run": True, "body": _plain(input)}
             return (await self.channel.ask(envelope)).body
-        handle = await self.start(
-            path,
-            input,
-            deadline=deadline,
-            idempotency_key=idempotency_key,
-            on_feedback=on_feedback,
-            type=type,
-        )
+        handle = self._execute(path, input, deadline, idempotency_key, on_feedback, type)
         try:
+            await handle.accepted(self._first_wait(deadline))
             return await handle.result()
         except asyncio.CancelledError:
             handle.cancel_soon()
             raise
+
+    def _first_wait(self, deadline: float | None) -> float:
+        own = self.settings.deadline
+        return (own if deadline is None else min(deadline, own)) + MARGIN
 
     def _execute(
         self,
@@ -227,7 +225,7 @@ class Client:
         if deadline is not None:
             envelope["deadline"] = deadline
         call = self.channel.start(envelope, _repeat(envelope))
-        limit = None if deadline is None else deadline + 2
+        limit = None if deadline is None else deadline + MARGIN
         return CommandHandle(self.channel, call, limit=limit, type_=type_, on_feedback=on_feedback)
 
     async def cancel(self, command: str) -> list[str]:

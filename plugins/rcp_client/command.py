@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 
 from rcp_client.calls import Call
+from rcp_client.errors import error_of
 from rcp_client.messages import Reply
-from rcp_kernel.errors import RcpError
 from rcp_kernel.values import ValueType, value_type
 from rcp_kernel.wire import FINAL
 
@@ -104,8 +104,11 @@ class CommandHandle:
         except TimeoutError:
             self._channel.calls.leave(call)
             raise self._channel.late(call, limit) from None
-        if call.end.done() and isinstance(error := call.end.result(), RcpError):
-            raise error
+        if call.end.done():
+            outcome = call.end.result()
+            error = error_of(outcome) if isinstance(outcome, Reply) else outcome
+            if error is not None and (error is outcome or error.status == "rejected"):
+                raise error
 
     async def reply(self) -> Reply:
         """Wait for the final reply and return it whole.
@@ -134,15 +137,18 @@ class CommandHandle:
 
     async def cancel(self) -> Reply:
         """Have the robot told to stop it; how it ends, `result` says."""
-        return await self._channel.ask(self._cancel())
+        if self.id is None:
+            await self.accepted(self._channel.settings.deadline)
+        return await self._channel.ask({"type": "cancel", "command": self.id})
 
     def cancel_soon(self) -> None:
-        """Have it cancelled without waiting for anything."""
-        self._channel.post(self._cancel())
+        """Have it cancelled without waiting for anything, as soon as it has an id."""
+        if self.id is not None:
+            self._channel.post({"type": "cancel", "command": self.id})
+        elif not self.done:
+            self._call.listeners.append(self._cancel_now)
 
-    def _cancel(self) -> dict[str, Any]:
-        return {"type": "cancel", "command": self.id} if self.id else _by_path(self.path)
-
-
-def _by_path(path: str) -> dict[str, Any]:
-    return {"type": "cancel", "path": path}
+    def _cancel_now(self, reply: Reply) -> None:
+        if reply.status not in FINAL and self._cancel_now in self._call.listeners:
+            self._call.listeners.remove(self._cancel_now)
+            self._channel.post({"type": "cancel", "command": reply.command})

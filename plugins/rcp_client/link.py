@@ -34,6 +34,7 @@ log = logging.getLogger("rcp.client")
 _MAX_FRAME = 64 * 1024 * 1024  # bytes
 _LIMIT = 256 * 1024 * 1024  # bytes of one message in parts
 _SWEEP = 1.0  # s between looks for parts that stay away
+_PART_WAIT = 3.0  # s without a part after which the missing ones are asked for
 
 Received = Callable[[Message, bytes], None]
 
@@ -47,7 +48,7 @@ class Link(WSListener):
         self._lost = lost
         self._transport: WSTransport | None = None
         self._rest: list[bytes] = []
-        self._assembler = Assembler(_LIMIT)
+        self._assembler = Assembler(_LIMIT, patience=_PART_WAIT)
         self._sweep: asyncio.TimerHandle | None = None
         self._room = asyncio.Event()
         self._room.set()
@@ -182,7 +183,7 @@ class Link(WSListener):
         except ValueError as error:
             log.warning("the gateway sent what is no envelope: %s", error)
             return
-        if message.type != "segment":
+        if message.type != "segment" or message.status:  # the answer to a transfer is a reply
             self._received(message, data)
         elif message.body is None:
             self._send_again(message, data)

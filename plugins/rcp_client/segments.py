@@ -60,7 +60,7 @@ class _Transfer:
 class Assembler:
     """The transfers that come in on one connection."""
 
-    def __init__(self, limit: int, *, patience: float = 5.0, tries: int = 3) -> None:
+    def __init__(self, limit: int, *, patience: float, tries: int = 3) -> None:
         self._limit = limit
         """Bytes that one whole message may have."""
         self._patience = patience

@@ -109,12 +109,11 @@ class Subscription:
     async def _subscribe(self) -> Reply | None:
         """Ask for it; None says that the gateway has it already, from before a cut."""
         channel = self._channel
-        limit = channel.settings.deadline
         body = {**self._options, "paths": self.patterns[1:]}
         envelope = {"type": "subscribe", "path": self.patterns[0], "body": body}
         call = channel.start(envelope, "always", id_=self.id)
         try:
-            return await channel.finish(call, limit + 2)
+            return await channel.finish(call, channel.settings.deadline + 2)
         except DuplicateRequest:
             if len(call.ids) < 2 and not self._standing:
                 raise

@@ -24,10 +24,10 @@ BOUND = 10.0  # s that any wait of a test may take
 
 CONFIG = """
 [transports]
-sse = false
-http = false
+{without}
 [transports.asgi]
 port = {port}
+grace = 0.1
 [limits]
 session_ttl = {session_ttl}
 [[backends]]
@@ -71,6 +71,8 @@ class Robot(BaseBackend):
         """Lets commands go to their end."""
         self.moving = asyncio.Event()
         """A command has begun."""
+        self.stopped = asyncio.Event()
+        """A command was cancelled."""
         self.published = 0
 
     def declare(self) -> None:
@@ -134,7 +136,11 @@ class Robot(BaseBackend):
             return value
         progress(value.x / 2, fraction=0.5)
         self.moving.set()
-        await self.go.wait()
+        try:
+            await self.go.wait()
+        except asyncio.CancelledError:
+            self.stopped.set()
+            raise
         return value
 
     async def halt(self) -> None:
@@ -144,10 +150,11 @@ class Robot(BaseBackend):
 class Gateway:
     """The gateway, over its several lives."""
 
-    def __init__(self, **options: Any) -> None:
+    def __init__(self, *, session_ttl: float = 60.0, more: str = "", http: bool = False) -> None:
         self.port = 0
         self.robots: dict[str, Robot] = {}
-        self._options = {"session_ttl": 60.0, "more": "", **options}
+        without = "" if http else "http = false\nsse = false"
+        self._options = {"session_ttl": session_ttl, "more": more, "without": without}
         self._stack = AsyncExitStack()
         self.server: Server | None = None
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -11,10 +10,10 @@ import pytest
 from plugins.client.gateway import BOUND, OPERATOR, Gateway, Point
 from plugins.client.heard import Heard
 from plugins.client.proxy import Proxy
-from rcp_client import Client, ConnectionLost, connect
+from rcp_client import ConnectionLost, connect
+from rcp_kernel.sessions import Session
 
 pytestmark = pytest.mark.anyio
-Connect = Callable[..., Client]
 
 
 async def test_an_expired_session_is_begun_afresh_and_the_gap_told_of() -> None:
@@ -29,9 +28,10 @@ async def test_an_expired_session_is_begun_afresh_and_the_gap_told_of() -> None:
         async with client.subscribe("/sensor/count") as subscription:
             updates = aiter(subscription)
             assert (await anext(updates)).seq == 5
+            gone = _sessions_that_end(gateway)
             proxy.refuse = True
             proxy.cut()
-            await _expired(gateway)
+            await gone.wait()
             gateway.robot.publish(5)
             proxy.refuse = False
             assert (await heard.until("gap")).id == subscription.id
@@ -51,9 +51,10 @@ async def test_a_command_is_found_again_from_a_new_session() -> None:
     ):
         running = asyncio.create_task(client.execute("/action/go", {"x": 1.0}))
         await gateway.robot.moving.wait()
+        gone = _sessions_that_end(gateway)
         proxy.refuse = True
         proxy.cut()
-        await _expired(gateway)
+        await gone.wait()
         proxy.refuse = False
         await heard.until("reconnected")
         gateway.robot.go.set()
@@ -61,21 +62,18 @@ async def test_a_command_is_found_again_from_a_new_session() -> None:
         assert gateway.robot.started == [Point(1.0)]
 
 
-async def _expired(gateway: Gateway) -> None:
-    server = gateway.server
-    assert server is not None
-    gone = asyncio.Event()
-    drop = server.gateway.sessions.drop
+def _sessions_that_end(gateway: Gateway) -> asyncio.Event:
+    """Return what is set when the gateway lets a session go."""
+    assert gateway.server is not None
+    sessions, gone = gateway.server.gateway.sessions, asyncio.Event()
+    drop = sessions.drop
 
-    def dropped(session: object) -> None:
-        drop(session)  # pyright: ignore[reportArgumentType]
+    def dropped(session: Session) -> None:
+        drop(session)
         gone.set()
 
-    for session in server.gateway.sessions.known.values():
-        if session.expiry is None and session.connection is None:
-            gone.set()
-    server.gateway.sessions.drop = dropped  # pyright: ignore[reportAttributeAccessIssue]
-    await gone.wait()
+    sessions.drop = dropped
+    return gone
 
 
 async def test_a_subscription_goes_on_after_a_restart_once_its_robot_is_back() -> None:
@@ -98,18 +96,22 @@ async def test_a_subscription_goes_on_after_a_restart_once_its_robot_is_back() -
 
 async def test_a_command_of_an_earlier_life_is_never_run_again() -> None:
     heard = Heard()
-    async with asyncio.timeout(BOUND), Gateway() as gateway, Proxy(gateway.port) as proxy:
-        async with connect(proxy.url, token=OPERATOR, on_notice=heard) as client:
-            running = asyncio.create_task(client.execute("/action/go", {"x": 1.0}))
-            await gateway.robot.moving.wait()
-            proxy.mute = "down"  # whatever the gateway says of its end
-            await gateway.stop()
-            await heard.until("disconnected")
-            proxy.mute = None
-            await gateway.start()
-            with pytest.raises(ConnectionLost, match="not known"):
-                await running
-            assert gateway.robot.started == []
+    async with (
+        asyncio.timeout(BOUND),
+        Gateway() as gateway,
+        Proxy(gateway.port) as proxy,
+        connect(proxy.url, token=OPERATOR, on_notice=heard) as client,
+    ):
+        running = asyncio.create_task(client.execute("/action/go", {"x": 1.0}))
+        await gateway.robot.moving.wait()
+        proxy.mute = "down"  # whatever the gateway says of its end
+        await gateway.stop()
+        await heard.until("disconnected")
+        proxy.mute = None
+        await gateway.start()
+        with pytest.raises(ConnectionLost, match="not known"):
+            await running
+        assert gateway.robot.started == []
 
 
 async def test_what_a_restarted_gateway_remembers_of_a_command_is_its_outcome(
@@ -117,16 +119,20 @@ async def test_what_a_restarted_gateway_remembers_of_a_command_is_its_outcome(
 ) -> None:
     heard = Heard()
     more = f'[store]\npath = "{tmp_path / "store.db"}"'
-    async with asyncio.timeout(BOUND), Gateway(more=more) as gateway, Proxy(gateway.port) as proxy:
-        async with connect(proxy.url, token=OPERATOR, on_notice=heard) as client:
-            running = asyncio.create_task(client.execute("/action/go", {"x": 1.0}))
-            await gateway.robot.moving.wait()
-            proxy.mute = "down"
-            gateway.robot.go.set()
-            await proxy.swallowed.wait()
-            await gateway.stop()
-            await heard.until("disconnected")
-            proxy.mute = None
-            await gateway.start()
-            assert await running == {"x": 1.0, "y": 0.0}
-            assert gateway.robot.started == []
+    async with (
+        asyncio.timeout(BOUND),
+        Gateway(more=more) as gateway,
+        Proxy(gateway.port) as proxy,
+        connect(proxy.url, token=OPERATOR, on_notice=heard) as client,
+    ):
+        running = asyncio.create_task(client.execute("/action/go", {"x": 1.0}))
+        await gateway.robot.moving.wait()
+        proxy.mute = "down"
+        gateway.robot.go.set()
+        await proxy.swallowed.wait()
+        await gateway.stop()
+        await heard.until("disconnected")
+        proxy.mute = None
+        await gateway.start()
+        assert await running == {"x": 1.0, "y": 0.0}
+        assert gateway.robot.started == []

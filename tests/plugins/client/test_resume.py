@@ -210,7 +210,7 @@ async def test_requests_made_while_away_wait_for_the_return(
 async def test_a_request_does_not_wait_beyond_its_deadline(
     gateway: Gateway, proxy: Proxy, connect: Connect, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("rcp_client.channel._MARGIN", 0.1)
+    monkeypatch.setattr("rcp_client.channel.MARGIN", 0.1)
     async with asyncio.timeout(BOUND), connect(proxy) as client:
         proxy.mute = "up"
         with pytest.raises(DeadlineExceeded, match="did not answer"):

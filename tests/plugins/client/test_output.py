@@ -1,0 +1,80 @@
+"""What people are shown."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from rcp_client.errors import ConnectionLost
+from rcp_client.outline import outline
+from rcp_client.output import Output, clean, compact, exit_code, pretty
+from rcp_kernel.errors import Cancelled, DeviceTimeout, Forbidden, OutOfRange
+
+
+def test_short_values_stay_in_one_line() -> None:
+    assert pretty({"x": 1.23456789, "y": [1, 2]}) == '{"x": 1.23457, "y": [1, 2]}'
+
+
+def test_long_values_are_laid_out_and_bytes_counted() -> None:
+    value = {"name": "n" * 60, "ranges": list(range(40)), "data": b"x" * 1000, "empty": {}}
+    text = pretty(value)
+    assert json.loads(text)["data"] == "<1000 bytes>"
+    assert json.loads(text)["ranges"] == list(range(40))
+    assert all(len(line) <= 90 for line in text.splitlines())
+
+
+def test_long_texts_and_lists_are_cut() -> None:
+    assert "<500 characters>" in compact("t" * 500)
+    assert json.loads(compact(list(range(100))))[-1] == "<100 items>"
+
+
+def test_nothing_shown_commands_the_terminal(capsys: pytest.CaptureFixture[str]) -> None:
+    assert clean("a\x1b]0;owned\x07b\x9bc") == "a�]0;owned�b�c"
+    assert "\x1b" not in compact({"a\x1b": "b\x1b"})
+    out = Output(json=False)
+    out.table(("A",), [("x\x1b[2J",)])
+    out.aside("y\x1b[2J")
+    shown = capsys.readouterr()
+    assert "\x1b" not in shown.out + shown.err
+
+
+@pytest.mark.parametrize(
+    ("error", "code"),
+    [
+        (OutOfRange("m"), 3),
+        (Forbidden("m"), 3),
+        (DeviceTimeout("m"), 1),
+        (Cancelled("m"), 1),
+        (ConnectionLost("m"), 4),
+    ],
+)
+def test_each_error_has_its_exit_status(error: Exception, code: int) -> None:
+    assert exit_code(error) == code
+
+
+def test_a_schema_is_one_line_for_each_field() -> None:
+    point = {
+        "type": "object",
+        "properties": {
+            "x": {"type": "number", "unit": "m", "minimum": 0, "maximum": 5},
+            "mode": {"enum": ["a", "b"], "default": "a", "description": "How."},
+            "next": {"anyOf": [{"$ref": "#/$defs/Point"}, {"type": "null"}]},
+        },
+        "required": ["x"],
+    }
+    schema = {
+        "type": "object",
+        "properties": {
+            "at": {"$ref": "#/$defs/Point"},
+            "path": {"type": "array", "items": {"type": "number", "unit": "m"}},
+            "data": {"type": "string", "contentEncoding": "base64"},
+        },
+        "$defs": {"Point": point},
+    }
+    rows = {name: (type_, note) for name, type_, note in outline(schema)}
+    assert rows["at.x"] == ("number, ≥ 0 ≤ 5, m, required", "")
+    assert rows["at.mode"] == ('one of a b, default "a"', "How.")
+    assert rows["path"] == ("list of number in m", "")
+    assert rows["data"] == ("bytes", "")
+    assert max(name.count(".") for name in rows) <= 7

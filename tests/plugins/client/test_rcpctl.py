@@ -1,0 +1,384 @@
+"""`rcpctl` as a person or script runs it: real processes, against a real `rcpd`."""
+
+from __future__ import annotations
+
+import json
+import os
+import pty
+import select
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Generator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+BIN = Path(sys.executable).parent
+BOUND = 20.0  # s that any process of these tests may take
+OPERATOR = "operator-of-the-rcpctl-tests"
+ADMIN = "administrator-of-the-rcpctl-tests"
+CONFIG = f"""
+[transports.asgi]
+port = 0
+grace = 0.1
+[[backends]]
+use = "sim"
+name = "rover"
+tenant = "alpha"
+[[keys]]
+name = "operator"
+role = "operator"
+key = "{OPERATOR}"
+[[keys]]
+name = "admin"
+role = "admin"
+key = "{ADMIN}"
+"""
+Run = Callable[..., subprocess.CompletedProcess[str]]
+FAR = '{"position": {"x": 30, "y": 0}}'
+NEAR = '{"position": {"x": 0, "y": 0}}'
+
+
+@pytest.fixture(scope="module")
+def url(tmp_path_factory: pytest.TempPathFactory) -> Generator[str]:
+    """A gateway with one simulated rover."""
+    config = tmp_path_factory.mktemp("rcpd") / "rcp.toml"
+    config.write_text(CONFIG)
+    with subprocess.Popen(
+        [BIN / "rcpd", "serve", config], stderr=subprocess.PIPE, text=True
+    ) as process:
+        assert process.stderr is not None
+        for line in process.stderr:
+            if "serving on " in line:
+                yield line.rpartition(" ")[2].strip()
+                break
+        process.terminate()
+        process.communicate(timeout=BOUND)
+
+
+@pytest.fixture
+def run(url: str) -> Run:
+    """Run `rcpctl` as the operator."""
+
+    def made(*arguments: str, stdin: str = "", **env: str) -> subprocess.CompletedProcess[str]:
+        return subprocess.run(
+            [BIN / "rcpctl", *arguments],
+            input=stdin,
+            capture_output=True,
+            text=True,
+            timeout=BOUND,
+            check=False,
+            env={**os.environ, "RCP_URL": url, "RCP_TOKEN": OPERATOR, **env},
+        )
+
+    return made
+
+
+@pytest.fixture(autouse=True)
+def at_rest(request: pytest.FixtureRequest) -> Generator[None]:
+    yield
+    if "run" in request.fixturenames:
+        request.getfixturevalue("run")("execute", "/service/reset_system", '{"pose": true}')
+
+
+def documents(done: subprocess.CompletedProcess[str]) -> list[dict[str, Any]]:
+    assert done.returncode == 0, done.stderr
+    return [json.loads(line) for line in done.stdout.splitlines()]
+
+
+def document(done: subprocess.CompletedProcess[str]) -> dict[str, Any]:
+    (found,) = documents(done)
+    return found
+
+
+# -- every subcommand ----------------------------------------------------------------------------
+
+
+def test_discover_lists_resources_one_a_line(run: Run) -> None:
+    found = documents(run("discover", "/**", "--kind", "param"))
+    assert [item["path"] for item in found] == ["/tenant/alpha/param/speed_limit"]
+    assert found[0]["schemas"]["value"]["maximum"] == 2.5
+    table = run("discover", "--text", "-q", "charger").stdout.splitlines()
+    assert table[0].split() == ["PATH", "KIND", "OPERATIONS", "STATE", "DESCRIPTION"]
+    assert table[1].startswith("/tenant/alpha/action/dock ")
+    shown = run("--text", "discover", "/action/move_to").stdout
+    assert "position.x" in shown
+    assert 'example  {"position": ' in shown
+    assert "Nothing matches." in run("discover", "--text", "/param/none").stderr
+
+
+def test_read_shows_values(run: Run) -> None:
+    pose = document(run("read", "/sensor/pose", "--field", "position.x"))
+    assert pose["path"] == "/tenant/alpha/sensor/pose"
+    assert pose["body"]["position"].keys() == {"x"}
+    assert pose["state"] == "fresh"
+    assert run("read", "--text", "/param/speed_limit").stdout == "1.0\n"
+    many = documents(run("read", "/event/*", "/param/*"))
+    assert {item["path"].split("/")[3] for item in many} == {"event", "param"}
+
+
+def test_read_goes_on_after_a_path_that_is_not_there(run: Run) -> None:
+    done = run("read", "/sensor/nothing", "/param/speed_limit")
+    assert done.returncode == 3
+    assert json.loads(done.stdout)["body"] == 1.0
+    assert done.stderr.startswith("rcpctl: there is no resource /tenant/alpha/sensor/nothing. ")
+
+
+def test_write_takes_json_standard_input_or_a_file(run: Run, tmp_path: Path) -> None:
+    assert document(run("write", "/param/speed_limit", "0.5"))["body"] == 0.5
+    assert document(run("write", "/param/speed_limit", "-", stdin="0.6\n"))["body"] == 0.6
+    file = tmp_path / "value.json"
+    file.write_text("0.7")
+    assert document(run("write", "/param/speed_limit", f"@{file}"))["body"] == 0.7
+    assert document(run("write", "--dry-run", "/param/speed_limit", "0.8"))["dry_run"] is True
+    assert document(run("read", "/param/speed_limit"))["body"] == 0.7
+    drive = '{"linear": {"x": 0.1}}'
+    done = run("write", "/actuator/cmd_vel", drive, "--valid-for", "0.1", "--text")
+    assert done.stdout.startswith("completed /tenant/alpha/actuator/cmd_vel written.\n")
+
+
+def test_a_value_may_begin_with_a_minus(run: Run) -> None:
+    done = run("write", "/param/speed_limit", "-0.5")
+    assert done.returncode == 3
+    assert "-0.5 < 0 m/s" in done.stderr
+
+
+def test_a_value_that_is_not_json_is_a_mistake_of_usage(run: Run) -> None:
+    done = run("write", "/param/speed_limit", "fast")
+    assert done.returncode == 2
+    assert "'fast' is not JSON; /tenant/alpha/param/speed_limit takes, for example, '1.0'" in (
+        done.stderr
+    )
+    assert run("write", "/param/speed_limit", "@/nowhere/at/all").returncode == 2
+
+
+def test_execute_waits_for_the_end(run: Run) -> None:
+    done = document(run("execute", "/action/move_to", NEAR))
+    assert done["status"] == "completed"
+    assert done["command"].startswith("cmd-")
+    assert "error" in done["body"]
+    steps = documents(run("execute", "/action/move_to", NEAR, "--feedback"))
+    assert [step["status"] for step in steps][-1] == "completed"
+    assert "in_progress" in {step["status"] for step in steps}
+    shown = run("execute", "--text", "/action/move_to", NEAR).stdout.splitlines()
+    assert shown[0].startswith("in_progress") or shown[0].startswith("accepted cmd-")
+    assert any(line.startswith("completed Command") for line in shown)
+
+
+def test_a_command_is_left_running_listed_and_cancelled(run: Run) -> None:
+    started = document(run("execute", "/action/move_to", FAR, "--no-wait"))
+    assert started["status"] in ("accepted", "in_progress")
+    (listed,) = documents(run("commands", "--running"))
+    assert listed["command"] == started["command"]
+    refused = run("execute", "/action/move_to", FAR)
+    assert refused.returncode == 3
+    assert "currently in progress; rejecting duplicate request" in refused.stderr
+    cancelled = document(run("cancel", started["command"]))
+    assert cancelled["body"] == {"cancelled": [started["command"]]}
+    assert run("cancel", "cmd-of-nobody").returncode == 3
+    table = run("commands", "--text").stdout.splitlines()
+    assert table[0].startswith("COMMAND ")
+    assert table[1].split()[:2] == [started["command"], "cancelled"]
+
+
+def test_what_takes_too_long_has_failed(run: Run) -> None:
+    done = run("execute", "/action/move_to", FAR, "--deadline", "0.2")
+    assert done.returncode == 1
+    assert "did not finish within 0.2 s" in done.stderr
+
+
+def test_an_error_is_json_where_json_was_asked_for(run: Run) -> None:
+    done = run("--json", "write", "/param/speed_limit", "9")
+    assert done.returncode == 3
+    assert json.loads(done.stderr)["error"]["code"] == "out_of_range"
+    assert done.stdout == ""
+
+
+def test_watch_prints_a_line_for_each_update(run: Run) -> None:
+    found = documents(run("watch", "/sensor/pose", "--count", "5", "--rate", "50"))
+    assert len(found) == 5
+    assert found == sorted(found, key=lambda item: item["seq"])
+    assert found[0]["body"]["frame_id"] == "map"
+    reliable = documents(run("watch", "/sensor/pose", "--count", "9", "--reliable"))
+    numbers = [item["seq"] for item in reliable]
+    assert numbers == list(range(numbers[0], numbers[0] + 9))
+    some = documents(
+        run(
+            *("watch", "/sensor/pose", "--field", "position.x", "--history", "3", "--count", "3"),
+            *("--where", '{"field": "position.x", "lt": 100}'),
+        )
+    )
+    assert [item["body"].keys() for item in some] == [{"position"}] * 3
+    text = run("watch", "--text", "/param/*", "--duration", "0.2").stdout
+    assert text.endswith(" 1.0\n")
+    assert run("watch", "/sensor/pose", "--where", "[]").returncode == 2
+
+
+def test_status_is_shown_whole_or_short(run: Run) -> None:
+    report = document(run("status"))
+    assert report["state"] == "ok"
+    assert report["backends"][0]["name"] == "rover"
+    lines = run("status", "--text").stdout.splitlines()
+    assert lines[0].startswith("ok  version ")
+    assert any(line.split()[:4] == ["rover", "sim", "alpha", "ready"] for line in lines)
+
+
+def test_the_estop_takes_anybody_to_make_and_some_to_release(run: Run) -> None:
+    stopped = document(run("estop", "--reason", "a test"))
+    assert stopped["active"]
+    assert run("execute", "/action/dock").returncode == 3
+    denied = run("estop", "--reset")
+    assert denied.returncode == 3
+    assert "may not reset an e-stop" in denied.stderr
+    shown = run("estop", "--reset", "--text", RCP_TOKEN=ADMIN).stdout
+    assert shown == "E-stop released; nothing moves until a new command.\n"
+
+
+# -- the ends of a run ---------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code"),
+    [
+        (("read",), 2),
+        (("nothing",), 2),
+        (("watch", "/sensor/pose", "--rate", "0"), 2),
+        (("--url", "ftp://here", "status"), 2),
+        (("codegen", "--lang", "cobol"), 2),
+        (("status", "--url", "http://127.0.0.1:1"), 4),
+        (("--token", "of-nobody-at-all", "status"), 3),
+        (("status", "--tenant", "gamma"), 3),
+        (("write", "/param/speed_limit", "1", "--token", "of-nobody-at-all"), 3),
+        (("--help",), 0),
+        (("execute", "--help"), 0),
+        (("--version",), 0),
+    ],
+)
+def test_the_exit_status_says_how_it_went(run: Run, arguments: tuple[str, ...], code: int) -> None:
+    done = run(*arguments)
+    assert done.returncode == code, done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_options_stand_before_or_after_the_subcommand(run: Run, url: str) -> None:
+    for arguments in (
+        ("--url", url, "--token", OPERATOR, "read", "/param/speed_limit"),
+        ("read", "/param/speed_limit", "--url", url, "--token", OPERATOR),
+        ("--url", "http://127.0.0.1:1", "read", "--url", url, "/param/speed_limit"),
+    ):
+        assert document(run(*arguments, RCP_URL="http://127.0.0.1:2"))["body"] == 1.0
+
+
+def test_every_subcommand_explains_itself(run: Run) -> None:
+    listed = run("--help").stdout.partition("Commands:")[2].split("\n")
+    names = [line.split()[0] for line in listed if line.startswith("  ") and line[2] != " "]
+    assert len(names) == 10
+    for name in names:
+        text = run(name, "--help").stdout
+        assert "--url" in text
+        assert "--json" in text
+
+
+def test_a_reader_that_has_had_enough_ends_the_watch(url: str) -> None:
+    env = {**os.environ, "RCP_URL": url}
+    with subprocess.Popen(
+        [BIN / "rcpctl", "watch", "/sensor/pose"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        env=env,
+    ) as process:
+        assert process.stdout is not None
+        assert process.stderr is not None
+        process.stdout.readline()
+        process.stdout.close()
+        assert process.wait(BOUND) == 0
+        assert process.stderr.read() == b""
+
+
+# -- a person at a terminal ----------------------------------------------------------------------
+
+
+class Terminal:
+    """`rcpctl` with a terminal for its input and output."""
+
+    def __init__(self, url: str, *arguments: str) -> None:
+        self._main, side = pty.openpty()
+        self.text = ""
+        self.process = subprocess.Popen(
+            [BIN / "rcpctl", *arguments],
+            stdin=side,
+            stdout=side,
+            stderr=side,
+            start_new_session=True,
+            env={**os.environ, "RCP_URL": url, "RCP_TOKEN": OPERATOR, "COLUMNS": "100"},
+        )
+        os.close(side)
+
+    def until(self, wanted: str) -> None:
+        """Read until a text has been shown."""
+        end = time.monotonic() + BOUND
+        while wanted not in self.text:
+            ready, _, _ = select.select([self._main], [], [], end - time.monotonic())
+            assert ready, self.text
+            self.text += os.read(self._main, 65_536).decode()
+
+    def interrupt(self) -> None:
+        self.process.send_signal(signal.SIGINT)
+
+    def wait(self) -> int:
+        """Read to the end and return the exit status."""
+        try:
+            while data := os.read(self._main, 65_536):
+                self.text += data.decode()
+        except OSError:  # Linux' way of saying that the other side is closed
+            pass
+        os.close(self._main)
+        return self.process.wait(BOUND)
+
+
+def test_the_first_interrupt_cancels_the_command_and_waits_for_its_end(run: Run, url: str) -> None:
+    terminal = Terminal(url, "execute", "/action/move_to", FAR)
+    terminal.until("in_progress")
+    terminal.interrupt()
+    assert terminal.wait() == 130
+    assert "Ctrl-C again leaves without waiting" in terminal.text
+    assert "was cancelled" in terminal.text
+    assert documents(run("commands"))[0]["status"] == "cancelled"
+
+
+def test_the_second_interrupt_leaves(run: Run, url: str) -> None:
+    delay = '{"fault": "stop_lost"}'
+    document(run("execute", "/service/inject_fault", delay))
+    terminal = Terminal(url, "execute", "/action/move_to", FAR)
+    terminal.until("in_progress")
+    terminal.interrupt()
+    terminal.until("Ctrl-C again")
+    terminal.interrupt()
+    assert terminal.wait() == 130
+    assert "Traceback" not in terminal.text
+
+
+def test_an_interrupt_ends_a_watch(url: str) -> None:
+    terminal = Terminal(url, "watch", "/sensor/pose", "--rate", "20")
+    terminal.until("/tenant/alpha/sensor/pose")
+    terminal.interrupt()
+    assert terminal.wait() == 130
+    assert "Traceback" not in terminal.text
+
+
+def test_the_status_is_kept_up_to_date(url: str) -> None:
+    terminal = Terminal(url, "status", "--watch")
+    terminal.until("\x1b[H\x1b[2J")
+    terminal.until("\x1b[32mok\x1b[0m  version")
+    terminal.interrupt()
+    assert terminal.wait() == 130
+
+
+def test_a_table_fits_the_terminal(url: str) -> None:
+    terminal = Terminal(url, "discover")
+    assert terminal.wait() == 0
+    assert "\x1b[32mready" in terminal.text
+    assert "…" in terminal.text
