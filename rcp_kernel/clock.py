@@ -22,13 +22,13 @@ _MAX_SECONDS = 256  # cached texts: messages of a few seconds' range are under w
 
 def iso(ns: int) -> str:
     """Write ns since the epoch as ISO 8601 in UTC with nanoseconds."""
-    second, rest = divmod(ns, 1_000_000_000)
+    second = ns // 1_000_000_000
     text = _seconds.get(second)
     if text is None:
         if len(_seconds) >= _MAX_SECONDS:
             _seconds.clear()
-        text = _seconds[second] = time.strftime("%Y-%m-%dT%H:%M:%S.", time.gmtime(second))
-    return f"{text}{rest:09d}Z"
+        text = _seconds[second] = time.strftime("%Y-%m-%dT%H:%M:%S.%%09dZ", time.gmtime(second))
+    return text % (ns - second * 1_000_000_000)
 
 
 def parse_time(value: str | float) -> int:

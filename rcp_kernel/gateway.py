@@ -181,8 +181,10 @@ class Gateway:
         self.seconds.observe(perf_counter() - started)
         error = reply.error
         key = (session.transport, reply.type, "ok" if error is None else error["code"])
-        counts = self.counts
-        counts[key] = counts.get(key, 0) + 1
+        try:
+            self.counts[key] += 1
+        except KeyError:
+            self.counts[key] = 1
 
     def count(self, transport: str, type_: str, code: str) -> None:
         """Count one request by its outcome."""

@@ -181,7 +181,8 @@ class Connection:
         """Handle one whole message from the client; every reply goes through the mailbox."""
         gateway = self._gateway
         try:
-            check_size(data, gateway.limits.message)
+            if len(data) > gateway.limits.message:
+                check_size(data, gateway.limits.message)
             request = decode_request(data, self.encoding)
         except RcpError as error:
             type_, id_ = salvage(data, self.encoding) if len(data) < 1_000_000 else ("error", None)
@@ -199,15 +200,17 @@ class Connection:
         if self.closed:
             return
         mailbox = self.mailbox
-        if reply.status == "in_progress" and reply.command is not None:
-            mailbox.feedback[reply.command] = partial(encode_reply, reply, self.encoding)
-            mailbox.mark()
-            return
-        if reply.command is not None and mailbox.feedback:
+        if reply.command is not None:
+            if reply.status == "in_progress":
+                mailbox.feedback[reply.command] = partial(encode_reply, reply, self.encoding)
+                mailbox.mark()
+                return
             last = mailbox.feedback.pop(reply.command, None)
             if last is not None:
                 mailbox.control.append(last())
-        mailbox.push(self.encode(reply))
+        mailbox.control.append(self.encode(reply))
+        if not mailbox.dirty:
+            mailbox.mark()
 
     def encode(self, reply: Reply) -> bytes:
         """Write a reply; one whose body cannot be written becomes the error that says so."""

@@ -38,6 +38,8 @@ class Encoding(StrEnum):
     MSGPACK = "msgpack"
 
 
+# Names of their own: Python 3.11 takes 0.1 µs to look a member up in its enum.
+_JSON, _MSGPACK = Encoding.JSON, Encoding.MSGPACK
 _json = msgspec.json.Encoder()
 _msgpack = msgspec.msgpack.Encoder()
 _NATIVE_BYTES = (bytes, bytearray, memoryview)
@@ -109,14 +111,14 @@ class ValueType:
         :raises OutOfRange: it fits but for a bound.
         :raises BadRequest: it is not text of the encoding at all.
         """
-        if encoding is Encoding.JSON:
+        if encoding is _JSON:
             if not (self._shape.has_wide_int and _HUGE_DIGITS.search(raw)):
                 try:
                     return self._from_json.decode(raw)
                 except (msgspec.DecodeError, RecursionError):
                     pass  # decoded again the slow way, which can explain and accepts "NaN"
             return self.convert(_parse_json(raw), label)
-        if encoding is Encoding.MSGPACK and not self.probes_null and not self._shape.has_wide_int:
+        if encoding is _MSGPACK and not self.probes_null and not self._shape.has_wide_int:
             try:
                 return self._from_msgpack.decode(raw)
             except (msgspec.DecodeError, RecursionError):
@@ -166,7 +168,7 @@ class ValueType:
 
         :raises InvalidValue: it holds a non-finite number or integer that its type forbids.
         """
-        if encoding is Encoding.JSON:
+        if encoding is _JSON:
             data = _json.encode(value)
             if (self.probes_null and b"null" in data) or (
                 self._shape.has_wide_int and _WIDE_DIGITS.search(data)
@@ -174,7 +176,7 @@ class ValueType:
                 return self._encode_odd(value)
             return data
         try:
-            if encoding is Encoding.MSGPACK:
+            if encoding is _MSGPACK:
                 return _msgpack.encode(value)
             return cbor2.dumps(to_plain(value))
         except OverflowError as error:

@@ -141,6 +141,9 @@ _raw_json = msgspec.json.Decoder(dict[str, Raw])
 _raw_msgpack = msgspec.msgpack.Decoder(dict[str, Raw])
 _to_json = msgspec.json.Encoder()
 _to_msgpack = msgspec.msgpack.Encoder()
+# Names of their own: Python 3.11 takes 0.1 µs to look a member up in its enum.
+_JSON, _CBOR, _MSGPACK = Encoding.JSON, Encoding.CBOR, Encoding.MSGPACK
+_json_encode, _msgpack_encode = _to_json.encode, _to_msgpack.encode
 
 
 def decode_request(data: bytes, encoding: Encoding) -> Request:
@@ -149,16 +152,16 @@ def decode_request(data: bytes, encoding: Encoding) -> Request:
     :raises BadRequest: it is malformed, has a field that is not in the contract, or no legal type.
     :raises VersionUnsupported: it asks for a version that is not spoken here.
     """
-    if encoding is Encoding.CBOR:
+    if encoding is _CBOR:
         data = _as_msgpack(data)
-        encoding = Encoding.MSGPACK
-    decoder = _from_json if encoding is Encoding.JSON else _from_msgpack
+        encoding = _MSGPACK
+    decoder = _from_json if encoding is _JSON else _from_msgpack
     try:
         request = decoder.decode(data)
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         request = _decode_slowly(data, encoding, error)
     else:
-        if request.custom is not None or request.encoding is not Encoding.JSON:
+        if request.custom is not None or request.encoding is not _JSON:
             request = _decode_slowly(data, encoding, msgspec.DecodeError("reserved field"))
     request.encoding = encoding
     if request.timestamp is not None:
@@ -273,13 +276,15 @@ def failure(
 def encode_reply(reply: Reply, encoding: Encoding) -> bytes:
     """Write a reply envelope."""
     body = reply.body
-    if encoding is Encoding.CBOR or reply.custom:
+    if encoding is _CBOR or reply.custom:
         return encode_frame(_fields(reply), encode_body(body, encoding), encoding)
-    encoder = _to_json if encoding is Encoding.JSON else _to_msgpack
+    encode = _json_encode if encoding is _JSON else _msgpack_encode
     if body is NO_BODY:
-        return encoder.encode(reply)
-    reply.body = Raw(encode_body(body, encoding))
-    data = encoder.encode(reply)
+        return encode(reply)
+    # Not by `encode_body`: this is the hot path of every request.
+    raw = body.encoded(encoding) if isinstance(body, Body) else ANY.encode(body, encoding)
+    reply.body = Raw(raw)
+    data = encode(reply)
     reply.body = body
     return data
 

@@ -21,6 +21,7 @@ __all__ = ["Receiver", "Socket"]
 
 _TEXT, _BINARY, _CONTINUATION = WSMsgType.TEXT, WSMsgType.BINARY, WSMsgType.CONTINUATION
 _PING, _PONG, _CLOSE = WSMsgType.PING, WSMsgType.PONG, WSMsgType.CLOSE
+_OBJECT = 0x7B  # "{": only JSON begins with it, CBOR and MessagePack maps do not
 _HIGH_WATER = 64 * 1024  # bytes in the write buffer above which the socket is not writable
 _CLOSE_WAIT = 2.0  # s the peer has to answer a close
 _UNANSWERED = 2  # pings after which the peer counts as gone
@@ -35,6 +36,10 @@ class Receiver(Protocol):
 
     def received(self, data: bytes, text: bool) -> None:  # noqa: FBT001 - a frame's own flag
         """Take one whole message."""
+        ...
+
+    def settled(self) -> None:
+        """Take notice that the last frame of what was read has been told of."""
         ...
 
     def garbled(self, data: bytes) -> None:
@@ -57,6 +62,33 @@ class Receiver(Protocol):
 class Socket(WSListener):
     """The native handle of a WebSocket. For the event loop's thread."""
 
+    __slots__ = (
+        "_compressed",
+        "_heard",
+        "_limit",
+        "_loop",
+        "_opcode",
+        "_owner",
+        "_parts",
+        "_pong",
+        "_raw",
+        "_reading",
+        "_receive",
+        "_receiver",
+        "_settings",
+        "_settled",
+        "_size",
+        "_threshold",
+        "_timer",
+        "_transport",
+        "_unanswered",
+        "code",
+        "compresses",
+        "deflates",
+        "open",
+        "writable",
+    )
+
     def __init__(
         self, settings: Settings, receiver: Receiver, loop: asyncio.AbstractEventLoop
     ) -> None:
@@ -71,6 +103,7 @@ class Socket(WSListener):
         self._settings = settings
         self._owner = self._receiver = receiver
         self._receive = receiver.received
+        self._settled = receiver.settled
         self._loop = loop
         self._transport: WSTransport
         self._raw: asyncio.Transport
@@ -91,6 +124,7 @@ class Socket(WSListener):
         """Have everything told to another receiver from now on."""
         self._receiver = receiver
         self._receive = receiver.received
+        self._settled = receiver.settled
 
     # -- picows --------------------------------------------------------------------------------
 
@@ -106,23 +140,26 @@ class Socket(WSListener):
         """Sort a frame; the first branch is the way of nearly all."""
         self._heard = True
         opcode = frame.msg_type
-        if frame.fin and not frame.rsv1 and self._parts is None:
-            if opcode is _TEXT:
-                data = frame.get_payload_as_bytes()
-                if data.isascii() or _is_utf8(data):
-                    if self.open and not (frame.rsv2 or frame.rsv3):
-                        self._receive(data, True)
-                        return
-                elif self.open:
-                    self._garbled(data)
-                    return
-            elif opcode is _BINARY and self.open and not (frame.rsv2 or frame.rsv3):
-                self._receive(frame.get_payload_as_bytes(), False)
-                return
-        if opcode is _PING or opcode is _PONG or opcode is _CLOSE:
-            self._control(frame, opcode)
-        elif self.open:
-            self._fragment(frame, opcode)
+        try:
+            if (
+                (opcode is _TEXT or opcode is _BINARY)
+                and frame.fin
+                and self._parts is None
+                and not (frame.rsv1 or frame.rsv2 or frame.rsv3)
+            ):
+                if self.open:
+                    data = frame.get_payload_as_bytes()
+                    if opcode is _BINARY or data.isascii() or _is_utf8(data):
+                        self._receive(data, opcode is _TEXT)
+                    else:
+                        self._garbled(data)
+            elif opcode is _PING or opcode is _PONG or opcode is _CLOSE:
+                self._control(frame, opcode)
+            elif self.open:
+                self._fragment(frame, opcode)
+        finally:
+            if frame.last_in_buffer:
+                self._settled()
 
     def on_ws_disconnected(self, transport: WSTransport) -> None:
         """End."""
@@ -250,6 +287,11 @@ class Socket(WSListener):
             self._transport.send(_TEXT if data[0] == 0x7B else _BINARY, data)
         if short:
             self._raw.write(heads.join(short))
+
+    def reply(self, data: bytes) -> None:
+        """Send one message, uncompressed: picows frames and writes it without a copy of ours."""
+        if self.open:
+            self._transport.send(_TEXT if data[0] == _OBJECT else _BINARY, data)
 
     @staticmethod
     def head(size: int, text: bool) -> bytes:  # noqa: FBT001 - a frame's own flag

@@ -263,6 +263,9 @@ class Upgrade(asyncio.Protocol):
         if len(self._events) >= _QUEUE:
             self.socket.pause_reading()
 
+    def settled(self) -> None:
+        """Do nothing: the application reads in its own time."""
+
     def garbled(self, data: bytes) -> None:
         """Leave it to the close code to say so."""
 

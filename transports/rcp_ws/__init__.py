@@ -45,6 +45,7 @@ class _WebSocket:
             return
         socket.attach(peer)
         await send({"type": "websocket.accept", "subprotocol": subprotocol})
+        peer.opened()
         await peer.gone.wait()
 
 

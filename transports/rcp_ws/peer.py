@@ -17,7 +17,7 @@ from rcp_ws import segments
 from rcp_ws.config import WsConfig
 from rcp_ws.incoming import Incoming
 from rcp_ws.outgoing import Outgoing
-from rcp_ws.segments import Again, looks_like_one
+from rcp_ws.segments import Again
 from rcp_ws.socket import NativeSocket
 
 __all__ = ["Peer"]
@@ -25,11 +25,29 @@ __all__ = ["Peer"]
 _NOBODY = Principal("nobody", (), ())
 _PATIENCE = 10.0  # s for a client to prove itself in `hello`
 _POLICY = 1008
+_SEGMENT = b"segment"  # only a message with this word in it can be one
 _LOOK_EVERY = 32  # replies between looks whether the client takes them
 
 
 class Peer:
     """Feeds the connection with messages, and the socket with what the mailbox holds."""
+
+    __slots__ = (
+        "_config",
+        "_encoding",
+        "_held",
+        "_inbox",
+        "_incoming",
+        "_limit",
+        "_mailbox",
+        "_outgoing",
+        "_patience",
+        "_plain",
+        "_receive",
+        "_socket",
+        "connection",
+        "gone",
+    )
 
     def __init__(
         self,
@@ -59,7 +77,13 @@ class Peer:
             config, self._limit, whole=self._whole, again=self._again, failed=self._fail
         )
         self._outgoing = Outgoing(encoding, config.kept, door.loop.time)
+        self._plain = False
+        """Replies need neither compression nor segments."""
         self.gone = asyncio.Event()
+
+    def opened(self) -> None:
+        """Take notice that the handshake is done, and what was agreed in it."""
+        self._plain = not self._socket.compresses
 
     # -- in ------------------------------------------------------------------------------------
 
@@ -68,13 +92,27 @@ class Peer:
         if self._held:
             self._inbox.append(data)
             return
-        if looks_like_one(data) and self._segment(data):
+        # Not marked for the coming tick: `settled` sends the answers to all that was read at once.
+        self._mailbox.dirty = True
+        if _SEGMENT in data and self._segment(data):
             return
         self._receive(data)
         if len(self._mailbox.control) >= _LOOK_EVERY:
             self.flush()
             if len(self._mailbox.control) >= self._config.backlog:
                 self._hold()
+
+    def settled(self) -> None:
+        """Send what there is to say to the messages that came together."""
+        mailbox, socket = self._mailbox, self._socket
+        mailbox.dirty = False
+        control = mailbox.control
+        if len(control) == 1 and self._plain and socket.writable:
+            if not (mailbox.pending or mailbox.feedback):
+                socket.reply(control.pop())
+                return
+        if control or mailbox.pending or mailbox.feedback:
+            self.flush()
 
     def _greeting(self, data: bytes) -> None:
         """Take nothing but `hello` from a client that has not proved who it is."""
@@ -162,6 +200,7 @@ class Peer:
         wanted = hello.segment_size
         agreed = None if wanted is None else min(wanted, self._config.segment_size)
         self._outgoing.size = agreed
+        self._plain = agreed is None and not self._socket.compresses
         if agreed is not None:
             self._mailbox.framing = None
         return {"limits": {"segment_size": agreed, "segments": self._config.segments}}

@@ -17,9 +17,8 @@ from msgspec import Meta
 from rcp_kernel.errors import BadRequest
 from rcp_kernel.values import Encoding, parse
 
-__all__ = ["Again", "Segment", "cut", "frame", "looks_like_one", "read", "request_again"]
+__all__ = ["Again", "Segment", "cut", "frame", "read", "request_again"]
 
-_MARK = b"segment"
 TransferId = Annotated[str, Meta(min_length=1, max_length=128)] | int
 
 
@@ -49,11 +48,6 @@ _from_json = msgspec.json.Decoder(Segment)
 _again_json = msgspec.json.Decoder(Again)
 _from_msgpack = msgspec.msgpack.Decoder(Segment)
 _again_msgpack = msgspec.msgpack.Decoder(Again)
-
-
-def looks_like_one(data: bytes) -> bool:
-    """Tell, cheaply, whether a message may be a segment."""
-    return _MARK in data
 
 
 def read(data: bytes, encoding: Encoding) -> Segment | Again | None:

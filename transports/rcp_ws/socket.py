@@ -14,6 +14,10 @@ class Receiver(Protocol):
         """Take one whole message."""
         ...
 
+    def settled(self) -> None:
+        """Take notice that the last frame of what was read has been told of."""
+        ...
+
     def garbled(self, data: bytes) -> None:
         """Answer a text message that is not UTF-8, at once: the socket closes after it."""
         ...
@@ -46,6 +50,10 @@ class NativeSocket(Protocol):
 
     def write(self, messages: list[bytes]) -> None:
         """Send whole messages in one write; JSON objects go as text, all else as binary."""
+        ...
+
+    def reply(self, data: bytes) -> None:
+        """Send one message, uncompressed."""
         ...
 
     def head(self, size: int, text: bool) -> bytes:  # noqa: FBT001 - a frame's own flag
