@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import re
+import subprocess
 import sys
+from pathlib import Path
 from types import ModuleType, SimpleNamespace
 from typing import Any
 
@@ -18,12 +20,13 @@ from rcp_kernel.server import Prepared, running
 from rcp_kernel.wire import Reply
 
 PAGE = (DOCS / "write-a-backend.md").read_text(encoding="utf-8")
+PROGRAMS = re.findall(r"^```python\n(.*?)^```", PAGE, re.MULTILINE | re.DOTALL)
 
 
 @pytest.fixture
 def turntable(monkeypatch: pytest.MonkeyPatch) -> Any:
     """The tutorial's module."""
-    (code,) = re.findall(r"^```python\n(.*?)^```", PAGE, re.MULTILINE | re.DOTALL)
+    code, _ = PROGRAMS
     module = ModuleType("rcp_turntable")
     monkeypatch.setitem(sys.modules, "rcp_turntable", module)
     exec(compile(code, "write-a-backend.md", "exec"), vars(module))
@@ -60,6 +63,22 @@ async def test_the_turntable_of_the_page_turns(turntable: Any) -> None:
         assert (done.status, done.body) == ("completed", pytest.approx(0.2))
         refused = await turn_to(9.0)
         assert (refused.error or {})["code"] == "out_of_range"
+
+
+def test_the_suite_of_the_page_proves_the_turntable(tmp_path: Path) -> None:
+    code, suite = PROGRAMS
+    (tmp_path / "rcp_turntable.py").write_text(code, encoding="utf-8")
+    (tmp_path / "test_turntable.py").write_text(suite, encoding="utf-8")
+    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", str(tmp_path)]
+    done = subprocess.run(
+        [*command, "--rootdir", str(tmp_path), "-o", "anyio_mode=auto"],
+        check=False,
+        capture_output=True,
+        text=True,
+        timeout=120,
+        cwd=tmp_path,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
 
 
 def test_the_table_of_resources_has_fields_that_there_are() -> None:
