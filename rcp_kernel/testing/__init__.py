@@ -19,6 +19,7 @@ from rcp_kernel.testing._serve import (
     serve_backend,
 )
 from rcp_kernel.testing._suite import Suite, eventually, proves
+from rcp_kernel.testing.backend import BackendSuite, Goal, Robot
 from rcp_kernel.testing.wire import REQUIREMENTS, Requirement, TransportSuite
 
 __all__ = [
@@ -27,11 +28,14 @@ __all__ = [
     "OPERATOR",
     "REQUIREMENTS",
     "VIEWER",
+    "BackendSuite",
     "Client",
+    "Goal",
     "Life",
     "MemoryClient",
     "Message",
     "Requirement",
+    "Robot",
     "Served",
     "Suite",
     "TransportSuite",

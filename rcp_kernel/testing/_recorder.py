@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import threading
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -26,6 +27,26 @@ class Recorder:
         self.wrong_thread: set[str] = set()
         """Methods that were called from another thread than the event loop's, and must not be."""
         self._thread = threading.get_ident()
+        self._waiting: list[tuple[str, asyncio.Event]] = []
+
+    async def publishes(self, name: str, within: float) -> bool:
+        """Wait for the next value of a name; tell whether one came within so many seconds."""
+        waiter = name, asyncio.Event()
+        self._waiting.append(waiter)
+        try:
+            async with asyncio.timeout(within):
+                await waiter[1].wait()
+        except TimeoutError:
+            return False
+        finally:
+            self._waiting.remove(waiter)
+        return True
+
+    def _note(self, name: str) -> None:
+        self.published[name] = self.published.get(name, 0) + 1
+        for wanted, event in self._waiting:
+            if wanted == name:
+                event.set()
 
     def _check(self, method: str) -> None:
         if threading.get_ident() != self._thread:
@@ -47,14 +68,13 @@ class Recorder:
     def publish(self, name: str, value: Any, timestamp: int | None = None) -> None:
         """Note and pass on."""
         self._check("publish")
-        self.published[name] = self.published.get(name, 0) + 1
+        self._note(name)
         self._host.publish(name, value, timestamp)
 
     def publish_batch(self, batch: Sequence[Publication]) -> None:
         """Note and pass on; from any thread."""
-        for item in batch:
-            self.published[item.name] = self.published.get(item.name, 0) + 1
         self._host.publish_batch(batch)
+        self._host.call_soon(lambda: [self._note(item.name) for item in batch])
 
     def call_soon(self, function: Callable[..., object], *args: Any) -> None:
         """Pass on."""

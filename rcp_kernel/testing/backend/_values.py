@@ -1,0 +1,92 @@
+"""The values of a backend: typed on the way out, checked on the way in, true on the device."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+from rcp_kernel.errors import RcpError
+from rcp_kernel.model import Kind, Operation, Resource
+from rcp_kernel.testing._schemas import beyond, legal, same
+from rcp_kernel.testing.backend._base import BackendTests, Robot, kind_of_resource, offers
+from rcp_kernel.values import to_plain, value_type
+
+__all__ = ["ValueTests"]
+
+_MAY_BE_EMPTY = (Kind.EVENT, Kind.ACTUATOR)  # nothing has happened yet, or been commanded
+
+
+def _ignore(feedback: Any = None, *, fraction: float | None = None) -> None:
+    """Take feedback that nobody looks at."""
+
+
+class ValueTests(BackendTests):
+    """What it says, and what it does with what it is told."""
+
+    async def test_what_can_be_read_arrives_typed_within_a_second(self, robot: Robot) -> None:
+        for resource in robot.having(Operation.READ):
+            reply = await robot.ask("read", resource.name, deadline=1.0)
+            if reply["status"] != "completed" and kind_of_resource(resource) in _MAY_BE_EMPTY:
+                assert reply["error"]["code"] == "adapter_unavailable", reply
+                continue
+            assert reply["status"] == "completed", reply
+            value_type(resource.value).convert(reply["body"], resource.name)
+        assert robot.faults == 0, robot.last_error
+
+    async def test_nothing_but_typed_errors_escapes(self, robot: Robot) -> None:
+        for resource in [*robot.resources.values()]:
+            for call in self._calls(robot, resource):
+                task = asyncio.ensure_future(call())
+                await asyncio.wait([task], timeout=0.2)
+                task.cancel()
+                done, _ = await asyncio.wait([task], timeout=self.cancel_within)
+                assert done, f"{resource.name} does not let itself be cancelled"
+                error = None if task.cancelled() else task.exception()
+                assert error is None or isinstance(error, RcpError), (resource.name, error)
+
+    def _calls(self, robot: Robot, resource: Resource) -> list[Callable[[], Any]]:
+        backend, name = robot.backend, resource.name
+        calls: list[Callable[[], Any]] = []
+        if offers(resource, Operation.READ):
+            calls.append(partial(backend.read, name))
+        if offers(resource, Operation.WRITE):
+            type_ = value_type(resource.value)
+            calls += [partial(backend.write, name, type_.convert(v)) for v in legal(type_.schema)]
+        if offers(resource, Operation.EXECUTE):
+            type_ = value_type(resource.input)
+            inputs = [None] if resource.input is None else legal(type_.schema)
+            calls += [partial(backend.execute, name, type_.convert(v), _ignore) for v in inputs]
+        return calls
+
+    async def test_a_write_changes_the_device(self, robot: Robot) -> None:
+        for resource in robot.having(Operation.WRITE):
+            name, seen = resource.name, list[Any]()
+            for value in self.values(name)[:3]:
+                reply = await robot.ask("write", name, body=value)
+                assert reply["status"] == "completed", reply
+                truth = to_plain(await self.truth(name))
+                assert same(truth, reply["body"]), f"{name}: the device has {truth!r}"
+                seen.append(truth)
+            assert any(not same(a, seen[0]) for a in seen[1:]), f"{name} never changed: {seen!r}"
+
+    async def test_a_write_is_what_is_read_after_it(self, robot: Robot) -> None:
+        for resource in robot.having(Operation.WRITE):
+            if resource not in robot.having(Operation.READ):
+                continue
+            written = await robot.ask("write", resource.name, body=self.values(resource.name)[0])
+            read = await robot.ask("read", resource.name)
+            assert same(read["body"], written["body"]), (resource.name, read, written)
+
+    async def test_what_is_out_of_range_is_refused_and_changes_nothing(self, robot: Robot) -> None:
+        for resource in robot.having(Operation.WRITE):
+            await robot.ask("write", resource.name, body=self.values(resource.name)[0])
+            before = to_plain(await self.truth(resource.name))
+            for value in beyond(value_type(resource.value).schema):
+                reply = await robot.ask("write", resource.name, body=value)
+                assert reply["error"]["code"] == "out_of_range", (resource.name, value, reply)
+            reply = await robot.ask("write", resource.name, body={"no": ["such", "value"]})
+            assert reply["error"]["code"] == "invalid_value", (resource.name, reply)
+            after = to_plain(await self.truth(resource.name))
+            assert same(before, after), f"{resource.name} went from {before!r} to {after!r}"
