@@ -60,7 +60,11 @@ def _common(function: F) -> F:
 def _run(ctx: click.Context, name: str, **arguments: Any) -> int:
     from rcp_client.run import run
 
-    return run(name, ctx.ensure_object(dict), arguments)
+    try:
+        return run(name, ctx.ensure_object(dict), arguments)
+    except BrokenPipeError:  # whoever reads has had enough, as in `rcpctl watch … | head`
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
 
 
 @click.group(context_settings=_CONTEXT)
@@ -220,7 +224,4 @@ def main() -> None:
         code = _USAGE
     except (click.Abort, KeyboardInterrupt):
         code = _INTERRUPTED
-    except BrokenPipeError:  # whoever reads has had enough, as in `rcpctl watch … | head`
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        code = 0
     sys.exit(code or 0)

@@ -177,7 +177,7 @@ export class Rcp {
         await this.ask("DELETE", `/commands/${command}`);
       }
       await new Promise((done) => setTimeout(done, 200));
-      reply = await this.ask("GET", `/commands/${command}`, undefined, true);
+      reply = (await this.ask("GET", `/commands/${command}`)).body as Reply;
     }
     return Rcp.checked(reply).body as Commands[P]["output"];
   }
@@ -222,14 +222,13 @@ export class Rcp {
     }
   }
 
-  private async ask(method: string, path: string, body?: unknown, raw = false): Promise<Reply> {
+  private async ask(method: string, path: string, body?: unknown): Promise<Reply> {
     const response = await fetch(this.base + path, {
       method,
       headers: body === undefined ? this.headers : { ...this.headers, "Content-Type": "application/json" },
       body: body === undefined ? undefined : JSON.stringify(body),
     });
-    const reply = (await response.json()) as Reply;
-    return raw ? reply : Rcp.checked(reply);
+    return Rcp.checked((await response.json()) as Reply);
   }
 
   private static checked(reply: Reply): Reply {

@@ -12,9 +12,11 @@ import sys
 import time
 from collections.abc import Callable, Generator
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import pytest
+
+from rcp_client import Robot
 
 BIN = Path(sys.executable).parent
 BOUND = 20.0  # s that any process of these tests may take
@@ -38,7 +40,7 @@ role = "admin"
 key = "{ADMIN}"
 """
 Run = Callable[..., subprocess.CompletedProcess[str]]
-FAR = '{"position": {"x": 30, "y": 0}}'
+FAR = '{"position": {"x": 0, "y": 9}}'
 NEAR = '{"position": {"x": 0, "y": 0}}'
 
 
@@ -60,10 +62,13 @@ def url(tmp_path_factory: pytest.TempPathFactory) -> Generator[str]:
 
 
 @pytest.fixture
-def run(url: str) -> Run:
-    """Run `rcpctl` as the operator."""
+def run(url: str) -> Generator[Run]:
+    """Run `rcpctl` as the operator; afterwards the rover is as it was."""
+    changes = False
 
     def made(*arguments: str, stdin: str = "", **env: str) -> subprocess.CompletedProcess[str]:
+        nonlocal changes
+        changes = changes or not {"write", "execute"}.isdisjoint(arguments)
         return subprocess.run(
             [BIN / "rcpctl", *arguments],
             input=stdin,
@@ -74,14 +79,11 @@ def run(url: str) -> Run:
             env={**os.environ, "RCP_URL": url, "RCP_TOKEN": OPERATOR, **env},
         )
 
-    return made
-
-
-@pytest.fixture(autouse=True)
-def at_rest(request: pytest.FixtureRequest) -> Generator[None]:
-    yield
-    if "run" in request.fixturenames:
-        request.getfixturevalue("run")("execute", "/service/reset_system", '{"pose": true}')
+    yield made
+    if changes:
+        with Robot(url, token=OPERATOR) as robot:
+            robot.cancel("/action/move_to")
+            robot.execute("/service/reset_system", {"pose": True})
 
 
 def documents(done: subprocess.CompletedProcess[str]) -> list[dict[str, Any]]:
@@ -179,6 +181,9 @@ def test_a_command_is_left_running_listed_and_cancelled(run: Run) -> None:
     cancelled = document(run("cancel", started["command"]))
     assert cancelled["body"] == {"cancelled": [started["command"]]}
     assert run("cancel", "cmd-of-nobody").returncode == 3
+    end = time.monotonic() + BOUND
+    while documents(run("commands", "--running")):  # the rover brakes first
+        assert time.monotonic() < end
     table = run("commands", "--text").stdout.splitlines()
     assert table[0].startswith("COMMAND ")
     assert table[1].split()[:2] == [started["command"], "cancelled"]
@@ -317,6 +322,14 @@ class Terminal:
         )
         os.close(side)
 
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.process.kill()
+        self.process.wait(BOUND)
+        os.close(self._main)
+
     def until(self, wanted: str) -> None:
         """Read until a text has been shown."""
         end = time.monotonic() + BOUND
@@ -335,50 +348,49 @@ class Terminal:
                 self.text += data.decode()
         except OSError:  # Linux' way of saying that the other side is closed
             pass
-        os.close(self._main)
         return self.process.wait(BOUND)
 
 
 def test_the_first_interrupt_cancels_the_command_and_waits_for_its_end(run: Run, url: str) -> None:
-    terminal = Terminal(url, "execute", "/action/move_to", FAR)
-    terminal.until("in_progress")
-    terminal.interrupt()
-    assert terminal.wait() == 130
-    assert "Ctrl-C again leaves without waiting" in terminal.text
-    assert "was cancelled" in terminal.text
+    with Terminal(url, "execute", "/action/move_to", FAR) as terminal:
+        terminal.until("in_progress")
+        terminal.interrupt()
+        assert terminal.wait() == 130
+        assert "Ctrl-C again leaves without waiting" in terminal.text
+        assert "was cancelled" in terminal.text
     assert documents(run("commands"))[0]["status"] == "cancelled"
 
 
 def test_the_second_interrupt_leaves(run: Run, url: str) -> None:
     delay = '{"fault": "stop_lost"}'
     document(run("execute", "/service/inject_fault", delay))
-    terminal = Terminal(url, "execute", "/action/move_to", FAR)
-    terminal.until("in_progress")
-    terminal.interrupt()
-    terminal.until("Ctrl-C again")
-    terminal.interrupt()
-    assert terminal.wait() == 130
-    assert "Traceback" not in terminal.text
+    with Terminal(url, "execute", "/action/move_to", FAR) as terminal:
+        terminal.until("in_progress")
+        terminal.interrupt()
+        terminal.until("Ctrl-C again")
+        terminal.interrupt()
+        assert terminal.wait() == 130
+        assert "Traceback" not in terminal.text
 
 
 def test_an_interrupt_ends_a_watch(url: str) -> None:
-    terminal = Terminal(url, "watch", "/sensor/pose", "--rate", "20")
-    terminal.until("/tenant/alpha/sensor/pose")
-    terminal.interrupt()
-    assert terminal.wait() == 130
-    assert "Traceback" not in terminal.text
+    with Terminal(url, "watch", "/sensor/pose", "--rate", "20") as terminal:
+        terminal.until("/tenant/alpha/sensor/pose")
+        terminal.interrupt()
+        assert terminal.wait() == 130
+        assert "Traceback" not in terminal.text
 
 
 def test_the_status_is_kept_up_to_date(url: str) -> None:
-    terminal = Terminal(url, "status", "--watch")
-    terminal.until("\x1b[H\x1b[2J")
-    terminal.until("\x1b[32mok\x1b[0m  version")
-    terminal.interrupt()
-    assert terminal.wait() == 130
+    with Terminal(url, "status", "--watch") as terminal:
+        terminal.until("\x1b[H\x1b[2J")
+        terminal.until("\x1b[32mok\x1b[0m  version")
+        terminal.interrupt()
+        assert terminal.wait() == 130
 
 
 def test_a_table_fits_the_terminal(url: str) -> None:
-    terminal = Terminal(url, "discover")
-    assert terminal.wait() == 0
-    assert "\x1b[32mready" in terminal.text
-    assert "…" in terminal.text
+    with Terminal(url, "discover") as terminal:
+        assert terminal.wait() == 0
+        assert "\x1b[32mready" in terminal.text
+        assert "…" in terminal.text
