@@ -97,7 +97,7 @@ class KeyConfig(Table, frozen=True):
 
 
 class Anonymous(Table, frozen=True):
-    """What those may do who prove nothing; no role refuses them."""
+    """What those may do who prove nothing; `anonymous = false` refuses them."""
 
     role: str | None = "viewer"
     tenants: tuple[str, ...] = ("*",)
@@ -132,6 +132,12 @@ class GatewayConfig(Table, frozen=True):
     store: StoreConfig = StoreConfig()
 
     @property
+    def closed(self) -> bool:
+        """Whether strangers may do nothing: they have no role, or one that allows nothing."""
+        role = {**BUILTIN_ROLES, **self.roles}.get(self.anonymous.role or "")
+        return role is None or not role.allow
+
+    @property
     def tenant_names(self) -> list[str]:
         """Every tenant, those named only by a backend included, in order of appearance."""
         return list(dict.fromkeys([*self.tenants, *(b.tenant for b in self.backends)]))
@@ -164,6 +170,8 @@ def parse(text: str, source: str) -> GatewayConfig:
         raise ConfigError(f"{source}: write [[backends]] in double brackets, once for each robot")
     raw["backends"] = [_split(table, i, source) for i, table in enumerate(backends)]
     _default_transports(raw)
+    if raw.get("anonymous") is False:
+        raw["anonymous"] = {"role": None}
     for group in ("transports", "plugins"):
         tables: Any = raw.get(group, {})
         if not is_map(tables) or not all(is_map(table) for table in tables.values()):

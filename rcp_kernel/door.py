@@ -86,9 +86,7 @@ class Door:
     @property
     def secure(self) -> bool:
         """Whether strangers may do nothing: they have no role, or one that allows nothing."""
-        gateway = self._gateway
-        role = gateway.rules.roles.get(gateway.config.anonymous.role or "")
-        return role is None or not role.allow
+        return self._gateway.config.closed
 
     @property
     def has_keys(self) -> bool:

@@ -73,6 +73,12 @@ def prepare(config: GatewayConfig, source: str) -> Prepared:
         where = f"{source}: backend '{backend.name}' ({backend.use}): "
         backends.append(decode_table(backend.options, kind.config, where))
     transports = _tables(config.transports, plugins.transports, f"{source}: [transports.")
+    for name, table in transports.items():
+        if (check := plugins.transports[name].check) is not None:
+            try:
+                check(table, config)
+            except ConfigError as error:
+                raise ConfigError(f"{source}: {error}") from None
     adapters = _tables(config.plugins, plugins.adapters, f"{source}: [plugins.")
     return Prepared(config, plugins, tuple(backends), transports, adapters)
 

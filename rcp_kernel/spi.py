@@ -18,6 +18,7 @@ from rcp_kernel.errors import UnsupportedOperation
 from rcp_kernel.model import Resource
 
 if TYPE_CHECKING:
+    from rcp_kernel.config import GatewayConfig
     from rcp_kernel.door import Door
 
 __all__ = [
@@ -207,6 +208,9 @@ class TransportKind(msgspec.Struct, frozen=True):
     config: type[msgspec.Struct]
     open: Callable[[Any, Door], AbstractAsyncContextManager[dict[str, Any]]]
     description: str = ""
+    check: Callable[[Any, GatewayConfig], None] | None = None
+    """Raise `ConfigError` for what this table and the rest of the configuration must not say
+    together; asked by `rcpd check` too, so it opens nothing."""
     listens: bool = False
     """Opened after all others, because it begins to accept clients."""
 

@@ -53,6 +53,7 @@ def test_a_transport_is_taken_out_by_false() -> None:
         ('[anonymous]\nrole = "viewr"', ["did you mean 'viewer'"]),
         ('[[roles.x.allow]]\noperations = ["fly"]\npaths = ["/**"]', ["roles", "'fly'"]),
         ("transports = 3", ["transports"]),
+        ('[transports.asgi]\nhost = "0.0.0.0"', ["0.0.0.0", "open to others", "anonymous = false"]),
         ("a = ", ["not TOML"]),
     ],
 )  # fmt: skip
@@ -84,3 +85,9 @@ def test_a_secret_never_stands_in_an_error(monkeypatch: pytest.MonkeyPatch) -> N
 def test_a_file_that_is_not_there_is_told_by_its_name(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"nowhere\.toml: cannot be read"):
         load(tmp_path / "nowhere.toml")
+
+
+def test_strangers_are_kept_out_by_one_word() -> None:
+    config = parse('anonymous = false\n[transports.asgi]\nhost = "0.0.0.0"', "robots.toml")
+    assert config.closed
+    prepare(config, "robots.toml")

@@ -19,10 +19,11 @@ from rcp_asgi.http import HttpProtocol
 from rcp_asgi.origins import Origins, is_loopback
 from rcp_asgi.settings import Settings
 from rcp_asgi.upgrade import Upgrade
+from rcp_kernel.config import GatewayConfig
 from rcp_kernel.door import Door
 from rcp_kernel.errors import ConfigError
 
-__all__ = ["open_asgi"]
+__all__ = ["check_open", "open_asgi"]
 
 log = structlog.get_logger("rcp.asgi")
 _TICK = 1.0  # s between new Date headers
@@ -56,15 +57,20 @@ async def open_asgi(config: AsgiConfig, door: Door) -> AsyncGenerator[dict[str, 
         await _close(server, listening, settings)
 
 
-def _check(config: AsgiConfig, door: Door) -> None:
-    if is_loopback(config.host):
-        return
-    if not door.secure:
+def check_open(config: AsgiConfig, gateway: GatewayConfig) -> None:
+    """Refuse an address open to others where strangers may do anything.
+
+    :raises ConfigError: that is so.
+    """
+    if not is_loopback(config.host) and not gateway.closed:
         raise ConfigError(
             f"[transports.asgi] host = '{config.host}' is open to others, and so is the gateway: "
-            "give [anonymous] a role that allows nothing, or listen on 127.0.0.1"
+            "write `anonymous = false`, or listen on 127.0.0.1"
         )
-    if not door.has_keys:
+
+
+def _check(config: AsgiConfig, door: Door) -> None:
+    if not is_loopback(config.host) and not door.has_keys:
         raise ConfigError(
             f"[transports.asgi] host = '{config.host}' is open to others, and nobody can prove who "
             "they are: add [[keys]], or listen on 127.0.0.1"
