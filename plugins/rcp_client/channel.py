@@ -1,8 +1,7 @@
 """A session with a gateway over however many connections it takes.
 
 A lost connection is opened again with growing pauses; `hello` takes the session back, the gateway
-replays what was missed, and requests without an answer are asked again where that is harmless.
-What happens to each of them is decided in `_restore`.
+replays what was missed, and `recovery` decides what becomes of requests without an answer.
 """
 
 from __future__ import annotations
@@ -13,17 +12,16 @@ import logging
 import random
 import secrets
 import time
-from collections.abc import Callable, Coroutine
-from dataclasses import dataclass
-from ssl import SSLContext
+from collections.abc import Coroutine
 from typing import TYPE_CHECKING, Any
 
-from rcp_client.address import Address
 from rcp_client.calls import Call, Calls, Repeat
 from rcp_client.errors import ConnectionLost, error_of
 from rcp_client.link import Link
 from rcp_client.messages import Codec, Message, Notice, Reply
-from rcp_kernel.clock import iso, now, parse_time
+from rcp_client.recovery import Recovery
+from rcp_client.settings import MARGIN, Settings
+from rcp_kernel.clock import now
 from rcp_kernel.errors import (
     DeadlineExceeded,
     Gap,
@@ -31,40 +29,14 @@ from rcp_kernel.errors import (
     TokenExpired,
     Unauthenticated,
 )
-from rcp_kernel.values import Encoding
 
 if TYPE_CHECKING:
     from rcp_client.subscription import Subscription
 
-__all__ = ["MARGIN", "Channel", "Settings"]
+__all__ = ["Channel"]
 
 log = logging.getLogger("rcp.client")
 _SEGMENT = 256 * 1024  # bytes of one frame: a pose waits at most that long behind a map
-MARGIN = 2.0  # s that the gateway's own answer is given beyond the deadline
-
-
-@dataclass(frozen=True, slots=True)
-class Settings:
-    """How a client connects and how patient it is."""
-
-    address: Address
-    token: str | None = None
-    tenant: str | None = None
-    encoding: Encoding = Encoding.MSGPACK
-    deadline: float = 10.0
-    """Seconds for a request that names no deadline."""
-    connect_timeout: float = 5.0
-    """Seconds for one attempt."""
-    patience: float | None = 120.0
-    """Seconds to try to come back; None never gives up."""
-    first_pause: float = 0.1
-    """Seconds before the second attempt to come back; doubles up to `longest_pause`."""
-    longest_pause: float = 5.0
-    heartbeat: float = 5.0
-    """Seconds of silence before a ping, and again before the connection counts as dead."""
-    client: str = "rcp-client/python"
-    ssl: SSLContext | None = None
-    on_notice: Callable[[Notice], None] | None = None
 
 
 class Channel:
@@ -86,12 +58,7 @@ class Channel:
         self._lost = asyncio.Event()
         self._keeper: asyncio.Task[None] | None = None
         self._over: RcpError | None = None
-        self._began: int | None = None
-        """Time of the first greeting, ns, by the gateway's clock."""
-        self._doubt = False
-        """A new session was begun, and it is not yet settled what that means for what waits."""
-        self._offset = 0
-        """Gateway's clock less ours, ns."""
+        self._recovery = Recovery(self)
 
     @property
     def connected(self) -> bool:
@@ -176,7 +143,7 @@ class Channel:
         if session is not None:
             body |= {"session": session, "resume_token": self._resume_token}
             body["resume_from"] = self._seen()
-        before = now()
+        asked = now()
         reply = await self._first(link, {"type": "hello", "body": body})
         facts: dict[str, Any] = reply.body or {}
         self.greeting = facts
@@ -185,9 +152,7 @@ class Channel:
         limits = facts.get("limits") or {}
         link.segment_size = limits.get("segment_size") or facts.get("segment_size")
         if reply.timestamp is not None:
-            there = parse_time(reply.timestamp)
-            self._offset = there - (before + now()) // 2
-            self._began = self._began or there
+            self._recovery.greeted(reply.timestamp, asked, resumed=session is not None)
 
     async def _first(self, link: Link, envelope: dict[str, Any]) -> Reply:
         """Ask on a link that is not in general use yet."""
@@ -218,9 +183,8 @@ class Channel:
                 link = self._link
                 self.tell(Notice(code="disconnected", message=link.why if link else None))
                 resumed = await self._return()
-                self._doubt = self._doubt or not resumed
                 self.tell(Notice(code="reconnected", facts={"resumed": resumed}))
-                await self._unless_lost(self._restore())
+                await self._unless_lost(self._recovery.restore())
         except RcpError as error:
             self._end(error)
         except Exception as error:
@@ -268,7 +232,7 @@ class Channel:
         self.calls.enter(call)
         if self.connected:
             try:
-                self._go(call, self._link)
+                self.send(call)
             except BaseException:
                 self.calls.leave(call)
                 raise
@@ -306,8 +270,16 @@ class Channel:
             )
         return DeadlineExceeded(f"the gateway did not answer within {limit:g} s", path=path)
 
+    def send(self, call: Call, **facts: Any) -> None:
+        """Send a call, once more if need be, with further fields."""
+        self._go(call, self._link, **facts)
+
+    def calls_of_before(self) -> list[Call]:
+        """List the calls that were not sent on the present connection."""
+        return [call for call in self.calls.every() if call.link is not self._link]
+
     def _go(self, call: Call, link: Link | None, **facts: Any) -> None:
-        """Send a call under an id of its own."""
+        """Send a call under an id of its own, or the one it always has."""
         id_ = call.fixed or self.new_id()
         self.calls.name(call, id_)
         call.sent = call.sent or now()
@@ -352,81 +324,6 @@ class Channel:
                     call.fail(ConnectionLost(link.why))
             self._lost.set()
 
-    # -- after a cut ---------------------------------------------------------------------------
-
-    async def _restore(self) -> None:
-        """Bring calls and subscriptions over to the new connection.
-
-        A session taken back means that the gateway still knows every key, so that what is sent
-        again runs once. A new session on the same gateway does too; one that was restarted since
-        does not, and then a command's fate is looked up, never tried again.
-        """
-        restarted = self._doubt and await self._restarted()
-        calls = [call for call in self.calls.every() if call.link is not self._link]
-        for subscription in list(self.subscriptions.values()):
-            subscription.restore(restarted=restarted)
-        lost: list[Call] = []
-        for call in calls:
-            if call.sent is None or call.repeat == "always":
-                self._go(call, self._link)
-            elif call.repeat == "keyed" and not restarted:
-                self._again(call)
-            else:
-                lost.append(call)
-        if lost:
-            await self._look_up(lost)
-        self._doubt = False
-
-    def _again(self, call: Call) -> None:
-        facts: dict[str, Any] = {}
-        if (deadline := call.envelope.get("deadline")) is not None:
-            facts["deadline"] = max(0.1, deadline - (time.monotonic() - call.started))
-        if call.envelope["type"] != "batch" and "timestamp" not in call.envelope:
-            # By the gateway's clock, so that a command that never arrived is not run too late.
-            facts["timestamp"] = iso((call.sent or now()) + self._offset)
-        self._go(call, self._link, **facts)
-
-    async def _restarted(self) -> bool:
-        """Tell whether the gateway was started after this client first met it, or may have been."""
-        envelope: dict[str, Any] = {
-            "type": "read",
-            "path": "/system/status",
-            "body": {"fields": ["started"]},
-        }
-        try:
-            reply = await self.ask(envelope)
-            started = parse_time(reply.body["started"])
-        except ConnectionLost:
-            return True
-        except (RcpError, KeyError, TypeError):
-            return True
-        return self._began is None or started > self._began
-
-    async def _look_up(self, lost: list[Call]) -> None:
-        """Find out what became of commands on a gateway that was started anew meanwhile."""
-        known: dict[str, dict[str, Any]] = {}
-        try:
-            reply = await self.ask({"type": "read", "path": "/system/commands"})
-            for item in reply.body:
-                known[item["command"]] = item
-                known.setdefault(item.get("id", ""), item)
-        except (RcpError, KeyError, TypeError):
-            pass
-        for call in lost:
-            found = next((known[k] for k in (call.command, *call.ids) if k in known), None)
-            if found is not None:
-                call.take(_reply_of(found))
-            if not call.end.done():
-                call.fail(
-                    ConnectionLost(
-                        "the gateway was started anew before it answered; whether this was carried "
-                        "out is not known",
-                        path=call.envelope.get("path"),
-                        remedy="Look at the state of the robot before you send it again.",
-                    )
-                )
-            self.calls.leave(call)
-
 
 def _told(error: RcpError, call: Call) -> RcpError:
     """Make a copy of an error for one call, so that each names its own path."""
@@ -441,10 +338,3 @@ def _outcome(outcome: Reply | RcpError) -> Reply:
     if (error := error_of(outcome)) is not None:
         raise error
     return outcome
-
-
-def _reply_of(command: dict[str, Any]) -> Reply:
-    """Read a command's state in `/system/commands` as the reply that was missed."""
-    names = ("path", "status", "body", "message", "error", "command", "progress")
-    facts = {name: command[name] for name in names if name in command}
-    return Reply(type="execute", timestamp=command.get("updated"), **facts)

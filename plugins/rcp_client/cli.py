@@ -58,7 +58,7 @@ def _common(function: F) -> F:
 
 
 def _run(ctx: click.Context, name: str, **arguments: Any) -> int:
-    from rcp_client.run import run
+    from rcp_client.console.run import run
 
     try:
         return run(name, ctx.ensure_object(dict), arguments)

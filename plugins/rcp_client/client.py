@@ -14,10 +14,11 @@ import msgspec
 
 from rcp_client.address import DEFAULT_URL, Address
 from rcp_client.calls import Repeat
-from rcp_client.channel import MARGIN, Channel, Settings
+from rcp_client.channel import Channel
 from rcp_client.command import CommandHandle, Feedback
 from rcp_client.credentials import find_token
 from rcp_client.messages import Notice, Reply, ResourceInfo
+from rcp_client.settings import MARGIN, Settings
 from rcp_client.subscription import Subscription
 from rcp_kernel.values import Encoding, value_type
 

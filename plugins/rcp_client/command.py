@@ -33,6 +33,8 @@ class Feedback(msgspec.Struct, kw_only=True, omit_defaults=True):
     """Fraction done, 0…1."""
     message: str | None = None
     timestamp: str | None = None
+    command: str | None = None
+    """The gateway's id of the command."""
 
 
 class CommandHandle:
@@ -86,6 +88,7 @@ class CommandHandle:
             progress=reply.progress,
             message=reply.message,
             timestamp=reply.timestamp,
+            command=reply.command,
         )
         self._unread.append(feedback)
         self._wake.set()

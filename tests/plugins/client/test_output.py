@@ -6,9 +6,9 @@ import json
 
 import pytest
 
+from rcp_client.console.outline import outline
+from rcp_client.console.output import Output, clean, compact, exit_code, pretty
 from rcp_client.errors import ConnectionLost
-from rcp_client.outline import outline
-from rcp_client.output import Output, clean, compact, exit_code, pretty
 from rcp_kernel.errors import Cancelled, DeviceTimeout, Forbidden, OutOfRange
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import os
 import pty
@@ -16,6 +17,7 @@ from typing import Any, Self
 
 import pytest
 
+from plugins.client.proxy import Proxy
 from rcp_client import Robot
 
 BIN = Path(sys.executable).parent
@@ -166,7 +168,7 @@ def test_execute_waits_for_the_end(run: Run) -> None:
     assert [step["status"] for step in steps][-1] == "completed"
     assert "in_progress" in {step["status"] for step in steps}
     shown = run("execute", "--text", "/action/move_to", NEAR).stdout.splitlines()
-    assert shown[0].startswith("in_progress") or shown[0].startswith("accepted cmd-")
+    assert shown[0].startswith("accepted cmd-")
     assert any(line.startswith("completed Command") for line in shown)
 
 
@@ -301,6 +303,53 @@ def test_a_reader_that_has_had_enough_ends_the_watch(url: str) -> None:
         process.stdout.close()
         assert process.wait(BOUND) == 0
         assert process.stderr.read() == b""
+
+
+@pytest.mark.anyio
+async def test_a_watch_across_cuts_prints_every_sample_once(url: str) -> None:
+    """The rover publishes 50 poses a second, of which 128 are kept for who is away."""
+    async with asyncio.timeout(BOUND), Proxy(int(url.rpartition(":")[2])) as proxy:
+        process = await asyncio.create_subprocess_exec(
+            *(BIN / "rcpctl", "watch", "/sensor/pose", "--reliable", "--count", "100"),
+            stdout=asyncio.subprocess.PIPE,
+            stderr=asyncio.subprocess.PIPE,
+            env={**os.environ, "RCP_URL": proxy.url, "RCP_TOKEN": OPERATOR},
+        )
+        assert process.stdout is not None
+        numbers: list[int] = []
+        async for line in process.stdout:
+            numbers.append(json.loads(line)["seq"])
+            if len(numbers) % 25 == 0:
+                proxy.cut()
+        _, errors = await process.communicate()
+        assert process.returncode == 0
+    assert numbers == list(range(numbers[0], numbers[0] + 100))
+    assert proxy.connections >= 4
+    assert errors.count(b"reconnected") >= 3
+    assert b"gap" not in errors
+
+
+def test_the_demo_leaves_its_key_for_the_same_user() -> None:
+    with subprocess.Popen(
+        [BIN / "rcpd", "demo", "--port", "0"], stdout=subprocess.PIPE, text=True
+    ) as demo:
+        assert demo.stdout is not None
+        for line in demo.stdout:
+            if "where to look" in line:
+                where = line.split()[0].rstrip("/")
+            if line.startswith("Ready."):
+                break
+        for path in ("/tenant/alpha/param/speed_limit", "/tenant/beta/param/speed_limit"):
+            done = subprocess.run(
+                [BIN / "rcpctl", "--url", where, "write", path, "0.5"],
+                capture_output=True,
+                text=True,
+                timeout=BOUND,
+                check=False,
+            )
+            assert document(done)["body"] == 0.5
+        demo.terminate()
+        demo.communicate(timeout=BOUND)
 
 
 # -- a person at a terminal ----------------------------------------------------------------------

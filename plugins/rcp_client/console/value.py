@@ -9,8 +9,8 @@ from typing import Any
 import click
 
 from rcp_client.client import Client
+from rcp_client.console.output import compact
 from rcp_client.messages import ResourceInfo
-from rcp_client.output import compact
 from rcp_kernel.errors import BadRequest
 from rcp_kernel.values import Encoding, parse
 

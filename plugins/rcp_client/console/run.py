@@ -8,12 +8,12 @@ from typing import Any
 
 import click
 
-from rcp_client import show
 from rcp_client.client import Client, connect
+from rcp_client.console import show
+from rcp_client.console.execute import execute
+from rcp_client.console.output import Output, exit_code
+from rcp_client.console.value import fetch, meant
 from rcp_client.messages import Notice, Update
-from rcp_client.output import Output, exit_code
-from rcp_client.running import execute
-from rcp_client.value import fetch, meant
 from rcp_kernel.errors import RcpError
 
 __all__ = ["run"]

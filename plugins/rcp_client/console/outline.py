@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
-from rcp_client.output import compact
+from rcp_client.console.output import compact
 
 __all__ = ["outline"]
 

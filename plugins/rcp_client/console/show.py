@@ -7,9 +7,9 @@ from typing import Any
 
 import click
 
+from rcp_client.console.outline import outline
+from rcp_client.console.output import Output, clean, compact, pretty
 from rcp_client.messages import Reply, ResourceInfo, Update
-from rcp_client.outline import outline
-from rcp_client.output import Output, clean, compact, pretty
 from rcp_kernel.errors import BadRequest
 from rcp_kernel.values import Encoding, parse
 

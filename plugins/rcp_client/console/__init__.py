@@ -1,0 +1,1 @@
+"""`rcpctl`, behind its command line."""
