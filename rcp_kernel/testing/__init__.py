@@ -7,7 +7,7 @@
 from __future__ import annotations
 
 import rcp_kernel.testing._asserts  # noqa: F401 # pyright: ignore[reportUnusedImport] - comes first
-from rcp_kernel.testing._client import BOUND, Client, MemoryClient, Message
+from rcp_kernel.testing._client import BOUND, Client, MemoryClient, Message, decode, encode
 from rcp_kernel.testing._serve import (
     ADMIN,
     OPERATOR,
@@ -39,6 +39,8 @@ __all__ = [
     "Served",
     "Suite",
     "TransportSuite",
+    "decode",
+    "encode",
     "eventually",
     "loopback",
     "proves",

@@ -53,6 +53,9 @@ class Client(ABC):
         self.encoding = encoding
         self.inbox: list[Message] = []
         """What came and was not asked for yet, in order."""
+        self.reading = asyncio.Event()
+        """Cleared by `pause`: nothing is taken from the carrier."""
+        self.reading.set()
         self._arrived = asyncio.Event()
         self._count = itertools.count(1)
 
@@ -63,6 +66,14 @@ class Client(ABC):
     @abstractmethod
     async def close(self) -> None:
         """Cut the connection."""
+
+    def pause(self) -> None:
+        """Take nothing more from the gateway: a client that does not keep up."""
+        self.reading.clear()
+
+    def resume(self) -> None:
+        """Take what waited."""
+        self.reading.set()
 
     async def transmit(self, message: Message) -> None:
         """Send one envelope."""
@@ -144,18 +155,16 @@ class MemoryClient(Client):
 
     def __init__(self, door: Door, token: str | None, encoding: Encoding = Encoding.JSON) -> None:
         super().__init__(encoding)
-        self.stalled = False
-        """While set, nothing is taken from the gateway: a client whose socket is full."""
         self.connection = door.connect(door.authenticate(token), encoding, self._flush)
 
     def _flush(self) -> None:
-        while not self.stalled and (batch := self.connection.mailbox.collect()):
+        while self.reading.is_set() and (batch := self.connection.mailbox.collect()):
             for data in batch:
                 self.received(decode(data, self.encoding))
 
-    def read_on(self) -> None:
-        """Take what waited while the client was stalled."""
-        self.stalled = False
+    def resume(self) -> None:
+        """Take what waited."""
+        super().resume()
         self._flush()
 
     async def transmit_raw(self, data: bytes) -> None:

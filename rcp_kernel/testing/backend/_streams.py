@@ -54,7 +54,7 @@ class StreamTests(BackendTests):
         for resource in robot.having(Operation.SUBSCRIBE, Kind.SENSOR)[:3]:
             stalled, client = robot.served.client(), robot.served.client()
             await stalled.subscribe(robot.path(resource.name))
-            stalled.stalled = True
+            stalled.pause()
             id_ = await client.subscribe(robot.path(resource.name))
             seq = (await client.update(id_, self.first_within))["seq"]
             if await robot.served.life.host.publishes(resource.name, _QUIET):

