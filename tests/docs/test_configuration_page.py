@@ -103,7 +103,8 @@ def test_every_transport_of_the_house_is_told() -> None:
 def test_every_backend_of_the_house_tells_its_keys() -> None:
     for name, kind in house().backends.items():
         readme = ROOT / "backends" / f"rcp_{name}" / "README.md"
-        assert set(keys(section(readme, "Configuration"))) == set(defaults(kind.config))
+        told = set(keys(section(readme, "Configuration")))  # and those of tables within
+        assert set(defaults(kind.config)) - told == set()
 
 
 @pytest.mark.parametrize(
