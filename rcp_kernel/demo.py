@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import secrets
+import shutil
+import sys
 from collections.abc import Generator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -93,6 +95,8 @@ class Demo:
     def banner(self, server: Server) -> str:
         """Say what runs and what to try first."""
         url = self.url(server)
+        beside = Path(sys.argv[0]).with_name("rcpctl")
+        rcpctl = "rcpctl" if shutil.which("rcpctl") or not beside.exists() else beside
         return f"""\
 RCP gateway demo: simulated rovers of the tenants alpha and beta
   {url}/                  where to look
@@ -104,8 +108,8 @@ RCP gateway demo: simulated rovers of the tenants alpha and beta
   Without one you may look, not move. rcpctl finds the first one by itself, for this user.
 
 Try:
-  rcpctl --url {url} read /tenant/alpha/sensor/pose
-  rcpctl --url {url} execute /tenant/beta/action/move_to '{{"position": {{"x": 2, "y": 1, "z": 0}}}}'
+  {rcpctl} --url {url} read /tenant/alpha/sensor/pose
+  {rcpctl} --url {url} execute /tenant/beta/action/move_to '{{"position": {{"x": 2, "y": 1, "z": 0}}}}'
   curl {url}/rcp/v1/context/tenant/alpha/sensor/pose
   curl -X PUT -H "Authorization: Bearer {self._operator}" -d 0.8 {url}/rcp/v1/context/tenant/alpha/param/speed_limit
   curl -N "{url}/rcp/v1/events?path=/tenant/*/sensor/pose&rate=2"
