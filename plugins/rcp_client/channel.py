@@ -16,7 +16,7 @@ from collections.abc import Coroutine
 from typing import TYPE_CHECKING, Any
 
 from rcp_client.calls import Call, Calls, Repeat
-from rcp_client.errors import ConnectionLost, error_of
+from rcp_client.errors import ConnectionLost, error_of, safely
 from rcp_client.link import Link
 from rcp_client.messages import Codec, Message, Notice, Reply
 from rcp_client.recovery import Recovery
@@ -313,8 +313,7 @@ class Channel:
         for id_, subscription in list(self.subscriptions.items()):
             if notice.id in (None, id_):
                 subscription.note(notice)
-        if self.settings.on_notice is not None:
-            self.settings.on_notice(notice)
+        safely(self.settings.on_notice, notice)
 
     def _on_lost(self, link: Link) -> None:
         if link is self._link:

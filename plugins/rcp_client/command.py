@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 
 from rcp_client.calls import Call
-from rcp_client.errors import error_of
+from rcp_client.errors import error_of, safely
 from rcp_client.messages import Reply
 from rcp_kernel.values import ValueType, value_type
 from rcp_kernel.wire import FINAL
@@ -92,8 +92,7 @@ class CommandHandle:
         )
         self._unread.append(feedback)
         self._wake.set()
-        if self._on_feedback is not None:
-            self._on_feedback(feedback)
+        safely(self._on_feedback, feedback)
 
     async def accepted(self, limit: float) -> None:
         """Wait for the first reply, for at most `limit` seconds.

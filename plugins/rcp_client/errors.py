@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+import logging
+from collections.abc import Callable
+from typing import TYPE_CHECKING, TypeVar
 
 from rcp_kernel.errors import BY_CODE, AdapterUnavailable, Cancelled, Failed, RcpError, Refused
 
 if TYPE_CHECKING:
     from rcp_client.messages import Reply
 
-__all__ = ["ConnectionLost", "error_of"]
+__all__ = ["ConnectionLost", "error_of", "safely"]
+
+T = TypeVar("T")
+log = logging.getLogger("rcp.client")
 
 
 class ConnectionLost(AdapterUnavailable, ConnectionError):
@@ -44,3 +49,13 @@ def error_of(reply: Reply) -> RcpError | None:
     )
     error.trace_id = told.get("trace_id")
     return error
+
+
+def safely(callback: Callable[[T], object] | None, item: T) -> None:
+    """Call a user's callback; what it raises is logged, and must not break the connection."""
+    if callback is None:
+        return
+    try:
+        callback(item)
+    except Exception:
+        log.exception("a callback of the client's user failed")

@@ -12,6 +12,7 @@ from collections import deque
 from collections.abc import AsyncGenerator, Callable, Sequence
 from typing import TYPE_CHECKING, Any, Self
 
+from rcp_client.errors import safely
 from rcp_client.messages import Message, Notice, Reply, Update
 from rcp_kernel.errors import (
     BY_CODE,
@@ -231,8 +232,7 @@ class Subscription:
 
     def note(self, notice: Notice) -> None:
         """Queue a notice, and heed it."""
-        if self._on_notice is not None:
-            self._on_notice(notice)
+        safely(self._on_notice, notice)
         if len(self._queue) < 2 * self._buffer:
             self._queue.append(notice)
             self._wake.set()

@@ -242,6 +242,19 @@ async def test_nonsense_is_passed_over() -> None:
         assert await asked == 1
 
 
+async def test_a_callback_that_fails_does_no_harm(caplog: pytest.LogCaptureFixture) -> None:
+    def fail(_: Any) -> None:
+        raise ZeroDivisionError
+
+    caplog.set_level("ERROR", "rcp.client")
+    async with played(on_notice=fail) as (gateway, client):
+        await gateway.send({"type": "notice", "code": "estop"})
+        asked = asyncio.create_task(client.read("/sensor/a"))
+        await gateway.send(reply(await gateway.next("read"), 1))
+        assert await asked == 1
+    assert "a callback of the client's user failed" in caplog.text
+
+
 async def test_a_refused_hello_is_why_there_is_no_connection() -> None:
     async with asyncio.timeout(BOUND), peer() as gateway:
         gateway.greet = lambda hello: refusal(hello, "forbidden")
