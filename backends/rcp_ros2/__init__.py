@@ -1,1 +1,21 @@
-"""Placeholder."""
+"""ROS 2 robots: topics, services, actions and parameters as resources, by map or by pattern.
+
+Importing this costs nothing; rclpy itself is imported when a backend is opened, in its own thread.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from rcp_kernel.hookspecs import hookimpl
+from rcp_kernel.spi import BackendKind
+from rcp_ros2.backend import Ros2Backend, open_ros2
+from rcp_ros2.config import Mapping, Qos, Ros2Config
+
+__all__ = ["Mapping", "Qos", "Ros2Backend", "Ros2Config", "open_ros2", "rcp_backends"]
+
+
+@hookimpl
+def rcp_backends() -> Iterable[BackendKind]:
+    """Offer the graph of a ROS 2 domain."""
+    return [BackendKind("ros2", Ros2Config, open_ros2, "Robots that speak ROS 2.")]

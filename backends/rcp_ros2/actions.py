@@ -1,0 +1,316 @@
+"""Actions: goal, feedback, result, cancel; and what becomes of a goal whose server dies."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import time
+import uuid
+from typing import Any
+
+import msgspec
+
+from rcp_kernel.errors import AdapterUnavailable, Cancelled, DeviceRejected, DeviceTimeout
+from rcp_kernel.model import Resource
+from rcp_kernel.spi import Progress
+from rcp_ros2.binding import Binding, Shared, common
+from rcp_ros2.cdr import Codec
+from rcp_ros2.config import Mapping
+from rcp_ros2.filler import filler
+from rcp_ros2.idl import fields_of
+from rcp_ros2.probe import Probe
+from rcp_ros2.ros import Ticket, hearing
+from rcp_ros2.services import reader
+from rcp_ros2.types import example_of, inward
+
+__all__ = ["Goal", "Run"]
+
+_FIRST_LOOK = 0.3  # s after which a server that blocks its node while it works does so by now
+_LOOK = 1.0  # s between looks after a running goal's server
+_REST = 4.0  # s for a cancelled goal to come to rest
+_LATE = 2.0  # s that a cancel waits for the acceptance of its goal
+_MATCH = 2.0  # s for a client to find a server that the graph lists
+_PAUSE = 0.02  # s between looks whether it has
+_UNKNOWN, _SUCCEEDED, _CANCELED, _ABORTED = 0, 4, 5, 6  # action_msgs/msg/GoalStatus
+_REFUSED = 1  # action_msgs/srv/CancelGoal: ERROR_REJECTED
+
+
+class Run(Binding):
+    """An action of the tree."""
+
+    def __init__(self, shared: Shared, name: str, mapping: Mapping, action: Any) -> None:
+        self.action = action
+        self.client: Any = None
+        self._input = inward(action.Goal) if fields_of(action.Goal) else None
+        self._fill = filler(action.Goal)
+        self._goals: set[Goal] = set()
+        self.probe = Probe(shared.ros, mapping.target)
+        self.read_result = reader(action.Result) if fields_of(action.Result) else None
+        self.read_feedback = reader(action.Feedback) if fields_of(action.Feedback) else None
+        type_name = f"{action.__module__.split('.')[0]}/action/{action.__name__}"
+        resource = Resource(
+            input=self._input,
+            output=Codec(action.Result).type if self.read_result else None,
+            feedback=Codec(action.Feedback).type if self.read_feedback else None,
+            examples=example_of(self._input) if self._input else (),
+            **common(
+                name,
+                mapping,
+                f"Runs action {mapping.target} ({type_name}).",
+                action=mapping.target,
+                type=type_name,
+            ),
+        )
+        super().__init__(shared, resource, mapping)
+
+    @property
+    def timeout(self) -> float:
+        """Seconds for the server's answer to a goal or cancel; the goal itself may take longer."""
+        return self.shared.config.timeout
+
+    @property
+    def silence(self) -> float:
+        """Seconds for which a server that used to answer may say nothing."""
+        return self.mapping.silence or self.shared.config.silence
+
+    async def execute(self, value: Any, progress: Progress) -> Any:
+        """Send a goal and see it through.
+
+        :raises AdapterUnavailable: there is no server, or it went away while it ran the goal.
+        :raises DeviceRejected: the server refused the goal or aborted it.
+        :raises DeviceTimeout: the server fell silent.
+        """
+        await self.shared.present("action", self.mapping.target)
+        await self._matched()
+        goal = Goal(self, self.action.Goal() if value is None else self._fill(value), progress)
+        self._goals.add(goal)
+        try:
+            return await goal.run()
+        finally:
+            self._goals.discard(goal)
+
+    async def _matched(self) -> None:
+        end = time.monotonic() + _MATCH
+        while not await self.shared.ros.call(self.is_ready):
+            if time.monotonic() >= end:
+                raise AdapterUnavailable(f"no server of {self.mapping.target} can be reached")
+            await asyncio.sleep(_PAUSE)
+
+    def is_ready(self) -> bool:
+        """Tell whether a server is there, in the ROS thread."""
+        if self.client is None:
+            from rclpy.action.client import ActionClient
+
+            self.client = ActionClient(self.shared.ros.node, self.action, self.mapping.target)
+        ready = self.client.server_is_ready()
+        if ready:
+            self.probe.servers()
+        return ready
+
+    async def halt(self) -> None:
+        """Cancel every running goal, and return when the server has confirmed it."""
+        await asyncio.gather(*(goal.stop() for goal in list(self._goals)))
+
+    def close(self) -> None:
+        """Let go of the client."""
+        self.shared.ros.post(self._drop)
+
+    def _drop(self) -> None:
+        if self.client is not None:
+            self.probe.close()
+            self.client.destroy()
+            self.client = None
+
+
+class Goal:
+    """One goal, from request to result."""
+
+    def __init__(self, run: Run, message: Any, progress: Progress) -> None:
+        self._run = run
+        self._ros = run.shared.ros
+        self._name = run.mapping.target
+        self._message = message
+        self._progress = progress
+        self._accepted = Ticket(run.shared.host)
+        self._result = Ticket(run.shared.host)
+        self._probe = run.probe
+        self._answers: int | None = None
+        """What the probe counted when the first question about this goal was asked."""
+        self._servers: frozenset[bytes] = frozenset()
+        self._heard = time.monotonic()
+        self._handle: Any = None
+        self._seen: Any = None
+        """The handle, as the ROS thread has it."""
+        self._abandoned = False
+        self._stopping = False
+
+    async def run(self) -> Any:
+        """See the goal through; a cancellation reaches the server before this returns."""
+        try:
+            await self._send()
+            return await self._follow()
+        except asyncio.CancelledError:
+            stopping = asyncio.ensure_future(self._cancelled())
+            stopping.add_done_callback(lambda task: task.cancelled() or task.exception())
+            result = await asyncio.shield(stopping)
+            if result is None:
+                raise
+            return result[0]
+        except (AdapterUnavailable, DeviceTimeout):
+            # Should the server live after all, its goal must not go on with nobody watching.
+            self._abandon()
+            raise
+
+    # -- event loop ------------------------------------------------------------------------------
+
+    async def _send(self) -> None:
+        await self._ros.call(self._send_goal)
+        if not await self._accepted.wait(self._run.timeout):
+            raise self._run.late(f"the server of {self._name}")
+        self._handle = self._accepted.result()
+        if not self._handle.accepted:
+            raise DeviceRejected(
+                f"the server of {self._name} rejected the goal",
+                remedy="Send a goal that the robot can reach from where it is.",
+            )
+        await self._ros.call(self._ask_result)
+
+    async def _follow(self) -> Any:
+        pause = _FIRST_LOOK
+        while not await self._result.wait(pause):
+            await self._look()
+            pause = _LOOK
+        status, value = self._result.result()
+        return self._outcome(status, value)
+
+    async def _look(self) -> None:
+        """Look after the server; a goal must not wait for one that is dead."""
+        ready = await self._ros.call(self._inspect)
+        if self._result.done:
+            return
+        if not ready:
+            raise AdapterUnavailable(f"the server of {self._name} has gone while it ran the goal")
+        silent = time.monotonic() - max(self._heard, self._probe.heard)
+        # A server that blocks its node while it works cannot answer, and is not dead for that:
+        # only one that has answered while it ran this goal is missed.
+        answered = self._answers is not None and self._probe.answers > self._answers
+        if answered and silent > self._run.silence:
+            raise DeviceTimeout(
+                f"the server of {self._name} has fallen silent for {silent:.1f} s while it ran "
+                "the goal",
+                remedy="Check the robot's node; look at the robot's state before the next goal.",
+            )
+
+    def _outcome(self, status: int, value: Any) -> Any:
+        if status == _SUCCEEDED:
+            return value
+        details = {"result": msgspec.to_builtins(value)} if value is not None else None
+        if status == _ABORTED:
+            words = ("error_msg", "error_message", "error_string", "message", "status_message")
+            said = next((w for w in (getattr(value, key, None) for key in words) if w), None)
+            why = f": {said}" if said else ""
+            raise DeviceRejected(f"{self._name} aborted the goal{why}", details=details)
+        if status == _CANCELED:
+            if self._stopping:
+                raise Cancelled(f"{self._name} was stopped")
+            raise DeviceRejected(
+                f"{self._name} cancelled the goal by itself, or for somebody else", details=details
+            )
+        raise AdapterUnavailable(
+            f"the server of {self._name} was restarted and does not know the goal any more"
+        )
+
+    async def _cancelled(self) -> tuple[Any] | None:
+        """Bring the goal to rest. Return its result if it succeeded before the cancel came."""
+        if self._handle is None and not await self._accepted.wait(_LATE):
+            self._abandon()
+            raise DeviceTimeout(
+                f"the server of {self._name} has not answered to the goal yet",
+                remedy="The goal is cancelled as soon as it is accepted; look at the robot's node.",
+            )
+        self._handle = self._accepted.result()
+        if not self._handle.accepted:
+            return None
+        if self._result.done or await self.stop():
+            status, value = self._result.result()
+            return (value,) if status == _SUCCEEDED else None
+        return None
+
+    async def stop(self) -> bool:
+        """Cancel the goal and wait until it rests; tell whether there was anything to stop.
+
+        :raises DeviceRejected: the server refuses to cancel.
+        :raises DeviceTimeout: it has not confirmed it.
+        """
+        if self._handle is None or not self._handle.accepted:
+            self._abandon()
+            return False
+        self._stopping = True
+        answer = Ticket(self._run.shared.host)
+        await self._ros.call(self._ask_cancel, answer)
+        end = time.monotonic() + _REST
+        await answer.wait(_REST)
+        if answer.done and answer.result().return_code == _REFUSED and not self._result.done:
+            raise DeviceRejected(f"the server of {self._name} refuses to cancel; the goal goes on")
+        if not await self._result.wait(max(0.0, end - time.monotonic())):
+            raise DeviceTimeout(
+                f"the cancel of {self._name} was sent and is not confirmed",
+                remedy="Look at the robot: it may still be moving. Use the e-stop if in doubt.",
+            )
+        return True
+
+    def _abandon(self) -> None:
+        with contextlib.suppress(AdapterUnavailable):
+            self._ros.post(self._cancel_unseen)
+
+    # -- ROS thread ------------------------------------------------------------------------------
+
+    def _send_goal(self) -> None:
+        from unique_identifier_msgs.msg import UUID
+
+        future = self._run.client.send_goal_async(
+            self._message,
+            feedback_callback=hearing(self._fed_back),
+            goal_uuid=UUID(uuid=list(uuid.uuid4().bytes)),
+        )
+        future.add_done_callback(hearing(self._admitted))
+        self._accepted.follow(future)
+        self._servers = self._probe.servers()
+
+    def _admitted(self, future: Any) -> None:
+        self._seen = future.result()
+        if self._abandoned:
+            self._cancel_unseen()
+
+    def _cancel_unseen(self) -> None:
+        """Cancel a goal that nobody waits for any more, now or when it is accepted at last."""
+        self._abandoned = True
+        handle = self._seen
+        if handle is not None and handle.accepted and self._run.client is not None:
+            handle.cancel_goal_async()
+
+    def _ask_result(self) -> None:
+        read = self._run.read_result
+
+        def convert(response: Any) -> tuple[int, Any]:
+            return response.status, None if read is None else read(response.result)
+
+        self._result.follow(self._handle.get_result_async(), convert)
+
+    def _ask_cancel(self, answer: Ticket) -> None:
+        answer.follow(self._handle.cancel_goal_async())
+
+    def _fed_back(self, message: Any) -> None:
+        self._heard = time.monotonic()
+        if self._run.read_feedback is not None:
+            self._ros.host.call_soon(self._progress, self._run.read_feedback(message.feedback))
+
+    def _inspect(self) -> bool:
+        servers = self._probe.servers()
+        if servers - self._servers:  # a new server knows nothing of this goal, and says so
+            self._servers |= servers
+            self._ask_result()
+        if self._answers is None:
+            self._answers = self._probe.answers
+        self._probe.ask()
+        return self._run.is_ready()

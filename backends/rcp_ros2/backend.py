@@ -1,0 +1,109 @@
+"""The backend: each call goes to the binding of its name."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections.abc import AsyncGenerator
+from contextlib import AbstractAsyncContextManager, asynccontextmanager
+from typing import Any
+
+from rcp_kernel.errors import AdapterUnavailable
+from rcp_kernel.spi import BaseBackend, Host, Progress
+from rcp_ros2.binding import Binding, Shared
+from rcp_ros2.catalog import Catalog
+from rcp_ros2.config import Ros2Config
+from rcp_ros2.graph import GraphWatch
+from rcp_ros2.ros import Ros, open_ros
+
+__all__ = ["Ros2Backend", "open_ros2"]
+
+
+class Ros2Backend(BaseBackend):
+    """One ROS 2 domain."""
+
+    def __init__(self, catalog: Catalog) -> None:
+        self._catalog = catalog
+
+    def _binding(self, name: str) -> Binding:
+        binding = self._catalog.bindings.get(name)
+        if binding is None:
+            raise AdapterUnavailable(f"'{name}' has left the ROS graph")
+        return binding
+
+    async def read(self, name: str) -> Any:
+        """Return the present value."""
+        return await self._binding(name).read()
+
+    async def write(self, name: str, value: Any) -> Any:
+        """Publish a command, or set a parameter."""
+        return await self._binding(name).write(value)
+
+    async def execute(self, name: str, value: Any, progress: Progress) -> Any:
+        """Call a service, or see an action through."""
+        return await self._binding(name).execute(value, progress)
+
+    def watch(self, name: str, rate: float | None) -> AbstractAsyncContextManager[object]:
+        """Subscribe while entered; what replaces a resource meanwhile is watched too."""
+        return self._watch(name, math.inf if rate is None else rate)
+
+    @asynccontextmanager
+    async def _watch(self, name: str, rate: float) -> AsyncGenerator[None]:
+        rates = self._catalog.rates.setdefault(name, [])
+        rates.append(rate)
+        self._adjust(name)
+        try:
+            yield
+        finally:
+            rates.remove(rate)
+            self._adjust(name)
+
+    def _adjust(self, name: str) -> None:
+        binding = self._catalog.bindings.get(name)
+        rates = self._catalog.rates[name]
+        if not rates:
+            del self._catalog.rates[name]
+        if binding is None:
+            return
+        if rates:
+            binding.watched(max(rates))
+        else:
+            binding.unwatched()
+
+    async def halt(self) -> None:
+        """Publish what is safe on all that was commanded, and cancel every goal."""
+        bindings = list(self._catalog.bindings.values())
+        await asyncio.gather(*(binding.halt() for binding in bindings))
+
+
+@asynccontextmanager
+async def open_ros2(config: Ros2Config, host: Host) -> AsyncGenerator[Ros2Backend]:
+    """Join a ROS 2 domain; leaving lets go of everything in it.
+
+    :raises ConfigError: rclpy is missing.
+    :raises NotReady: ROS 2 did not start, or failed later.
+    """
+    async with open_ros(config, host) as ros:
+        shared = Shared(ros, config, host)
+        catalog = Catalog(shared)
+        watch = GraphWatch(ros, catalog.matters, catalog.update)
+        watch.on_look.extend((shared.feeds.refresh, lambda: _look(shared)))
+        await ros.call(watch.start)
+        try:
+            await _settle(catalog, ros)
+            yield Ros2Backend(catalog)
+        finally:
+            await catalog.close()
+
+
+async def _settle(catalog: Catalog, ros: Ros) -> None:
+    """Give discovery its time, so that most paths are there when the backend is ready."""
+    try:
+        await asyncio.wait_for(catalog.complete.wait(), ros.config.grace)
+    except TimeoutError:
+        return
+
+
+def _look(shared: Shared) -> None:
+    for look in list(shared.on_look):
+        look()

@@ -1,0 +1,164 @@
+"""What stands behind one path: the common part of topics, services, actions and parameters."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Callable
+from typing import Any
+
+from rcp_kernel.errors import AdapterUnavailable, DeviceTimeout, UnsupportedOperation
+from rcp_kernel.model import Resource
+from rcp_kernel.spi import Host, Progress
+from rcp_ros2.config import Mapping, Ros2Config
+from rcp_ros2.graph import Graph
+from rcp_ros2.outbox import Outbox
+from rcp_ros2.ros import Ros
+from rcp_ros2.topics import Feeds
+
+__all__ = ["Absent", "Binding", "Shared", "common"]
+
+_PAUSE = 0.05  # s between looks at something that is about to come
+
+
+class Shared:
+    """What all bindings of a backend work with."""
+
+    def __init__(self, ros: Ros, config: Ros2Config, host: Host) -> None:
+        self.ros = ros
+        self.config = config
+        self.host = host
+        self.graph = Graph()
+        """The latest look at the graph."""
+        self.outbox = Outbox(host)
+        self._troubles: dict[str, str] = {}
+        self._reported = False
+        self.feeds = Feeds(ros, self.outbox, self._complain)
+        self.on_look: list[Callable[[], None]] = []
+        """Called in the ROS thread at each look at the graph."""
+        self._settled = time.monotonic() + config.grace
+
+    @property
+    def settling(self) -> float:
+        """Seconds for which the graph is still being discovered."""
+        return max(0.0, self._settled - time.monotonic())
+
+    def trouble(self, key: str, detail: str | None) -> None:
+        """Note what is wrong with one thing, or that it is well again."""
+        if detail is not None:
+            self._troubles[key] = detail
+        else:
+            self._troubles.pop(key, None)
+
+    def report(self) -> None:
+        """Report what is wrong, or once that all is well again."""
+        detail = "; ".join(self._troubles.values()) or None
+        if detail is not None or self._reported:
+            self._reported = detail is not None
+            self.host.report(detail)
+
+    def _complain(self, key: str, detail: str | None) -> None:
+        self.host.call_soon(self.trouble, f"qos {key}", detail)
+
+    async def until(self, holds: Callable[[], bool], seconds: float) -> bool:
+        """Wait until something about the graph holds, while that may still be discovered."""
+        end = time.monotonic() + seconds
+        while not holds():
+            if time.monotonic() >= end:
+                return False
+            await asyncio.sleep(_PAUSE)
+        return True
+
+    async def present(self, noun: str, name: str) -> None:
+        """Return once somebody offers a thing.
+
+        :raises AdapterUnavailable: nobody does.
+        """
+        if await self.until(lambda: self.graph.has(noun, name), self.settling):
+            return
+        raise AdapterUnavailable(
+            f"the node {name} is not there" if noun == "node" else f"no node offers {noun} {name}",
+            remedy="Start the node that has it; the gateway finds it by itself.",
+        )
+
+
+class Binding:
+    """One resource and the means to serve it; refuses what a subclass does not write."""
+
+    def __init__(self, shared: Shared, resource: Resource, mapping: Mapping) -> None:
+        self.shared = shared
+        self.resource = resource
+        self.mapping = mapping
+
+    @property
+    def timeout(self) -> float:
+        """Seconds for one answer of the robot."""
+        return self.mapping.timeout or self.shared.config.timeout
+
+    async def read(self) -> Any:
+        """Return the present value."""
+        raise UnsupportedOperation(f"'{self.resource.name}' cannot be asked for")
+
+    async def write(self, value: Any) -> Any:
+        """Bring a value into force."""
+        raise UnsupportedOperation(f"'{self.resource.name}' cannot be written")
+
+    async def execute(self, value: Any, progress: Progress) -> Any:
+        """Run it to its end."""
+        raise UnsupportedOperation(f"'{self.resource.name}' cannot be executed")
+
+    def watched(self, rate: float) -> None:
+        """Publish at most so many values a second; infinity: all of them."""
+
+    def unwatched(self) -> None:
+        """Publish no more."""
+
+    async def halt(self) -> None:
+        """Bring to rest what it moves."""
+
+    def close(self) -> None:
+        """Let go of what it holds of ROS."""
+
+    def late(self, what: str) -> DeviceTimeout:
+        """Say that an answer did not come."""
+        return DeviceTimeout(f"{what} did not answer within {self.timeout:g} s")
+
+
+class Absent(Binding):
+    """A mapping that cannot be served now: its type is missing, or not known yet."""
+
+    def __init__(
+        self, shared: Shared, resource: Resource, mapping: Mapping, why: str, remedy: str
+    ) -> None:
+        super().__init__(shared, resource, mapping)
+        self.why = why
+        self._remedy = remedy
+
+    def _error(self) -> AdapterUnavailable:
+        return AdapterUnavailable(self.why, remedy=self._remedy)
+
+    async def read(self) -> Any:
+        """Refuse, with the reason."""
+        raise self._error()
+
+    async def write(self, value: Any) -> Any:
+        """Refuse, with the reason."""
+        raise self._error()
+
+    async def execute(self, value: Any, progress: Progress) -> Any:
+        """Refuse, with the reason."""
+        raise self._error()
+
+
+def common(name: str, mapping: Mapping, description: str, **facts: Any) -> dict[str, Any]:
+    """Return the arguments of a `Resource` that every kind takes from its mapping."""
+    text = (mapping.description or description).rstrip()
+    out: dict[str, Any] = {
+        "name": name,
+        "description": text if text.endswith(".") else text + ".",
+        "meta": {key: value for key, value in facts.items() if value is not None},
+    }
+    for key in ("deadline", "timeout", "policy", "max_age", "history"):
+        if (value := getattr(mapping, key)) is not None:
+            out[key] = value
+    return out

@@ -1,0 +1,297 @@
+"""Which paths there are: those of the map always, those of the patterns while the graph has them."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from typing import Any
+
+import msgspec
+import structlog
+
+from rcp_kernel.errors import AdapterUnavailable, ConfigError, PluginError, RcpError
+from rcp_kernel.model import Resource, kind_of
+from rcp_ros2.actions import Run
+from rcp_ros2.binding import Absent, Binding, Shared
+from rcp_ros2.config import Mapping
+from rcp_ros2.graph import Graph
+from rcp_ros2.idl import MissingType, load
+from rcp_ros2.names import absolute, allows, is_internal, resource_name
+from rcp_ros2.parameters import Events, NodeParameters, Setting
+from rcp_ros2.sensors import Commanded, Observed
+from rcp_ros2.services import Called
+
+__all__ = ["Catalog"]
+
+log = structlog.get_logger("rcp.ros2")
+_LINGER = 5.0  # s for which something exposed may be gone before its path goes too
+_AGAIN = 5.0  # s before a node is asked again that did not describe its parameters
+_QUIET = 0.5  # s without a new path, after which discovery is taken to have ended
+_AT_ONCE = 4  # nodes asked at the same time
+
+
+class Catalog:
+    """The bindings of a backend, kept in step with the graph."""
+
+    def __init__(self, shared: Shared) -> None:
+        config = shared.config
+        self._shared = shared
+        self.bindings: dict[str, Binding] = {}
+        self.rates: dict[str, list[float]] = {}
+        """What is watched: each name with the rates that its watchers want."""
+        self._mapped = {
+            path.removeprefix("/"): _absolute(mapping, config.namespace)
+            for path, mapping in config.map.items()
+        }
+        exposed, hidden = allows(config.expose), allows(config.hide)
+        self._exposes = lambda name: exposed(name) and not hidden(name) and not is_internal(name)
+        self._targets = {m.target for m in self._mapped.values()}
+        self._nodes: dict[str, NodeParameters] = {}
+        self._events = Events(shared)
+        self._gone: dict[str, float] = {}
+        """Exposed names that the graph does not have any more, with the time it was noticed."""
+        self._types: dict[str, str] = {}
+        """The type that each binding was made for."""
+        self._later: dict[str, float] = {}
+        """When to try again what could not be made."""
+        self._building: set[str] = set()
+        self._tasks: set[asyncio.Task[None]] = set()
+        self._asking = asyncio.Semaphore(_AT_ONCE)
+        self.complete = asyncio.Event()
+        """Set once every mapping has its binding, and what is exposed has stopped growing."""
+        self._placed = 0.0
+
+    def matters(self, name: str) -> bool:
+        """Tell whether a topic is mapped or exposed; asked in the ROS thread."""
+        return name in self._targets or self._exposes(name)
+
+    # -- what is wanted --------------------------------------------------------------------------
+
+    def update(self, graph: Graph) -> None:
+        """Follow a new look at the graph."""
+        self._shared.graph = graph
+        for name, mapping in self._mapped.items():
+            self._want(name, mapping, graph, mapped=True)
+        found = self._exposed(graph)
+        for name, mapping in found.items():
+            if name not in self._mapped:
+                self._want(name, mapping, graph, mapped=False)
+        for node in graph.nodes:
+            if self._exposes(node):
+                self._start(f"node {node}", self._expose_parameters(node))
+        self._sweep(found, graph)
+        self._report(graph)
+        if self._is_complete():
+            self.complete.set()
+
+    def _is_complete(self) -> bool:
+        if self._building or not all(name in self.bindings for name in self._mapped):
+            return False
+        quiet = time.monotonic() - self._placed > _QUIET
+        return not self._shared.config.expose or (quiet and bool(self.bindings))
+
+    def _exposed(self, graph: Graph) -> dict[str, Mapping]:
+        found: dict[str, Mapping] = {}
+        for topic in filter(self._exposes, graph.topics):
+            if graph.publishers.get(topic):
+                found[resource_name("sensor", topic)] = Mapping(topic=topic)
+            elif graph.subscribers.get(topic):
+                found[resource_name("actuator", topic)] = Mapping(topic=topic)
+        for service in filter(self._exposes, graph.services):
+            found[resource_name("service", service)] = Mapping(service=service)
+        for action in filter(self._exposes, graph.actions):
+            found[resource_name("action", action)] = Mapping(action=action)
+        return found
+
+    def _type_of(self, mapping: Mapping, graph: Graph) -> str | None:
+        if mapping.type is not None:
+            return mapping.type
+        match mapping.noun:
+            case "topic":
+                return graph.topics.get(mapping.target)
+            case "service":
+                return graph.services.get(mapping.target)
+            case "action":
+                return graph.actions.get(mapping.target)
+            case _:
+                return "parameter" if mapping.target in graph.nodes else None
+
+    def _want(self, name: str, mapping: Mapping, graph: Graph, *, mapped: bool) -> None:
+        self._gone.pop(name, None)
+        type_ = self._type_of(mapping, graph)
+        if type_ is None:
+            if mapped and name not in self.bindings and not self._shared.settling:
+                self._place(name, self._absent(name, mapping, _not_seen(mapping), _START_IT))
+            return
+        if self._types.get(name) == type_ or time.monotonic() < self._later.get(name, 0.0):
+            return
+        self._start(name, self._bind(name, mapping, type_))
+
+    # -- making them -----------------------------------------------------------------------------
+
+    def _start(self, key: str, work: Any) -> None:
+        if key in self._building:
+            work.close()
+            return
+        self._building.add(key)
+        task = asyncio.ensure_future(work)
+        self._tasks.add(task)
+
+        def done(ended: asyncio.Task[None]) -> None:
+            self._building.discard(key)
+            self._tasks.discard(ended)
+            if not ended.cancelled() and (error := ended.exception()) is not None:
+                self._later[key] = time.monotonic() + _AGAIN
+                log.error("ros_binding_failed", what=key, exc_info=error)
+
+        task.add_done_callback(done)
+
+    async def _bind(self, name: str, mapping: Mapping, type_: str) -> None:
+        try:
+            if mapping.node is not None:
+                binding = await self._bind_parameter(name, mapping)
+            else:
+                binding = await self._shared.ros.call(self._make, name, mapping, type_)
+        except MissingType as error:
+            log.warning("ros_type_missing", resource=name, detail=str(error))
+            binding = self._absent(name, mapping, str(error), error.remedy)
+        except ConfigError as error:
+            log.warning("ros_mapping_wrong", resource=name, detail=str(error))
+            binding = self._absent(name, mapping, str(error), "Mend the mapping of this path.")
+        except RcpError as error:
+            self._later[name] = time.monotonic() + _AGAIN
+            if not isinstance(self.bindings.get(name), Absent | None):
+                return
+            binding = self._absent(name, mapping, error.message, error.remedy)
+            type_ = ""
+        self._place(name, binding)
+        self._types[name] = type_
+
+    def _make(self, name: str, mapping: Mapping, type_: str) -> Binding:
+        match mapping.noun:
+            case "topic":
+                cls = load(type_)
+                made = Commanded if kind_of(name) == "actuator" else Observed
+                return made(self._shared, name, mapping, cls)
+            case "service":
+                return Called(self._shared, name, mapping, load(type_, "srv"))
+            case _:
+                return Run(self._shared, name, mapping, load(type_, "action"))
+
+    async def _bind_parameter(self, name: str, mapping: Mapping) -> Binding:
+        node = await self._node(mapping.target)
+        assert mapping.parameter is not None
+        found = await node.describe([mapping.parameter])
+        if not found:
+            raise AdapterUnavailable(
+                f"{node.node} has no parameter '{mapping.parameter}', or no value for it yet",
+                remedy="Check the name with `ros2 param list`.",
+            )
+        return Setting(self._shared, name, mapping, node, found[0], self._events)
+
+    async def _node(self, name: str) -> NodeParameters:
+        if name not in self._nodes:
+            made = await self._shared.ros.call(NodeParameters, self._shared, name)
+            self._nodes.setdefault(name, made)
+        return self._nodes[name]
+
+    async def _expose_parameters(self, name: str) -> None:
+        prefix = resource_name("param", name) + "/"
+        key = f"node {name}"
+        if key in self._types or time.monotonic() < self._later.get(key, 0.0):
+            return
+        try:
+            async with self._asking:
+                node = await self._node(name)
+                found = await node.describe(await node.names())
+        except RcpError as error:
+            self._later[key] = time.monotonic() + _AGAIN
+            log.warning("ros_parameters_unknown", node=name, detail=error.message)
+            return
+        for described in found:
+            path = prefix + resource_name("param", described.name).removeprefix("param/")
+            if path not in self._mapped:
+                mapping = Mapping(node=name, parameter=described.name)
+                binding = Setting(self._shared, path, mapping, node, described, self._events)
+                self._place(path, binding)
+        self._types[key] = "parameters"
+
+    def _absent(self, name: str, mapping: Mapping, why: str, remedy: str) -> Absent:
+        resource = Resource(
+            name=name,
+            description=f"The {mapping.noun} {mapping.target}, which cannot be used now.",
+            value=Any,
+            input=Any,
+            output=Any,
+            meta={mapping.noun: mapping.target},
+        )
+        return Absent(self._shared, resource, mapping, why, remedy)
+
+    # -- placing and removing --------------------------------------------------------------------
+
+    def _place(self, name: str, binding: Binding) -> None:
+        old = self.bindings.get(name)
+        if old is not None:
+            old.close()
+        try:
+            self._shared.host.declare(binding.resource)
+        except (PluginError, RcpError) as error:
+            binding.close()
+            self.bindings.pop(name, None)
+            log.error("ros_resource_refused", resource=name, detail=str(error))
+            return
+        self.bindings[name] = binding
+        self._placed = time.monotonic()
+        if name in self.rates:
+            binding.watched(max(self.rates[name]))
+
+    def _sweep(self, found: dict[str, Mapping], graph: Graph) -> None:
+        now = time.monotonic()
+        for name, binding in list(self.bindings.items()):
+            if name in self._mapped or name in found:
+                continue
+            if binding.mapping.node is not None and binding.mapping.node in graph.nodes:
+                self._gone.pop(name, None)
+            elif now - self._gone.setdefault(name, now) > _LINGER:
+                self._remove(name, binding)
+
+    def _remove(self, name: str, binding: Binding) -> None:
+        binding.close()
+        del self.bindings[name], self._gone[name]
+        self._types.pop(name, None)
+        if binding.mapping.node is not None:
+            self._types.pop(f"node {binding.mapping.node}", None)
+        self._shared.outbox.forget(name)
+        self._shared.host.withdraw(name)
+
+    def _report(self, graph: Graph) -> None:
+        if self._shared.settling:
+            return
+        missing = sorted(
+            {m.target for m in self._mapped.values() if not graph.has(m.noun, m.target)}
+        )
+        text = f"nobody offers {', '.join(missing)}" if missing else None
+        self._shared.trouble("missing", text)
+        self._shared.report()
+
+    async def close(self) -> None:
+        """Stop making, and let go of everything."""
+        for task in list(self._tasks):
+            task.cancel()
+        await asyncio.gather(*self._tasks, return_exceptions=True)
+        for binding in self.bindings.values():
+            binding.close()
+
+
+_START_IT = "Start the node that has it, or name its `type` in the mapping."
+
+
+def _absolute(mapping: Mapping, namespace: str) -> Mapping:
+    key = mapping.noun
+    return msgspec.structs.replace(mapping, **{key: absolute(mapping.target, namespace)})
+
+
+def _not_seen(mapping: Mapping) -> str:
+    if mapping.node is not None:
+        return f"the node {mapping.node} is not there, so that its parameters are not known yet"
+    return f"no node offers the {mapping.noun} {mapping.target}, so that its type is not known yet"

@@ -1,0 +1,125 @@
+"""The configuration of one ROS 2 backend: what stands at which path, and how patient it is."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from msgspec import Meta, Struct
+
+from rcp_kernel.errors import RcpError
+from rcp_kernel.model import Kind, Policy, kind_of
+
+__all__ = ["Mapping", "Qos", "Ros2Config"]
+
+RosName = Annotated[str, Meta(pattern=r"^~?/?[A-Za-z0-9_~/]+$", max_length=256)]
+RosPattern = Annotated[str, Meta(pattern=r"^/[A-Za-z0-9_*/]*$", max_length=256)]
+TypeName = Annotated[
+    str, Meta(pattern=r"^[A-Za-z][A-Za-z0-9_]*(/(msg|srv|action))?/[A-Za-z][A-Za-z0-9_]*$")
+]
+FieldPath = Annotated[str, Meta(pattern=r"^[A-Za-z0-9_]+(\.[A-Za-z0-9_]+)*$")]
+Seconds = Annotated[float, Meta(gt=0, extra_json_schema={"unit": "s"})]
+
+
+class Qos(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """What to ask of the middleware instead of what the other side offers."""
+
+    reliability: Literal["reliable", "best_effort"] | None = None
+    durability: Literal["volatile", "transient_local"] | None = None
+    depth: Annotated[int, Meta(ge=1, le=10_000)] | None = None
+
+
+class Mapping(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """What one path stands for: a topic, a service, an action, or a parameter of a node."""
+
+    topic: RosName | None = None
+    service: RosName | None = None
+    action: RosName | None = None
+    node: RosName | None = None
+    """With `parameter`: the node that has it."""
+    parameter: str | None = None
+    type: TypeName | None = None
+    """`nav_msgs/msg/Odometry`; without it the graph tells, once somebody offers the topic."""
+    field: FieldPath | None = None
+    """Only this part of the messages of a sensor or event: `pose.pose`."""
+    qos: Qos = Qos()
+    description: str | None = None
+    deadline: Seconds | None = None
+    timeout: Seconds | None = None
+    """For an answer; for an action the whole of it."""
+    silence: Seconds | None = None
+    """Of an action: for how long its server may say nothing; see the backend's own `silence`."""
+    policy: Policy | None = None
+    max_age: Seconds | None = None
+    history: Annotated[int, Meta(ge=1, le=100_000)] | None = None
+    valid_for: Annotated[float, Meta(ge=0, extra_json_schema={"unit": "s"})] | None = None
+    """Seconds a write stands; velocities have 0.5 by themselves, 0 lets a write stand for ever."""
+    safe: Any = None
+    """What the dead-man and `halt` write; all zeros without it."""
+    require_subscriber: bool = True
+    """Refuse a write that no node would hear."""
+
+    def __post_init__(self) -> None:
+        given = [k for k in ("topic", "service", "action", "parameter") if getattr(self, k)]
+        if len(given) != 1:
+            raise ValueError(
+                "say exactly one of `topic`, `service`, `action`, or `node` with `parameter`"
+            )
+        if (self.node is None) != (self.parameter is None):
+            raise ValueError("`node` and `parameter` go together")
+
+    @property
+    def target(self) -> str:
+        """The ROS name that must be in the graph for the path to work."""
+        return self.topic or self.service or self.action or self.node or ""
+
+    @property
+    def noun(self) -> str:
+        """What the target is, for messages."""
+        if self.node is not None:
+            return "node"
+        return "topic" if self.topic else "service" if self.service else "action"
+
+
+_FITS = {
+    Kind.SENSOR: "topic",
+    Kind.EVENT: "topic",
+    Kind.ACTUATOR: "topic",
+    Kind.SERVICE: "service",
+    Kind.ACTION: "action",
+    Kind.PARAM: "node",
+}
+
+
+class Ros2Config(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """One ROS 2 domain, or the part of it that belongs to one robot."""
+
+    domain_id: Annotated[int, Meta(ge=0, le=232)] | None = None
+    """None takes ROS_DOMAIN_ID, or 0."""
+    node: Annotated[str, Meta(pattern=r"^[A-Za-z][A-Za-z0-9_]*$")] = "rcp_gateway"
+    """Name of the gateway's own node."""
+    namespace: RosName = "/"
+    expose: tuple[RosPattern, ...] = ()
+    """Names of topics, services, actions and nodes to offer as they come; `*` is one segment of
+    a name, `**` any number. Nothing is offered that no pattern and no mapping names."""
+    hide: tuple[RosPattern, ...] = ()
+    """Names that `expose` would offer, and should not."""
+    map: dict[str, Mapping] = {}
+    timeout: Seconds = 5.0
+    """For an answer of a service, a parameter or an action server."""
+    silence: Seconds = 4.0
+    """For which a server that used to answer may say nothing while it runs a goal."""
+    grace: Annotated[float, Meta(ge=0, extra_json_schema={"unit": "s"})] = 4.0
+    """For the discovery of the graph, before something is said to be missing."""
+    poll: Annotated[float, Meta(ge=0.1, le=60, extra_json_schema={"unit": "s"})] = 1.0
+    """Between two looks at the graph."""
+
+    def __post_init__(self) -> None:
+        for path, mapping in self.map.items():
+            try:
+                kind = kind_of(path.removeprefix("/"))
+            except RcpError as error:
+                raise ValueError(f"{error.message}: {error.remedy}") from None
+            if mapping.noun != _FITS[kind]:
+                raise ValueError(f"{path!r} is a {kind} and cannot be a {mapping.noun}")
+            if mapping.field is not None and kind not in (Kind.SENSOR, Kind.EVENT):
+                raise ValueError(f"{path!r}: `field` is for sensors and events")

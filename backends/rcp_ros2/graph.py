@@ -1,0 +1,107 @@
+"""What is in the graph: a look at it once a second, in the ROS thread.
+
+rclpy tells of no change by itself. A node that was killed stays in the graph until the middleware
+gives it up (20 s with Fast DDS), so that being listed is no proof of life.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+from rcp_ros2.ros import Ros, guarded
+
+__all__ = ["Graph", "GraphWatch"]
+
+_FAST = 0.1  # s between looks while the graph is being discovered
+_SEND_GOAL = "/_action/send_goal"
+_LIST = "/list_parameters"
+
+
+@dataclass(frozen=True, slots=True)
+class Graph:
+    """One look at the graph."""
+
+    topics: dict[str, str] = field(default_factory=dict[str, str])
+    """Every topic with its type."""
+    services: dict[str, str] = field(default_factory=dict[str, str])
+    """The services that matter here, with a server each."""
+    actions: dict[str, str] = field(default_factory=dict[str, str])
+    nodes: frozenset[str] = frozenset()
+    """Nodes that have parameters."""
+    publishers: dict[str, int] = field(default_factory=dict[str, int])
+    """Others' publishers of the topics that matter here."""
+    subscribers: dict[str, int] = field(default_factory=dict[str, int])
+
+    def has(self, noun: str, name: str) -> bool:
+        """Tell whether somebody offers a topic, service, action, or the parameters of a node."""
+        match noun:
+            case "topic":
+                return bool(self.publishers.get(name) or self.subscribers.get(name))
+            case "service":
+                return name in self.services
+            case "action":
+                return name in self.actions
+            case _:
+                return name in self.nodes
+
+
+def _owner(service: str) -> str:
+    """Return the service itself, or the action or node that it is a part of."""
+    return service.removesuffix(_SEND_GOAL).removesuffix(_LIST)
+
+
+class GraphWatch:
+    """Looks at the graph, and tells the event loop."""
+
+    def __init__(
+        self, ros: Ros, matters: Callable[[str], bool], told: Callable[[Graph], None]
+    ) -> None:
+        self._ros = ros
+        self._matters = matters
+        self._told = told
+        self._next = 0.0
+        self._settled = 0.0
+        self.on_look: list[Callable[[], None]] = []
+        """Called in the ROS thread at each look."""
+
+    def start(self) -> None:
+        """Begin, in the ROS thread."""
+        self._settled = time.monotonic() + self._ros.config.grace
+        self._ros.node.create_timer(_FAST, guarded(self._tick))
+
+    def _tick(self) -> None:
+        now = time.monotonic()
+        if now < self._next:
+            return
+        settled = now > self._settled
+        self._next = now + (self._ros.config.poll - _FAST / 2 if settled else 0.0)
+        for look in self.on_look:
+            look()
+        self._ros.host.call_soon(self._told, self._look())
+
+    def _look(self) -> Graph:
+        node: Any = self._ros.node
+        topics = {name: types[0] for name, types in node.get_topic_names_and_types()}
+        services = {
+            name: types[0]
+            for name, types in node.get_service_names_and_types()
+            if self._matters(_owner(name)) and node.count_services(name)  # clients list it too
+        }
+        own_publishers = {p.topic_name for p in node.publishers}
+        own_subscriptions = {s.topic_name for s in node.subscriptions}
+        publishers: dict[str, int] = {}
+        subscribers: dict[str, int] = {}
+        for name in topics:
+            if self._matters(name):
+                publishers[name] = node.count_publishers(name) - (name in own_publishers)
+                subscribers[name] = node.count_subscribers(name) - (name in own_subscriptions)
+        actions = {
+            name.removesuffix(_SEND_GOAL): type_.removesuffix("_SendGoal")
+            for name, type_ in services.items()
+            if name.endswith(_SEND_GOAL)
+        }
+        nodes = frozenset(n.removesuffix(_LIST) for n in services if n.endswith(_LIST))
+        return Graph(topics, services, actions, nodes, publishers, subscribers)

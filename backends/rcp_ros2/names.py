@@ -1,0 +1,54 @@
+"""Names of ROS 2 and paths of the tree: patterns, translation, and what is hidden."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterable
+
+__all__ = ["absolute", "allows", "is_internal", "is_internal_parameter", "resource_name"]
+
+_PLUMBING = re.compile(
+    r"/(_[^/]*|.*/_[^/]*|rosout|parameter_events|.*/(describe_parameters|get_parameters"
+    r"|get_parameter_types|list_parameters|set_parameters|set_parameters_atomically"
+    r"|get_type_description|get_logger_levels|set_logger_levels))\Z"
+)
+_HIDDEN_PARAMETERS = ("qos_overrides.", "start_type_description_service")
+_NOT_A_SEGMENT = re.compile(r"[^A-Za-z0-9_.-]")
+
+
+def absolute(name: str, namespace: str = "/") -> str:
+    """Write a ROS name as the graph knows it."""
+    if name.startswith("/"):
+        return name
+    return f"{namespace.rstrip('/')}/{name}"
+
+
+def allows(patterns: Iterable[str]) -> Callable[[str], bool]:
+    """Compile patterns in which `*` is one segment and `**` any number."""
+    found = [re.compile(_expression(pattern)).match for pattern in patterns]
+    return lambda name: any(match(name) for match in found)
+
+
+def _expression(pattern: str) -> str:
+    def part(segment: str) -> str:
+        if segment == "**":
+            return r"(?:/[^/]+)*"
+        return "/" + re.escape(segment).replace(r"\*", "[^/]*")
+
+    return "".join(part(s) for s in pattern.strip("/").split("/")) + r"\Z"
+
+
+def is_internal(name: str) -> bool:
+    """Tell whether a topic or service is ROS's own plumbing, or hidden by its underscore."""
+    return _PLUMBING.match(name) is not None
+
+
+def is_internal_parameter(name: str) -> bool:
+    """Tell whether a parameter is one that every node has for ROS's own sake."""
+    return name.startswith(_HIDDEN_PARAMETERS)
+
+
+def resource_name(branch: str, *names: str) -> str:
+    """Make a resource's name of ROS names, slashes and all."""
+    segments = [s for name in names for s in name.split("/") if s]
+    return "/".join([branch, *(_NOT_A_SEGMENT.sub("_", s) for s in segments)])

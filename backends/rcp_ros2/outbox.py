@@ -1,0 +1,53 @@
+"""From the ROS thread to the event loop: a bounded queue for each name, one wake-up for many values."""
+
+from __future__ import annotations
+
+import contextlib
+from collections import deque
+from typing import Any
+
+from rcp_kernel.spi import Host
+from rcp_ros2.cdr import Value
+
+__all__ = ["Outbox"]
+
+_DEPTH = 256  # values of one name that wait for the event loop
+_FEW = 4  # of them, where each is big
+_BIG = 65_536  # bytes
+
+
+class Outbox:
+    """Values on their way out; the oldest of a name give way when the event loop is late."""
+
+    def __init__(self, host: Host) -> None:
+        self._host = host
+        self._queues: dict[str, deque[tuple[Value, int | None]]] = {}
+        self._woken = False
+        self.dropped = 0
+        """Values that gave way."""
+
+    def put(self, name: str, value: Value, timestamp: int | None) -> None:
+        """Hand a value over, in the ROS thread."""
+        queue = self._queues.get(name)
+        if queue is None:
+            queue = self._queues[name] = deque()
+        if len(queue) >= (_FEW if len(value.data) > _BIG else _DEPTH):
+            queue.popleft()
+            self.dropped += 1
+        queue.append((value, timestamp))
+        if not self._woken:
+            self._woken = True
+            with contextlib.suppress(RuntimeError):  # the event loop is closed
+                self._host.call_soon(self._drain)
+
+    def _drain(self) -> None:
+        self._woken = False  # before the queues are emptied: what comes now wakes the loop again
+        publish: Any = self._host.publish
+        for name, queue in list(self._queues.items()):
+            while queue:
+                value, timestamp = queue.popleft()
+                publish(name, value, timestamp)
+
+    def forget(self, name: str) -> None:
+        """Drop what a name still holds, on the event loop."""
+        self._queues.pop(name, None)

@@ -1,0 +1,259 @@
+"""Parameters: described by their node, with its ranges; set by it, or refused with its reason."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from collections.abc import Callable
+from typing import Annotated, Any, NamedTuple
+
+from msgspec import Meta
+
+from rcp_kernel.errors import AdapterUnavailable, DeviceRejected, RcpError
+from rcp_kernel.model import Operation, Resource
+from rcp_kernel.types import NONFINITE, Int64
+from rcp_ros2.binding import Binding, Shared, common
+from rcp_ros2.config import Mapping
+from rcp_ros2.names import is_internal_parameter
+from rcp_ros2.ros import hearing
+from rcp_ros2.services import Caller
+
+__all__ = ["Described", "Events", "NodeParameters", "Setting"]
+
+_FIELDS = {
+    1: "bool_value",
+    2: "integer_value",
+    3: "double_value",
+    4: "string_value",
+    5: "byte_array_value",
+    6: "bool_array_value",
+    7: "integer_array_value",
+    8: "double_array_value",
+    9: "string_array_value",
+}
+"""rcl_interfaces/msg/ParameterType, with the field of ParameterValue that holds it."""
+_DOUBLE: Any = Annotated[float, Meta(extra_json_schema={NONFINITE: True})]
+_TYPES: dict[int, Any] = {
+    1: bool,
+    2: Int64,
+    3: _DOUBLE,
+    4: str,
+    5: bytes,
+    6: list[bool],
+    7: list[Int64],
+    8: list[_DOUBLE],
+    9: list[str],
+}
+
+
+class Described(NamedTuple):
+    """What a node says of one of its parameters."""
+
+    name: str
+    kind: int
+    type: Any
+    text: str
+    read_only: bool
+
+
+class NodeParameters:
+    """The parameter services of one node."""
+
+    def __init__(self, shared: Shared, node: str) -> None:
+        from rcl_interfaces import srv
+
+        self.node = node
+        self._shared = shared
+        self._srv = srv
+        self._callers: dict[Any, Caller] = {}
+
+    async def _call(self, srv: Any, name: str, **request: Any) -> Any:
+        caller = self._callers.get(srv)
+        if caller is None:
+            address = f"{self.node}/{name}"
+            caller = self._callers[srv] = Caller(self._shared, srv, address, node=self.node)
+        return await caller.call(srv.Request(**request), self._shared.config.timeout)
+
+    async def names(self) -> list[str]:
+        """List what the node has, apart from what every node has for ROS's own sake."""
+        response = await self._call(self._srv.ListParameters, "list_parameters")
+        return [n for n in response.result.names if not is_internal_parameter(n)]
+
+    async def describe(self, names: list[str]) -> list[Described]:
+        """Return type, range and text of parameters; those that have no type yet are left out."""
+        response = await self._call(
+            self._srv.DescribeParameters, "describe_parameters", names=names
+        )
+        return [_described(d) for d in response.descriptors if d.type in _TYPES]
+
+    async def get(self, name: str, kind: int) -> Any:
+        """Return the present value.
+
+        :raises AdapterUnavailable: the node has no such parameter any more.
+        """
+        response = await self._call(self._srv.GetParameters, "get_parameters", names=[name])
+        # With a name among them that is not declared, rclpy answers with an empty list.
+        if len(response.values) != 1 or response.values[0].type != kind:
+            raise AdapterUnavailable(f"{self.node} has no parameter '{name}' of the known type")
+        return plain(response.values[0])
+
+    async def set(self, name: str, kind: int, value: Any) -> None:
+        """Set a parameter.
+
+        :raises DeviceRejected: the node refused, with its reason.
+        """
+        from rcl_interfaces.msg import Parameter, ParameterValue
+
+        if kind == 5:
+            value = [bytes((one,)) for one in value]
+        wrapped = ParameterValue(type=kind, **{_FIELDS[kind]: value})
+        response = await self._call(
+            self._srv.SetParameters,
+            "set_parameters",
+            parameters=[Parameter(name=name, value=wrapped)],
+        )
+        result = response.results[0] if response.results else None
+        if result is None or not result.successful:
+            why = result.reason if result is not None and result.reason else "no reason given"
+            raise DeviceRejected(f"{self.node} refused to set '{name}': {why}")
+
+    def close(self) -> None:
+        """Let go of the clients."""
+        for caller in self._callers.values():
+            caller.close()
+
+
+def plain(value: Any) -> Any:
+    """Take the value out of a ParameterValue."""
+    found = getattr(value, _FIELDS[value.type])
+    if value.type == 5:
+        return b"".join(found)
+    return list(found) if value.type > 5 else found
+
+
+def _described(descriptor: Any) -> Described:
+    text = descriptor.description.strip().rstrip(".")
+    if descriptor.additional_constraints:
+        text = (
+            f"{text}; {descriptor.additional_constraints.strip()}"
+            if text
+            else (descriptor.additional_constraints.strip())
+        )
+    type_ = _TYPES[descriptor.type]
+    if descriptor.type == 2 and descriptor.integer_range:
+        bounds = descriptor.integer_range[0]
+        step = bounds.step if bounds.step > 1 and bounds.from_value % bounds.step == 0 else None
+        type_ = Annotated[int, Meta(ge=bounds.from_value, le=bounds.to_value, multiple_of=step)]
+    if descriptor.type == 3 and descriptor.floating_point_range:
+        bounds = descriptor.floating_point_range[0]
+        type_ = Annotated[float, Meta(ge=bounds.from_value, le=bounds.to_value)]
+        if bounds.step:
+            text = f"{text} (in steps of {bounds.step:g})".strip()
+    return Described(descriptor.name, descriptor.type, type_, text, descriptor.read_only)
+
+
+class Events:
+    """What the nodes of the graph say about changes of their parameters."""
+
+    def __init__(self, shared: Shared) -> None:
+        self._shared = shared
+        self._listeners: dict[tuple[str, str], Callable[[Any], None]] = {}
+        self._subscription: Any = None
+
+    def listen(self, node: str, parameter: str, told: Callable[[Any], None]) -> None:
+        """Have a function called, on the event loop, with each new ParameterValue."""
+        self._listeners[node, parameter] = told
+        if len(self._listeners) == 1:
+            self._shared.ros.post(self._open)
+
+    def ignore(self, node: str, parameter: str) -> None:
+        """Stop that."""
+        if self._listeners.pop((node, parameter), None) is not None and not self._listeners:
+            self._shared.ros.post(self._close)
+
+    def _open(self) -> None:
+        if self._subscription is not None:
+            return
+        from rcl_interfaces.msg import ParameterEvent
+        from rclpy.event_handler import SubscriptionEventCallbacks
+        from rclpy.qos import qos_profile_parameter_events
+
+        self._subscription = self._shared.ros.node.create_subscription(
+            ParameterEvent,
+            "/parameter_events",
+            hearing(self._heard),
+            qos_profile_parameter_events,
+            event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False),
+        )
+
+    def _close(self) -> None:
+        if self._subscription is not None and not self._listeners:
+            self._shared.ros.node.destroy_subscription(self._subscription)
+            self._subscription = None
+
+    def _heard(self, event: Any) -> None:
+        for parameter in (*event.new_parameters, *event.changed_parameters):
+            if (event.node, parameter.name) in self._listeners:
+                self._shared.host.call_soon(self._tell, event.node, parameter.name, parameter.value)
+
+    def _tell(self, node: str, name: str, value: Any) -> None:
+        told = self._listeners.get((node, name))
+        if told is not None:
+            told(value)
+
+
+class Setting(Binding):
+    """A parameter of the tree."""
+
+    def __init__(
+        self,
+        shared: Shared,
+        name: str,
+        mapping: Mapping,
+        node: NodeParameters,
+        described: Described,
+        events: Events,
+    ) -> None:
+        self._node = node
+        self._described = described
+        self._events = events
+        self._first: asyncio.Future[None] | None = None
+        text = described.text or f"Parameter {described.name} of {node.node}"
+        facts = common(name, mapping, text, node=node.node, parameter=described.name)
+        if described.read_only:
+            facts["operations"] = Operation.READ | Operation.SUBSCRIBE
+        super().__init__(shared, Resource(value=described.type, **facts), mapping)
+
+    async def read(self) -> Any:
+        """Ask the node."""
+        return await self._node.get(self._described.name, self._described.kind)
+
+    async def write(self, value: Any) -> Any:
+        """Have the node set it; return what stands now."""
+        await self._node.set(self._described.name, self._described.kind, value)
+        return None
+
+    def watched(self, rate: float) -> None:
+        """Publish each change that the node tells of."""
+        self._events.listen(self._node.node, self._described.name, self._changed)
+        if self._first is None:
+            self._first = asyncio.ensure_future(self._publish_present())
+
+    async def _publish_present(self) -> None:
+        with contextlib.suppress(RcpError):  # a dead node tells its value when it is back
+            self.shared.host.publish(self.resource.name, await self.read())
+
+    def unwatched(self) -> None:
+        """Publish no more."""
+        self._events.ignore(self._node.node, self._described.name)
+        if self._first is not None:
+            self._first.cancel()
+            self._first = None
+
+    def _changed(self, value: Any) -> None:
+        if value.type == self._described.kind:
+            self.shared.host.publish(self.resource.name, plain(value))
+
+    def close(self) -> None:
+        """Publish no more."""
+        self.unwatched()

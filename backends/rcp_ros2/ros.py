@@ -1,0 +1,285 @@
+"""The thread in which all of ROS lives: one context, one node, one executor.
+
+rclpy is imported here and nowhere on the event loop. Whatever the event loop wants of ROS is run
+in this thread by `call` or `post`; whatever comes out of it goes through `Host.call_soon`.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import threading
+from collections.abc import AsyncGenerator, Callable
+from contextlib import asynccontextmanager
+from typing import Any
+
+import structlog
+
+from rcp_kernel.errors import AdapterUnavailable, ConfigError, DeviceTimeout, NotReady
+from rcp_kernel.spi import Host
+from rcp_ros2.config import Ros2Config
+
+__all__ = ["Ros", "Ticket", "guarded", "hearing", "open_ros"]
+
+log = structlog.get_logger("rcp.ros2")
+_START = 15.0  # s to import rclpy and make a node, on a slow machine
+_STOP = 5.0  # s for the executor to end
+_FOREVER = 1e7  # s; `spin()` of the events executor never runs anything, this way of it does
+_PATIENCE = 5.0  # s for a function to have its turn in the thread
+
+
+class Ticket:
+    """A value that the ROS thread will hand to one waiter on the event loop, at most once."""
+
+    def __init__(self, host: Host) -> None:
+        self._host = host
+        self._future: asyncio.Future[Any] = asyncio.get_running_loop().create_future()
+
+    def give(self, value: Any) -> None:
+        """Hand the value over, from any thread."""
+        with contextlib.suppress(RuntimeError):  # the event loop is closed: nobody waits
+            self._host.call_soon(self._set, value, None)
+
+    def fail(self, error: BaseException) -> None:
+        """Hand an exception over, from any thread."""
+        with contextlib.suppress(RuntimeError):
+            self._host.call_soon(self._set, None, error)
+
+    def follow(self, ros_future: Any, convert: Callable[[Any], Any] | None = None) -> None:
+        """Hand over what a future of rclpy comes to, converted in the ROS thread."""
+
+        def done(future: Any) -> None:
+            try:
+                if not future.cancelled():
+                    value = future.result()
+                    self.give(value if convert is None else convert(value))
+            except Exception as error:
+                self.fail(error)
+
+        ros_future.add_done_callback(done)
+
+    def _set(self, value: Any, error: BaseException | None) -> None:
+        if self._future.done():
+            return
+        if error is not None:
+            self._future.set_exception(error)
+        else:
+            self._future.set_result(value)
+
+    @property
+    def done(self) -> bool:
+        """Whether the value is there."""
+        return self._future.done()
+
+    async def wait(self, seconds: float) -> bool:
+        """Wait for at most so long; tell whether the value is there."""
+        await asyncio.wait([self._future], timeout=seconds)
+        return self._future.done()
+
+    def result(self) -> Any:
+        """Return the value that is there, or raise the exception."""
+        return self._future.result()
+
+
+class Ros:
+    """The thread, seen from the event loop; `node` and `executor` are for the thread alone."""
+
+    def __init__(self, config: Ros2Config, host: Host) -> None:
+        self.config = config
+        self.host = host
+        self.node: Any = None
+        self.died: str | None = None
+        self.ended = asyncio.Event()
+        """Set when the thread has ended, whether it was told to or not."""
+        self._context: Any = None
+        self._executor: Any = None
+        self._stop: Any = None
+        self._thread = threading.Thread(target=self._run, name="ros2", daemon=True)
+        self._ready = Ticket(host)
+
+    # -- for the event loop ----------------------------------------------------------------------
+
+    async def start(self) -> None:
+        """Start the thread and wait until its node stands."""
+        self._thread.start()
+        if not await self._ready.wait(_START):
+            raise NotReady(f"ROS 2 did not start within {_START:g} s")
+        self._ready.result()
+
+    async def stop(self) -> None:
+        """End the executor, and let go of the node and context."""
+        if self._stop is not None and self._thread.is_alive():
+            self._executor.create_task(self._stop.set_result, None)
+            self._executor.wake()
+        try:
+            await asyncio.wait_for(self.ended.wait(), _STOP)
+        except TimeoutError:
+            log.error("ros_thread_stuck", node=self.config.node)
+            return
+        self._thread.join(_STOP)
+
+    async def call(self, function: Callable[..., Any], *args: Any) -> Any:
+        """Run a function in the thread and return what it returns.
+
+        :raises DeviceTimeout: the thread did not come to it.
+        :raises AdapterUnavailable: the thread has ended.
+        """
+        ticket = Ticket(self.host)
+
+        def run() -> None:
+            try:
+                ticket.give(function(*args))
+            except BaseException as error:
+                ticket.fail(error)
+
+        self._submit(run)
+        if not await ticket.wait(_PATIENCE):
+            raise DeviceTimeout(
+                f"the ROS 2 side of the gateway did not answer for {_PATIENCE:g} s",
+                remedy="Look at the gateway's log and load; the robot was not asked.",
+            )
+        return ticket.result()
+
+    def post(self, function: Callable[..., Any], *args: Any) -> None:
+        """Run a function in the thread, some time soon; its errors are logged."""
+        self._submit(guarded(function, *args))
+
+    def _submit(self, run: Callable[[], None]) -> None:
+        if self.died is not None or self._executor is None:
+            raise AdapterUnavailable(self.died or "ROS 2 is not started")
+        self._executor.create_task(run)
+
+    # -- the thread ------------------------------------------------------------------------------
+
+    def _run(self) -> None:
+        try:
+            self._open()
+        except BaseException as error:
+            self.died = str(error)
+            self._close()
+            self._ready.fail(_explained(error))
+            self._tell_end()
+            return
+        self._ready.give(None)
+        try:
+            self._executor.spin_until_future_complete(self._stop, timeout_sec=_FOREVER)
+        except BaseException as error:
+            log.error("ros_thread_failed", exc_info=error)
+            self.died = f"the executor of ROS 2 failed: {error}"
+        else:
+            self.died = "ROS 2 was shut down"
+        self._close()
+        self._tell_end()
+
+    def _tell_end(self) -> None:
+        with contextlib.suppress(RuntimeError):
+            self.host.call_soon(self.ended.set)
+
+    def _open(self) -> None:
+        import rclpy
+        from rclpy.context import Context
+        from rclpy.task import Future
+
+        self._context = Context()
+        rclpy.init(context=self._context, domain_id=self.config.domain_id)
+        self.node = rclpy.create_node(
+            self.config.node,
+            context=self._context,
+            namespace=self.config.namespace,
+            use_global_arguments=False,
+            enable_rosout=False,
+            start_parameter_services=False,
+        )
+        self._executor = _executor(self._context)
+        self._executor.add_node(self.node)
+        self._stop = Future()
+
+    def _close(self) -> None:
+        if self._executor is not None and self.node is not None:
+            _try(self._executor.remove_node, self.node)
+        if self.node is not None:
+            _try(self.node.destroy_node)
+        if self._executor is not None:
+            _try(self._executor.shutdown)
+        if self._context is not None:
+            _try(self._context.try_shutdown)
+
+
+def _try(step: Callable[..., Any], *args: Any) -> None:
+    try:
+        step(*args)
+    except Exception as error:
+        log.warning("ros_close_failed", error=repr(error))
+
+
+def _executor(context: Any) -> Any:
+    """Make the events executor, four times as fast as the others, where this rclpy has it."""
+    try:
+        from rclpy.experimental.events_executor import EventsExecutor
+
+        return EventsExecutor(context=context)
+    except (ImportError, OSError, ValueError, RuntimeError):
+        from rclpy.executors import SingleThreadedExecutor
+
+        return SingleThreadedExecutor(context=context)
+
+
+def _explained(error: BaseException) -> BaseException:
+    name = type(error).__name__
+    if isinstance(error, ImportError):
+        return ConfigError(
+            f"ROS 2 is not here ({error}): pip install 'rcp-gateway[ros2]', or source a ROS 2 "
+            "installation (source /opt/ros/<distro>/setup.bash) before the gateway starts"
+        )
+    if name in ("InvalidNodeNameException", "InvalidNamespaceException"):
+        return ConfigError(f"the gateway's node cannot have this name: {error}")
+    return NotReady(f"ROS 2 did not start: {error}")
+
+
+def guarded(function: Callable[..., Any], *args: Any) -> Callable[[], None]:
+    """Wrap a callback: an exception that left it would end the executor."""
+
+    def run() -> None:
+        try:
+            function(*args)
+        except Exception as error:
+            log.error("ros_callback_failed", callback=function.__qualname__, exc_info=error)
+
+    return run
+
+
+def hearing(function: Callable[[Any], Any]) -> Callable[[Any], None]:
+    """Wrap a callback of one argument; rclpy counts them, and gives more to those that take more."""
+
+    def run(message: Any) -> None:
+        guarded(function, message)()
+
+    return run
+
+
+@asynccontextmanager
+async def open_ros(config: Ros2Config, host: Host) -> AsyncGenerator[Ros]:
+    """Keep a ROS thread running; if it dies by itself, whatever stands inside is ended.
+
+    :raises ConfigError: rclpy is missing, or a name is not one.
+    :raises NotReady: ROS 2 did not start, or failed later.
+    """
+    ros = Ros(config, host)
+    await ros.start()
+    owner = asyncio.current_task()
+    assert owner is not None
+
+    async def watch() -> None:
+        await ros.ended.wait()
+        owner.cancel()
+
+    watcher = asyncio.create_task(watch(), name="ros2 thread")
+    try:
+        yield ros
+    except asyncio.CancelledError:
+        if ros.ended.is_set() and owner.uncancel() == 0:
+            raise NotReady(ros.died or "ROS 2 ended") from None
+        raise
+    finally:
+        watcher.cancel()
+        await ros.stop()

@@ -1,0 +1,175 @@
+"""Topics that are listened to (sensors, events) and topics that are spoken to (actuators)."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from typing import Any
+
+import msgspec
+
+from rcp_kernel.errors import AdapterUnavailable
+from rcp_kernel.model import Resource
+from rcp_ros2.binding import Binding, Shared, common
+from rcp_ros2.cdr import Codec
+from rcp_ros2.config import Mapping
+from rcp_ros2.filler import filler
+from rcp_ros2.idl import full_name
+from rcp_ros2.topics import Outlet, Tap
+from rcp_ros2.types import example_of, inward
+
+__all__ = ["Commanded", "Observed"]
+
+_VELOCITY = {
+    "geometry_msgs/msg/Twist",
+    "geometry_msgs/msg/TwistStamped",
+    "geometry_msgs/msg/TwistWithCovariance",
+    "geometry_msgs/msg/TwistWithCovarianceStamped",
+    "geometry_msgs/msg/Accel",
+    "geometry_msgs/msg/AccelStamped",
+    "geometry_msgs/msg/Wrench",
+    "geometry_msgs/msg/WrenchStamped",
+}
+_DEADMAN = 0.5  # s that a velocity stands, where the mapping does not say
+_MATCH = 1.0  # s for a publisher to find a subscriber that the graph lists
+_PAUSE = 0.05  # s between looks whether it has
+
+
+class Observed(Binding):
+    """A sensor or event: subscribed to while somebody watches, an event always."""
+
+    def __init__(self, shared: Shared, name: str, mapping: Mapping, cls: Any) -> None:
+        self.topic = mapping.target
+        self._cls = cls
+        self._codec = Codec(cls, mapping.field)
+        type_name = full_name(cls)
+        part = f"{mapping.field} of {type_name}" if mapping.field else type_name
+        event = name.startswith("event/")
+        facts = common(
+            name,
+            mapping,
+            f"{part} on topic {self.topic}.",
+            topic=self.topic,
+            type=type_name,
+            field=mapping.field,
+        )
+        facts.setdefault("timeout", shared.config.timeout)
+        resource = Resource(value=self._codec.type, native=type_name, live=event, **facts)
+        super().__init__(shared, resource, mapping)
+        if event:  # nobody could read the last one otherwise
+            self.watched(math.inf)
+
+    def watched(self, rate: float) -> None:
+        """Subscribe, or change the rate."""
+        tap = Tap(self.resource.name, self._codec, 0.0 if rate == math.inf else 1 / rate)
+        self.shared.ros.post(self.shared.feeds.tap, self.topic, self._cls, self.mapping.qos, tap)
+
+    def unwatched(self) -> None:
+        """End the subscription, unless it is an event's."""
+        if not self.resource.live:
+            self.close()
+
+    def close(self) -> None:
+        """End the subscription."""
+        self.shared.ros.post(self.shared.feeds.untap, self.topic, self.resource.name)
+
+    async def read(self) -> Any:
+        """Return what a latched topic is at; of others, only the next value is worth having.
+
+        :raises AdapterUnavailable: no node publishes the topic.
+        """
+        graph = self.shared
+        if not await graph.until(
+            lambda: bool(graph.graph.publishers.get(self.topic)), graph.settling
+        ):
+            raise AdapterUnavailable(
+                f"no node publishes {self.topic}",
+                remedy="Start the node that does; the gateway finds it by itself.",
+            )
+        last = await self.shared.ros.call(self.shared.feeds.last, self.topic)
+        if last is not None:
+            return self._codec.decode(last)
+        return await super().read()
+
+
+class Commanded(Binding):
+    """An actuator: what is written is published."""
+
+    def __init__(self, shared: Shared, name: str, mapping: Mapping, cls: Any) -> None:
+        self.topic = mapping.target
+        self._type = inward(cls)
+        self._fill = filler(cls)
+        self._outlet = Outlet(shared.ros, self.topic, cls, mapping.qos)
+        self._moved = False
+        type_name = full_name(cls)
+        velocity = type_name in _VELOCITY
+        valid_for = _DEADMAN if mapping.valid_for is None and velocity else mapping.valid_for
+        self._safe = self._rest(mapping) if velocity or valid_for or mapping.safe else None
+        resource = Resource(
+            value=self._type,
+            valid_for=valid_for or None,
+            safe=self._safe,
+            native=type_name,
+            examples=example_of(self._type),
+            **common(
+                name,
+                mapping,
+                f"Publishes {type_name} on topic {self.topic}.",
+                topic=self.topic,
+                type=type_name,
+            ),
+        )
+        super().__init__(shared, resource, mapping)
+        shared.ros.post(self._outlet.open)
+        shared.on_look.append(self._outlet.open)
+
+    def _rest(self, mapping: Mapping) -> Any:
+        return self._type() if mapping.safe is None else msgspec.convert(mapping.safe, self._type)
+
+    async def write(self, value: Any) -> None:
+        """Publish.
+
+        :raises AdapterUnavailable: no node would hear it.
+        """
+        shared, need = self.shared, self.mapping.require_subscriber
+        message = self._fill(value)
+        if need:
+            await shared.until(self._listened_to, shared.settling)
+        heard = await shared.ros.call(self._send if need else self._send_anyhow, message)
+        if not heard and need and self._listened_to():
+            heard = await self._until_matched(message)
+        if not heard and need:
+            raise AdapterUnavailable(
+                f"no node subscribes to {self.topic}: nobody would hear the command",
+                remedy="Start the robot's node, or map it with `require_subscriber = false`.",
+            )
+        self._moved = value != self._safe
+
+    def _listened_to(self) -> bool:
+        return bool(self.shared.graph.subscribers.get(self.topic))
+
+    def _send(self, message: Any) -> bool:
+        return self._outlet.send(message, to_nobody=False)
+
+    def _send_anyhow(self, message: Any) -> bool:
+        return self._outlet.send(message, to_nobody=True)
+
+    async def _until_matched(self, message: Any) -> bool:
+        """Try again for as long as a subscriber that the graph lists may need to be matched."""
+        for _ in range(int(_MATCH / _PAUSE)):
+            if await self.shared.ros.call(self._send, message):
+                return True
+            await asyncio.sleep(_PAUSE)
+        return False
+
+    async def halt(self) -> None:
+        """Publish the safe value, if anything else was published last."""
+        if self._moved and self._safe is not None:
+            await self.shared.ros.call(self._send_anyhow, self._fill(self._safe))
+            self._moved = False
+
+    def close(self) -> None:
+        """Let go of the publisher."""
+        if self._outlet.open in self.shared.on_look:
+            self.shared.on_look.remove(self._outlet.open)
+        self.shared.ros.post(self._outlet.close)

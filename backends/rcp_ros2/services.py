@@ -1,0 +1,166 @@
+"""Services: one cached client each, and calls that end when their server does."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Callable
+from typing import Any
+
+import msgspec
+
+from rcp_kernel.errors import AdapterUnavailable, DeviceRejected, DeviceTimeout
+from rcp_kernel.model import Resource
+from rcp_kernel.spi import Progress
+from rcp_ros2.binding import Binding, Shared, common
+from rcp_ros2.cdr import Codec
+from rcp_ros2.config import Mapping
+from rcp_ros2.filler import filler
+from rcp_ros2.idl import fields_of
+from rcp_ros2.ros import Ticket
+from rcp_ros2.types import example_of, inward
+
+__all__ = ["Called", "Caller", "reader"]
+
+_LOOK = 0.5  # s between looks whether the server is still there
+_MATCH = 1.0  # s for a client to find a server that the graph lists
+_PAUSE = 0.02  # s between looks whether it has
+_MARGIN = 1.0  # s that the gateway waits longer than the service has
+
+
+class Caller:
+    """A client of one service."""
+
+    def __init__(
+        self,
+        shared: Shared,
+        srv: Any,
+        name: str,
+        *,
+        node: str | None = None,
+        convert: Callable[[Any], Any] | None = None,
+    ) -> None:
+        self._shared = shared
+        self._srv = srv
+        self._name = name
+        self._presence = ("service", name) if node is None else ("node", node)
+        """What must be in the graph: the service, or the node whose parameters it serves."""
+        self._convert = convert
+        """Run on the response, in the ROS thread."""
+        self._client: Any = None
+
+    async def call(self, request: Any, limit: float) -> Any:
+        """Ask, and return the response, in at most `limit` seconds.
+
+        :raises AdapterUnavailable: no node offers the service, or the one that did has gone.
+        :raises DeviceTimeout: no answer came in time.
+        """
+        await self._shared.present(*self._presence)
+        await self._matched(limit)
+        ticket = Ticket(self._shared.host)
+        future = await self._shared.ros.call(self._send, request, ticket)
+        try:
+            return await self._answer(ticket, limit)
+        finally:
+            if not ticket.done:
+                self._shared.ros.post(self._forget, future)
+
+    async def _answer(self, ticket: Ticket, limit: float) -> Any:
+        end = time.monotonic() + limit
+        while (left := end - time.monotonic()) > 0:
+            if await ticket.wait(min(left, _LOOK)):
+                return ticket.result()
+            if not self._shared.graph.has(*self._presence):
+                raise AdapterUnavailable(f"the node that offers {self._name} has gone")
+        raise DeviceTimeout(f"service {self._name} did not answer within {limit:g} s")
+
+    async def _matched(self, limit: float) -> None:
+        end = time.monotonic() + min(limit, _MATCH)
+        while not await self._shared.ros.call(self._is_ready):
+            if time.monotonic() >= end:
+                raise AdapterUnavailable(f"no server of {self._name} can be reached")
+            await asyncio.sleep(_PAUSE)
+
+    def _is_ready(self) -> bool:
+        if self._client is None:
+            self._client = self._shared.ros.node.create_client(self._srv, self._name)
+        return self._client.service_is_ready()
+
+    def _send(self, request: Any, ticket: Ticket) -> Any:
+        future = self._client.call_async(request)
+        ticket.follow(future, self._convert)
+        return future
+
+    def _forget(self, future: Any) -> None:
+        if self._client is not None:
+            self._client.remove_pending_request(future)
+
+    def close(self) -> None:
+        """Let go of the client."""
+        self._shared.ros.post(self._drop)
+
+    def _drop(self) -> None:
+        if self._client is not None:
+            self._shared.ros.node.destroy_client(self._client)
+            self._client = None
+
+
+def reader(cls: Any) -> Callable[[Any], Any]:
+    """Return the function that makes a typed value of a message object."""
+    from rclpy.serialization import serialize_message
+
+    codec = Codec(cls)
+    return lambda message: codec.decode(serialize_message(message))
+
+
+class Called(Binding):
+    """A service of the tree."""
+
+    def __init__(self, shared: Shared, name: str, mapping: Mapping, srv: Any) -> None:
+        request, response = srv.Request, srv.Response
+        self._input = inward(request) if fields_of(request) else None
+        self._fill = filler(request)
+        self._request = request
+        empty = not fields_of(response)
+        convert = (lambda _response: None) if empty else reader(response)
+        self._caller = Caller(shared, srv, mapping.target, convert=convert)
+        type_name = f"{srv.__module__.split('.')[0]}/srv/{srv.__name__}"
+        facts = common(
+            name,
+            mapping,
+            f"Calls service {mapping.target} ({type_name}).",
+            service=mapping.target,
+            type=type_name,
+        )
+        facts["timeout"] = (mapping.timeout or shared.config.timeout) + _MARGIN
+        resource = Resource(
+            input=self._input,
+            output=None if empty else Codec(response).type,
+            examples=example_of(self._input) if self._input else (),
+            **facts,
+        )
+        super().__init__(shared, resource, mapping)
+
+    async def execute(self, value: Any, progress: Progress) -> Any:
+        """Call the service.
+
+        :raises DeviceRejected: its answer says `success: false`.
+        """
+        request = self._request() if value is None else self._fill(value)
+        result = await self._caller.call(request, self.timeout)
+        if getattr(result, "success", None) is False:
+            raise _refusal(self.mapping.target, result)
+        return result
+
+    def close(self) -> None:
+        """Let go of the client."""
+        self._caller.close()
+
+
+def _refusal(name: str, result: Any) -> DeviceRejected:
+    words = ("message", "status_message", "error_message", "reason")
+    said = next((w for w in (getattr(result, key, None) for key in words) if w), None)
+    return DeviceRejected(
+        f"{name} refused: {said}" if said else f"{name} answered that it did not succeed",
+        details={"result": msgspec.to_builtins(result)},
+    )

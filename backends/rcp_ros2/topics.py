@@ -1,0 +1,219 @@
+"""Subscriptions and publishers: one of each for a topic, however many paths stand on it.
+
+Everything here runs in the ROS thread.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import structlog
+
+from rcp_ros2.cdr import Codec, Value
+from rcp_ros2.config import Qos
+from rcp_ros2.outbox import Outbox
+from rcp_ros2.qos import Profile, clash, for_publisher, for_subscription
+from rcp_ros2.ros import Ros, guarded
+
+__all__ = ["Feed", "Feeds", "Outlet", "Tap"]
+
+log = structlog.get_logger("rcp.ros2")
+_SWEEP = 0.02  # s between looks for held values whose time has come
+
+
+@dataclass(slots=True)
+class Tap:
+    """One path that takes from a topic."""
+
+    name: str
+    codec: Codec
+    period: float = 0.0
+    """Seconds between two values, at least; 0 takes all."""
+    due: float = 0.0
+    held: bytes | None = None
+    """The newest of what came too soon; it goes out when its time has come."""
+
+
+@dataclass(slots=True)
+class Feed:
+    """One subscription."""
+
+    topic: str
+    cls: Any
+    wanted: Qos
+    taps: dict[str, Tap] = field(default_factory=dict[str, Tap])
+    profile: Profile | None = None
+    subscription: Any = None
+    last: bytes | None = None
+    """The newest message."""
+
+
+class Feeds:
+    """All subscriptions of a backend."""
+
+    def __init__(
+        self, ros: Ros, outbox: Outbox, complain: Callable[[str, str | None], None]
+    ) -> None:
+        self._ros = ros
+        self._outbox = outbox
+        self._complain = complain
+        self._feeds: dict[str, Feed] = {}
+        self._sweeper: Any = None
+
+    def tap(self, topic: str, cls: Any, qos: Qos, tap: Tap) -> None:
+        """Let a path take from a topic, or change its rate."""
+        feed = self._feeds.get(topic)
+        if feed is None:
+            feed = self._feeds[topic] = Feed(topic, cls, qos)
+        known = feed.taps.get(tap.name)
+        if known is not None:
+            known.period, known.due = tap.period, 0.0
+        else:
+            feed.taps[tap.name] = tap
+            if feed.last is not None and feed.profile is not None and feed.profile.latched:
+                self._send(tap, feed.last)  # the middleware has sent it once and will not again
+        self._match(feed)
+        self._keep_sweeping()
+
+    def untap(self, topic: str, name: str) -> None:
+        """Let a path take no more; the last one ends the subscription."""
+        feed = self._feeds.get(topic)
+        if feed is None or feed.taps.pop(name, None) is None or feed.taps:
+            return
+        del self._feeds[topic]
+        self._drop(feed)
+        self._complain(topic, None)
+        self._keep_sweeping()
+
+    def refresh(self) -> None:
+        """Match publishers that have come since."""
+        for feed in self._feeds.values():
+            self._match(feed)
+
+    def last(self, topic: str) -> bytes | None:
+        """Return the value that a latched topic is at now."""
+        feed = self._feeds.get(topic)
+        latched = feed is not None and feed.profile is not None and feed.profile.latched
+        return feed.last if feed is not None and latched else None
+
+    def _match(self, feed: Feed) -> None:
+        publishers = self._ros.node.get_publishers_info_by_topic(feed.topic)
+        profile = for_subscription(publishers, feed.wanted)
+        if feed.subscription is None or (publishers and profile != feed.profile):
+            self._drop(feed)
+            feed.profile = profile
+            feed.subscription = _subscribe(
+                self._ros.node, feed.cls, feed.topic, self._hearer(feed), profile
+            )
+        assert feed.profile is not None
+        self._complain(feed.topic, clash(feed.topic, feed.profile, publishers))
+
+    def _drop(self, feed: Feed) -> None:
+        if feed.subscription is not None:
+            self._ros.node.destroy_subscription(feed.subscription)
+            feed.subscription = None
+
+    def _hearer(self, feed: Feed) -> Callable[[bytes], None]:
+        taps = feed.taps
+        monotonic = time.monotonic
+
+        def heard(data: bytes) -> None:
+            try:
+                feed.last = data
+                now = monotonic()
+                for tap in taps.values():
+                    if tap.period and now < tap.due:
+                        tap.held = data
+                    else:
+                        self._send(tap, data, now)
+            except Exception as error:  # it would end the executor
+                log.error("ros_callback_failed", topic=feed.topic, exc_info=error)
+
+        return heard
+
+    def _send(self, tap: Tap, data: bytes, now: float = 0.0) -> None:
+        tap.held = None
+        if tap.period:
+            # By the schedule and not by the clock, or jitter would cost every other value.
+            tap.due = max(tap.due, now - tap.period) + tap.period
+        self._outbox.put(tap.name, Value(data, tap.codec), tap.codec.stamp(data))
+
+    def _keep_sweeping(self) -> None:
+        needed = any(tap.period for feed in self._feeds.values() for tap in feed.taps.values())
+        if needed and self._sweeper is None:
+            self._sweeper = self._ros.node.create_timer(_SWEEP, guarded(self._sweep))
+        elif not needed and self._sweeper is not None:
+            self._ros.node.destroy_timer(self._sweeper)
+            self._sweeper = None
+
+    def _sweep(self) -> None:
+        now = time.monotonic()
+        for feed in self._feeds.values():
+            for tap in feed.taps.values():
+                if tap.held is not None and now >= tap.due:
+                    self._send(tap, tap.held, now)
+
+
+def _subscribe(
+    node: Any, cls: Any, topic: str, heard: Callable[[bytes], None], profile: Profile
+) -> Any:
+    from rclpy.event_handler import SubscriptionEventCallbacks
+
+    # No event handlers: destroying one under the events executor can crash rclpy (its #1644), and
+    # the graph says more about a mismatch than they do.
+    return node.create_subscription(
+        cls,
+        topic,
+        heard,
+        profile.to_ros(),
+        event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False),
+        raw=True,
+    )
+
+
+class Outlet:
+    """One publisher; made anew if a subscriber asks for latched values."""
+
+    def __init__(self, ros: Ros, topic: str, cls: Any, wanted: Qos) -> None:
+        self._ros = ros
+        self._topic = topic
+        self._cls = cls
+        self._wanted = wanted
+        self._profile: Profile | None = None
+        self._publisher: Any = None
+
+    def open(self) -> None:
+        """Make the publisher, so that it is discovered before it is needed."""
+        from rclpy.event_handler import PublisherEventCallbacks
+
+        node = self._ros.node
+        profile = for_publisher(node.get_subscriptions_info_by_topic(self._topic), self._wanted)
+        if profile == self._profile:
+            return
+        self.close()
+        self._profile = profile
+        self._publisher = node.create_publisher(
+            self._cls,
+            self._topic,
+            profile.to_ros(),
+            event_callbacks=PublisherEventCallbacks(use_default_callbacks=False),
+        )
+
+    def send(self, message: Any, *, to_nobody: bool) -> bool:
+        """Publish; tell whether anybody hears it. Nothing is sent to nobody unless asked to."""
+        if self._publisher is None:
+            self.open()
+        assert self._publisher is not None
+        heard = self._publisher.get_subscription_count() > 0
+        if heard or to_nobody:
+            self._publisher.publish(message)
+        return heard
+
+    def close(self) -> None:
+        """Let go of the publisher."""
+        if self._publisher is not None:
+            self._ros.node.destroy_publisher(self._publisher)
+            self._publisher = self._profile = None

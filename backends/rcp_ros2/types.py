@@ -1,0 +1,173 @@
+"""msgspec types of ROS messages, made at run time: what leaves the robot, and what goes in.
+
+Outward, every field is there and every float may be NaN or infinite, because sensors say so.
+Inward, fields that are left out have ROS's own defaults, and floats are finite.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Any
+
+import msgspec
+from msgspec import Meta, Struct
+
+from rcp_kernel.errors import ConfigError
+from rcp_kernel.types import NONFINITE
+from rcp_ros2.idl import Primitive, Ref, Sequence, Text, Type, fields_of, full_name
+from rcp_ros2.units import unit_of
+
+__all__ = ["example_of", "inward", "is_bytes", "outward", "part_of"]
+
+_FLOAT32 = 3.4028234663852886e38
+_INTS: dict[str, tuple[int, int | None]] = {
+    "octet": (0, 2**8 - 1),
+    "int8": (-(2**7), 2**7 - 1),
+    "uint8": (0, 2**8 - 1),
+    "int16": (-(2**15), 2**15 - 1),
+    "uint16": (0, 2**16 - 1),
+    "int32": (-(2**31), 2**31 - 1),
+    "uint32": (0, 2**32 - 1),
+    "int64": (-(2**63), 2**63 - 1),
+    "uint64": (0, None),  # msgspec's bounds end with int64; `values.py` checks the upper one
+}
+_made: dict[tuple[Any, bool, str | None], type[Struct]] = {}
+
+
+def outward(cls: Any, path: str | None = None) -> Any:
+    """Return the type of what a message class (or the part of it at `path`) says.
+
+    :raises ConfigError: the message has no such part.
+    """
+    if path is None:
+        return _struct(cls, out=True, unit=None)
+    holder, field, unit = part_of(cls, path)
+    return _typed(field, out=True, unit=unit or unit_of(full_name(holder), path.rpartition(".")[2]))
+
+
+def inward(cls: Any) -> type[Struct]:
+    """Return the type of what is sent as a message class."""
+    return _struct(cls, out=False, unit=None)
+
+
+def part_of(cls: Any, path: str) -> tuple[Any, Type, str | None]:
+    """Find the field at `pose.pose`: the class that holds it, its type, and an inherited unit.
+
+    :raises ConfigError: the message has no such part.
+    """
+    unit: str | None = None
+    names = path.split(".")
+    for depth, name in enumerate(names):
+        found = next((f.type for f in fields_of(cls) if f.name == name), None)
+        if found is None:
+            raise ConfigError(
+                f"{full_name(cls)} has no field '{name}' (of '{path}'); it has "
+                + ", ".join(f.name for f in fields_of(cls))
+            )
+        if depth == len(names) - 1:
+            return cls, found, unit
+        if not isinstance(found, Ref):
+            raise ConfigError(f"'{name}' of {full_name(cls)} has no fields (in '{path}')")
+        unit = unit_of(full_name(cls), name) or unit
+        cls = found.cls
+    raise AssertionError(path)
+
+
+def is_bytes(item: Type) -> bool:
+    """Tell whether a sequence of `item` is a string of bytes."""
+    return isinstance(item, Primitive) and item.name in ("uint8", "octet")
+
+
+def example_of(type_: type[Struct]) -> tuple[Any, ...]:
+    """Show what an input looks like: the defaults, as plain data."""
+    try:
+        plain = msgspec.to_builtins(type_())
+        msgspec.convert(plain, type_)
+    except (msgspec.MsgspecError, TypeError, ValueError):
+        return ()
+    return (plain,) if plain else ()
+
+
+def _struct(cls: Any, *, out: bool, unit: str | None) -> type[Struct]:
+    key = (cls, out, unit)
+    if key in _made:
+        return _made[key]
+    name = full_name(cls)
+    sample = None if out else cls()
+    fields: list[Any] = []
+    for field in fields_of(cls):
+        typed = _typed(field.type, out=out, unit=unit_of(name, field.name) or unit)
+        if out:
+            fields.append((field.name, typed))
+        else:
+            default = _default(field.type, typed, getattr(sample, field.name))
+            fields.append((field.name, typed, default))
+    # Two units of one message in one schema need two names: Vector3_m_s and Vector3_rad_s.
+    suffix = "" if unit is None else "_" + unit.replace("/", "_").replace(".", "_")
+    made = msgspec.defstruct(
+        cls.__name__ + suffix,
+        fields,
+        module=".".join(name.split("/")[:2]),
+        frozen=True,
+        gc=False,
+        forbid_unknown_fields=True,
+    )
+    _made[key] = made
+    return made
+
+
+def _typed(type_: Type, *, out: bool, unit: str | None) -> Any:
+    match type_:
+        case Primitive(name):
+            return _number(name, out=out, unit=unit)
+        case Text(limit, _):
+            return str if limit is None else Annotated[str, Meta(max_length=limit)]
+        case Ref(cls):
+            return _struct(cls, out=out, unit=unit)
+        case Sequence(item, size, limit):
+            inner: Any = bytes if is_bytes(item) else list[_typed(item, out=out, unit=unit)]
+            if size is not None:
+                return Annotated[inner, Meta(min_length=size, max_length=size)]
+            return inner if limit is None else Annotated[inner, Meta(max_length=limit)]
+
+
+def _number(name: str, *, out: bool, unit: str | None) -> Any:
+    extra: Any = {} if unit is None else {"unit": unit}
+    if name == "bool":
+        return bool
+    if name in ("float32", "float64"):
+        if out:
+            return Annotated[float, Meta(extra_json_schema={**extra, NONFINITE: True})]
+        if name == "float32":
+            return Annotated[float, Meta(ge=-_FLOAT32, le=_FLOAT32, extra_json_schema=extra)]
+        return Annotated[float, Meta(extra_json_schema=extra)]
+    low, high = _INTS[name]
+    if high is None:
+        return Annotated[int, Meta(ge=low, extra_json_schema={**extra, "maximum": 2**64 - 1})]
+    return Annotated[int, Meta(ge=low, le=high, extra_json_schema=extra)]
+
+
+def _default(type_: Type, typed: Any, value: Any) -> Any:
+    match type_:
+        case Primitive("octet"):
+            return value[0]
+        case Primitive():
+            return value if not isinstance(value, float) or math.isfinite(value) else 0.0
+        case Text():
+            return value
+        case Ref():
+            return typed()
+        case Sequence(item, size, _):
+            plain = _plain(item, typed, value)
+            if not size and not plain:
+                return b"" if is_bytes(item) else []
+            return plain if is_bytes(item) else msgspec.field(default_factory=lambda: list(plain))
+
+
+def _plain(item: Type, typed: Any, value: Any) -> Any:
+    if is_bytes(item):
+        return b"".join(value) if item == Primitive("octet") else bytes(value)
+    if isinstance(item, Ref):
+        inner = typed.__origin__ if hasattr(typed, "__metadata__") else typed
+        return [inner.__args__[0]() for _ in value]
+    return value.tolist() if hasattr(value, "tolist") else list(value)

@@ -1,0 +1,80 @@
+"""Real ROS 2 on this machine only; without rclpy these tests are not collected."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import tempfile
+import warnings
+from collections.abc import AsyncIterator, Iterator
+from typing import Any
+
+import pytest
+
+os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+os.environ.setdefault("ROS_LOG_DIR", tempfile.gettempdir())
+os.environ.setdefault("HOME", tempfile.gettempdir())
+
+if importlib.util.find_spec("rclpy") is None:
+    collect_ignore_glob = ["test_*.py"]
+else:
+    with warnings.catch_warnings():  # its parser imports a module that Python has deprecated
+        warnings.simplefilter("ignore")
+        import rosidl_parser.definition
+        import rosidl_parser.parser  # noqa: F401
+    from backends.ros2.robot import Peer, Robot, fresh_domain, robot_of
+
+    MAP: dict[str, Any] = {
+        "/sensor/odom": {"topic": "/odom"},
+        "/sensor/pose": {"topic": "/odom", "field": "pose.pose"},
+        "/sensor/imu": {"topic": "/imu"},
+        "/sensor/scan": {"topic": "/scan"},
+        "/sensor/description": {"topic": "/robot_description"},
+        "/sensor/heard": {"topic": "/twist_heard"},
+        "/actuator/cmd_vel": {"topic": "/cmd_vel", "type": "geometry_msgs/msg/Twist"},
+        "/actuator/nobody": {"topic": "/nobody", "type": "std_msgs/msg/Float64"},
+        "/event/fault": {"topic": "/faults"},
+        "/service/reset": {"service": "/reset", "type": "std_srvs/srv/Trigger"},
+        "/service/set_bool": {"service": "/set_bool"},
+        "/service/add": {"service": "/add"},
+        "/service/slow": {"service": "/slow", "timeout": 0.5},
+        "/service/fault": {"service": "/fault"},
+        "/action/fibonacci": {"action": "/fibonacci"},
+        "/param/speed_limit": {"node": "/peer", "parameter": "max_speed"},
+        "/param/gear": {"node": "/peer", "parameter": "gear"},
+        "/param/serial": {"node": "/peer", "parameter": "serial"},
+        "/param/mode": {"node": "/peer", "parameter": "mode"},
+        "/param/gains": {"node": "/peer", "parameter": "gains"},
+    }
+
+    @pytest.fixture(scope="session")
+    def anyio_backend() -> str:
+        """One event loop for the fixtures that several tests share."""
+        return "asyncio"
+
+    @pytest.fixture(scope="session")
+    def domain() -> int:
+        """The domain of the peer that lives as long as the run."""
+        return fresh_domain()
+
+    @pytest.fixture(scope="session")
+    def peer(domain: int) -> Iterator[Peer]:
+        """A robot that lives as long as the run."""
+        peer = Peer(domain)
+        peer.start()
+        yield peer
+        peer.stop()
+
+    @pytest.fixture(scope="module")
+    async def module_robot(domain: int, peer: Peer) -> AsyncIterator[Robot]:
+        """A backend with the whole map; discovery takes its time, so one does for a module."""
+        async with robot_of(domain, map=MAP) as robot:
+            await robot.until(lambda: len(robot.resources) == len(MAP))
+            yield robot
+
+    @pytest.fixture
+    def robot(module_robot: Robot) -> Robot:
+        """The backend, with nothing said to its host yet."""
+        module_robot.samples.clear()
+        module_robot.reports.clear()
+        return module_robot

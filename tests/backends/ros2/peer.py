@@ -1,0 +1,200 @@
+"""A robot in a process of its own: every primitive of ROS 2 that the backend maps, and a few traps.
+
+Run as `python peer.py [name]`; prints `ready` when everything is offered and ends with its stdin,
+so that no peer outlives a test run that was killed.
+"""
+
+from __future__ import annotations
+
+import gc
+import math
+import os
+import sys
+import threading
+import time
+
+import rclpy
+from geometry_msgs.msg import Twist
+from nav_msgs.msg import Odometry
+from rcl_interfaces.msg import (
+    FloatingPointRange,
+    IntegerRange,
+    ParameterDescriptor,
+    SetParametersResult,
+)
+from rclpy.action import ActionServer, CancelResponse, GoalResponse
+from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.executors import MultiThreadedExecutor
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from sensor_msgs.msg import Imu, LaserScan
+from std_msgs.msg import Float64, String
+from std_srvs.srv import Empty, SetBool, Trigger
+from test_msgs.action import Fibonacci
+from test_msgs.srv import BasicTypes
+
+LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+BEST_EFFORT = QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST_EFFORT)
+
+
+class Peer(Node):
+    """The robot."""
+
+    def __init__(self, name: str) -> None:
+        super().__init__(name)
+        self.group = ReentrantCallbackGroup()
+        self.on = False
+        self.twist: Twist | None = None
+        self.sources()
+        self.sinks()
+        self.calls()
+        self.settings()
+        self.create_timer(0.02, self.tick, callback_group=self.group)
+
+    def sources(self) -> None:
+        self.odom = self.create_publisher(Odometry, "/odom", 10)
+        self.imu = self.create_publisher(Imu, "/imu", BEST_EFFORT)
+        self.scan = self.create_publisher(LaserScan, "/scan", BEST_EFFORT)
+        self.echo = self.create_publisher(Twist, "/twist_heard", LATCHED)
+        self.latched = self.create_publisher(String, "/robot_description", LATCHED)
+        self.latched.publish(String(data="<robot name='peer'/>"))
+        self.faults = self.create_publisher(String, "/faults", 10)
+        self.count = 0
+
+    def sinks(self) -> None:
+        self.create_subscription(Twist, "/cmd_vel", self.heard, 10)
+        self.create_subscription(Float64, "/best_effort_sink", lambda _m: None, BEST_EFFORT)
+
+    def calls(self) -> None:
+        offer = {"callback_group": self.group}
+        self.create_service(Trigger, "/reset", self.reset, **offer)
+        self.create_service(SetBool, "/set_bool", self.set_bool, **offer)
+        self.create_service(BasicTypes, "/add", self.add, **offer)
+        self.create_service(Trigger, "/slow", self.slow, **offer)
+        self.create_service(Empty, "/fault", self.fault, **offer)
+        self.fibonacci = ActionServer(
+            self,
+            Fibonacci,
+            "/fibonacci",
+            self.compute,
+            goal_callback=self.admit,
+            cancel_callback=lambda _goal: CancelResponse.ACCEPT,
+            **offer,
+        )
+
+    def settings(self) -> None:
+        self.declare_parameter(
+            "max_speed",
+            1.5,
+            ParameterDescriptor(
+                description="Fastest the robot may drive",
+                floating_point_range=[FloatingPointRange(from_value=0.0, to_value=2.5)],
+            ),
+        )
+        self.declare_parameter(
+            "gear",
+            2,
+            ParameterDescriptor(integer_range=[IntegerRange(from_value=0, to_value=10, step=2)]),
+        )
+        self.declare_parameter("serial", "A-1", ParameterDescriptor(read_only=True))
+        self.declare_parameter("mode", "auto")
+        self.declare_parameter("gains", [0.5, 0.25])
+        self.add_on_set_parameters_callback(self.judge)
+
+    def judge(self, parameters: list) -> SetParametersResult:
+        for parameter in parameters:
+            if parameter.name == "mode" and parameter.value not in ("auto", "manual"):
+                return SetParametersResult(successful=False, reason="mode must be auto or manual")
+        return SetParametersResult(successful=True)
+
+    def tick(self) -> None:
+        now = self.get_clock().now().to_msg()
+        self.count += 1
+        odom = Odometry()
+        odom.header.stamp = now
+        odom.header.frame_id = "odom"
+        odom.child_frame_id = "base_link"
+        odom.pose.pose.position.x = float(self.count)
+        odom.pose.pose.orientation.w = 1.0
+        odom.pose.covariance[0] = math.inf
+        odom.twist.twist.linear.x = 0.5
+        self.odom.publish(odom)
+        imu = Imu()
+        imu.header.stamp = now
+        imu.linear_acceleration.z = 9.81
+        self.imu.publish(imu)
+        scan = LaserScan(ranges=[1.0, math.inf, math.nan], range_max=10.0)
+        scan.header.stamp = now
+        self.scan.publish(scan)
+
+    def heard(self, message: Twist) -> None:
+        self.twist = message
+        self.echo.publish(message)
+
+    def reset(self, _request: object, response: Trigger.Response) -> Trigger.Response:
+        response.success, response.message = True, "reset done"
+        return response
+
+    def set_bool(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
+        response.success = request.data != self.on
+        response.message = "switched" if response.success else "it is so already"
+        self.on = request.data
+        return response
+
+    def add(self, request: BasicTypes.Request, response: BasicTypes.Response) -> object:
+        response.int64_value = request.int64_value + 1
+        response.uint64_value = request.uint64_value
+        response.float64_value = math.nan
+        response.string_value = request.string_value[::-1]
+        return response
+
+    def slow(self, _request: object, response: Trigger.Response) -> Trigger.Response:
+        time.sleep(30)
+        return response
+
+    def fault(self, _request: object, response: Empty.Response) -> Empty.Response:
+        self.faults.publish(String(data="motor hot"))
+        return response
+
+    def admit(self, goal: Fibonacci.Goal) -> GoalResponse:
+        return GoalResponse.REJECT if goal.order < 0 else GoalResponse.ACCEPT
+
+    def compute(self, goal: object) -> Fibonacci.Result:
+        """Order 0 aborts; an order of 1000 and more never ends by itself; 100 ms a number."""
+        order = goal.request.order
+        sequence = [0, 1]
+        while len(sequence) <= order:
+            if goal.is_cancel_requested:
+                goal.canceled()
+                return Fibonacci.Result(sequence=sequence)
+            sequence.append((sequence[-1] + sequence[-2]) % 2**31)
+            goal.publish_feedback(Fibonacci.Feedback(sequence=sequence[-5:]))
+            time.sleep(0.1)
+        if order:
+            goal.succeed()
+        else:
+            goal.abort()
+        return Fibonacci.Result(sequence=sequence)
+
+
+def main() -> None:
+    rclpy.init()
+    peer = Peer(sys.argv[1] if len(sys.argv) > 1 else "peer")
+    executor = MultiThreadedExecutor(6)
+    executor.add_node(peer)
+    spinning = threading.Thread(target=executor.spin)
+    spinning.start()
+    sys.stdout.write("ready\n")
+    sys.stdout.flush()
+    sys.stdin.read()
+    executor.shutdown(timeout_sec=1)
+    spinning.join(2)
+    peer.destroy_node()
+    rclpy.shutdown()
+    del peer, executor, spinning
+    gc.collect()  # the participant leaves the graph with its last reference
+    os._exit(0)  # whatever still sleeps in a callback
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,160 @@
+"""What the tests of the ROS 2 backend share: a host that records, and a peer in its own process."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import AsyncIterator, Callable, Sequence
+from contextlib import asynccontextmanager
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from rcp_kernel.model import Resource
+from rcp_kernel.spi import Native, Publication
+from rcp_ros2 import Ros2Config, open_ros2
+from rcp_ros2.backend import Ros2Backend
+
+BOUND = 10.0  # s that any wait of a test may take
+_PEER = Path(__file__).with_name("peer.py")
+_domains = iter(range(1000))
+
+
+def fresh_domain() -> int:
+    """Return a domain that no other test of this run uses."""
+    return (os.getpid() * 7 + next(_domains)) % 100 + 1
+
+
+class Robot:
+    """A host, the backend on it, and all that was said to the host."""
+
+    tenant = "alpha"
+    robot = None
+
+    def __init__(self) -> None:
+        self.loop = asyncio.get_running_loop()
+        self.resources: dict[str, Resource] = {}
+        self.samples: list[tuple[str, Any, int | None]] = []
+        self.reports: list[str | None] = []
+        self.backend: Ros2Backend
+        self._changed = asyncio.Event()
+
+    def declare(self, *resources: Resource) -> None:
+        self.resources |= {r.name: r for r in resources}
+        self._changed.set()
+
+    def withdraw(self, *names: str) -> None:
+        for name in names:
+            self.resources.pop(name, None)
+        self._changed.set()
+
+    def publish(self, name: str, value: Any, timestamp: int | None = None) -> None:
+        assert asyncio.get_running_loop() is self.loop
+        self.samples.append((name, value, timestamp))
+        self._changed.set()
+
+    def publish_batch(self, batch: Sequence[Publication]) -> None:
+        for item in batch:
+            self.call_soon(self.publish, item.name, item.value, item.timestamp)
+
+    def call_soon(self, function: Callable[..., object], *args: Any) -> None:
+        self.loop.call_soon_threadsafe(function, *args)
+
+    def report(self, detail: str | None, *, down: bool = False) -> None:
+        self.reports.append(detail)
+        self._changed.set()
+
+    async def until(self, holds: Callable[[], Any], seconds: float = BOUND) -> Any:
+        """Wait until something holds of what the host was told."""
+        async with asyncio.timeout(seconds):
+            while not (found := holds()):
+                self._changed.clear()
+                await self._changed.wait()
+        return found
+
+    def of(self, name: str) -> list[Any]:
+        """Return the values published under a name, decoded."""
+        return [
+            value.decode() if isinstance(value, Native) else value
+            for known, value, _ in self.samples
+            if known == name
+        ]
+
+    async def first(self, name: str, seconds: float = BOUND) -> Any:
+        """Wait for the first value of a name."""
+        await self.until(lambda: any(known == name for known, _, _ in self.samples), seconds)
+        return self.of(name)[0]
+
+    def input(self, name: str, plain: Any) -> Any:
+        """Make the typed input (or value) of a resource."""
+        resource = self.resources[name]
+        return msgspec.convert(plain, resource.input or resource.value)
+
+    async def execute(self, name: str, plain: Any = None) -> Any:
+        """Run an action or service without looking at its progress."""
+        value = None if plain is None else self.input(name, plain)
+        return await self.backend.execute(name, value, ignore)
+
+
+def ignore(feedback: Any = None, *, fraction: float | None = None) -> None:
+    """Look away from the progress of a command."""
+
+
+@asynccontextmanager
+async def robot_of(domain: int, **config: Any) -> AsyncIterator[Robot]:
+    """Open a backend on a recording host."""
+    robot = Robot()
+    decoded = msgspec.convert({"domain_id": domain, **config}, Ros2Config)
+    async with open_ros2(decoded, robot) as backend:
+        robot.backend = backend
+        yield robot
+
+
+class Peer:
+    """The other side, in a process of its own."""
+
+    def __init__(self, domain: int) -> None:
+        self._domain = domain
+        self._process: subprocess.Popen[str] | None = None
+
+    def start(self) -> None:
+        """Start it and wait until it offers everything."""
+        self._process = subprocess.Popen(
+            [sys.executable, str(_PEER)],
+            env={**os.environ, "ROS_DOMAIN_ID": str(self._domain)},
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            text=True,
+        )
+        assert self._process.stdout is not None
+        assert self._process.stdout.readline() == "ready\n"
+
+    def kill(self) -> None:
+        """Kill it as a crash would: nobody in the graph is told."""
+        assert self._process is not None
+        self._process.send_signal(signal.SIGKILL)
+        self._reap()
+
+    def stop(self) -> None:
+        """Have it leave the graph in good order."""
+        if self._process is not None and self._process.poll() is None:
+            assert self._process.stdin is not None
+            self._process.stdin.close()
+            try:
+                self._process.wait(5)
+            except subprocess.TimeoutExpired:
+                self._process.kill()
+        self._reap()
+
+    def _reap(self) -> None:
+        if self._process is not None:
+            self._process.wait(5)
+            for pipe in (self._process.stdin, self._process.stdout):
+                if pipe is not None:
+                    pipe.close()
+            self._process = None

@@ -1,0 +1,187 @@
+"""Services, actions and parameters of a living peer."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from typing import Any
+
+import pytest
+
+from backends.ros2.robot import BOUND, Robot, ignore, robot_of
+from rcp_kernel.errors import AdapterUnavailable, DeviceRejected, DeviceTimeout
+from rcp_kernel.model import Operation
+from rcp_kernel.values import value_type
+
+pytestmark = pytest.mark.anyio
+
+
+async def test_a_service_answers(robot: Robot) -> None:
+    answer = await robot.execute("service/reset")
+    assert (answer.success, answer.message) == (True, "reset done")
+
+
+async def test_a_service_takes_and_returns_every_kind_of_number(robot: Robot) -> None:
+    asked = {"int64_value": 2**60, "uint64_value": 2**64 - 1, "string_value": "äöü"}
+    answer = await robot.execute("service/add", asked)
+    assert answer.int64_value == 2**60 + 1
+    assert answer.uint64_value == 2**64 - 1
+    assert answer.string_value == "üöä"
+    assert math.isnan(answer.float64_value)
+
+
+async def test_a_service_that_says_no_is_a_refusal_with_its_reason(robot: Robot) -> None:
+    await robot.execute("service/set_bool", {"data": True})
+    with pytest.raises(DeviceRejected, match="it is so already") as caught:
+        await robot.execute("service/set_bool", {"data": True})
+    assert caught.value.details is not None
+    await robot.execute("service/set_bool", {"data": False})
+
+
+async def test_a_slow_service_times_out_in_time(robot: Robot) -> None:
+    async with asyncio.timeout(2):
+        with pytest.raises(DeviceTimeout, match=r"did not answer within 0\.5 s"):
+            await robot.execute("service/slow")
+
+
+async def test_an_action_tells_its_feedback_and_its_result(robot: Robot) -> None:
+    heard: list[Any] = []
+    goal = robot.input("action/fibonacci", {"order": 6})
+    result = await robot.backend.execute(
+        "action/fibonacci", goal, lambda feedback, **_: heard.append(feedback)
+    )
+    assert list(result.sequence) == [0, 1, 1, 2, 3, 5, 8]
+    assert list(heard[0].sequence) == [0, 1, 1]
+    assert len(heard) == 5
+
+
+async def test_a_rejected_goal_is_a_refusal(robot: Robot) -> None:
+    with pytest.raises(DeviceRejected, match="rejected the goal"):
+        await robot.execute("action/fibonacci", {"order": -1})
+
+
+async def test_an_aborted_goal_is_a_refusal_with_its_result(robot: Robot) -> None:
+    with pytest.raises(DeviceRejected, match="aborted") as caught:
+        await robot.execute("action/fibonacci", {"order": 0})
+    assert caught.value.details is not None
+    assert list(caught.value.details["result"]["sequence"]) == [0, 1]
+
+
+async def test_a_cancel_reaches_the_server_before_the_command_ends(robot: Robot) -> None:
+    moving = asyncio.Event()
+    goal = robot.input("action/fibonacci", {"order": 2000})
+    command = asyncio.ensure_future(
+        robot.backend.execute("action/fibonacci", goal, lambda *_, **__: moving.set())
+    )
+    await asyncio.wait_for(moving.wait(), BOUND)
+    (run,) = robot.backend._catalog.bindings["action/fibonacci"]._goals
+    command.cancel()
+    with pytest.raises(asyncio.CancelledError):
+        await asyncio.wait_for(command, BOUND)
+    assert run._result.result()[0] == 5  # STATUS_CANCELED, said by the server
+
+
+async def test_halt_cancels_what_runs(robot: Robot) -> None:
+    moving = asyncio.Event()
+    goal = robot.input("action/fibonacci", {"order": 2000})
+    command = asyncio.ensure_future(
+        robot.backend.execute("action/fibonacci", goal, lambda *_, **__: moving.set())
+    )
+    await asyncio.wait_for(moving.wait(), BOUND)
+    await asyncio.wait_for(robot.backend.halt(), BOUND)
+    with pytest.raises(Exception, match="was stopped"):
+        await asyncio.wait_for(command, BOUND)
+
+
+async def test_a_parameter_carries_its_range_and_words(robot: Robot) -> None:
+    resource = robot.resources["param/speed_limit"]
+    assert resource.description == "Fastest the robot may drive."
+    schema = value_type(resource.value).schema
+    assert (schema["minimum"], schema["maximum"]) == (0, 2.5)
+    gear = value_type(robot.resources["param/gear"].value).schema
+    assert (gear["minimum"], gear["maximum"], gear["multipleOf"]) == (0, 10, 2)
+
+
+async def test_a_read_only_parameter_offers_no_write(robot: Robot) -> None:
+    operations = robot.resources["param/serial"].operations
+    assert operations == Operation.READ | Operation.SUBSCRIBE
+
+
+async def test_a_parameter_is_read_set_and_told(robot: Robot) -> None:
+    async with robot.backend.watch("param/speed_limit", None):
+        assert await robot.first("param/speed_limit") == await robot.backend.read(
+            "param/speed_limit"
+        )
+        await robot.backend.write("param/speed_limit", 0.75)
+        await robot.until(lambda: robot.of("param/speed_limit")[-1] == 0.75)
+    assert await robot.backend.read("param/speed_limit") == 0.75
+    assert await robot.backend.read("param/gains") == [0.5, 0.25]
+
+
+async def test_a_parameter_the_node_refuses_is_a_refusal_with_its_reason(robot: Robot) -> None:
+    with pytest.raises(DeviceRejected, match="mode must be auto or manual"):
+        await robot.backend.write("param/mode", "chaos")
+    assert await robot.backend.read("param/mode") == "auto"
+
+
+async def test_patterns_expose_what_they_name_and_nothing_else(domain: int, peer: object) -> None:
+    expose = ["/odom", "/cmd_vel", "/reset", "/fibonacci", "/peer"]
+    async with robot_of(domain, expose=expose) as robot:
+        await robot.until(lambda: len(robot.resources) >= 9)
+        assert {name.split("/", 1)[0] + "/" for name in robot.resources} == {
+            "sensor/",
+            "actuator/",
+            "service/",
+            "action/",
+            "param/",
+        }
+        assert {n for n in robot.resources if not n.startswith("param/")} == {
+            "sensor/odom",
+            "actuator/cmd_vel",
+            "service/reset",
+            "action/fibonacci",
+        }
+        assert "param/peer/max_speed" in robot.resources
+        assert await robot.backend.read("param/peer/gear") == 2
+        await robot.backend.execute("service/reset", None, ignore)
+
+
+async def test_what_is_not_there_is_an_error_with_a_way_out(domain: int, peer: object) -> None:
+    absent: dict[str, Any] = {
+        "/sensor/unseen": {"topic": "/unseen"},
+        "/sensor/untyped": {"topic": "/odom", "type": "no_such_msgs/msg/Odometry"},
+        "/sensor/misled": {
+            "topic": "/odom",
+            "field": "pose.nowhere",
+            "type": "nav_msgs/msg/Odometry",
+        },
+        "/service/gone": {"service": "/gone", "type": "std_srvs/srv/Trigger"},
+        "/action/gone": {"action": "/gone", "type": "test_msgs/action/Fibonacci"},
+        "/param/gone": {"node": "/gone", "parameter": "x"},
+        "/param/unknown": {"node": "/peer", "parameter": "no_such"},
+    }
+    words = {
+        "sensor/unseen": "no node offers the topic /unseen",
+        "sensor/untyped": "no_such_msgs/msg/Odometry is not installed",
+        "sensor/misled": "has no field 'nowhere'",
+        "service/gone": "no node offers service /gone",
+        "action/gone": "no node offers action /gone",
+        "param/gone": "the node /gone is not there",
+        "param/unknown": "has no parameter 'no_such'",
+    }
+    async with robot_of(domain, map=absent, grace=1.5) as robot:
+        await robot.until(lambda: len(robot.resources) == len(absent))
+        unknown = robot.backend._catalog.bindings
+        await robot.until(lambda: "no_such" in getattr(unknown["param/unknown"], "why", ""))
+        for name, text in words.items():
+            called = name.startswith(("service", "action"))
+            async with asyncio.timeout(3):
+                with pytest.raises(AdapterUnavailable, match=text) as caught:
+                    await (
+                        robot.backend.execute(name, None, ignore)
+                        if called
+                        else robot.backend.read(name)
+                    )
+            assert caught.value.remedy
+        await robot.until(lambda: any(robot.reports))
+        assert "/unseen" in (robot.reports[-1] or "")

@@ -1,0 +1,228 @@
+"""The compiled decoder against rclpy's own, over every form a field can have."""
+
+from __future__ import annotations
+
+import importlib
+import math
+import random
+import struct
+from typing import Any
+
+import msgspec
+import pytest
+from nav_msgs.msg import Odometry
+from rclpy.serialization import deserialize_message, serialize_message
+from sensor_msgs.msg import LaserScan
+
+from rcp_kernel.errors import ConfigError
+from rcp_kernel.values import Encoding, value_type
+from rcp_ros2.cdr import Codec, Malformed
+from rcp_ros2.filler import filler
+from rcp_ros2.idl import MissingType, fields_of, load
+from rcp_ros2.types import inward
+
+MESSAGES = [
+    "Arrays",
+    "BasicTypes",
+    "BoundedPlainSequences",
+    "BoundedSequences",
+    "Builtins",
+    "ComplexNestedKey",
+    "Constants",
+    "Defaults",
+    "Empty",
+    "MultiNested",
+    "Nested",
+    "Strings",
+    "UnboundedSequences",
+    "WStrings",
+]
+
+
+def theirs(value: Any) -> Any:
+    """Turn a message of rclpy into lists, dictionaries and numbers."""
+    if hasattr(value, "get_fields_and_field_types"):
+        names = value.get_fields_and_field_types()
+        return {name: theirs(getattr(value, name)) for name in names}
+    if isinstance(value, bytes):  # one octet
+        return value[0]
+    if hasattr(value, "tolist"):
+        value = value.tolist()
+    if isinstance(value, (list, tuple)):
+        return [theirs(one) for one in value]
+    return struct.pack("d", value) if isinstance(value, float) else value  # NaN equals itself so
+
+
+def ours(value: Any) -> Any:
+    """Turn a typed value into the same."""
+    if isinstance(value, msgspec.Struct):
+        return {name: ours(getattr(value, name)) for name in value.__struct_fields__}
+    if isinstance(value, (list, tuple, bytes)):
+        return [ours(one) for one in value]
+    return struct.pack("d", value) if isinstance(value, float) else value
+
+
+def message_class(name: str) -> Any:
+    return getattr(importlib.import_module("test_msgs.msg"), name)
+
+
+_FLOATS = (0.0, -1.5, math.inf, -math.inf, math.nan)
+
+
+def message(cls: Any, chance: random.Random) -> Any:
+    """Make a message of random values, as rclpy would have it."""
+    made = cls()
+    for name, slot in zip(cls.get_fields_and_field_types(), cls.SLOT_TYPES, strict=True):
+        setattr(made, name, some(slot, chance))
+    return made
+
+
+def some(slot: Any, chance: random.Random) -> Any:
+    kind = type(slot).__name__
+    if kind == "BasicType":
+        return number(slot.typename, chance)
+    if kind == "NamespacedType":
+        return message(load("/".join((*slot.namespaces, slot.name))), chance)
+    if kind in ("Array", "BoundedSequence", "UnboundedSequence"):
+        size = slot.size if kind == "Array" else chance.randrange(4)
+        return [some(slot.value_type, chance) for _ in range(size)]
+    text = "".join(chance.choices("abc äöü ハロー 😀", k=chance.randrange(6)))
+    return text[: getattr(slot, "maximum_size", None)]
+
+
+def number(kind: str, chance: random.Random) -> Any:
+    if kind == "boolean":
+        return chance.random() < 0.5
+    if kind == "octet":
+        return bytes((chance.randrange(256),))
+    if kind in ("float", "double"):
+        return chance.choice(_FLOATS)
+    width = int(kind.lstrip("uint"))
+    low, high = (0, 2**width - 1) if kind[0] == "u" else (-(2 ** (width - 1)), 2 ** (width - 1) - 1)
+    return chance.choice((low, high, chance.randint(low, high)))
+
+
+@pytest.mark.parametrize("name", MESSAGES)
+def test_defaults_decode_as_rclpy_decodes_them(name: str) -> None:
+    cls = message_class(name)
+    data = serialize_message(cls())
+    codec = Codec(cls)
+    value = codec.decode(data)
+    assert ours(value) == theirs(deserialize_message(data, cls))
+    checked, _ = value_type(codec.type).check(value)
+    assert checked is not None
+
+
+@pytest.mark.parametrize("name", MESSAGES)
+def test_any_value_decodes_as_rclpy_decodes_it(name: str) -> None:
+    cls = message_class(name)
+    codec = Codec(cls)
+    for seed in range(40):
+        data = serialize_message(message(cls, random.Random(seed)))
+        assert ours(codec.decode(data)) == theirs(deserialize_message(data, cls)), seed
+
+
+@pytest.mark.parametrize("name", MESSAGES)
+def test_the_inward_type_makes_the_same_message(name: str) -> None:
+    cls = message_class(name)
+    value = inward(cls)()
+    made = filler(cls)(value)
+    assert theirs(deserialize_message(serialize_message(made), cls)) == theirs(cls())
+
+
+@pytest.mark.parametrize("name", MESSAGES)
+def test_json_carries_every_value_there_and_back(name: str) -> None:
+    cls = message_class(name)
+    codec = Codec(cls)
+    value = codec.decode(serialize_message(cls()))
+    declared = value_type(codec.type)
+    again = declared.decode(declared.encode(value, Encoding.JSON), Encoding.JSON)
+    assert ours(again) == ours(value)
+
+
+def test_integers_at_their_ends_survive_json_and_the_way_in() -> None:
+    cls = message_class("BasicTypes")
+    top = {"int64_value": 2**63 - 1, "uint64_value": 2**64 - 1, "int8_value": -128}
+    declared = value_type(inward(cls))
+    value = declared.convert({**top, "uint64_value": str(2**64 - 1)})
+    data = serialize_message(filler(cls)(value))
+    back = Codec(cls).decode(data)
+    assert {name: getattr(back, name) for name in top} == top
+    text = value_type(Codec(cls).type).encode(back, Encoding.JSON)
+    assert b'"uint64_value":"18446744073709551615"' in text
+
+
+def test_big_endian_is_decoded_too() -> None:
+    body = struct.pack(">?BBxfdbBhHxxiIqQ", True, 2, 3, 1.5, 2.5, -1, 2, -3, 4, -5, 6, -7, 8)
+    value = Codec(message_class("BasicTypes")).decode(b"\x00\x00\x00\x00" + body)
+    assert msgspec.structs.astuple(value) == (True, 2, 3, 1.5, 2.5, -1, 2, -3, 4, -5, 6, -7, 8)
+
+
+def test_another_encoding_is_malformed() -> None:
+    with pytest.raises(Malformed, match="0007"):
+        Codec(message_class("BasicTypes")).decode(b"\x00\x07\x00\x00" + bytes(64))
+
+
+@pytest.mark.parametrize("name", ["Arrays", "Strings", "UnboundedSequences", "WStrings", "Nested"])
+def test_bytes_cut_short_are_malformed_and_never_another_value(name: str) -> None:
+    cls = message_class(name)
+    data = serialize_message(message(cls, random.Random(7)))
+    codec = Codec(cls)
+    whole = ours(codec.decode(data))
+    cut = 0
+    for length in range(0, len(data) - 1, 3):
+        try:
+            assert ours(codec.decode(data[:length])) == whole  # only padding was cut
+        except Malformed:
+            cut += 1
+    assert cut > 10
+
+
+def test_a_length_that_lies_is_malformed() -> None:
+    lie = b"\x00\x01\x00\x00" + b"\xff\xff\xff\x7f" * 8
+    for name in ("Strings", "UnboundedSequences", "WStrings"):
+        with pytest.raises(Malformed):
+            Codec(message_class(name)).decode(lie)
+
+
+def test_a_projection_decodes_the_part_alone() -> None:
+    odom = Odometry()
+    odom.pose.pose.position.x = 3.0
+    odom.twist.covariance[35] = math.nan
+    data = serialize_message(odom)
+    assert Codec(Odometry, "pose.pose.position").decode(data).x == 3.0
+    assert math.isnan(Codec(Odometry, "twist.covariance").decode(data)[35])
+    assert Codec(Odometry, "child_frame_id").decode(data) == ""
+    ranges = serialize_message(LaserScan(ranges=[1.0, math.inf]))
+    assert list(Codec(LaserScan, "ranges").decode(ranges)) == [1.0, math.inf]
+
+
+def test_a_projection_that_leads_nowhere_names_the_fields_there_are() -> None:
+    with pytest.raises(ConfigError, match=r"has no field 'poze'.*header"):
+        Codec(Odometry, "poze.pose")
+    with pytest.raises(ConfigError, match="has no fields"):
+        Codec(Odometry, "child_frame_id.x")
+
+
+def test_a_type_that_is_not_installed_says_how_to_get_it() -> None:
+    with pytest.raises(MissingType) as caught:
+        load("example_interfaces/msg/Bool")
+    assert "pip install ros-example-interfaces" in caught.value.remedy
+    with pytest.raises(MissingType):
+        load("std_msgs/msg/NoSuchThing")
+
+
+def test_units_follow_the_context() -> None:
+    schema = value_type(Codec(Odometry).type).schema["$defs"]
+    twist = schema["Twist"]["properties"]
+    assert "Vector3_m_s" in twist["linear"]["$ref"]
+    assert schema["Vector3_rad_s"]["properties"]["z"]["unit"] == "rad/s"
+    assert schema["Time"]["properties"]["sec"]["unit"] == "s"
+
+
+def test_inward_floats_are_finite_and_unknown_fields_refused() -> None:
+    declared = value_type(inward(load("geometry_msgs/msg/Twist")))
+    for bad in ({"linear": {"x": "NaN"}}, {"linaer": {}}):
+        with pytest.raises(Exception, match=r"finite|unknown field"):
+            declared.convert(bad)
+    assert fields_of(load("geometry_msgs/msg/Twist"))[0].name == "linear"
