@@ -157,11 +157,14 @@ class BackendTests(Suite):
         drives = [r for r in self.running.resources.values() if r.safe is not None]
         if not drives:
             raise NotImplementedError
-        return all([same(to_plain(await self.truth(r.name)), to_plain(r.safe)) for r in drives])
+        return all([same(await self.typed_truth(r), self.safe(r)) for r in drives])
 
     def goals(self) -> Mapping[str, Goal]:
         """Return a goal for each action, and for those services that have one."""
         return {}
+
+    async def prepare(self, name: str) -> None:
+        """Bring the device where the goal of an action can begin; called before each time."""
 
     def values(self, name: str) -> Sequence[Any]:
         """Return two or more good values of a writable resource, from its examples and schema."""
@@ -213,11 +216,29 @@ class BackendTests(Suite):
         found = self.running.resources.values()
         return [resource for resource in found if kind_of_resource(resource) in MOVING]
 
+    def actions(self) -> list[str]:
+        """List the actions that have a goal."""
+        return [name for name in self.goals() if name.startswith("action/")]
+
+    async def typed_truth(self, resource: Resource) -> Any:
+        """Return the truth of a writable resource, its type's defaults filled in, as plain data."""
+        found = to_plain(await self.truth(resource.name))
+        return to_plain(value_type(resource.value).convert(found, f"truth of {resource.name}"))
+
+    async def begin(self, name: str) -> str:
+        """Start the lasting goal of an action; return the request's id."""
+        await self.prepare(name)
+        return await self.running.begin(name, self.goals()[name].lasting)
+
+    async def complete(self, name: str, value: Any) -> Message:
+        """Run an action or service to its end; return the final reply."""
+        await self.prepare(name)
+        return await self.running.ask("execute", name, body=value, within=self.complete_within)
+
     async def set_in_motion(self) -> str | None:
         """Start a command or write a velocity; return the id of a command, if it is one."""
-        for name, goal in self.goals().items():
-            if name.startswith("action/"):
-                return await self.running.begin(name, goal.lasting)
+        for name in self.actions():
+            return await self.begin(name)
         for resource in self.moving():
             if resource.safe is not None:
                 value = self.unsafe(resource)
@@ -226,10 +247,14 @@ class BackendTests(Suite):
                 return None
         return pytest.skip("nothing of it moves")
 
+    def safe(self, resource: Resource) -> Any:
+        """Return the safe value of an actuator as plain data."""
+        return to_plain(value_type(resource.value).convert(to_plain(resource.safe)))
+
     def unsafe(self, resource: Resource) -> Any:
         """Return a value of an actuator that moves it."""
-        safe = to_plain(resource.safe)
-        return next(v for v in self.values(resource.name) if not same(v, safe))
+        convert, safe = value_type(resource.value).convert, self.safe(resource)
+        return next(v for v in self.values(resource.name) if not same(to_plain(convert(v)), safe))
 
     async def comes_to_rest(self, why: str) -> None:
         """Wait until nothing moves."""

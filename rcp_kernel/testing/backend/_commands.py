@@ -20,7 +20,7 @@ class CommandTests(BackendTests):
 
     async def test_a_good_goal_completes_in_the_state_it_reports(self, robot: Robot) -> None:
         for name, goal in self.goals().items():
-            reply = await robot.ask("execute", name, body=goal.good, within=self.complete_within)
+            reply = await self.complete(name, goal.good)
             assert reply["status"] == "completed", reply
             if robot.resources[name].output is not None:
                 assert await self.confirms(name, reply["body"]), f"{name}: {reply['body']!r}"
@@ -39,7 +39,7 @@ class CommandTests(BackendTests):
         for name, goal in self.goals().items():
             if not goal.fails:
                 continue
-            reply = await robot.ask("execute", name, body=goal.bad, within=self.complete_within)
+            reply = await self.complete(name, goal.bad)
             assert reply["status"] in ("failed", "rejected"), reply
             assert reply["error"]["code"] in _ROBOTS_REASONS, reply
             assert len(reply["message"]) > len(name) // 2, "say why"
@@ -52,10 +52,8 @@ class CommandTests(BackendTests):
                 assert "command" not in reply
 
     async def test_a_goal_can_be_cancelled_and_the_robot_rests(self, robot: Robot) -> None:
-        for name, goal in self.goals().items():
-            if not name.startswith("action/"):
-                continue
-            id_ = await robot.begin(name, goal.lasting)
+        for name in self.actions():
+            id_ = await self.begin(name)
             told = await robot.ask("cancel", name)
             assert told["body"]["cancelled"], f"{name} had ended already: give Goal.long"
             final = await robot.client.final(id_, self.cancel_within)
@@ -63,19 +61,17 @@ class CommandTests(BackendTests):
             await self.comes_to_rest(f"{name} was cancelled")
 
     async def test_after_a_cancel_the_next_goal_is_taken(self, robot: Robot) -> None:
-        for name, goal in self.goals().items():
-            if not name.startswith("action/"):
-                continue
-            id_ = await robot.begin(name, goal.lasting)
+        for name in self.actions():
+            id_ = await self.begin(name)
             await robot.ask("cancel", name)
             await robot.client.final(id_, self.cancel_within)
-            reply = await robot.ask("execute", name, body=goal.good, within=self.complete_within)
+            reply = await self.complete(name, self.goals()[name].good)
             assert reply["status"] == "completed", reply
 
     async def test_a_goal_past_its_deadline_is_stopped(self, robot: Robot) -> None:
-        for name, goal in self.goals().items():
-            if not name.startswith("action/"):
-                continue
-            reply = await robot.ask("execute", name, body=goal.lasting, deadline=0.05)
+        for name in self.actions():
+            await self.prepare(name)
+            lasting = self.goals()[name].lasting
+            reply = await robot.ask("execute", name, body=lasting, deadline=0.05)
             assert reply["error"]["code"] == "deadline_exceeded", reply
             await self.comes_to_rest(f"the deadline of {name}")

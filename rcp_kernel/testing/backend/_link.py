@@ -41,10 +41,8 @@ class LinkTests(BackendTests):
 
     async def test_a_command_over_a_link_that_breaks_ends(self, robot: Robot) -> None:
         self._needs_a_link()
-        for name, goal in self.goals().items():
-            if not name.startswith("action/"):
-                continue
-            id_ = await robot.begin(name, goal.lasting)
+        for name in self.actions():
+            id_ = await self.begin(name)
             await self.break_link()
             final = await robot.client.final(id_, _WAIT)
             assert final["status"] == "failed", final

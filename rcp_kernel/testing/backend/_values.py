@@ -11,7 +11,7 @@ from rcp_kernel.errors import RcpError
 from rcp_kernel.model import Kind, Operation, Resource
 from rcp_kernel.testing._schemas import beyond, legal, same
 from rcp_kernel.testing.backend._base import BackendTests, Robot, kind_of_resource, offers
-from rcp_kernel.values import to_plain, value_type
+from rcp_kernel.values import value_type
 
 __all__ = ["ValueTests"]
 
@@ -66,7 +66,7 @@ class ValueTests(BackendTests):
             for value in self.values(name)[:3]:
                 reply = await robot.ask("write", name, body=value)
                 assert reply["status"] == "completed", reply
-                truth = to_plain(await self.truth(name))
+                truth = await self.typed_truth(resource)
                 assert same(truth, reply["body"]), f"{name}: the device has {truth!r}"
                 seen.append(truth)
             assert any(not same(a, seen[0]) for a in seen[1:]), f"{name} never changed: {seen!r}"
@@ -82,11 +82,11 @@ class ValueTests(BackendTests):
     async def test_what_is_out_of_range_is_refused_and_changes_nothing(self, robot: Robot) -> None:
         for resource in robot.having(Operation.WRITE):
             await robot.ask("write", resource.name, body=self.values(resource.name)[0])
-            before = to_plain(await self.truth(resource.name))
+            before = await self.typed_truth(resource)
             for value in beyond(value_type(resource.value).schema):
                 reply = await robot.ask("write", resource.name, body=value)
                 assert reply["error"]["code"] == "out_of_range", (resource.name, value, reply)
             reply = await robot.ask("write", resource.name, body={"no": ["such", "value"]})
             assert reply["error"]["code"] == "invalid_value", (resource.name, reply)
-            after = to_plain(await self.truth(resource.name))
+            after = await self.typed_truth(resource)
             assert same(before, after), f"{resource.name} went from {before!r} to {after!r}"

@@ -1,0 +1,66 @@
+"""The simulated rover keeps what the house asks of a backend."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, ClassVar
+
+import rcp_sim
+from rcp_kernel.testing import BackendSuite, Goal, eventually
+from rcp_sim.messages import FaultSpec
+
+REST = (0.0, 0.0)
+
+
+class TestSim(BackendSuite):
+    kind = next(iter(rcp_sim.rcp_backends()))
+    config: ClassVar[Mapping[str, Any]] = {
+        "world": "empty",
+        "noise": 0.0,
+        "map_resolution": 0.5,
+        "time_scale": 5.0,
+    }
+
+    async def truth(self, name: str) -> Any:
+        sim = self.backend.device.sim
+        if name == "param/speed_limit":
+            return sim.limit
+        v, w = sim.velocity
+        return {"linear": {"x": v}, "angular": {"z": w}}
+
+    async def confirms(self, name: str, result: Any) -> bool:
+        rover = self.backend.device.sim.rover
+        where = result["pose"]["position"]
+        return abs(where["x"] - rover.x) < 0.1 and abs(where["y"] - rover.y) < 0.1
+
+    async def at_rest(self) -> bool:
+        return self.backend.device.sim.rover.at_rest
+
+    def goals(self) -> Mapping[str, Goal]:
+        here, far = {"position": {"x": 0.3, "y": 0.0}}, {"position": {"x": 15.0, "y": 0.0}}
+        return {
+            "action/move_to": Goal(good=here, bad={"position": {"x": 500.0, "y": 0.0}}, long=far),
+            "action/dock": Goal(good=None),
+            "service/reset_system": Goal(good=None),
+        }
+
+    async def prepare(self, name: str) -> None:
+        if name == "action/dock":
+            self.backend.device.sim.rover.x = 3.0  # the charger stands at the start
+
+    def values(self, name: str) -> Sequence[Any]:
+        if name == "param/speed_limit":
+            return (0.5, 1.0)
+        return ({"linear": {"x": 0.4}, "angular": {"z": 0.2}}, {"linear": {"x": 0.1}})
+
+    async def break_link(self) -> None:
+        device = self.backend.device
+        device.strike(FaultSpec("link_lost"))
+
+        async def lost() -> bool:
+            return device.faults.link_lost
+
+        await eventually(lost, "the link is lost")
+
+    async def mend_link(self) -> None:
+        self.backend.device.mend()
