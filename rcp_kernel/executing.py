@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import secrets
+from copy import copy
 from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
@@ -131,6 +132,7 @@ class Executing:
                 _forget_finished(session.commands)
 
         def told(reply: Reply) -> None:
+            reply = copy(reply)  # other requests may follow the same command under ids of theirs
             reply.id = request.id
             if reply.final:
                 session.inflight.pop(key, None)

@@ -266,10 +266,18 @@ class Sessions:
         """
         gateway = self._gateway
         chosen = gateway.tenant_for(principal, tenant)
+        if len(self.known) >= gateway.limits.sessions:
+            self._make_room()
         gateway.check_sessions(len(self.known))
         session = Session(principal, gateway.rules.rights(principal), chosen, transport)
         self.known[session.id] = session
         return session
+
+    def _make_room(self) -> None:
+        """Drop the session that has waited longest for its client: who is here goes first."""
+        waiting = [session for session in self.known.values() if session.cut is not None]
+        if waiting:
+            self.drop(min(waiting, key=lambda session: session.cut or 0))
 
     def stateless(self, principal: Principal, transport: str, tenant: str | None) -> Session:
         """Return the session that all HTTP requests of a principal share; it holds nothing."""

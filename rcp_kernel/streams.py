@@ -41,6 +41,7 @@ class Feed:
     __slots__ = (
         "_heads",
         "_lifespan",
+        "_named",
         "_plain",
         "_share",
         "backlog",
@@ -73,12 +74,14 @@ class Feed:
         self.reliable = options.qos.reliability == "reliable"
         self.priority = options.qos.priority
         self.native = options.encoding == "native"
+        self._named = False
         self.dropped = 0
         """Samples skipped since the last update that went out."""
         self.skipped = 0
         """Samples skipped ever."""
-        self.sent = 0
-        """Number of the last sample that was handed to a transport."""
+        self.sent = entry.seq
+        """Number of the last sample that the client has, or has no claim to: what came before it
+        subscribed is not missed."""
         self.heard = 0.0
         """Monotonic time of the last sample, kept where a deadline was asked for."""
         self.missed = False
@@ -121,6 +124,8 @@ class Feed:
     def replay(self, samples: Iterable[Sample]) -> None:
         """Queue earlier samples ahead of everything else."""
         self.backlog = deque(samples)
+        if self.backlog:
+            self.sent = min(self.sent, self.backlog[0].seq - 1)
         if self.backlog and not self.marked:
             self.mark()
 
@@ -133,8 +138,8 @@ class Feed:
 
     def drain(self, out: list[bytes], budget: int, wrap: Wrap | None, big: int | None) -> int:
         """Move queued samples to `out` as framed updates; return how many bytes that were."""
-        if self._plain and wrap is None and big is None and not self.backlog:
-            return self._drain_plain(out, budget)
+        if self._plain and big is None and not self.backlog:
+            return self._drain_plain(out, budget, wrap)
         size = 0
         while size < budget:
             queue = self.backlog or self.queue
@@ -171,12 +176,12 @@ class Feed:
                 break
         return size
 
-    def _drain_plain(self, out: list[bytes], budget: int) -> int:
+    def _drain_plain(self, out: list[bytes], budget: int, wrap: Wrap | None) -> int:
         """Drain a feed that has nothing to look at but its queue: the hot loop of every fan-out."""
         mailbox = self.mailbox
         assert mailbox is not None
         encoding, head, _ = self._heads or self._make_heads()
-        if mailbox.framing is not None:
+        if mailbox.framing is not None and wrap is None:
             return self._drain_framed(out, budget, mailbox, mailbox.framing)
         key = encoding if self.fields is None else (encoding, self.fields)
         queue = self.queue
@@ -191,7 +196,7 @@ class Feed:
             self.dropped = 0
             self.sent = sample.seq
             size += len(data)
-            out.append(data)
+            out.append(data if wrap is None else wrap(data, self, sample))
             mailbox.updates += 1
         return size
 
@@ -278,7 +283,8 @@ class Feed:
         }
         if self.dropped:
             facts["dropped"] = self.dropped
-        if not self.sent:
+        if not self._named:
+            self._named = True
             facts["native_type"] = self.entry.resource.native
         facts["body"] = bytes(sample.native.data)
         return encode_frame(facts, b"", encoding)
@@ -290,6 +296,7 @@ class Feed:
         self.marked = False
         self.mailbox = None
         self._heads = None
+        self._named = False
 
 
 class FilteredFeed(Feed):

@@ -6,8 +6,9 @@ from typing import Any
 
 import pytest
 
-from kernel.world import CONFIG, Client, World, prepared
+from kernel.world import CONFIG, Client, World, prepared, world_of
 from rcp_kernel.config import parse
+from rcp_kernel.errors import QueueFull
 from rcp_kernel.reload import apply
 
 pytestmark = pytest.mark.anyio
@@ -129,3 +130,43 @@ async def test_changed_rules_act_on_open_sessions(world: World) -> None:
     world.robot.host.publish("sensor/level", 1.0)
     assert (await guest.ask(type="read", path=LEVEL))["error"]["code"] == "unknown_path"
     assert not [m for m in guest.inbox if m["type"] == "update"]
+
+
+async def test_what_came_before_the_subscription_is_not_replayed_after_a_cut(world: World) -> None:
+    for value in range(20):
+        world.robot.host.publish("sensor/level", float(value))
+    client = world.client()
+    session = (await greeted(client))["session"]
+    await client.ask(type="subscribe", id="s", path=LEVEL, body={**RELIABLE, "initial": False})
+    client.connection.close()
+    world.robot.host.publish("sensor/level", 99.0)
+    client = world.client()
+    await greeted(client, session=session)
+    assert (await client.update("s"))["body"] == 99.0
+    assert client.inbox == []
+
+
+async def test_a_full_gateway_lets_the_longest_absent_go_for_who_is_here() -> None:
+    async with world_of("limits = {sessions = 2}\n" + CONFIG) as world:
+        first, second = world.client(), world.client()
+        for client in (first, second):
+            await greeted(client)
+            client.connection.close()
+        third = await greeted(world.client())
+        known = world.server.gateway.sessions.known
+        assert set(known) == {second.connection.session.id, third["session"]}
+        world.client()
+        with pytest.raises(QueueFull):
+            world.client()
+
+
+async def test_two_requests_that_follow_one_command_keep_their_own_ids(world: World) -> None:
+    client = world.client()
+    ids = [
+        client.send(type="execute", path="/action/go", body=1, idempotency_key="k")
+        for _ in range(2)
+    ]
+    await world.robot.started.get()
+    world.robot.release.set()
+    finals = [await client.final(id_) for id_ in ids]
+    assert finals[0]["command"] == finals[1]["command"]
