@@ -40,6 +40,7 @@ format: $(TEST)
 	$(BIN)/ruff format .
 
 bench: $(TEST)
+	@$(PIP) -c constraints.txt -e '.[test,bench]'
 	$(BIN)/python benchmarks/scale.py $(ARGS)
 
 constraints: $(TEST)
