@@ -38,7 +38,7 @@ def measured(script: str, server: str, *load: str) -> dict[str, float]:
         result = json.loads(client.stdout.readline())
         after, ended = info.cpu_times(), time.perf_counter()
         client.wait()
-        process.terminate()
+        process.kill()
     cpu = after.user + after.system - before.user - before.system
     return {**result, "cpu": cpu, "busy": cpu / (ended - begun), "per_cpu": result["done"] / cpu}
 
@@ -51,5 +51,5 @@ def best(script: str, *servers: tuple[str, ...]) -> list[dict[str, float]]:
 
 def row(name: str, found: dict[str, float], base: dict[str, float] | None = None) -> None:
     """Print one line of a table."""
-    ratio = f"  {found['per_cpu'] / base['per_cpu']:5.2f} ×" if base else ""
+    ratio = f"  {found['per_cpu'] / base['per_cpu']:5.2f} x" if base else ""
     print(f"  {name:34} {found['per_cpu'] / 1000:9.1f} k/CPU-s  cpu {found['busy']:5.0%}{ratio}")

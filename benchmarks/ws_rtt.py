@@ -56,9 +56,7 @@ async def echo() -> None:
 
 def main() -> None:
     asked, ping = ECHO.decode(), '{"type":"ping","id":"c-17"}'
-    base, read, pong = best(
-        __file__, ("echo", asked), ("gateway", asked), ("gateway", ping)
-    )
+    base, read, pong = best(__file__, ("echo", asked), ("gateway", asked), ("gateway", ping))
     row("bare picows echo", base)
     row(f"gateway: read ({read['size']:.0f} B)", read, base)
     row("gateway: ping", pong, base)

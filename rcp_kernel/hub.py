@@ -164,6 +164,7 @@ class Hub:
         """Make the feed of a subscription that wants every sample as it comes."""
         options = subscription.options
         alone = options.qos.reliability == "reliable" or options.encoding == "native"
+        alone = alone or (mailbox is not None and mailbox.alone)
         kind = Feed if alone or options.count is not None else ChorusFeed
         return kind(subscription, entry, mailbox)
 

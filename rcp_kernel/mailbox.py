@@ -12,6 +12,8 @@ from collections import deque
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
+import structlog
+
 from rcp_kernel.values import Encoding
 
 if TYPE_CHECKING:
@@ -19,6 +21,8 @@ if TYPE_CHECKING:
     from rcp_kernel.streams import Feed
 
 __all__ = ["Framing", "Mailbox", "Ticker", "Wrap"]
+
+log = structlog.get_logger("rcp.streams")
 
 Framing = Callable[[int, bool], bytes]
 """Make the head of a transport's frame, for a message of so many bytes, text or not."""
@@ -46,21 +50,27 @@ class Ticker:
         dirty, self._dirty = self._dirty, []
         for mailbox in dirty:
             mailbox.dirty = False
-            mailbox.flush()
+            flush = mailbox.on_flush
+            if flush is not None:
+                try:
+                    flush()
+                except Exception:  # one client's trouble must not keep the others waiting
+                    log.exception("flush_failed")
 
 
 class Mailbox:
     """What one connection has to be sent; the transport collects it when its socket takes it."""
 
     __slots__ = (
-        "_flush",
         "_ticker",
+        "alone",
         "control",
         "dirty",
         "encoding",
         "feedback",
         "framing",
         "high_water",
+        "on_flush",
         "pending",
         "prioritised",
         "text",
@@ -69,13 +79,17 @@ class Mailbox:
 
     def __init__(self, ticker: Ticker, encoding: Encoding, flush: Callable[[], None]) -> None:
         self._ticker = ticker
-        self._flush: Callable[[], None] | None = flush
+        self.on_flush: Callable[[], None] | None = flush
+        """The transport's; None once it is gone."""
         self.encoding = encoding
         self.text = encoding is Encoding.JSON
         self.dirty = False
         self.framing: Framing | None = None
         """Set by a transport that sends whole messages in frames: `collect` then returns bytes
         ready for the socket, a long message in two parts, and like receivers share frames."""
+        self.alone = False
+        """Set by a transport that wraps each message in what is its client's own: there is nothing
+        to share."""
         self.control: list[bytes] = []
         """Replies and notices: in order, never dropped."""
         self.feedback: dict[str, Callable[[], bytes]] = {}
@@ -99,12 +113,12 @@ class Mailbox:
 
     def flush(self) -> None:
         """Call the transport, which collects if its socket can take more."""
-        if self._flush is not None:
-            self._flush()
+        if self.on_flush is not None:
+            self.on_flush()
 
     def close(self) -> None:
         """Forget everything; the transport is gone."""
-        self._flush = None
+        self.on_flush = None
         self.control.clear()
         self.feedback.clear()
         self.pending.clear()

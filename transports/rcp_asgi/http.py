@@ -15,6 +15,7 @@ from uvicorn.config import Config
 from uvicorn.protocols.http.httptools_impl import STATUS_LINE, HttpToolsProtocol
 from uvicorn.server import ServerState
 
+from rcp_asgi.endless import Endless
 from rcp_asgi.settings import Settings
 from rcp_asgi.upgrade import Upgrade
 from rcp_kernel.door import Asgi
@@ -43,11 +44,13 @@ class HttpProtocol(HttpToolsProtocol):
         self._in_head = True
         self._slow: asyncio.TimerHandle | None = None
         self._extensions: dict[str, Any] = {}
+        self._body: Endless | None = None
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         """Take a connection, unless there are too many."""
         super().connection_made(transport)
-        self._extensions = {"rcp.flow": self.flow, "rcp.closing": self._settings.closing}
+        self._body = Endless(transport)
+        self._extensions = {"rcp.stream": self._body, "rcp.closing": self._settings.closing}
         settings = self._settings.config
         if len(self.connections) > settings.connections:
             error = QueueFull(f"{settings.connections} connections are open already")
@@ -58,7 +61,21 @@ class HttpProtocol(HttpToolsProtocol):
     def connection_lost(self, exc: Exception | None) -> None:
         """Stop the clock."""
         self._stop_clock()
+        if self._body is not None:
+            self._body.writable = False
         super().connection_lost(exc)
+
+    def pause_writing(self) -> None:
+        """Hold an endless response back."""
+        super().pause_writing()
+        if self._body is not None:
+            self._body.writable = False
+
+    def resume_writing(self) -> None:
+        """Go on with an endless response."""
+        super().resume_writing()
+        if self._body is not None:
+            self._body.resume()
 
     def _stop_clock(self) -> None:
         if self._slow is not None:

@@ -64,6 +64,7 @@ class Events:
             tenant = named.decode("latin-1")
         principal = door.authenticate(bearer(header(scope, b"authorization")))
         connection = door.connect(principal, Encoding.JSON, stream.wake, tenant)
+        connection.mailbox.alone = True
         sent = header(scope, b"last-event-id")
         text = sent.decode("latin-1") if sent else query.get("last_event_id", [None])[0]
         last = parse_event_id(text)
@@ -101,16 +102,16 @@ class Events:
     async def _run(self, connection: Connection, stream: Stream, lost: bool) -> None:  # noqa: FBT001
         session = connection.session
         journal = self._journals.of(session.id)
-        prefix = session.id.encode() + b":"
         mailbox = connection.mailbox
-        wrap = _wrapper(journal, prefix)
+        wrap = _wrapper(journal, session.id)
         first = [_gap()] if lost else []
 
         def collect() -> tuple[list[bytes], bool]:
-            out = first + mailbox.collect(wrap=wrap)
-            first.clear()
+            out = mailbox.collect(wrap=wrap)
+            if first:
+                out.insert(0, first.pop())
             if mailbox.pending:
-                stream.wake()
+                mailbox.mark()
             return out, bool(session.subscriptions) and not connection.expelled
 
         await stream.run(collect)
@@ -136,13 +137,13 @@ class Refusal(Exception):
         self.reply = reply
 
 
-def _wrapper(journal: Journal, prefix: bytes) -> Wrap:
+def _wrapper(journal: Journal, session: str) -> Wrap:
     note = journal.note
+    update = b"id: " + session.encode() + b":%d\nevent: update\ndata: %b\n\n"
 
     def wrap(data: bytes, feed: Feed | None, sample: Sample | None) -> bytes:
         if feed is not None and sample is not None:
-            number = note(feed.entry.path, sample.seq)
-            return b"id: %b%d\nevent: update\ndata: %b\n\n" % (prefix, number, data)
+            return update % (note(feed.entry.path, sample.seq), data)
         return event(b"notice" if data.startswith(_NOTICE) else b"reply", data)
 
     return wrap

@@ -11,12 +11,13 @@ __all__ = ["Journal", "Journals", "parse_event_id"]
 class Journal:
     """The numbers of one session's events: a bounded memory of path and sample of each."""
 
-    __slots__ = ("_before", "_first", "_seen", "last")
+    __slots__ = ("_before", "_first", "_seen", "_size", "last")
 
     def __init__(self, size: int) -> None:
         self.last = 0
         """Number of the last event."""
-        self._seen: deque[tuple[str, int]] = deque(maxlen=size)
+        self._size = size
+        self._seen: deque[tuple[str, int]] = deque()
         self._first = 1
         """Number of the oldest event that is still in `_seen`."""
         self._before: dict[str, int] = {}
@@ -25,13 +26,13 @@ class Journal:
     def note(self, path: str, seq: int) -> int:
         """Note an update; return its number."""
         seen = self._seen
-        if len(seen) == seen.maxlen:
-            old_path, old_seq = seen[0]
+        if len(seen) >= self._size:
+            old_path, old_seq = seen.popleft()
             self._before[old_path] = old_seq
             self._first += 1
         seen.append((path, seq))
-        self.last += 1
-        return self.last
+        number = self.last = self.last + 1
+        return number
 
     def until(self, number: int) -> dict[str, int] | None:
         """Return the last sample of each path up to an event; None if that is not known any more."""

@@ -1,4 +1,4 @@
-"""One endless response: woken when there is something to say, written only when it is taken."""
+"""One endless response: told when there is something to say, written only when it is taken."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any, Protocol
 
 from rcp_kernel.asgi import Receive, Scope, Send
 
-__all__ = ["Stream"]
+__all__ = ["Collect", "Stream"]
 
 _HEADERS = [
     (b"content-type", b"text/event-stream; charset=utf-8"),
@@ -16,15 +16,20 @@ _HEADERS = [
     (b"x-accel-buffering", b"no"),  # nginx would hold events back
 ]
 _COMMENT = b":\n\n"
+Collect = Callable[[], tuple[list[bytes], bool]]
+"""Return what is to be sent now, and whether more may come after it."""
 
 
-class Flow(Protocol):
-    """The listener's view of the socket: `scope["extensions"]["rcp.flow"]`."""
+class Body(Protocol):
+    """The listener's way past ASGI: `scope["extensions"]["rcp.stream"]`."""
 
-    write_paused: bool
+    writable: bool
+    """Whether the socket takes something."""
+    drained: Callable[[], None] | None
+    """Called when `writable` has become true again."""
 
-    async def drain(self) -> None:
-        """Wait until the write buffer has room."""
+    def write(self, data: bytes) -> None:
+        """Send a part of the body."""
         ...
 
 
@@ -34,77 +39,64 @@ class Stream:
     def __init__(self, scope: Scope, receive: Receive, send: Send, comment: float) -> None:
         self._receive = receive
         self._send = send
-        self._comment = comment
-        extensions = scope.get("extensions", {})
-        self._flow: Flow | None = extensions.get("rcp.flow")
-        self._closing: set[Callable[[], None]] = extensions.get("rcp.closing", set())
-        self._waiter: asyncio.Future[None] | None = None
-        self._woken = False
-        self._idle = False
-        self.over = False
-        """The client is gone, or the listener closes."""
+        self._period = comment
+        extensions = scope["extensions"]
+        self._out: Body = extensions["rcp.stream"]
+        self._closing: set[Callable[[], None]] = extensions["rcp.closing"]
+        self._collect: Collect | None = None
+        self._ended = asyncio.get_running_loop().create_future()
+        self._comment = False
 
     def wake(self) -> None:
-        """Have `run` look for something to say."""
-        self._woken = True
-        waiter = self._waiter
-        if waiter is not None and not waiter.done():
-            waiter.set_result(None)
+        """Send what there is, if the socket takes it; what waits goes on conflating."""
+        collect = self._collect
+        if collect is None or not self._out.writable:
+            return
+        chunks, more = collect()
+        if self._comment:
+            self._comment = False
+            chunks.append(_COMMENT)
+        if chunks:
+            self._out.write(chunks[0] if len(chunks) == 1 else b"".join(chunks))
+        if not more:
+            self.finish()
 
     def finish(self) -> None:
         """End the response."""
-        self.over = True
-        self.wake()
+        self._collect = None
+        if not self._ended.done():
+            self._ended.set_result(None)
 
-    async def run(self, collect: Callable[[], tuple[list[bytes], bool]]) -> None:
+    async def run(self, collect: Collect) -> None:
         """Send what `collect` returns whenever woken, until it says that this was all."""
-        loop = asyncio.get_running_loop()
         await self._send({"type": "http.response.start", "status": 200, "headers": _HEADERS})
-        watch = asyncio.ensure_future(self._watch())
+        self._out.write(b":ok\n\n")  # the head goes out, and `EventSource` is open
+        self._out.drained = self.wake
+        self._collect = collect
         self._closing.add(self.finish)
-        timer = loop.call_later(self._comment, self._tick)
-        self.wake()  # the head has to go out, and there may be something already
+        watch = asyncio.ensure_future(self._watch())
+        ticking = asyncio.ensure_future(self._tick())
         try:
-            await self._body(b":ok\n\n")
-            while not self.over:
-                await self._pause(loop)
-                chunks, more = collect()
-                if self._idle:
-                    self._idle = False
-                    timer = loop.call_later(self._comment, self._tick)
-                    chunks.append(_COMMENT)
-                if chunks:
-                    await self._body(b"".join(chunks))
-                if not more:
-                    break
+            self.wake()
+            await self._ended
         finally:
-            timer.cancel()
+            self._collect = None
+            self._out.drained = None
             self._closing.discard(self.finish)
             watch.cancel()
+            ticking.cancel()
         await self._send({"type": "http.response.body", "body": b"", "more_body": False})
 
-    async def _pause(self, loop: asyncio.AbstractEventLoop) -> None:
-        """Wait to be woken, then until the socket takes something: what waits goes on conflating."""
-        if not self._woken:
-            self._waiter = loop.create_future()
-            await self._waiter
-            self._waiter = None
-        flow = self._flow
-        if flow is not None and flow.write_paused:
-            await flow.drain()
-        self._woken = False
-
-    async def _body(self, data: bytes) -> None:
-        await self._send({"type": "http.response.body", "body": data, "more_body": True})
-
-    def _tick(self) -> None:
-        self._idle = True
-        self.wake()
+    async def _tick(self) -> None:
+        """Keep proxies awake; a client that is gone without a word is found out by it too."""
+        while True:
+            await asyncio.sleep(self._period)
+            self._comment = True
+            self.wake()
 
     async def _watch(self) -> None:
         """Take notice of the client's leaving."""
-        while True:
-            message: Any = await self._receive()
-            if message["type"] == "http.disconnect":
-                self.finish()
-                return
+        message: Any = await self._receive()
+        while message["type"] != "http.disconnect":
+            message = await self._receive()
+        self.finish()

@@ -107,11 +107,10 @@ class Peer:
         mailbox, socket = self._mailbox, self._socket
         mailbox.dirty = False
         control = mailbox.control
-        if len(control) == 1 and self._plain and socket.writable:
-            if not (mailbox.pending or mailbox.feedback):
-                socket.reply(control.pop())
-                return
-        if control or mailbox.pending or mailbox.feedback:
+        more = mailbox.pending or mailbox.feedback
+        if len(control) == 1 and self._plain and socket.writable and not more:
+            socket.reply(control.pop())
+        elif control or more:
             self.flush()
 
     def _greeting(self, data: bytes) -> None:
