@@ -1,0 +1,147 @@
+"""A gateway on a real socket, around a robot of few words."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncGenerator
+from contextlib import asynccontextmanager
+from typing import Any
+
+import msgspec
+
+from rcp_kernel.config import parse
+from rcp_kernel.errors import DeviceRejected
+from rcp_kernel.log import configure
+from rcp_kernel.model import Resource
+from rcp_kernel.server import Server
+from rcp_kernel.spi import BackendKind, BaseBackend, Host, Progress
+from rcp_kernel.testing import serve
+from rcp_kernel.types import Pose, quantity
+
+BOUND = 5.0  # s any wait of a test may take
+KEY = "operator-of-this-test"
+CONFIG = """
+[transports.asgi]
+port = 0
+{asgi}
+[transports.http]
+[transports.ws]
+{ws}
+[transports.sse]
+{sse}
+[[backends]]
+use = "robot"
+tenant = "alpha"
+[[backends]]
+use = "robot"
+name = "second"
+tenant = "beta"
+[[keys]]
+name = "op"
+role = "operator"
+key = "operator-of-this-test"
+[[keys]]
+name = "beta-only"
+role = "operator"
+tenants = ["beta"]
+key = "key-of-tenant-beta"
+{more}
+"""
+
+
+class NoOptions(msgspec.Struct):
+    """Nothing to configure."""
+
+
+class Robot(BaseBackend):
+    """Reacts as its test wants."""
+
+    def __init__(self, host: Host) -> None:
+        self.host = host
+        self.release = asyncio.Event()
+        self.started = asyncio.Event()
+        host.declare(
+            Resource(name="sensor/pose", description="A pose.", value=Pose, live=True),
+            Resource(name="sensor/text", description="A text.", value=str, live=True),
+            Resource(name="sensor/blob", description="Bytes.", value=bytes, live=True),
+            Resource(name="sensor/silent", description="Never there.", value=quantity("m")),
+            Resource(
+                name="param/limit", description="A limit.", value=quantity("m/s", ge=0, le=2.5)
+            ),
+            Resource(name="param/blob", description="Bytes.", value=bytes),
+            Resource(name="param/text", description="A text.", value=str),
+            Resource(
+                name="action/go",
+                description="Goes.",
+                input=quantity("m", ge=0),
+                output=quantity("m"),
+                feedback=quantity("m"),
+            ),
+            Resource(
+                name="service/add",
+                description="Adds one.",
+                input=quantity("1"),
+                output=quantity("1"),
+            ),
+        )
+        host.publish("sensor/pose", {"position": {"x": 1.0, "y": 2.0}})
+        host.publish("sensor/text", "x")
+        host.publish("sensor/blob", b"0123456789")
+        host.publish("param/limit", 1.0)
+
+    async def write(self, name: str, value: Any) -> Any:
+        return None
+
+    async def execute(self, name: str, value: Any, progress: Progress) -> Any:
+        if name == "service/add":
+            return value + 1
+        self.started.set()
+        progress(value / 2, fraction=0.5)
+        if value > 100:
+            raise DeviceRejected("too far")
+        await self.release.wait()
+        return value
+
+
+class Site:
+    """The gateway's address and what stands behind it."""
+
+    def __init__(self, server: Server, robots: list[Robot]) -> None:
+        self.server = server
+        self.robots = robots
+        self.url: str = next(f["url"] for f in server.status.transports if "url" in f)
+        self.port: int = next(f["port"] for f in server.status.transports if "port" in f)
+
+    @property
+    def robot(self) -> Robot:
+        """The robot of tenant alpha."""
+        return self.robots[0]
+
+    @property
+    def ws(self) -> str:
+        """The WebSocket's address."""
+        return f"ws://127.0.0.1:{self.port}/rcp/v1/ws"
+
+
+@asynccontextmanager
+async def site(*, asgi: str = "", ws: str = "", sse: str = "", more: str = "") -> AsyncGenerator[Site]:
+    """Run a gateway; the texts are added to its configuration."""
+    robots: list[Robot] = []
+
+    @asynccontextmanager
+    async def open_robot(_config: NoOptions, host: Host) -> AsyncGenerator[Robot]:
+        robots.append(Robot(host))
+        yield robots[-1]
+
+    configure("error", "json")
+    text = CONFIG.format(asgi=asgi, ws=ws, sse=sse, more=more)
+    kind = BackendKind("robot", NoOptions, open_robot)
+    async with serve(parse(text, "test"), kind) as served:
+        yield Site(served.server, robots)
+
+
+async def until(holds: Any) -> None:
+    """Let the loop turn until a condition holds, within the bound."""
+    async with asyncio.timeout(BOUND):
+        while not holds():
+            await asyncio.sleep(0.002)
