@@ -286,7 +286,7 @@ def _type_name(type_: Any) -> str:
 
 
 _SPELLED = {"enum": ["NaN", "Infinity", "-Infinity"]}
-_BOUNDS = ("minimum", "maximum", "exclusiveMinimum", "exclusiveMaximum")
+_DIGITS = {"type": "string", "pattern": "^-?[0-9]{1,20}$"}
 
 
 def _published(node: Any) -> Any:
@@ -300,15 +300,23 @@ def _published(node: Any) -> Any:
         for key, item in node.items()
         if key != NONFINITE
     }
-    for key in _BOUNDS:
-        if isinstance(out.get(key), int) and abs(out[key]) > SAFE_INTEGER:
-            out[key] = float(out[key])  # an integer that wide would be a text in JSON
     kept = {key: out.pop(key) for key in ("unit", "description", "default") if key in out}
     if node.get("type") == "number" and node.get(NONFINITE):
         return {**kept, "anyOf": [out, _SPELLED]}
     if node.get("type") == "integer" and _is_wide(node):
-        return {**kept, "anyOf": [out, {"type": "string", "pattern": "^-?[0-9]{1,20}$"}]}
+        return {**kept, "anyOf": [_narrowed(out), _DIGITS]}
     return {**out, **kept}
+
+
+def _narrowed(node: dict[str, Any]) -> dict[str, Any]:
+    """Bound the numbers of a wide integer by what JSON carries as such; the rest are texts."""
+    out = dict(node)
+    for side, limit in (("inimum", -SAFE_INTEGER), ("aximum", SAFE_INTEGER)):
+        own = out.get("m" + side, out.get("exclusiveM" + side))
+        if own is None or abs(own) > SAFE_INTEGER:
+            out.pop("exclusiveM" + side, None)
+            out["m" + side] = limit
+    return out
 
 
 def _is_wide(node: dict[str, Any]) -> bool:
