@@ -111,7 +111,7 @@ class LogConfig(Table, frozen=True):
 
 
 class StoreConfig(Table, frozen=True):
-    """Where command history and idempotency keys are kept; without a path only in memory."""
+    """Where command history is kept; without a path only in memory."""
 
     path: str | None = None
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 
-from rcp_kernel._plain import is_map, is_sequence
+from rcp_kernel._plain import is_index, is_map, is_sequence
 from rcp_kernel.clock import iso
 from rcp_kernel.errors import DeviceRejected, RcpError
 from rcp_kernel.spi import Native
@@ -16,7 +16,10 @@ from rcp_kernel.wire import Body, encode_frame
 if TYPE_CHECKING:
     from rcp_kernel.registry import Entry
 
-__all__ = ["Sample", "getter", "project"]
+__all__ = ["READ_PIECE", "Sample", "getter", "project"]
+
+READ_PIECE = object()
+"""Under what a sample's tails keep the piece of read replies."""
 
 _natives: dict[type, bool] = {}
 """Whether values of a type are `Native`: asking the protocol itself takes 8 µs."""
@@ -63,7 +66,12 @@ class Sample(Body):
         """Source time as text."""
         text = self._time
         if text is None:
-            text = self._time = iso(self.timestamp)
+            try:
+                text = iso(self.timestamp)
+            except Exception as error:  # a robot's clock is as trustworthy as its values
+                self._fault(error)
+                text = iso(self.received)
+            self._time = text
         return text
 
     @property
@@ -82,7 +90,7 @@ class Sample(Body):
         if body is None:
             try:
                 body = self.entry.value_type.encode(self._value, encoding)
-            except RcpError as error:
+            except Exception as error:
                 raise self._fault(error) from error
             bodies[encoding] = body
         return body
@@ -94,7 +102,11 @@ class Sample(Body):
         assert bodies is not None
         body = bodies.get((encoding, fields))
         if body is None:
-            body = bodies[encoding, fields] = ANY.encode(project(value, fields), encoding)
+            try:
+                body = ANY.encode(project(value, fields), encoding)
+            except Exception as error:
+                raise self._fault(error) from error
+            bodies[encoding, fields] = body
         return body
 
     def tail(self, encoding: Encoding, fields: tuple[str, ...] | None = None) -> bytes:
@@ -105,6 +117,18 @@ class Sample(Body):
             body = self.encoded(encoding) if fields is None else self.projected(encoding, fields)
             tail = self.tails[key] = self._splice(encoding, body)
         return tail
+
+    def read_piece(self) -> bytes:
+        """Return what all JSON replies to a read of this sample share, from path to state."""
+        piece = self.tails[READ_PIECE] = (
+            b'"path":"%b","status":"completed","body":%b,"seq":%d,"source_timestamp":"%b","state":"'
+        ) % (
+            self.entry.path.encode(),
+            self.encoded(Encoding.JSON),
+            self.seq,
+            self.time.encode(),
+        )
+        return piece
 
     def _splice(self, encoding: Encoding, body: bytes) -> bytes:
         if encoding is Encoding.JSON:
@@ -160,7 +184,7 @@ def getter(dotted: str) -> Any:
                 value = getattr(value, name, None)
             elif is_map(value):
                 value = value.get(name)
-            elif is_sequence(value) and name.isdigit() and int(name) < len(value):
+            elif is_sequence(value) and is_index(name) and int(name) < len(value):
                 value = value[int(name)]
             else:
                 return None
@@ -177,6 +201,10 @@ def project(value: Any, fields: tuple[str, ...]) -> dict[str, Any]:
         names = dotted.split(".")
         place = out
         for name in names[:-1]:
-            place = place.setdefault(name, {})
-        place[names[-1]] = to_plain(found)
+            inner = place.setdefault(name, {})
+            if not is_map(inner):  # the whole of it was asked for as well
+                break
+            place = inner
+        else:
+            place[names[-1]] = to_plain(found)
     return out

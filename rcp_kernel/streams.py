@@ -15,6 +15,7 @@ from rcp_kernel.clock import now
 from rcp_kernel.errors import Overrun, RcpError
 from rcp_kernel.filters import Change, Options, Where, parse_where, seconds
 from rcp_kernel.model import Pattern
+from rcp_kernel.pending import crash
 from rcp_kernel.registry import Entry
 from rcp_kernel.samples import Sample, project
 from rcp_kernel.values import Encoding, dump
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
 __all__ = ["Feed", "FilteredFeed", "Subscription", "ViewFeed"]
 
 _CBOR_MAP = 0xA0
+_LONGEST = 86_400.0  # s between updates, however low the rate
 _SHARED = 16_384  # bytes; a longer update is not copied into a frame that its receivers share
 _MSGPACK_MAP = 0x80
 
@@ -141,6 +143,11 @@ class Feed:
         if self._plain and big is None and not self.backlog:
             return self._drain_plain(out, budget, wrap)
         size = 0
+        remaining = self.subscription.remaining
+        if remaining is not None and remaining <= 0:  # another path had the last of the count
+            self.queue.clear()
+            self.backlog = None
+            return 0
         while size < budget:
             queue = self.backlog or self.queue
             if not queue:
@@ -179,7 +186,8 @@ class Feed:
     def _drain_plain(self, out: list[bytes], budget: int, wrap: Wrap | None) -> int:
         """Drain a feed that has nothing to look at but its queue: the hot loop of every fan-out."""
         mailbox = self.mailbox
-        assert mailbox is not None
+        if mailbox is None:  # it ended after it was marked
+            return 0
         encoding, head, _ = self._heads or self._make_heads()
         if mailbox.framing is not None and wrap is None:
             return self._drain_framed(out, budget, mailbox, mailbox.framing)
@@ -302,7 +310,7 @@ class Feed:
 class FilteredFeed(Feed):
     """One path of a subscription that asked for less than every sample."""
 
-    __slots__ = ("_change", "_due", "_held", "_interval", "_where")
+    __slots__ = ("_armed", "_change", "_due", "_held", "_interval", "_where")
 
     def __init__(self, subscription: Subscription, entry: Entry, mailbox: Mailbox | None) -> None:
         super().__init__(subscription, entry, mailbox)
@@ -310,9 +318,11 @@ class FilteredFeed(Feed):
         self._where = subscription.where.fresh() if subscription.where else None
         wants_change = options.on == "change" or options.deadband is not None
         self._change = Change(options.deadband, options.fields) if wants_change else None
-        self._interval = 1.0 / options.rate if options.rate else 0.0
+        self._interval = min(1.0 / options.rate, _LONGEST) if options.rate else 0.0
         self._due = 0.0
         self._held: Sample | None = None
+        self._armed = False
+        """Whether a timer will look at what is held."""
 
     def offer(self, sample: Sample) -> None:
         """Queue a sample if every filter lets it through, later if the rate does not yet."""
@@ -322,17 +332,28 @@ class FilteredFeed(Feed):
             wait = self._due - time.monotonic()
             # A tenth of the period is forgiven: a source at the wanted rate has jitter too.
             if wait > self._interval * 0.1:
-                if self._held is None:
-                    self.subscription.hub.later(wait, self._release)
                 self._held = sample
+                self._arm(wait)
                 return
             self._held = None
         self._emit(sample)
 
+    def _arm(self, wait: float) -> None:
+        if not self._armed:
+            self._armed = True
+            self.subscription.hub.later(wait, self._release)
+
     def _release(self) -> None:
+        self._armed = False
+        if self._held is None or self.mailbox is None:
+            return
+        # A sample may have gone out by the allowance since: what is held waits for its own beat.
+        wait = self._due - time.monotonic()
+        if wait > self._interval * 0.1:
+            self._arm(wait)
+            return
         sample, self._held = self._held, None
-        if sample is not None and self.mailbox is not None:
-            self._emit(sample)
+        self._emit(sample)
 
     def _emit(self, sample: Sample) -> None:
         if self._change is not None:
@@ -407,10 +428,13 @@ class ViewFeed(Feed):
             "seq": sample.seq,
             "timestamp": sample.time,
         }
-        value = self._view()
-        if self.fields is not None:
-            value = project(value, self.fields)
-        return encode_frame(facts, dump(value, encoding), encoding)
+        try:
+            value = self._view()
+            if self.fields is not None:
+                value = project(value, self.fields)
+            return encode_frame(facts, dump(value, encoding), encoding)
+        except Exception as error:
+            raise crash(error, path=self.entry.path) from error
 
 
 class Subscription:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+import time
 from typing import Any
 
 import pytest
@@ -227,3 +229,17 @@ async def test_an_option_that_makes_no_sense_is_refused(
 ) -> None:
     reply = await world.client().ask(type="subscribe", path=LEVEL, body=options)
     assert (reply["status"], reply["error"]["code"]) == ("rejected", code)
+
+
+async def test_updates_of_a_rate_never_come_in_pairs(world: World) -> None:
+    client = world.client()
+    id_ = await subscribed(client, rate=25)
+    times: list[float] = []
+    while len(times) < 12:
+        publish(world, float(len(times)))
+        await client.ask(type="ping")
+        found = [m for m in client.inbox if m["type"] == "update" and m["id"] == id_]
+        times += [time.monotonic() for _ in found]
+        client.inbox.clear()
+    # A pair would be apart by one ping; a late look at the first of two costs less than half a beat.
+    assert min(b - a for a, b in itertools.pairwise(times)) > 0.04 * 0.4

@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from kernel.world import World
 from rcp_kernel.clock import iso, parse_time
 from rcp_kernel.errors import BY_CODE, BadRequest, RcpError, VersionUnsupported
 from rcp_kernel.values import Encoding, parse
@@ -109,3 +110,24 @@ def test_a_time_written_is_the_time_read(ns: int) -> None:
 )
 def test_a_time_is_iso_or_seconds(text: str | float, ns: int) -> None:
     assert parse_time(text) == ns
+
+
+@pytest.mark.anyio
+async def test_a_read_is_answered_alike_by_the_quick_way_and_the_common_one(world: World) -> None:
+    world.robot.host.publish("sensor/level", 1.5)
+    quick, common = world.client(), world.client()
+    common.connection._splices = False
+    for id_ in ("a", 'quo"te', "ünï"):
+        replies = [
+            await client.ask(type="read", path="/tenant/alpha/sensor/level", id=id_)
+            for client in (quick, common)
+        ]
+        for reply in replies:
+            del reply["timestamp"]
+        assert replies[0] == replies[1]
+        assert list(replies[0]) == list(replies[1])
+    world.robot.host.publish("sensor/level", float("nan"))
+    refusals = [
+        await c.ask(type="read", path="/tenant/alpha/sensor/level") for c in (quick, common)
+    ]
+    assert [r["error"]["code"] for r in refusals] == ["device_rejected"] * 2
