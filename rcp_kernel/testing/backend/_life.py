@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import gc
 import threading
+from contextlib import suppress
 from typing import Any
 
 import psutil
@@ -17,6 +18,8 @@ from rcp_kernel.testing.backend._base import BackendTests
 __all__ = ["LifeTests"]
 
 _POOLS = ("AnyIO worker thread", "asyncio_")  # of the event loop, which keeps them
+
+_LETTING_GO = 1.0  # s
 
 
 def _threads() -> set[threading.Thread]:
@@ -45,14 +48,17 @@ class LifeTests(BackendTests):
             for resource in robot.having(Operation.SUBSCRIBE):
                 await robot.client.subscribe(robot.path(resource.name))
 
+        left: list[Any] = []
+
         async def gone() -> bool:
             gc.collect()
-            return not (
-                (asyncio.all_tasks() - tasks) or (_threads() - threads) or (_sockets() - sockets)
-            )
+            left[:] = [*(asyncio.all_tasks() - tasks), *(_threads() - threads)]
+            left.extend(_sockets() - sockets)
+            return not left
 
-        left = lambda: [*(asyncio.all_tasks() - tasks), *(_threads() - threads)]  # noqa: E731
-        await eventually(gone, f"nothing is left behind ({left()})")
+        with suppress(AssertionError):
+            await eventually(gone, "nothing is left", _LETTING_GO)
+        assert not left, f"left behind: {left}"
 
     async def test_it_is_open_within_the_time_a_start_waits(self) -> None:
         async with asyncio.timeout(5), self.opened() as robot:
