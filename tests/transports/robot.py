@@ -21,6 +21,7 @@ from rcp_kernel.types import Pose, quantity
 BOUND = 5.0  # s any wait of a test may take
 KEY = "operator-of-this-test"
 CONFIG = """
+{top}
 [transports.asgi]
 port = 0
 {asgi}
@@ -124,7 +125,9 @@ class Site:
 
 
 @asynccontextmanager
-async def site(*, asgi: str = "", ws: str = "", sse: str = "", more: str = "") -> AsyncGenerator[Site]:
+async def site(
+    *, top: str = "", asgi: str = "", ws: str = "", sse: str = "", more: str = ""
+) -> AsyncGenerator[Site]:
     """Run a gateway; the texts are added to its configuration."""
     robots: list[Robot] = []
 
@@ -134,7 +137,7 @@ async def site(*, asgi: str = "", ws: str = "", sse: str = "", more: str = "") -
         yield robots[-1]
 
     configure("error", "json")
-    text = CONFIG.format(asgi=asgi, ws=ws, sse=sse, more=more)
+    text = CONFIG.format(top=top, asgi=asgi, ws=ws, sse=sse, more=more)
     kind = BackendKind("robot", NoOptions, open_robot)
     async with serve(parse(text, "test"), kind) as served:
         yield Site(served.server, robots)
@@ -143,5 +146,5 @@ async def site(*, asgi: str = "", ws: str = "", sse: str = "", more: str = "") -
 async def until(holds: Any) -> None:
     """Let the loop turn until a condition holds, within the bound."""
     async with asyncio.timeout(BOUND):
-        while not holds():
+        while not holds():  # noqa: ASYNC110 - whoever changes it tells nobody
             await asyncio.sleep(0.002)

@@ -46,9 +46,7 @@ async def test_a_websocket_does_not_begin_with_post(gateway: Site) -> None:
 
 
 @pytest.mark.parametrize("connection", ["Upgrade", "keep-alive, Upgrade", "upgrade"])
-async def test_browsers_spell_the_upgrade_in_their_own_ways(
-    gateway: Site, connection: str
-) -> None:
+async def test_browsers_spell_the_upgrade_in_their_own_ways(gateway: Site, connection: str) -> None:
     async with opened(gateway, Connection=connection) as raw:
         raw.ask(type="ping", id="1")
         assert (await raw.reply())["id"] == "1"

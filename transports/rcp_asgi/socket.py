@@ -196,7 +196,7 @@ class Socket(WSListener):
 
     def _control(self, frame: WSFrame, opcode: WSMsgType) -> None:
         if frame.rsv1 or frame.rsv2 or frame.rsv3:
-            self.close(_PROTOCOL_ERROR, "reserved bits")
+            self._fail(_PROTOCOL_ERROR, "reserved bits")
         elif opcode is _PING:
             if self.writable:
                 self._transport.send_pong(frame.get_payload_as_bytes())
@@ -221,7 +221,7 @@ class Socket(WSListener):
         begins = opcode is not _CONTINUATION
         bad_bits = frame.rsv2 or frame.rsv3 or (frame.rsv1 and not (self.deflates and begins))
         if bad_bits or begins is (parts is not None):
-            self.close(_PROTOCOL_ERROR, "frames out of order or reserved bits")
+            self._fail(_PROTOCOL_ERROR, "frames out of order or reserved bits")
             return
         if parts is None:
             parts = self._parts = []
@@ -249,7 +249,7 @@ class Socket(WSListener):
                 self._receiver.oversized(self._limit + 1)
                 return
             except zlib.error:
-                self.close(_INVALID_TEXT, "the compressed message is damaged")
+                self._fail(_INVALID_TEXT, "the compressed message is damaged")
                 return
         text = self._opcode is _TEXT
         if text and not _is_utf8(data):
@@ -260,7 +260,7 @@ class Socket(WSListener):
     def _garbled(self, data: bytes) -> None:
         # RFC 6455 8.1: the connection fails; the request is answered all the same.
         self._receiver.garbled(data)
-        self.close(_INVALID_TEXT, "the text is not UTF-8")
+        self._fail(_INVALID_TEXT, "the text is not UTF-8")
 
     # -- out -----------------------------------------------------------------------------------
 
@@ -352,6 +352,14 @@ class Socket(WSListener):
         if self._timer is not None:
             self._timer.cancel()
         self._timer = self._loop.call_later(_CLOSE_WAIT, self.abort)
+
+    def _fail(self, code: int, reason: str) -> None:
+        """Close because of the peer's fault: nothing that it says any more counts (RFC 6455 7.1.7).
+
+        Only the way out is shut at once: a reset would take the close frame with it.
+        """
+        self.close(code, reason)
+        self._raw.write_eof()
 
     def abort(self) -> None:
         """Cut the connection."""

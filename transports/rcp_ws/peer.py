@@ -110,7 +110,7 @@ class Peer:
         more = mailbox.pending or mailbox.feedback
         if len(control) == 1 and self._plain and socket.writable and not more:
             socket.reply(control.pop())
-        elif control or more:
+        elif control or more or not self._plain:
             self.flush()
 
     def _greeting(self, data: bytes) -> None:
