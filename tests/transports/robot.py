@@ -26,6 +26,7 @@ CONFIG = """
 port = 0
 {asgi}
 [transports.http]
+{http}
 [transports.ws]
 {ws}
 [transports.sse]
@@ -126,7 +127,7 @@ class Site:
 
 @asynccontextmanager
 async def site(
-    *, top: str = "", asgi: str = "", ws: str = "", sse: str = "", more: str = ""
+    *, top: str = "", asgi: str = "", http: str = "", ws: str = "", sse: str = "", more: str = ""
 ) -> AsyncGenerator[Site]:
     """Run a gateway; the texts are added to its configuration."""
     robots: list[Robot] = []
@@ -137,7 +138,7 @@ async def site(
         yield robots[-1]
 
     configure("error", "json")
-    text = CONFIG.format(top=top, asgi=asgi, ws=ws, sse=sse, more=more)
+    text = CONFIG.format(top=top, asgi=asgi, http=http, ws=ws, sse=sse, more=more)
     kind = BackendKind("robot", NoOptions, open_robot)
     async with serve(parse(text, "test"), kind) as served:
         yield Site(served.server, robots)

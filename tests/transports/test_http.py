@@ -1,0 +1,408 @@
+from __future__ import annotations
+
+import asyncio
+import gzip
+import json
+from typing import Any
+
+import cbor2
+import httpx
+import msgspec
+import pytest
+import zstandard
+
+from transports.raw import answer, connected
+from transports.robot import KEY, Site, site
+
+pytestmark = pytest.mark.anyio
+POSE = "/rcp/v1/context/tenant/alpha/sensor/pose"
+CONTEXT = "/rcp/v1/context"
+
+
+def error(response: httpx.Response) -> str:
+    return response.json()["error"]["code"]
+
+
+# -- negotiation -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("accept", "media", "decode"),
+    [
+        (None, "application/json", json.loads),
+        ("text/html, */*;q=0.1", "application/json", json.loads),
+        ("application/cbor", "application/cbor", cbor2.loads),
+        ("application/x-msgpack", "application/msgpack", msgspec.msgpack.decode),
+        ("application/json;q=0.2, application/msgpack", "application/msgpack", msgspec.msgpack.decode),
+        ("*/*, application/cbor", "application/cbor", cbor2.loads),
+    ],
+)  # fmt: skip
+async def test_the_answer_is_in_the_encoding_that_is_wanted_most(
+    http: httpx.AsyncClient, accept: str | None, media: str, decode: Any
+) -> None:
+    headers = {} if accept is None else {"accept": accept}
+    response = await http.get(POSE, headers=headers)
+    assert response.headers["content-type"] == media
+    assert decode(response.content)["body"]["position"]["y"] == 2.0
+
+
+@pytest.mark.parametrize("accept", ["text/html", "application/xml", "application/json;q=0"])
+async def test_what_cannot_be_written_is_a_bad_request(
+    http: httpx.AsyncClient, accept: str
+) -> None:
+    response = await http.get(POSE, headers={"accept": accept})
+    assert (response.status_code, error(response)) == (400, "bad_request")
+
+
+@pytest.mark.parametrize(
+    ("media", "data", "status"),
+    [
+        ("application/json", b" 0.5 ", 200),
+        ("application/x-www-form-urlencoded", b"0.5", 200),
+        ("application/vnd.robot+json", b"0.5", 200),
+        ("application/cbor", cbor2.dumps(0.5), 200),
+        ("application/msgpack", msgspec.msgpack.encode(0.5), 200),
+        ("application/xml", b"<x/>", 400),
+        ("application/json", b"{", 400),
+        ("application/json", b"\xff\xfe", 400),
+        ("application/cbor", b"\xff", 400),
+        ("application/json", b"", 400),
+        ("application/json", b'"fast"', 422),
+        ("application/json", b"9", 422),
+    ],
+)
+async def test_a_body_is_read_as_its_type_says(
+    http: httpx.AsyncClient, media: str, data: bytes, status: int
+) -> None:
+    path = f"{CONTEXT}/param/limit"
+    response = await http.put(path, content=data, headers={"content-type": media})
+    assert response.status_code == status, response.text
+    assert response.json()["type"] == "write"
+
+
+@pytest.mark.parametrize("how", ["zstd", "gzip", "zstd;q=0, gzip", "br, *", "identity", "br"])
+async def test_long_answers_are_compressed_for_who_accepts_it(gateway: Site, how: str) -> None:
+    gateway.robot.host.publish("sensor/text", "ha" * 50_000)
+    request = (
+        f"GET {CONTEXT}/sensor/text HTTP/1.1\r\nHost: localhost\r\nAccept-Encoding: {how}\r\n"
+        "Connection: close\r\n\r\n"
+    )
+    async with connected(gateway) as raw:
+        _, data = await answer(raw, request.encode())
+    head, _, body = data.partition(b"\r\n\r\n")
+    if b"content-encoding: zstd" in head:
+        body = zstandard.ZstdDecompressor().decompress(body)
+    elif b"content-encoding: gzip" in head:
+        body = gzip.decompress(body)
+    else:
+        assert how in ("identity", "br")
+    assert json.loads(body)["body"] == "ha" * 50_000
+
+
+async def test_megabytes_are_compressed_off_the_loop(
+    http: httpx.AsyncClient, gateway: Site
+) -> None:
+    gateway.robot.host.publish("sensor/text", "ha" * 1_000_000)
+    response = await http.get(f"{CONTEXT}/sensor/text", headers={"accept-encoding": "gzip"})
+    assert response.headers["content-encoding"] == "gzip"
+    assert len(response.json()["body"]) == 2_000_000
+
+
+# -- validators and ranges -------------------------------------------------------------------------
+
+
+async def test_a_value_that_is_known_is_not_sent_again(
+    http: httpx.AsyncClient, gateway: Site
+) -> None:
+    first = await http.get(POSE)
+    known = {"if-none-match": f'"other", {first.headers["etag"]}'}
+    again = await http.get(POSE, headers=known)
+    assert (again.status_code, again.content) == (304, b"")
+    assert again.headers["etag"] == first.headers["etag"]
+    gateway.robot.host.publish("sensor/pose", {"position": {"x": 3.0, "y": 2.0}})
+    assert (await http.get(POSE, headers=known)).status_code == 200
+
+
+async def test_the_catalogue_has_a_validator_of_tree_rights_and_query(
+    http: httpx.AsyncClient, gateway: Site
+) -> None:
+    first = await http.get("/rcp/v1/discovery?limit=3")
+    known = {"if-none-match": first.headers["etag"]}
+    assert (await http.get("/rcp/v1/discovery?limit=3", headers=known)).status_code == 304
+    assert (await http.get("/rcp/v1/discovery?limit=4", headers=known)).status_code == 200
+    stranger = {**known, "authorization": "Bearer key-of-tenant-beta"}
+    assert (await http.get("/rcp/v1/discovery?limit=3", headers=stranger)).status_code == 200
+    gateway.robot.host.withdraw("sensor/silent")
+    assert (await http.get("/rcp/v1/discovery?limit=3", headers=known)).status_code == 200
+
+
+@pytest.mark.parametrize(
+    ("wanted", "status", "body", "place"),
+    [
+        ("bytes=2-4", 206, b"234", "bytes 2-4/10"),
+        ("bytes=7-", 206, b"789", "bytes 7-9/10"),
+        ("bytes=-3", 206, b"789", "bytes 7-9/10"),
+        ("bytes=-99", 206, b"0123456789", "bytes 0-9/10"),
+        ("bytes=8-99", 206, b"89", "bytes 8-9/10"),
+        ("bytes=0-1,3-4", 200, b"0123456789", None),
+        ("lines=1-2", 200, b"0123456789", None),
+    ],
+)
+async def test_a_part_of_a_value_of_bytes(
+    http: httpx.AsyncClient, wanted: str, status: int, body: bytes, place: str | None
+) -> None:
+    response = await http.get(f"{CONTEXT}/sensor/blob", headers={"range": wanted})
+    assert (response.status_code, response.content) == (status, body)
+    assert response.headers.get("content-range") == place
+    assert response.headers["content-type"] == "application/octet-stream"
+
+
+async def test_a_part_that_is_not_there_is_416_with_the_size(http: httpx.AsyncClient) -> None:
+    response = await http.get(f"{CONTEXT}/sensor/blob", headers={"range": "bytes=10-"})
+    assert (response.status_code, response.headers["content-range"]) == (416, "bytes */10")
+    assert error(response) == "bad_request"
+
+
+async def test_bytes_come_bare_and_may_be_sent_bare(http: httpx.AsyncClient) -> None:
+    octets = {"accept": "application/octet-stream"}
+    response = await http.get(f"{CONTEXT}/sensor/blob", headers=octets)
+    assert (response.content, response.headers["accept-ranges"]) == (b"0123456789", "bytes")
+    known = {**octets, "if-none-match": response.headers["etag"]}
+    assert (await http.get(f"{CONTEXT}/sensor/blob", headers=known)).status_code == 304
+    stale = {"range": "bytes=0-1", "if-range": '"another"'}
+    whole = await http.get(f"{CONTEXT}/sensor/blob", headers=stale)
+    assert whole.status_code == 200
+    await http.put(
+        f"{CONTEXT}/param/blob",
+        content=b"\x00\xff",
+        headers={"content-type": "application/octet-stream"},
+    )
+    refused = await http.get(POSE, headers=octets)
+    assert (refused.status_code, error(refused)) == (400, "bad_request")
+
+
+# -- fields of the envelope ------------------------------------------------------------------------
+
+
+async def test_fields_come_as_parameters_and_headers(http: httpx.AsyncClient) -> None:
+    path = f"{CONTEXT}/param/limit"
+    dry = await http.put(f"{path}?dry_run=true&id=7&x-who=me", content=b"2")
+    assert dry.json()["dry_run"] is True
+    assert (dry.json()["id"], dry.json()["x-who"]) == ("7", "me")
+    first = await http.put(path, content=b"2", headers={"idempotency-key": "k", "x-rcp-id": "a"})
+    again = await http.put(path, content=b"2", headers={"idempotency-key": "k", "x-rcp-id": "b"})
+    assert (first.json()["seq"], first.json()["id"]) == (again.json()["seq"], "a")
+    assert again.json()["id"] == "b"
+    other = await http.put(path, content=b"1", headers={"idempotency-key": "k"})
+    assert (other.status_code, error(other)) == (409, "duplicate_request")
+
+
+@pytest.mark.parametrize(
+    "query",
+    ["deadline=soon", "deadline=-1", "dry_run=perhaps", "id=1&id=2", "unknown=1", "version=2",
+     "timestamp=yesterday", "deadline=nan", "id="],
+)  # fmt: skip
+async def test_a_parameter_that_is_wrong_is_named(http: httpx.AsyncClient, query: str) -> None:
+    response = await http.get(f"{POSE}?{query}")
+    assert response.status_code == 400, response.text
+    assert error(response) in ("bad_request", "version_unsupported")
+
+
+async def test_a_deadline_holds(http: httpx.AsyncClient) -> None:
+    response = await http.get(f"{CONTEXT}/sensor/silent?deadline=0.05")
+    assert response.status_code in (503, 504)
+
+
+async def test_fields_are_projected_and_patterns_read_many(http: httpx.AsyncClient) -> None:
+    one = await http.get(f"{POSE}?fields=position.x")
+    assert one.json()["body"] == {"position": {"x": 1.0}}
+    many = await http.get(f"{CONTEXT}/tenant/*/sensor/pose")
+    assert [item["path"] for item in many.json()["body"]] == [
+        "/tenant/alpha/sensor/pose",
+        "/tenant/beta/sensor/pose",
+    ]
+
+
+async def test_a_tenant_is_named_by_header_or_parameter(http: httpx.AsyncClient) -> None:
+    for one in ({"headers": {"x-rcp-tenant": "beta"}}, {"params": {"tenant": "beta"}}):
+        response = await http.get(f"{CONTEXT}/sensor/pose", **one)
+        assert response.json()["path"] == "/tenant/beta/sensor/pose"
+    foreign = await http.get(
+        f"{CONTEXT}/sensor/pose?tenant=alpha",
+        headers={"authorization": "Bearer key-of-tenant-beta"},
+    )
+    assert foreign.status_code == 403
+
+
+# -- execute ---------------------------------------------------------------------------------------
+
+
+async def test_execute_answers_at_once_and_its_command_can_be_followed(
+    http: httpx.AsyncClient, gateway: Site
+) -> None:
+    response = await http.post(f"{CONTEXT}/action/go", json=4)
+    assert (response.status_code, response.json()["status"]) == (202, "accepted")
+    place = response.headers["location"]
+    assert place == f"/rcp/v1/commands/{response.json()['command']}"
+    await gateway.robot.started.wait()
+    state = (await http.get(place)).json()["body"]
+    assert (state["status"], state["progress"]) == ("in_progress", 0.5)
+    busy = await http.post(f"{CONTEXT}/action/go", json=4)
+    assert (busy.status_code, error(busy)) == (409, "already_running")
+    gone = await http.delete(place)
+    assert gone.json()["body"] == {"cancelled": [response.json()["command"]]}
+    listed = await http.get("/rcp/v1/commands?limit=1")
+    assert listed.json()["body"][0]["command"] == response.json()["command"]
+    assert "history" not in listed.json()["body"][0]
+
+
+@pytest.mark.parametrize("how", [{"params": {"wait": "5"}}, {"headers": {"prefer": "wait=5"}}])
+async def test_execute_may_wait_for_the_end(
+    http: httpx.AsyncClient, gateway: Site, how: dict[str, Any]
+) -> None:
+    gateway.robot.release.set()
+    response = await http.post(f"{CONTEXT}/action/go", json=4, **how)
+    assert (response.status_code, response.json()["body"]) == (200, 4)
+
+
+async def test_waiting_in_vain_ends_with_what_there_is(
+    http: httpx.AsyncClient, gateway: Site
+) -> None:
+    response = await http.post(f"{CONTEXT}/action/go?wait=0.05", json=4)
+    assert (response.status_code, response.json()["status"]) == (202, "in_progress")
+    assert response.headers["location"].endswith(response.json()["command"])
+    failed = await http.post(f"{CONTEXT}/action/go?wait=5&tenant=beta", json=400)
+    assert (failed.status_code, error(failed)) == (502, "device_rejected")
+
+
+# -- envelopes -------------------------------------------------------------------------------------
+
+
+async def test_any_envelope_may_be_posted(http: httpx.AsyncClient) -> None:
+    async def post(**envelope: Any) -> httpx.Response:
+        return await http.post("/rcp/v1/messages", json=envelope)
+
+    assert (await post(type="ping", id="1")).json()["id"] == "1"
+    added = await post(type="execute", path="/service/add", body=1)
+    assert (added.status_code, added.json()["body"]) == (200, 2)
+    started = await post(type="execute", path="/action/go", body=1)
+    assert (started.status_code, started.json()["status"]) == (202, "accepted")
+    late = await post(type="execute", path="/tenant/beta/action/go", body=1, deadline=0.05)
+    assert (late.status_code, error(late)) == (504, "deadline_exceeded")
+    batch = await post(type="batch", body=[{"type": "ping", "id": "a"}, {"type": "fly"}])
+    assert [part["status"] for part in batch.json()["body"]] == ["completed", "rejected"]
+    for wrong in ("subscribe", "hello"):
+        refused = await post(type=wrong, id="9", path="/sensor/pose")
+        assert (refused.status_code, refused.json()["id"]) == (405, "9")
+
+
+async def test_an_envelope_in_cbor_is_answered_in_cbor(http: httpx.AsyncClient) -> None:
+    response = await http.post(
+        "/rcp/v1/messages",
+        content=cbor2.dumps({"type": "read", "path": "/sensor/blob"}),
+        headers={"content-type": "application/cbor"},
+    )
+    assert cbor2.loads(response.content)["body"] == b"0123456789"
+
+
+# -- the rest --------------------------------------------------------------------------------------
+
+
+async def test_schemas_are_served_bare_and_in_envelopes(http: httpx.AsyncClient) -> None:
+    listed = (await http.get("/rcp/v1/schemas")).json()["body"]
+    id_ = next(name for name in listed if name.startswith("Pose"))
+    assert (await http.get(f"/rcp/v1/schemas/{id_}")).json()["body"] == listed[id_]
+    bare = await http.get(f"/rcp/v1/schemas/{id_}", headers={"accept": "application/schema+json"})
+    assert bare.json() == listed[id_]
+    assert (await http.get("/rcp/v1/schemas/none")).status_code == 404
+
+
+@pytest.mark.parametrize(
+    ("method", "path", "status", "allow"),
+    [
+        ("OPTIONS", POSE, 204, "GET, HEAD, OPTIONS"),
+        ("OPTIONS", f"{CONTEXT}/param/limit", 204, "GET, HEAD, PUT, OPTIONS"),
+        ("OPTIONS", f"{CONTEXT}/action/go", 204, "POST, OPTIONS"),
+        ("OPTIONS", "/rcp/v1/commands", 204, "GET, HEAD, OPTIONS"),
+        ("DELETE", "/rcp/v1/commands", 405, "GET, OPTIONS"),
+        ("PATCH", POSE, 405, "GET, PUT, POST, OPTIONS"),
+        ("PUT", POSE, 405, "GET, OPTIONS"),
+        ("HEAD", POSE, 200, None),
+    ],
+)
+async def test_methods(
+    http: httpx.AsyncClient, method: str, path: str, status: int, allow: str | None
+) -> None:
+    response = await http.request(method, path, content=b"1" if method == "PUT" else None)
+    assert (response.status_code, response.headers.get("allow")) == (status, allow)
+    if method == "HEAD":
+        assert response.content == b""
+        assert int(response.headers["content-length"]) > 100
+
+
+@pytest.mark.parametrize(
+    "path",
+    ["/rcp/v1/nothing", "/rcp/v1/commands/none", "/rcp/v1/context/tenant/gamma/sensor/pose",
+     "/rcp/v1/commands/a/b/c", "/rcp/v1x", "/nothing/at/all"],
+)  # fmt: skip
+async def test_what_is_not_there_is_404_with_an_envelope(
+    http: httpx.AsyncClient, path: str
+) -> None:
+    response = await http.get(path)
+    assert (response.status_code, error(response)) == (404, "unknown_path")
+
+
+@pytest.mark.parametrize(
+    ("headers", "status"),
+    [
+        ({"authorization": "Bearer nobody-has-this-key"}, 401),
+        ({"authorization": "Basic dTpw"}, 400),
+        ({"origin": "https://elsewhere.example"}, 403),
+    ],
+)
+async def test_who_may_not_write_is_told_so(
+    http: httpx.AsyncClient, headers: dict[str, str], status: int
+) -> None:
+    response = await http.put(f"{CONTEXT}/param/limit", content=b"1", headers=headers)
+    assert response.status_code == status
+    assert "remedy" in response.json()["error"]
+    assert ("www-authenticate" in response.headers) is (status == 401)
+
+
+async def test_a_body_too_long_is_413_however_it_comes() -> None:
+    async with site(more="[limits]\nmessage = 2000") as gateway:
+        host = f"PUT {CONTEXT}/param/text HTTP/1.1\r\nHost: localhost\r\n"
+        auth = f"Authorization: Bearer {KEY}\r\n"
+        declared = f"{host}{auth}Content-Length: 99999\r\n\r\n".encode()
+        chunked = f"{host}{auth}Transfer-Encoding: chunked\r\n\r\n".encode()
+        for request in (declared, chunked + b"fa0\r\n" + b"x" * 4000 + b"\r\n0\r\n\r\n"):
+            async with connected(gateway) as raw:
+                status, data = await answer(raw, request)
+            assert status == 413, data
+            assert b"payload_too_large" in data
+
+
+async def test_a_body_that_does_not_come_is_given_up() -> None:
+    async with site(http="body_timeout = 0.05") as gateway, connected(gateway) as raw:
+        raw.send(
+            f"PUT {CONTEXT}/param/text HTTP/1.1\r\nHost: localhost\r\n"
+            f"Authorization: Bearer {KEY}\r\nContent-Length: 50\r\n\r\nhalf".encode()
+        )
+        async with asyncio.timeout(5):
+            data = await raw.reader.readuntil(b"\r\n\r\n")
+        assert data.startswith(b"HTTP/1.1 504")
+
+
+async def test_openapi_has_every_resource_that_the_caller_sees(http: httpx.AsyncClient) -> None:
+    mine = (await http.get("/rcp/v1/openapi.json")).json()
+    assert mine["openapi"] == "3.1.0"
+    item = mine["paths"]["/rcp/v1/context/tenant/alpha/param/limit"]
+    assert set(item) == {"get", "put"}
+    schema = item["put"]["requestBody"]["content"]["application/json"]["schema"]
+    name = schema["$ref"].removeprefix("#/components/schemas/")
+    assert mine["components"]["schemas"][name]["maximum"] == 2.5
+    assert "/rcp/v1/events" in mine["paths"]
+    beta = {"authorization": "Bearer key-of-tenant-beta"}
+    theirs = (await http.get("/openapi.json", headers=beta)).json()
+    assert "/rcp/v1/context/tenant/alpha/param/limit" not in theirs["paths"]
+    assert "/rcp/v1/context/tenant/beta/param/limit" in theirs["paths"]
