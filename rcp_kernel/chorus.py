@@ -107,8 +107,7 @@ class ChorusFeed(Feed):
     def drain(self, out: list[bytes], budget: int, wrap: Wrap | None, big: int | None) -> int:
         """Move what waits to `out`: the common bytes where nothing is special about this feed."""
         chorus, mailbox = self.chorus, self.mailbox
-        assert mailbox is not None
-        if chorus is None or self.place == chorus.end:
+        if mailbox is None or chorus is None or self.place == chorus.end:
             return super().drain(out, budget, wrap, big)
         chorus.marked = False
         lost = chorus.end - self.place - len(chorus.ring)

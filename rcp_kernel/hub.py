@@ -30,6 +30,8 @@ __all__ = ["Hub", "notice"]
 
 log = structlog.get_logger("rcp.streams")
 _SWEEP = 0.1  # s between looks for values that went stale
+_WATCH_RETRY = 1.0  # s until a watch that failed is entered again
+_LONGEST = 86_400.0 * 365  # s: no timer reaches further
 
 
 def notice(mailbox: Mailbox | None, code: str, **facts: Any) -> None:
@@ -51,13 +53,14 @@ class Hub:
         self.subscriptions: set[Subscription] = set()
         self.dropped: dict[str, int] = {"conflated": 0, "overrun": 0, "gap": 0}
         self._watches: dict[str, _Watch] = {}
-        self._timed: dict[Entry, bool] = {}
-        """Entries whose silence somebody is to be told of, with whether they are known stale."""
+        self._timed: dict[str, bool] = {}
+        """Paths whose silence somebody is to be told of, with whether they are known stale."""
         self._due: list[tuple[float, int, Callable[[], None]]] = []
         self._count = itertools.count()
         self._alarm: asyncio.TimerHandle | None = None
         self._sweep: asyncio.TimerHandle | None = None
         self._tasks: set[asyncio.Task[None]] = set()
+        self._closed = False
         registry.on_added.append(self._added)
         registry.on_removed.append(self._removed)
 
@@ -77,10 +80,12 @@ class Hub:
     def _ring(self) -> None:
         self._alarm = None
         moment = self.loop.time() + 0.0005
-        while self._due and self._due[0][0] <= moment:
-            heapq.heappop(self._due)[2]()
-        if self._due and self._alarm is None:
-            self._alarm = self.loop.call_at(self._due[0][0], self._ring)
+        try:
+            while self._due and self._due[0][0] <= moment:
+                heapq.heappop(self._due)[2]()
+        finally:  # one that raises must not silence the others
+            if self._due and self._alarm is None:
+                self._alarm = self.loop.call_at(self._due[0][0], self._ring)
 
     # -- subscriptions -------------------------------------------------------------------------
 
@@ -96,7 +101,7 @@ class Hub:
                 self._first(feed, entry.latest)
         if options.duration is not None:
             subscription.timer = self.loop.call_later(
-                options.duration, subscription.end, subscription, "duration", None
+                min(options.duration, _LONGEST), subscription.end, subscription, "duration", None
             )
 
     def _first(self, feed: Feed, sample: Sample) -> None:
@@ -104,7 +109,7 @@ class Hub:
             feed.prime(sample)
         elif feed.admit(sample):
             feed.replay((sample,))
-        if self._timed.get(feed.entry):
+        if self._timed.get(feed.entry.path):
             self._tell_stale(feed)
 
     def remove(self, subscription: Subscription) -> None:
@@ -121,10 +126,20 @@ class Hub:
     def _link(self, subscription: Subscription, entry: Entry) -> Feed:
         feed = subscription.feed(entry)
         subscription.feeds[entry.path] = feed
+        if subscription.mailbox is None:
+            self._keep(entry)
+            return feed
         self._relink(feed)
-        if subscription.mailbox is not None and feed.priority != 4:
+        if feed.priority != 4:
             subscription.mailbox.prioritised = True
         return feed
+
+    def _keep(self, entry: Entry) -> None:
+        """Have the history of a path kept for a client that is away."""
+        entry.listeners.append(_keeper)
+        if len(entry.listeners) == 1:
+            entry.size_ring()
+        self._retune(entry)
 
     def _relink(self, feed: Feed) -> None:
         entry = feed.entry
@@ -136,27 +151,35 @@ class Hub:
             entry.size_ring()
         feed.heard = time.monotonic()
         if entry.deadline is not None or feed.subscription.options.qos.deadline is not None:
-            self._timed.setdefault(entry, entry.latest is not None and entry.stale)
-            if self._sweep is None:
-                self._sweep = self.loop.call_later(_SWEEP, self._look_for_stale)
+            self._time(entry)
         self._retune(entry)
+
+    def _time(self, entry: Entry) -> None:
+        self._timed.setdefault(entry.path, entry.latest is not None and entry.stale)
+        if self._sweep is None:
+            self._sweep = self.loop.call_later(_SWEEP, self._look_for_stale)
 
     def unlink(self, feed: Feed) -> None:
         """Offer a feed nothing more."""
-        entry = feed.entry
         if self._cut(feed):
-            if not entry.listeners:
-                self._timed.pop(entry, None)
-            self._retune(entry)
+            self._left(feed.entry)
+
+    def _left(self, entry: Entry) -> None:
+        if not entry.listeners:
+            self._timed.pop(entry.path, None)
+            entry.size_ring()
+        self._retune(entry)
 
     @staticmethod
     def _cut(feed: Feed) -> bool:
         """Take a feed from its entry's listeners; tell whether it was among them."""
         if isinstance(feed, ChorusFeed):
             return part(feed, feed.entry)
-        if feed not in feed.entry.listeners:
+        entry = feed.entry
+        if feed not in entry.listeners:
             return False
-        feed.entry.listeners.remove(feed)
+        # A new list: the old one may be the one that a sample is being offered to right now.
+        entry.listeners = [listener for listener in entry.listeners if listener is not feed]
         return True
 
     @staticmethod
@@ -173,10 +196,11 @@ class Hub:
     def detach(self, subscription: Subscription) -> None:
         """Stop sending: the connection is gone. The history of its paths goes on being kept."""
         subscription.mailbox = None
-        for feed in subscription.feeds.values():
+        for path, feed in subscription.feeds.items():
             feed.leave()
+            if path in self.registry.entries:
+                self._keep(feed.entry)  # before the feed goes, so that its source goes on
             self.unlink(feed)
-            feed.entry.listeners.append(_keeper)
 
     def attach(
         self, subscription: Subscription, mailbox: Mailbox, missed_from: dict[str, int] | None
@@ -184,13 +208,12 @@ class Hub:
         """Go on sending, what was missed first; `missed_from` is what the client has, by path."""
         subscription.mailbox = mailbox
         for path, feed in subscription.feeds.items():
-            if _keeper in feed.entry.listeners:
-                feed.entry.listeners.remove(_keeper)
             feed.mailbox = mailbox
             known = feed.sent if missed_from is None else missed_from.get(path, feed.sent)
-            feed.entry = self.registry.entries.get(path, feed.entry)
             self._replay(feed, known)
-            self._relink(feed)
+            if path in self.registry.entries:
+                self._relink(feed)
+            self._unkeep(feed.entry)
             if feed.priority != 4:
                 mailbox.prioritised = True
 
@@ -216,11 +239,24 @@ class Hub:
 
     def forget(self, subscription: Subscription) -> None:
         """Let go of a detached subscription whose session has expired."""
-        for feed in subscription.feeds.values():
-            if _keeper in feed.entry.listeners:
-                feed.entry.listeners.remove(_keeper)
-                feed.entry.size_ring()
+        if subscription.mailbox is None:
+            for feed in subscription.feeds.values():
+                self._unkeep(feed.entry)
         self.remove(subscription)
+
+    def drop(self, feed: Feed) -> None:
+        """Take one path out of a subscription."""
+        subscription = feed.subscription
+        del subscription.feeds[feed.entry.path]
+        if subscription.mailbox is None:
+            self._unkeep(feed.entry)
+        self.unlink(feed)
+        feed.leave()
+
+    def _unkeep(self, entry: Entry) -> None:
+        if _keeper in entry.listeners:
+            entry.listeners.remove(_keeper)
+            self._left(entry)
 
     # -- the tree changes ----------------------------------------------------------------------
 
@@ -228,8 +264,12 @@ class Hub:
         for subscription in list(self.subscriptions):
             known = subscription.feeds.get(entry.path)
             if known is not None:
+                returned = known.entry is not entry and known.entry.listeners is not entry.listeners
                 known.entry = entry
-                if subscription.mailbox is not None and known not in feeds_of(entry):
+                if subscription.mailbox is None:
+                    if returned:
+                        self._keep(entry)
+                elif known not in feeds_of(entry):
                     self._relink(known)
                     notice(
                         subscription.mailbox, "resource_added", id=subscription.id, path=entry.path
@@ -240,6 +280,8 @@ class Hub:
                 if entry.latest is not None:
                     self._first(feed, entry.latest)
         if entry.listeners:
+            if entry.deadline is not None:
+                self._time(entry)
             self._retune(entry)
 
     def _removed(self, entry: Entry) -> None:
@@ -249,7 +291,8 @@ class Hub:
                 notice(
                     subscription.mailbox, "resource_removed", id=subscription.id, path=entry.path
                 )
-        self._timed.pop(entry, None)
+        self._timed.pop(entry.path, None)
+        entry.listeners = []
         self._retune(entry)
 
     # -- sources -------------------------------------------------------------------------------
@@ -268,9 +311,21 @@ class Hub:
             task = self.loop.create_task(watch.run(), name=f"watch {entry.path}")
             self._tasks.add(task)
             task.add_done_callback(self._tasks.discard)
+            task.add_done_callback(lambda _: self._watch_ended(entry.path, watch))
         watch.want(entry, wanted)
         if wanted == 0.0:
             del self._watches[entry.path]
+
+    def _watch_ended(self, path: str, watch: _Watch) -> None:
+        """Enter a watch again that ended although it is wanted, after a while."""
+        if not self._closed and self._watches.get(path) is watch:
+            self.later(_WATCH_RETRY, lambda: self._rewatch(path, watch))
+
+    def _rewatch(self, path: str, watch: _Watch) -> None:
+        if self._watches.get(path) is watch:
+            del self._watches[path]
+            if (entry := self.registry.entries.get(path)) is not None:
+                self._retune(entry)
 
     def backend_changed(self, entries: list[Entry]) -> None:
         """Watch again what a backend that came back has to publish; leave what it cannot any more."""
@@ -284,10 +339,11 @@ class Hub:
     def _look_for_stale(self) -> None:
         self._sweep = None
         moment = time.monotonic()
-        for entry, known in list(self._timed.items()):
+        for path, known in list(self._timed.items()):
+            entry = self.registry.entries[path]
             stale = entry.latest is not None and entry.stale
             if stale is not known:
-                self._timed[entry] = stale
+                self._timed[path] = stale
             for feed in feeds_of(entry):
                 if stale and not known:
                     self._tell_stale(feed)
@@ -325,6 +381,7 @@ class Hub:
 
     async def close(self) -> None:
         """Leave every watch and stop the timers."""
+        self._closed = True
         for timer in (self._alarm, self._sweep):
             if timer is not None:
                 timer.cancel()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import secrets
+import sys
 from collections.abc import Callable
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -138,9 +139,7 @@ class Subscribing:
         hub = self._gateway.hub
         for path, feed in list(subscription.feeds.items()):
             if not subscription.may(feed.entry):
-                hub.unlink(feed)
-                feed.leave()
-                del subscription.feeds[path]
+                hub.drop(feed)
                 notice(
                     subscription.mailbox,
                     "resource_removed",
@@ -206,7 +205,11 @@ class Subscribing:
 
 def _rest(subscription: Subscription) -> list[bytes]:
     out: list[bytes] = []
-    if subscription.remaining is None or subscription.remaining > 0:
-        for feed in subscription.feeds.values():
-            feed.drain(out, 1_000_000, None, None)
+    mailbox = subscription.mailbox
+    assert mailbox is not None
+    # Whole messages, not frames: they are framed with the other control messages.
+    framing, mailbox.framing = mailbox.framing, None
+    for feed in subscription.feeds.values():
+        feed.drain(out, sys.maxsize, None, None)
+    mailbox.framing = framing
     return out
