@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any, TypeGuard
 
-__all__ = ["is_list", "is_map", "is_sequence"]
+__all__ = ["is_index", "is_list", "is_map", "is_sequence"]
 
 
 def is_map(value: Any) -> TypeGuard[dict[str, Any]]:
@@ -15,6 +15,11 @@ def is_map(value: Any) -> TypeGuard[dict[str, Any]]:
 def is_list(value: Any) -> TypeGuard[list[Any]]:
     """Tell whether plain data is an array."""
     return isinstance(value, list)
+
+
+def is_index(text: str) -> bool:
+    """Tell whether a field's name is a place in a list, one that `int` reads at once."""
+    return len(text) < 10 and text.isdecimal()
 
 
 def is_sequence(value: Any) -> TypeGuard[list[Any] | tuple[Any, ...]]:

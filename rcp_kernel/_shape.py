@@ -14,10 +14,10 @@ from typing import Any
 import msgspec
 from msgspec import inspect as mi
 
-from rcp_kernel._plain import is_map, is_sequence
+from rcp_kernel._plain import is_index, is_map, is_sequence
 from rcp_kernel.types import NONFINITE
 
-__all__ = ["SAFE_INTEGER", "Beyond", "Node", "Shape"]
+__all__ = ["SAFE_INTEGER", "Beyond", "Node", "Shape", "unescaped"]
 
 SAFE_INTEGER = 2**53 - 1
 _NAMES = {"NaN": math.nan, "Infinity": math.inf, "-Infinity": -math.inf}
@@ -40,6 +40,8 @@ class Shape:
         self.has_float = False
         self.has_wide_int = False
         self.grows = False
+        self.open = False
+        """Whether some part may be of any type."""
         self._info = mi.type_info(type_)
         self.outward = self._node(self._info, self._out, outward=True)
         self.inward = self._node(self._info, self._in, outward=False)
@@ -54,7 +56,7 @@ class Shape:
     def unit(self, pointer: str) -> str | None:
         """Return the unit of the number at a JSON Pointer, if its type names one."""
         found, unit = [self._info], None
-        for name in [p for p in pointer.split("/") if p]:
+        for name in [unescaped(p) for p in pointer.split("/") if p]:
             found = [child for info in found for child in self._children(info, name)]
         for info in found:
             unit = _extra(info).get("unit", unit)
@@ -71,9 +73,10 @@ class Shape:
             case mi.UnionType():
                 return [c for option in info.types for c in self._children(option, name)]
             case mi.ListType() | mi.VarTupleType():
-                return [info.item_type] if name.isdigit() else []
+                return [info.item_type] if is_index(name) else []
             case mi.TupleType():
-                return [info.item_types[int(name)]] if name.isdigit() else []
+                inside = is_index(name) and int(name) < len(info.item_types)
+                return [info.item_types[int(name)]] if inside else []
             case mi.AnyType():
                 return [info]
             case _:
@@ -98,6 +101,8 @@ class Shape:
                 return _list_node(self._node(info.item_type, memo, outward=outward))
             case mi.TupleType():
                 return _tuple_node([self._node(t, memo, outward=outward) for t in info.item_types])
+            case mi.NamedTupleType():
+                return _tuple_node([self._node(f.type, memo, outward=outward) for f in info.fields])
             case mi.DictType():
                 self.grows = True
                 return _dict_node(self._node(info.value_type, memo, outward=outward))
@@ -106,7 +111,7 @@ class Shape:
             case mi.UnionType():
                 return self._union_node(info, memo, outward=outward)
             case mi.AnyType():
-                self.has_float = self.has_wide_int = self.grows = True
+                self.has_float = self.has_wide_int = self.grows = self.open = True
                 return _any_node if outward else _same
             case _:
                 return _same
@@ -140,7 +145,34 @@ class Shape:
         live = [node for node in nodes if node is not _same]
         if not live:
             return _same
-        return live[0] if len(live) == 1 else _first_of(live)
+        node = live[0] if len(live) == 1 else _first_of(live)
+        if not outward and any(isinstance(_bare(option), mi.StrType) for option in info.types):
+            return _unless_text(node)
+        return node
+
+
+def _bare(info: mi.Type) -> mi.Type:
+    while isinstance(info, mi.Metadata):
+        info = info.type
+    return info
+
+
+def _unless_text(node: Node) -> Node:
+    """Leave a text alone that is one by its type: `"123"` is no number where texts are legal."""
+
+    def checked(value: Any, pointer: str) -> Any:
+        return value if isinstance(value, str) else node(value, pointer)
+
+    return checked
+
+
+def _escaped(key: Any) -> str:
+    return str(key).replace("~", "~0").replace("/", "~1")
+
+
+def unescaped(step: str) -> str:
+    """Return the key that a step of a JSON Pointer stands for."""
+    return step.replace("~1", "/").replace("~0", "~")
 
 
 def _extra(info: mi.Type) -> dict[str, Any]:
@@ -224,7 +256,7 @@ def _dict_node(item: Node) -> Node:
 
     def node(value: Any, pointer: str) -> Any:
         if is_map(value):
-            return {k: item(v, f"{pointer}/{k}") for k, v in value.items()}
+            return {k: item(v, f"{pointer}/{_escaped(k)}") for k, v in value.items()}
         return value
 
     return node

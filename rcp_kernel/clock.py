@@ -15,6 +15,7 @@ _ISO = re.compile(
 )
 
 now = time.time_ns
+_LAST_SECOND = 253_402_300_799  # of the year 9999
 
 _seconds: dict[int, str] = {}
 _MAX_SECONDS = 256  # cached texts: messages of a few seconds' range are under way at once
@@ -38,6 +39,8 @@ def parse_time(value: str | float) -> int:
     """
     try:
         if not isinstance(value, str):
+            if abs(value) > _LAST_SECOND:
+                raise ValueError(value)
             return int(value * 1e9) if isinstance(value, float) else value * 1_000_000_000
         match = _ISO.match(value)
         if match is None:

@@ -18,7 +18,8 @@ from msgspec import Meta
 
 from rcp_kernel._plain import is_list, is_map
 from rcp_kernel.acl import BUILTIN_ROLES, Role
-from rcp_kernel.errors import ConfigError
+from rcp_kernel.errors import ConfigError, InvalidPath
+from rcp_kernel.model import Pattern
 
 __all__ = [
     "Anonymous",
@@ -320,12 +321,25 @@ def _check(config: GatewayConfig, source: str) -> None:
             raise ConfigError(
                 f"{source}: {where} has the role '{role}', which is not there{advice}"
             )
+    for name, role in config.roles.items():
+        for rule in (*role.allow, *role.deny):
+            for path in rule.paths:
+                _check_rule(path, f"{source}: [roles.{name}]")
     for key in config.keys:
         if (key.key is None) == (key.sha256 is None):
             raise ConfigError(f"{source}: key '{key.name}' needs either `key` or `sha256`")
         for tenant in key.tenants:
             if tenant != "*" and tenant not in config.tenant_names:
                 raise ConfigError(f"{source}: key '{key.name}' names the unknown tenant '{tenant}'")
+
+
+def _check_rule(path: str, where: str) -> None:
+    try:
+        if not path.startswith("/"):
+            raise InvalidPath(f"{path!r} does not begin with '/'")
+        Pattern(path)
+    except InvalidPath as error:
+        raise ConfigError(f"{where} has a rule for no path: {error.message}") from None
 
 
 def role_names(role: str | tuple[str, ...]) -> tuple[str, ...]:

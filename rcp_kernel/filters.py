@@ -19,6 +19,7 @@ from rcp_kernel.values import Encoding
 __all__ = ["Deadband", "Options", "Qos", "Where", "parse_where", "seconds"]
 
 _MAX_DEPTH = 65_536
+_AGES = 3.2e9  # s: a century is as good as any longer time
 Deadband = float | str | dict[str, float | str]
 Predicate = Callable[[Any], bool]
 
@@ -88,7 +89,7 @@ def seconds(text: str) -> float:
             except ValueError:
                 break
             if math.isfinite(value) and value >= 0:
-                return value
+                return min(value, _AGES)
             break
     raise InvalidValue(f"{text[:40]!r} is not a duration", remedy='Write "30s", "500ms" or "2m".')
 

@@ -26,6 +26,7 @@ from rcp_kernel.pending import crash
 from rcp_kernel.streams import Subscription
 from rcp_kernel.values import Encoding, value_type
 from rcp_kernel.wire import (
+    NO_BODY,
     VERSION,
     Reply,
     Request,
@@ -44,6 +45,7 @@ if TYPE_CHECKING:
 __all__ = ["Answer", "Connection", "Handler", "Hello", "Session", "Sessions"]
 
 Answer = Callable[[Reply], None]
+_STATELESS = 10_000  # principals whose shared session is kept at hand
 _MISSED = 4096  # replies kept for a client that is away
 _RECENT = 30_000_000_000  # ns: final replies sent this shortly before a cut are said again
 
@@ -223,7 +225,7 @@ class Connection:
         mailbox = self.mailbox
         if reply.command is not None:
             if reply.status == "in_progress":
-                mailbox.feedback[reply.command] = partial(encode_reply, reply, self.encoding)
+                mailbox.feedback[reply.command] = partial(self._encode_feedback, reply)
                 mailbox.mark()
                 return
             last = mailbox.feedback.pop(reply.command, None)
@@ -239,7 +241,17 @@ class Connection:
             return encode_reply(reply, self.encoding)
         except Exception as error:
             told = crash(error, path=reply.path)
-            return encode_reply(failure(told, reply.type, reply.id, reply.path), self.encoding)
+            said = failure(told, reply.type, reply.id, reply.path, command=reply.command)
+            return encode_reply(said, self.encoding)
+
+    def _encode_feedback(self, reply: Reply) -> bytes:
+        """Write feedback, which never ends its command: without the body if that cannot be written."""
+        try:
+            return encode_reply(reply, self.encoding)
+        except Exception as error:
+            crash(error, path=reply.path)
+            reply.body, reply.custom = NO_BODY, None
+            return encode_reply(reply, self.encoding)
 
     def _hello(self, request: Request) -> None:
         gateway = self._gateway
@@ -308,6 +320,8 @@ class Sessions:
             gateway = self._gateway
             chosen = gateway.tenant_for(principal, tenant)
             session = Session(principal, gateway.rules.rights(principal), chosen, transport)
+            if len(self._stateless) >= _STATELESS:
+                del self._stateless[next(iter(self._stateless))]
             self._stateless[key] = session
         return session
 
@@ -444,6 +458,7 @@ class Sessions:
             connection.send(failure(told, "hello"))
             connection.expelled = True
             connection.mailbox.mark()
+        session.rights = Rights(Principal("", (), ()), {})  # for what is under way to the gateway
         self.drop(session)
 
     def tally(self, connection: Connection) -> None:

@@ -17,7 +17,7 @@ import structlog
 from rcp_kernel.clock import now
 from rcp_kernel.commands import Command, Record
 from rcp_kernel.errors import ConfigError, InternalError
-from rcp_kernel.values import to_plain
+from rcp_kernel.values import Encoding, dump, to_plain
 from rcp_kernel.wire import NO_BODY, error_body
 
 __all__ = ["Store"]
@@ -60,7 +60,11 @@ class Store:
 
     def save(self, command: Command) -> None:
         """Note the command's present state; returns at once."""
-        data = msgspec.msgpack.encode(_as_row(command))
+        try:
+            data = _encoded(command)
+        except Exception:  # the command goes on, whether it can be written down or not
+            log.exception("store_failed", command=command.id, path=command.path)
+            return
         self._queue.put((command.id, command.created, int(command.final), data))
 
     def load(self) -> list[Command]:
@@ -110,6 +114,14 @@ class Store:
         """Write what is queued, then stop."""
         self._queue.put(None)
         self._thread.join(timeout=10)
+
+
+def _encoded(command: Command) -> bytes:
+    row = _as_row(command)
+    try:
+        return msgspec.msgpack.encode(row)
+    except OverflowError:  # an integer past 64 bits: a text, as on the wire
+        return msgspec.msgpack.encode(msgspec.json.decode(dump(row, Encoding.JSON)))
 
 
 def _as_row(command: Command) -> dict[str, Any]:

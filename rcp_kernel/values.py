@@ -16,11 +16,11 @@ import cbor2
 import msgspec
 
 from rcp_kernel._plain import is_list, is_map
-from rcp_kernel._shape import SAFE_INTEGER, Beyond, Shape
+from rcp_kernel._shape import SAFE_INTEGER, Beyond, Shape, unescaped
 from rcp_kernel.errors import BadRequest, InvalidValue, OutOfRange, PluginError
 from rcp_kernel.types import NONFINITE
 
-__all__ = ["ANY", "Encoding", "ValueType", "dump", "to_plain", "value_type"]
+__all__ = ["ANY", "Encoding", "ValueType", "dump", "sound", "to_plain", "value_type"]
 
 _WIDE_DIGITS = re.compile(rb"\d{16}")
 _HUGE_DIGITS = re.compile(rb"\d{19}")  # may lie past 64 bits, which msgspec alone lets through
@@ -123,7 +123,8 @@ class ValueType:
                 return self._from_msgpack.decode(raw)
             except (msgspec.DecodeError, RecursionError):
                 pass
-        return self.convert(parse(raw, encoding), label)
+        plain = parse(raw, encoding)
+        return self.convert(sound(plain) if self._shape.open else plain, label)
 
     def convert(self, plain: Any, label: str = "value") -> Any:
         """Validate plain data (what `json.loads` would give) and return the typed value.
@@ -215,7 +216,7 @@ class ValueType:
 def _named(label: str, pointer: str) -> str:
     if not pointer:
         return label
-    return f"field '{pointer[1:].replace('/', '.')}' of {label}"
+    return f"field '{'.'.join(map(unescaped, pointer[1:].split('/')))}' of {label}"
 
 
 def _shown(value: Any) -> str:
@@ -224,7 +225,7 @@ def _shown(value: Any) -> str:
 
 
 def _at(plain: Any, pointer: str) -> Any:
-    for step in [p for p in pointer.split("/") if p]:
+    for step in [unescaped(p) for p in pointer.split("/") if p]:
         if is_map(plain) and step in plain:
             plain = plain[step]
         elif is_list(plain) and step.isdigit() and int(step) < len(plain):
@@ -244,10 +245,12 @@ def parse(raw: bytes | msgspec.Raw, encoding: Encoding) -> Any:
     try:
         if encoding is Encoding.MSGPACK:
             return msgspec.msgpack.decode(raw)
-        return _plain_cbor(cbor2.loads(bytes(raw)))
+        return sound(cbor2.loads(bytes(raw)))
     except RecursionError:
         raise BadRequest("the message is nested too deep") from None
     except Exception as error:  # cbor2 raises a dozen kinds for malformed input
+        if isinstance(error, BadRequest):
+            raise
         raise BadRequest(f"not well-formed {encoding.value}: {error}") from None
 
 
@@ -263,19 +266,22 @@ def _parse_json(raw: bytes | msgspec.Raw) -> Any:
 _PLAIN = (type(None), bool, int, float, str, bytes)
 
 
-def _plain_cbor(value: Any) -> Any:
-    """Keep what JSON could have carried as well; tags and odd keys are refused by name."""
+def sound(value: Any) -> Any:
+    """Keep what JSON could have carried as well.
+
+    :raises BadRequest: there is a tag, an odd key or an integer of more than 64 bits.
+    """
     if is_map(value):
         keys: Any = value
         if not all(isinstance(key, str) for key in keys):
-            raise BadRequest("a CBOR map has a key that is not text")
-        return {key: _plain_cbor(item) for key, item in value.items()}
+            raise BadRequest("a map has a key that is not text")
+        return {key: sound(item) for key, item in value.items()}
     if is_list(value):
-        return [_plain_cbor(item) for item in value]
+        return [sound(item) for item in value]
     if not isinstance(value, _PLAIN):
-        raise BadRequest(f"CBOR {type(value).__name__} has no place in an envelope")
+        raise BadRequest(f"{type(value).__name__} has no place in an envelope")
     if isinstance(value, int) and not -(2**63) <= value < 2**64:
-        raise BadRequest("a CBOR integer is longer than 64 bits")
+        raise BadRequest("an integer is longer than 64 bits")
     return value
 
 

@@ -18,7 +18,7 @@ from msgspec import Meta, Raw
 from rcp_kernel._plain import is_map
 from rcp_kernel.clock import iso, now, parse_time
 from rcp_kernel.errors import BadRequest, PayloadTooLarge, RcpError, VersionUnsupported
-from rcp_kernel.values import ANY, Encoding, ValueType, parse
+from rcp_kernel.values import ANY, Encoding, ValueType, parse, sound
 
 __all__ = [
     "FINAL",
@@ -206,7 +206,7 @@ def _decode_slowly(data: bytes, encoding: Encoding, error: Exception) -> Request
             encode(fields)
         )
         if custom:
-            request.custom = {k: parse(v, encoding) for k, v in custom.items()}
+            request.custom = {k: sound(parse(v, encoding)) for k, v in custom.items()}
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as cause:
         raise BadRequest(_malformed(data, encoding, cause)) from None
     return request
