@@ -23,6 +23,7 @@ from rcp_kernel.errors import (
     Cancelled,
     DeadlineExceeded,
     DeviceRejected,
+    EstopActive,
     InternalError,
     QueueFull,
     RcpError,
@@ -30,6 +31,7 @@ from rcp_kernel.errors import (
 from rcp_kernel.metrics import Histogram
 from rcp_kernel.model import Kind
 from rcp_kernel.registry import Entry
+from rcp_kernel.safety import check_motion
 from rcp_kernel.values import to_plain
 from rcp_kernel.wire import FINAL, NO_BODY, Reply, Status, error_body
 
@@ -95,6 +97,8 @@ class Command:
     cancelling: str | None = None
     """Why a cancel was asked for."""
     expired: bool = False
+    timer: asyncio.TimerHandle | None = None
+    """Ends the command at its deadline."""
 
     @property
     def status(self) -> Status:
@@ -203,8 +207,18 @@ class Commands:
             details={"command": busy.id},
         )
 
-    def start(self, command: Command, entry: Entry, value: Any, timeout: float | None) -> None:
-        """Accept an admitted command and run it, now or when the path is free."""
+    def start(
+        self,
+        command: Command,
+        entry: Entry,
+        value: Any,
+        timeout: float | None,
+        deadline: float | None = None,
+    ) -> None:
+        """Accept an admitted command and run it, now or when the path is free.
+
+        It has `timeout` seconds from then on, and `deadline` from now on.
+        """
         command.entry = entry
         self.running[command.id] = command
         self._note(command, Record("accepted", now(), message="Command accepted."))
@@ -227,6 +241,9 @@ class Commands:
                 self.cancel(waiting, "preempted by a newer command")
             self.cancel(busy, "preempted by a newer command")
         self._queues.setdefault(entry.path, deque()).append(command)
+        if deadline is not None:
+            loop = asyncio.get_running_loop()
+            command.timer = loop.call_later(deadline, self._expire, command, deadline)
 
     @staticmethod
     def _shared(entry: Entry) -> bool:
@@ -241,10 +258,12 @@ class Commands:
         command.task = loop.create_task(
             self._call(command, entry, value), name=f"command {command.id}"
         )
-        timer = loop.call_later(timeout, self._expire, command, timeout) if timeout else None
-        command.task.add_done_callback(lambda task: self._ended(command, task, timer))
+        if timeout and command.timer is None:
+            command.timer = loop.call_later(timeout, self._expire, command, timeout)
+        command.task.add_done_callback(lambda task: self._ended(command, task))
 
     async def _call(self, command: Command, entry: Entry, value: Any) -> Any:
+        check_motion(entry, entry.owner.latch)  # it may have been latched while this one waited
         backend = entry.owner.backend
         if backend is None:
             raise entry.owner.unavailable()
@@ -282,15 +301,17 @@ class Commands:
         if command.final:
             return
         command.expired = True
-        assert command.task is not None
-        command.task.cancel()
-        self._end(
-            command,
-            DeadlineExceeded(
-                f"{command.path} did not finish within {timeout:g} s; the robot was told to stop",
-                path=command.path,
-            ),
-        )
+        if command.task is None:
+            self._unqueue(command)
+            what = f"did not begin within {timeout:g} s: others were before it"
+        else:
+            command.task.cancel()
+            what = f"did not finish within {timeout:g} s; the robot was told to stop"
+        self._end(command, DeadlineExceeded(f"{command.path} {what}", path=command.path))
+
+    def _unqueue(self, command: Command) -> None:
+        del self._starts[command.id]
+        self._queues[command.path].remove(command)
 
     def cancel(self, command: Command, reason: str) -> None:
         """Have a command cancelled: the robot is told at once, the final status follows."""
@@ -298,8 +319,7 @@ class Commands:
             return
         command.cancelling = reason
         if command.id in self._starts:
-            del self._starts[command.id]
-            self._queues[command.path].remove(command)
+            self._unqueue(command)
             self._end(
                 command, Cancelled(f"{command.path} was cancelled: {reason}", path=command.path)
             )
@@ -319,11 +339,7 @@ class Commands:
                 ),
             )
 
-    def _ended(
-        self, command: Command, task: asyncio.Task[Any], timer: asyncio.TimerHandle | None
-    ) -> None:
-        if timer is not None:
-            timer.cancel()
+    def _ended(self, command: Command, task: asyncio.Task[Any]) -> None:
         if not command.final:
             self._end(command, _outcome(command, task))
         elif not task.cancelled():
@@ -354,6 +370,9 @@ class Commands:
             text = f"Command {command.path} executed successfully."
             record = Record("completed", now(), body, message=text)
         command.finished = record.time
+        if command.timer is not None:
+            command.timer.cancel()
+            command.timer = None
         self._note(command, record)
         command.followers.clear()
 
@@ -380,8 +399,7 @@ class Commands:
         """End what runs on a path whose backend is gone, with the reason."""
         for command in [c for c in self.running.values() if c.path == path]:
             if command.id in self._starts:
-                del self._starts[command.id]
-                self._queues[path].remove(command)
+                self._unqueue(command)
             elif command.task is not None:
                 command.task.cancel()
             self._end(command, error)
@@ -420,4 +438,5 @@ def _status(command: Command, error: RcpError) -> Status:
     if isinstance(error, Cancelled):
         return "cancelled"
     moved = any(record.status == "in_progress" for record in command.history)
-    return "rejected" if isinstance(error, DeviceRejected) and not moved else "failed"
+    refused = isinstance(error, (DeviceRejected, EstopActive))
+    return "rejected" if refused and not moved else "failed"

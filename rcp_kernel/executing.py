@@ -55,6 +55,7 @@ class Executing:
             return None
         check_age(entry, request)
         check_motion(entry, entry.owner.latch)
+        gateway.check_open()
         if entry.owner.backend is None:
             raise entry.owner.unavailable()
         gateway.commands.admit(entry)
@@ -73,7 +74,8 @@ class Executing:
         )
         self._follow(session, request, command, answer, started)
         gateway.keys.note(session, request, entry.path, command)
-        gateway.commands.start(command, entry, value, self._timeout(request, entry))
+        timeout = self._timeout(request, entry)
+        gateway.commands.start(command, entry, value, timeout, request.deadline)
         return None
 
     def _estop(

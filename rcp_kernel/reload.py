@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import asyncio
 from pathlib import Path
 
 import structlog
 
 from rcp_kernel.config import load
 from rcp_kernel.errors import StartupError
-from rcp_kernel.server import Prepared, Server, prepare, start_backend, stop_backend
+from rcp_kernel.server import Prepared, Server, prepare, retire, start_backend
 
 __all__ = ["apply", "reload"]
 
@@ -34,7 +33,7 @@ async def apply(server: Server, prepared: Prepared) -> None:
         if getattr(old, part) != getattr(new, part):
             log.warning("reload_needs_restart", part=part)
     gone = [slot for slot in server.slots if slot.config not in new.backends]
-    await asyncio.gather(*(stop_backend(server, slot) for slot in gone))
+    await retire(server, gone)
     gateway.reconfigure(new)
     kept = {slot.config.name for slot in server.slots}
     for backend, table in zip(new.backends, prepared.backends, strict=True):

@@ -7,6 +7,8 @@ Whatever moves is an actuator or an action. The e-stop has a lane of its own: it
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Generator
+from contextlib import contextmanager
 from typing import Any, Protocol
 
 import structlog
@@ -19,6 +21,7 @@ from rcp_kernel.spi import Backend
 from rcp_kernel.wire import Request
 
 __all__ = [
+    "ANSWER",
     "Deadman",
     "Latch",
     "Stoppable",
@@ -31,6 +34,7 @@ __all__ = [
 log = structlog.get_logger("rcp.safety")
 _STOP_TIMEOUT = 1.0  # s for one attempt to stop
 _STOP_RETRY = 0.05  # s between attempts
+ANSWER = 1.0  # s that a write's window is longer until the robot has answered it
 MOVING = frozenset((Kind.ACTUATOR, Kind.ACTION))
 
 
@@ -112,6 +116,8 @@ class Deadman:
         self._loop = loop
         self._timers: dict[str, asyncio.TimerHandle] = {}
         self._stops: dict[str, asyncio.Task[None]] = {}
+        self._flights: dict[str, set[asyncio.Task[Any]]] = {}
+        """Writes that the robot has not answered yet."""
         self.lapsed = 0
         """How many commands have lapsed."""
 
@@ -130,6 +136,28 @@ class Deadman:
             )
         return request.valid_for
 
+    @contextmanager
+    def flight(self, entry: Entry) -> Generator[None]:
+        """Have the present task known as one that writes to an entry, for an e-stop to cancel."""
+        task = asyncio.current_task()
+        if task is None or entry.kind not in MOVING:
+            yield
+            return
+        flights = self._flights.setdefault(entry.path, set())
+        flights.add(task)
+        try:
+            yield
+        finally:
+            flights.discard(task)
+            if not flights and self._flights.get(entry.path) is flights:
+                del self._flights[entry.path]
+
+    def ground(self, entry: Entry) -> None:
+        """Cancel every write to an entry that is under way, and forget its window."""
+        self.begin(entry)
+        for task in self._flights.get(entry.path, ()):
+            task.cancel()
+
     def begin(self, entry: Entry) -> bool:
         """Let a new command take over: an older one's stop must not cut into it.
 
@@ -142,10 +170,17 @@ class Deadman:
                 handle.cancel()
         return timer is not None or stop is not None
 
-    def arm(self, entry: Entry, seconds: float) -> None:
-        """Start the window of a write that is in force now."""
+    def arm(self, entry: Entry, seconds: float) -> asyncio.TimerHandle:
+        """Start the window of a write that is in force now; return what `disarm` takes."""
         self.begin(entry)
-        self._timers[entry.path] = self._loop.call_later(seconds, self._lapse, entry)
+        timer = self._timers[entry.path] = self._loop.call_later(seconds, self._lapse, entry)
+        return timer
+
+    def disarm(self, entry: Entry, timer: asyncio.TimerHandle | None) -> None:
+        """End a window, unless that of another write has taken its place."""
+        if timer is not None and self._timers.get(entry.path) is timer:
+            timer.cancel()
+            del self._timers[entry.path]
 
     def _lapse(self, entry: Entry) -> None:
         del self._timers[entry.path]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import os
-from collections.abc import AsyncGenerator
+from collections.abc import AsyncGenerator, Sequence
 from contextlib import AsyncExitStack, asynccontextmanager
 from pathlib import Path
 from typing import Any
@@ -25,7 +25,15 @@ from rcp_kernel.store import Store
 from rcp_kernel.supervisor import Slot
 from rcp_kernel.system import System
 
-__all__ = ["Prepared", "Server", "prepare", "running", "start_backend", "stop_backend"]
+__all__ = [
+    "Prepared",
+    "Server",
+    "prepare",
+    "retire",
+    "running",
+    "start_backend",
+    "stop_backend",
+]
 
 log = structlog.get_logger("rcp.server")
 _HALT_WAIT = 3.0  # s the robots have to come to rest before their backends are closed
@@ -189,6 +197,8 @@ async def stop_backend(server: Server, slot: Slot) -> None:
         if late:
             log.error("backend_does_not_close", backend=slot.name)
             task.cancel()
+    for entry in slot.entries.values():
+        server.gateway.deadman.begin(entry)  # there is nobody left to be told to stop
     slot.withdraw(*list(slot.entries))
     if slot in server.slots:
         server.slots.remove(slot)
@@ -197,8 +207,28 @@ async def stop_backend(server: Server, slot: Slot) -> None:
 async def _rest(gateway: Gateway, slots: list[Slot]) -> None:
     """Bring everything that moves to rest before anything closes."""
     gateway.closing = True
+    _ground(gateway, slots)
     halts = [asyncio.ensure_future(halt(slot)) for slot in slots if slot.backend is not None]
     await gateway.commands.close()
+    await _halted(halts)
+
+
+def _ground(gateway: Gateway, slots: list[Slot]) -> None:
+    for slot in slots:
+        for entry in slot.entries.values():
+            gateway.deadman.ground(entry)
+
+
+async def retire(server: Server, slots: list[Slot]) -> None:
+    """Bring backends to rest that the gateway goes on without, then close them."""
+    for slot in slots:
+        slot.retire()
+    _ground(server.gateway, slots)
+    await _halted([asyncio.ensure_future(halt(s)) for s in slots if s.backend is not None])
+    await asyncio.gather(*(stop_backend(server, slot) for slot in slots))
+
+
+async def _halted(halts: Sequence[asyncio.Future[None]]) -> None:
     if halts:
         _, late = await asyncio.wait(halts, timeout=_HALT_WAIT)
         for waiter in late:

@@ -160,7 +160,9 @@ class Slot:
             try:
                 await self._live(kind, config)
             except (ConfigError, PluginError) as error:
+                self._backend = None
                 self._enter("failed", str(error))
+                self._interrupt(str(error))
                 return
             except Exception as error:
                 self._down(error)
@@ -220,6 +222,11 @@ class Slot:
         level("backend_state", backend=self.name, state=state, detail=detail)
         if not self._gateway.closing:
             self._gateway.hub.backend_changed(list(self.entries.values()))
+
+    def retire(self) -> None:
+        """Let nothing move any more: the configuration has this backend no longer."""
+        self.latch = self.latch or Latch("the gateway", "the backend is being closed")
+        self._interrupt("the configuration has it no longer")
 
     def close(self) -> None:
         """Have `run` end; the backend is closed by leaving its context."""

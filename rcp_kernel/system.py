@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncGenerator
+from collections.abc import AsyncGenerator, Coroutine, Sequence
 from contextlib import asynccontextmanager
 from typing import Annotated, Any
 
@@ -150,12 +150,11 @@ class System(BaseBackend):
         latched = {s.name: s.latch.plain() for s in self._visible(session) if s.latch is not None}
         return EstopState(bool(latched), latched)
 
-    async def estop(self, session: Session, request: EstopRequest) -> EstopState:
-        """Latch or reset the robots in scope; returns when every one has confirmed its halt.
+    def estop(self, session: Session, request: EstopRequest) -> Coroutine[Any, Any, EstopState]:
+        """Latch or reset the robots in scope, at once; return what waits for them to confirm it.
 
         :raises UnknownPath: the scope holds no robot that the session may see.
         :raises Forbidden: a reset by somebody whose role may not.
-        :raises DeviceTimeout: a robot has not confirmed yet; it stays latched and is told again.
         """
         robots = [s for s in self._visible(session) if _in_scope(s, request.scope)]
         if not robots:
@@ -171,7 +170,7 @@ class System(BaseBackend):
             for robot in robots:
                 robot.latch = None
             self._publish_estop(session)
-            return self._estop_state(session)
+            return self._state_now(session)
         for robot in robots:
             robot.latch = robot.latch or Latch(session.principal.name, request.reason)
         stops = [asyncio.ensure_future(self._stop(robot)) for robot in robots]
@@ -179,6 +178,18 @@ class System(BaseBackend):
             self._stops.add(stop)
             stop.add_done_callback(self._stops.discard)
         self._publish_estop(session)
+        return self._halted(session, robots, stops)
+
+    async def _state_now(self, session: Session) -> EstopState:
+        return self._estop_state(session)
+
+    async def _halted(
+        self, session: Session, robots: list[Slot], stops: Sequence[asyncio.Future[None]]
+    ) -> EstopState:
+        """Wait until every robot has confirmed its halt.
+
+        :raises DeviceTimeout: one has not yet; it stays latched and is told again.
+        """
         _, late = await asyncio.wait(stops, timeout=_HALT_WAIT)
         if late:
             names = [r.name for r, stop in zip(robots, stops, strict=True) if stop in late]
@@ -192,7 +203,7 @@ class System(BaseBackend):
         gateway = self._gateway
         stopping = asyncio.ensure_future(halt(robot))
         for entry in robot.entries.values():
-            gateway.deadman.begin(entry)
+            gateway.deadman.ground(entry)
             for command in [c for c in gateway.commands.running.values() if c.path == entry.path]:
                 gateway.commands.cancel(command, "emergency stop")
         await stopping

@@ -9,11 +9,11 @@ from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
 from rcp_kernel.clock import iso, now
-from rcp_kernel.errors import RcpError
+from rcp_kernel.errors import DeviceRejected, RcpError, Refused
 from rcp_kernel.model import Operation
 from rcp_kernel.pending import blame
 from rcp_kernel.registry import Entry
-from rcp_kernel.safety import check_age, check_motion, safe_value
+from rcp_kernel.safety import ANSWER, check_age, check_motion, safe_value
 from rcp_kernel.samples import Sample
 from rcp_kernel.sessions import Answer, Session
 from rcp_kernel.wire import Reply, Request
@@ -22,6 +22,9 @@ if TYPE_CHECKING:
     from rcp_kernel.gateway import Gateway
 
 __all__ = ["Writing", "would"]
+
+_UNCHANGED = (Refused, DeviceRejected)
+"""Errors by which a backend says that its robot goes on as before."""
 
 
 class Writing:
@@ -37,10 +40,11 @@ class Writing:
         value = request.decode_body(entry.value_type, entry.label)
         first = gateway.keys.find(session, request, entry.path)
         if first is not None:
-            self._repeat(first, request, answer)
+            self._repeat(first, session, request, entry, answer)
             return None
         check_age(entry, request)
         check_motion(entry, entry.owner.latch)
+        gateway.check_open()
         window = gateway.deadman.window(entry, request)
         if entry.owner.backend is None:
             raise entry.owner.unavailable()
@@ -65,21 +69,29 @@ class Writing:
         return None
 
     async def _bring_into_force(self, entry: Entry, value: Any, window: float | None) -> Sample:
+        check_motion(entry, entry.owner.latch)  # it may have been latched since the write came in
         backend = entry.owner.backend
         if backend is None:
             raise entry.owner.unavailable()
         deadman = self._gateway.deadman
         started = perf_counter()
-        superseded = deadman.begin(entry) if window is not None else False
-        try:
-            actual = await backend.write(entry.name, value)
-        except BaseException as error:
-            if superseded:
-                deadman.arm(entry, 0)
-            if isinstance(error, Exception):
-                raise blame(error, entry.owner.name, entry.path) from error
-            raise
+        with deadman.flight(entry):
+            superseded = deadman.begin(entry)
+            # Nobody knows what a robot makes of a write that it does not answer.
+            guard = None if window is None else deadman.arm(entry, window + ANSWER)
+            try:
+                actual = await backend.write(entry.name, value)
+            except BaseException as error:
+                if superseded or (guard is not None and not isinstance(error, _UNCHANGED)):
+                    deadman.arm(entry, 0)
+                else:
+                    deadman.disarm(entry, guard)
+                check_motion(entry, entry.owner.latch)
+                if isinstance(error, Exception):
+                    raise blame(error, entry.owner.name, entry.path) from error
+                raise
         entry.owner.latency = perf_counter() - started
+        deadman.disarm(entry, guard)
         if window is not None and value != safe_value(entry):
             deadman.arm(entry, window)
         return entry.publish(value if actual is None else actual, None)
@@ -95,15 +107,26 @@ class Writing:
 
         return noted
 
-    @staticmethod
-    def _repeat(first: asyncio.Future[Reply], request: Request, answer: Answer) -> None:
-        def again(done: asyncio.Future[Reply]) -> None:
-            reply = copy(done.result())
+    def _repeat(
+        self,
+        first: asyncio.Future[Reply],
+        session: Session,
+        request: Request,
+        entry: Entry,
+        answer: Answer,
+    ) -> None:
+        def again(done: Reply) -> Reply:
+            reply = copy(done)
             reply.id = request.id
-            reply.custom = request.custom
-            answer(reply)
+            return reply
 
-        first.add_done_callback(again)
+        gateway = self._gateway
+        timeout = gateway.deadline(request, entry)
+        gateway.later(session, request, answer, _outcome(first), again, timeout, entry.path)
+
+
+async def _outcome(first: asyncio.Future[Reply]) -> Reply:
+    return await asyncio.shield(first)
 
 
 def _written(request: Request, entry: Entry, sample: Sample) -> Reply:
