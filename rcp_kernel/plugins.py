@@ -95,9 +95,10 @@ class Plugins:
                 raise ConfigError(f"no installed plugin offers {group} '{name}'; {advice}")
             try:
                 module = importlib.import_module(point.value)
-            except ImportError as error:
+            except Exception as error:  # whatever its module does, it does not stop the gateway
                 extra = f"'rcp-gateway[{name}]'" if name in _EXTRA else _source(point).split()[0]
-                self.missing.append(Missing(group, name, str(error), f"pip install {extra}"))
+                reason = str(error) if isinstance(error, ImportError) else repr(error)
+                self.missing.append(Missing(group, name, reason, f"pip install {extra}"))
                 continue
             register(self._manager, module, f"{group}.{name}")
 
