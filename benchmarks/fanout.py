@@ -35,7 +35,8 @@ async def bare(clients: int) -> None:
 
     def publish() -> None:
         for transport in Bare.clients:
-            transport.write(b"".join([frame] * BURST))
+            if not transport.is_closing():
+                transport.write(b"".join([frame] * BURST))
 
     await produce(publish, OFFERED / clients / BURST, 1)
 

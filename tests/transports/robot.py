@@ -23,7 +23,7 @@ KEY = "operator-of-this-test"
 CONFIG = """
 {top}
 [transports.asgi]
-port = 0
+port = {port}
 {asgi}
 [transports.http]
 {http}
@@ -127,7 +127,14 @@ class Site:
 
 @asynccontextmanager
 async def site(
-    *, top: str = "", asgi: str = "", http: str = "", ws: str = "", sse: str = "", more: str = ""
+    *,
+    port: int = 0,
+    top: str = "",
+    asgi: str = "",
+    http: str = "",
+    ws: str = "",
+    sse: str = "",
+    more: str = "",
 ) -> AsyncGenerator[Site]:
     """Run a gateway; the texts are added to its configuration."""
     robots: list[Robot] = []
@@ -138,7 +145,7 @@ async def site(
         yield robots[-1]
 
     configure("error", "json")
-    text = CONFIG.format(top=top, asgi=asgi, http=http, ws=ws, sse=sse, more=more)
+    text = CONFIG.format(port=port, top=top, asgi=asgi, http=http, ws=ws, sse=sse, more=more)
     kind = BackendKind("robot", NoOptions, open_robot)
     async with serve(parse(text, "test"), kind) as served:
         yield Site(served.server, robots)

@@ -63,14 +63,22 @@ def check_open(config: AsgiConfig, gateway: GatewayConfig) -> None:
     :raises ConfigError: that is so.
     """
     if not is_loopback(config.host) and not gateway.closed:
-        raise ConfigError(
-            f"[transports.asgi] host = '{config.host}' is open to others, and so is the gateway: "
-            "write `anonymous = false`, or listen on 127.0.0.1"
-        )
+        raise _open_to_strangers(config)
+
+
+def _open_to_strangers(config: AsgiConfig) -> ConfigError:
+    return ConfigError(
+        f"[transports.asgi] host = '{config.host}' is open to others, and so is the gateway: "
+        "write `anonymous = false`, or listen on 127.0.0.1"
+    )
 
 
 def _check(config: AsgiConfig, door: Door) -> None:
-    if not is_loopback(config.host) and not door.has_keys:
+    if is_loopback(config.host):
+        return
+    if not door.secure:
+        raise _open_to_strangers(config)
+    if not door.has_keys:
         raise ConfigError(
             f"[transports.asgi] host = '{config.host}' is open to others, and nobody can prove who "
             "they are: add [[keys]], or listen on 127.0.0.1"

@@ -77,7 +77,7 @@ class Context:
         if reply is None or not reply.final:
             reply = await follower.final()
         if (asked.octets or "range" in asked.found) and reply.error is None:
-            data = bytes_of(reply)
+            data = bytes_of(reply, native=asked.octets)
             if data is not None:
                 await send_octets(send, asked, reply, data)
                 return

@@ -25,11 +25,14 @@ class NotSatisfiable(BadRequest):
     http = 416
 
 
-def bytes_of(reply: Reply) -> bytes | None:
-    """Return the bytes that a reply's body is, or that its only field is; None if it has none."""
+def bytes_of(reply: Reply, *, native: bool) -> bytes | None:
+    """Return the bytes that a reply's body is, or that its only field is; None if it has none.
+
+    With `native`, a value that a backend serialised has its serialised bytes.
+    """
     body: Any = reply.body
     if isinstance(body, Sample):
-        body = body.native.data if body.native is not None else body.value
+        body = body.native.data if native and body.native is not None else body.value
     while isinstance(body, dict) and len(body) == 1:
         body = next(iter(body.values()))
     return bytes(body) if isinstance(body, (bytes, bytearray, memoryview)) else None
