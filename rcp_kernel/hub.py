@@ -12,6 +12,7 @@ import itertools
 import time
 from collections.abc import Callable
 from contextlib import AsyncExitStack
+from dataclasses import dataclass
 from typing import Any
 
 import structlog
@@ -127,16 +128,17 @@ class Hub:
         feed = subscription.feed(entry)
         subscription.feeds[entry.path] = feed
         if subscription.mailbox is None:
-            self._keep(entry)
+            self._keep(feed)
             return feed
         self._relink(feed)
         if feed.priority != 4:
             subscription.mailbox.prioritised = True
         return feed
 
-    def _keep(self, entry: Entry) -> None:
+    def _keep(self, feed: Feed) -> None:
         """Have the history of a path kept for a client that is away."""
-        entry.listeners.append(_keeper)
+        entry = feed.entry
+        entry.listeners.append(_keeper(feed))
         if len(entry.listeners) == 1:
             entry.size_ring()
         self._retune(entry)
@@ -199,7 +201,7 @@ class Hub:
         for path, feed in subscription.feeds.items():
             feed.leave()
             if path in self.registry.entries:
-                self._keep(feed.entry)  # before the feed goes, so that its source goes on
+                self._keep(feed)  # before the feed goes, so that its source goes on
             self.unlink(feed)
 
     def attach(
@@ -213,7 +215,7 @@ class Hub:
             self._replay(feed, known)
             if path in self.registry.entries:
                 self._relink(feed)
-            self._unkeep(feed.entry)
+            self._unkeep(feed)
             if feed.priority != 4:
                 mailbox.prioritised = True
 
@@ -241,7 +243,7 @@ class Hub:
         """Let go of a detached subscription whose session has expired."""
         if subscription.mailbox is None:
             for feed in subscription.feeds.values():
-                self._unkeep(feed.entry)
+                self._unkeep(feed)
         self.remove(subscription)
 
     def drop(self, feed: Feed) -> None:
@@ -249,13 +251,14 @@ class Hub:
         subscription = feed.subscription
         del subscription.feeds[feed.entry.path]
         if subscription.mailbox is None:
-            self._unkeep(feed.entry)
+            self._unkeep(feed)
         self.unlink(feed)
         feed.leave()
 
-    def _unkeep(self, entry: Entry) -> None:
-        if _keeper in entry.listeners:
-            entry.listeners.remove(_keeper)
+    def _unkeep(self, feed: Feed) -> None:
+        entry, keeper = feed.entry, _keeper(feed)
+        if keeper in entry.listeners:
+            entry.listeners.remove(keeper)
             self._left(entry)
 
     # -- the tree changes ----------------------------------------------------------------------
@@ -268,7 +271,7 @@ class Hub:
                 known.entry = entry
                 if subscription.mailbox is None:
                     if returned:
-                        self._keep(entry)
+                        self._keep(known)
                 elif known not in feeds_of(entry):
                     self._relink(known)
                     notice(
@@ -390,21 +393,29 @@ class Hub:
         await asyncio.gather(*self._tasks, return_exceptions=True)
 
 
+@dataclass(frozen=True, slots=True)
 class _Keeper:
     """Stands in for a feed whose client is away, so that history goes on being kept."""
+
+    rate: float | None
+    """What the client wants of the source, as it did while it was here."""
 
     def offer(self, sample: Sample) -> None:
         """Do nothing: the entry's ring has the sample."""
 
 
-_keeper = _Keeper()
+def _keeper(feed: Feed) -> _Keeper:
+    return _Keeper(feed.subscription.options.rate)
 
 
 def _wanted_rate(entry: Entry) -> float | None:
     """The most that anybody wants in Hz; None for everything, 0.0 for nothing at all."""
     best = 0.0
     for listener in entry.listeners:
-        rate = listener.subscription.options.rate if isinstance(listener, Feed) else None
+        if isinstance(listener, _Keeper):
+            rate = listener.rate
+        else:
+            rate = listener.subscription.options.rate if isinstance(listener, Feed) else None
         if rate is None:
             return None
         best = max(best, rate)

@@ -170,3 +170,15 @@ async def test_two_requests_that_follow_one_command_keep_their_own_ids(world: Wo
     world.robot.release.set()
     finals = [await client.final(id_) for id_ in ids]
     assert finals[0]["command"] == finals[1]["command"]
+
+
+async def test_a_cut_leaves_the_source_at_the_rate_that_was_wanted(world: World) -> None:
+    client = world.client()
+    session = (await greeted(client))["session"]
+    await client.ask(type="subscribe", id="s", path="/sensor/lazy", body={"rate": 2})
+    await client.update("s")
+    client.connection.close()
+    client = world.client()
+    await greeted(client, session=session)
+    await client.ask(type="ping")
+    assert [rate for name, rate in world.robot.watched if name == "sensor/lazy"] == [2.0]
