@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import time
 import uuid
 from typing import Any
@@ -18,7 +17,7 @@ from rcp_ros2.cdr import Codec
 from rcp_ros2.config import Mapping
 from rcp_ros2.filler import filler
 from rcp_ros2.idl import fields_of
-from rcp_ros2.probe import Probe
+from rcp_ros2.pulse import Pulse, node_of
 from rcp_ros2.ros import Ticket, hearing
 from rcp_ros2.services import reader
 from rcp_ros2.types import example_of, inward
@@ -41,17 +40,19 @@ class Run(Binding):
     def __init__(self, shared: Shared, name: str, mapping: Mapping, action: Any) -> None:
         self.action = action
         self.client: Any = None
-        self._input = inward(action.Goal) if fields_of(action.Goal) else None
+        self._input = inward(action.Goal, mapping.unit) if fields_of(action.Goal) else None
         self._fill = filler(action.Goal)
         self._goals: set[Goal] = set()
-        self.probe = Probe(shared.ros, mapping.target)
-        self.read_result = reader(action.Result) if fields_of(action.Result) else None
-        self.read_feedback = reader(action.Feedback) if fields_of(action.Feedback) else None
+        self._node = ""
+        result = Codec(action.Result, unit=mapping.unit)
+        feedback = Codec(action.Feedback, unit=mapping.unit)
+        self.read_result = reader(result) if fields_of(action.Result) else None
+        self.read_feedback = reader(feedback) if fields_of(action.Feedback) else None
         type_name = f"{action.__module__.split('.')[0]}/action/{action.__name__}"
         resource = Resource(
             input=self._input,
-            output=Codec(action.Result).type if self.read_result else None,
-            feedback=Codec(action.Feedback).type if self.read_feedback else None,
+            output=result.type if self.read_result else None,
+            feedback=feedback.type if self.read_feedback else None,
             examples=example_of(self._input) if self._input else (),
             **common(
                 name,
@@ -80,8 +81,6 @@ class Run(Binding):
         :raises DeviceRejected: the server refused the goal or aborted it.
         :raises DeviceTimeout: the server fell silent.
         """
-        await self.shared.present("action", self.mapping.target)
-        await self._matched()
         goal = Goal(self, self.action.Goal() if value is None else self._fill(value), progress)
         self._goals.add(goal)
         try:
@@ -89,7 +88,12 @@ class Run(Binding):
         finally:
             self._goals.discard(goal)
 
-    async def _matched(self) -> None:
+    async def reach(self) -> None:
+        """Return once a server can be sent a goal.
+
+        :raises AdapterUnavailable: there is none.
+        """
+        await self.shared.present("action", self.mapping.target)
         end = time.monotonic() + _MATCH
         while not await self.shared.ros.call(self.is_ready):
             if time.monotonic() >= end:
@@ -102,10 +106,22 @@ class Run(Binding):
             from rclpy.action.client import ActionClient
 
             self.client = ActionClient(self.shared.ros.node, self.action, self.mapping.target)
-        ready = self.client.server_is_ready()
-        if ready:
-            self.probe.servers()
-        return ready
+        self.servers()
+        return self.client.server_is_ready()
+
+    def servers(self) -> frozenset[bytes]:
+        """Return who publishes the action's status: a new one is a server that was restarted."""
+        topic = f"{self.mapping.target}/_action/status"
+        endpoints = self.shared.ros.node.get_publishers_info_by_topic(topic)
+        named = [name for name in map(node_of, endpoints) if name is not None]
+        if named:
+            self._node = named[-1]
+            self.shared.pulses.want(f"action {self.mapping.target}", named[-1:])
+        return frozenset(bytes(endpoint.endpoint_gid) for endpoint in endpoints)
+
+    def pulse(self) -> Pulse | None:
+        """Return the pulse of the server's node."""
+        return self.shared.pulses.of(self._node)
 
     async def halt(self) -> None:
         """Cancel every running goal, and return when the server has confirmed it."""
@@ -117,7 +133,7 @@ class Run(Binding):
 
     def _drop(self) -> None:
         if self.client is not None:
-            self.probe.close()
+            self.shared.pulses.want(f"action {self.mapping.target}", ())
             self.client.destroy()
             self.client = None
 
@@ -133,20 +149,25 @@ class Goal:
         self._progress = progress
         self._accepted = Ticket(run.shared.host)
         self._result = Ticket(run.shared.host)
-        self._probe = run.probe
-        self._answers: int | None = None
-        """What the probe counted when the first question about this goal was asked."""
+        self._pulse: Pulse | None = None
+        self._answers = 0
+        """How often the node had answered when it was first asked about this goal."""
         self._servers: frozenset[bytes] = frozenset()
         self._heard = time.monotonic()
-        self._handle: Any = None
         self._seen: Any = None
-        """The handle, as the ROS thread has it."""
+        """The goal's handle, as the ROS thread has it."""
+        self._sent = False
+        self._asked = False
         self._abandoned = False
         self._stopping = False
 
     async def run(self) -> Any:
         """See the goal through; a cancellation reaches the server before this returns."""
         try:
+            await self._run.reach()
+            if self._stopping:
+                raise Cancelled(f"{self._name} was stopped before the goal was sent")
+            self._sent = True
             await self._send()
             return await self._follow()
         except asyncio.CancelledError:
@@ -167,13 +188,13 @@ class Goal:
         await self._ros.call(self._send_goal)
         if not await self._accepted.wait(self._run.timeout):
             raise self._run.late(f"the server of {self._name}")
-        self._handle = self._accepted.result()
-        if not self._handle.accepted:
+        handle = self._accepted.result()
+        if not handle.accepted:
             raise DeviceRejected(
                 f"the server of {self._name} rejected the goal",
                 remedy="Send a goal that the robot can reach from where it is.",
             )
-        await self._ros.call(self._ask_result)
+        await self._ros.call(self._ask_result, handle)
 
     async def _follow(self) -> Any:
         pause = _FIRST_LOOK
@@ -190,11 +211,13 @@ class Goal:
             return
         if not ready:
             raise AdapterUnavailable(f"the server of {self._name} has gone while it ran the goal")
-        silent = time.monotonic() - max(self._heard, self._probe.heard)
+        pulse = self._pulse
+        if pulse is None:
+            return
+        silent = time.monotonic() - max(self._heard, pulse.heard)
         # A server that blocks its node while it works cannot answer, and is not dead for that:
         # only one that has answered while it ran this goal is missed.
-        answered = self._answers is not None and self._probe.answers > self._answers
-        if answered and silent > self._run.silence:
+        if pulse.answers > self._answers and silent > self._run.silence:
             raise DeviceTimeout(
                 f"the server of {self._name} has fallen silent for {silent:.1f} s while it ran "
                 "the goal",
@@ -222,19 +245,10 @@ class Goal:
 
     async def _cancelled(self) -> tuple[Any] | None:
         """Bring the goal to rest. Return its result if it succeeded before the cancel came."""
-        if self._handle is None and not await self._accepted.wait(_LATE):
-            self._abandon()
-            raise DeviceTimeout(
-                f"the server of {self._name} has not answered to the goal yet",
-                remedy="The goal is cancelled as soon as it is accepted; look at the robot's node.",
-            )
-        self._handle = self._accepted.result()
-        if not self._handle.accepted:
+        if not await self.stop():
             return None
-        if self._result.done or await self.stop():
-            status, value = self._result.result()
-            return (value,) if status == _SUCCEEDED else None
-        return None
+        status, value = self._result.result()
+        return (value,) if status == _SUCCEEDED else None
 
     async def stop(self) -> bool:
         """Cancel the goal and wait until it rests; tell whether there was anything to stop.
@@ -242,12 +256,20 @@ class Goal:
         :raises DeviceRejected: the server refuses to cancel.
         :raises DeviceTimeout: it has not confirmed it.
         """
-        if self._handle is None or not self._handle.accepted:
-            self._abandon()
-            return False
         self._stopping = True
+        if not self._sent:
+            return False
+        if not await self._accepted.wait(_LATE):
+            self._abandon()
+            raise DeviceTimeout(
+                f"the server of {self._name} has not answered to the goal yet",
+                remedy="The goal is cancelled as soon as it is accepted; look at the robot's node.",
+            )
+        handle = self._accepted.result()
+        if not handle.accepted:
+            return False
         answer = Ticket(self._run.shared.host)
-        await self._ros.call(self._ask_cancel, answer)
+        await self._ros.call(self._ask_cancel, handle, answer)
         end = time.monotonic() + _REST
         await answer.wait(_REST)
         if answer.done and answer.result().return_code == _REFUSED and not self._result.done:
@@ -260,8 +282,7 @@ class Goal:
         return True
 
     def _abandon(self) -> None:
-        with contextlib.suppress(AdapterUnavailable):
-            self._ros.post(self._cancel_unseen)
+        self._ros.post(self._cancel_unseen)
 
     # -- ROS thread ------------------------------------------------------------------------------
 
@@ -275,7 +296,7 @@ class Goal:
         )
         future.add_done_callback(hearing(self._admitted))
         self._accepted.follow(future)
-        self._servers = self._probe.servers()
+        self._servers = self._run.servers()
 
     def _admitted(self, future: Any) -> None:
         self._seen = future.result()
@@ -289,16 +310,19 @@ class Goal:
         if handle is not None and handle.accepted and self._run.client is not None:
             handle.cancel_goal_async()
 
-    def _ask_result(self) -> None:
+    def _ask_result(self, handle: Any) -> None:
+        self._asked = True
         read = self._run.read_result
 
         def convert(response: Any) -> tuple[int, Any]:
             return response.status, None if read is None else read(response.result)
 
-        self._result.follow(self._handle.get_result_async(), convert)
+        self._result.follow(handle.get_result_async(), convert)
 
-    def _ask_cancel(self, answer: Ticket) -> None:
-        answer.follow(self._handle.cancel_goal_async())
+    def _ask_cancel(self, handle: Any, answer: Ticket) -> None:
+        answer.follow(handle.cancel_goal_async())
+        if not self._asked:  # the cancel came between acceptance and this question
+            self._ask_result(handle)
 
     def _fed_back(self, message: Any) -> None:
         self._heard = time.monotonic()
@@ -306,11 +330,12 @@ class Goal:
             self._ros.host.call_soon(self._progress, self._run.read_feedback(message.feedback))
 
     def _inspect(self) -> bool:
-        servers = self._probe.servers()
+        servers = self._run.servers()
         if servers - self._servers:  # a new server knows nothing of this goal, and says so
             self._servers |= servers
-            self._ask_result()
-        if self._answers is None:
-            self._answers = self._probe.answers
-        self._probe.ask()
+            self._ask_result(self._seen)
+        pulse = self._run.pulse()
+        if pulse is not self._pulse and pulse is not None:
+            self._pulse, self._answers = pulse, pulse.answers
+            pulse.ask()
         return self._run.is_ready()

@@ -18,6 +18,8 @@ from rcp_ros2.ros import Ros, open_ros
 
 __all__ = ["Ros2Backend", "open_ros2"]
 
+_SETTLE = 0.5  # s
+
 
 class Ros2Backend(BaseBackend):
     """One ROS 2 domain."""
@@ -87,7 +89,7 @@ async def open_ros2(config: Ros2Config, host: Host) -> AsyncGenerator[Ros2Backen
         shared = Shared(ros, config, host)
         catalog = Catalog(shared)
         watch = GraphWatch(ros, catalog.matters, catalog.update)
-        watch.on_look.extend((shared.feeds.refresh, lambda: _look(shared)))
+        watch.on_look.extend((shared.feeds.refresh, shared.pulses.look, lambda: _look(shared)))
         await ros.call(watch.start)
         try:
             await _settle(catalog, ros)
@@ -97,9 +99,12 @@ async def open_ros2(config: Ros2Config, host: Host) -> AsyncGenerator[Ros2Backen
 
 
 async def _settle(catalog: Catalog, ros: Ros) -> None:
-    """Give discovery its time, so that most paths are there when the backend is ready."""
+    """Give discovery its usual time, so that most paths are there when the backend is ready.
+
+    Now and then it takes 3 s: a gateway does not wait for that with its start.
+    """
     try:
-        await asyncio.wait_for(catalog.complete.wait(), ros.config.grace)
+        await asyncio.wait_for(catalog.complete.wait(), min(ros.config.grace, _SETTLE))
     except TimeoutError:
         return
 

@@ -13,6 +13,7 @@ from rcp_kernel.spi import Host, Progress
 from rcp_ros2.config import Mapping, Ros2Config
 from rcp_ros2.graph import Graph
 from rcp_ros2.outbox import Outbox
+from rcp_ros2.pulse import Pulses
 from rcp_ros2.ros import Ros
 from rcp_ros2.topics import Feeds
 
@@ -33,7 +34,9 @@ class Shared:
         self.outbox = Outbox(host)
         self._troubles: dict[str, str] = {}
         self._reported = False
+        self._complaints: dict[str, str | None] = {}
         self.feeds = Feeds(ros, self.outbox, self._complain)
+        self.pulses = Pulses(ros, self._complain)
         self.on_look: list[Callable[[], None]] = []
         """Called in the ROS thread at each look at the graph."""
         self._settled = time.monotonic() + config.grace
@@ -58,7 +61,10 @@ class Shared:
             self.host.report(detail)
 
     def _complain(self, key: str, detail: str | None) -> None:
-        self.host.call_soon(self.trouble, f"qos {key}", detail)
+        """Note what is wrong, from the ROS thread; only changes are worth a wake-up."""
+        if self._complaints.get(key) != detail:
+            self._complaints[key] = detail
+            self.host.call_soon(self.trouble, key, detail)
 
     async def until(self, holds: Callable[[], bool], seconds: float) -> bool:
         """Wait until something about the graph holds, while that may still be discovered."""

@@ -77,7 +77,7 @@ class Catalog:
             if name not in self._mapped:
                 self._want(name, mapping, graph, mapped=False)
         for node in graph.nodes:
-            if self._exposes(node):
+            if self._exposes(node) and self._is_due(f"node {node}"):
                 self._start(f"node {node}", self._expose_parameters(node))
         self._sweep(found, graph)
         self._report(graph)
@@ -195,11 +195,12 @@ class Catalog:
             self._nodes.setdefault(name, made)
         return self._nodes[name]
 
+    def _is_due(self, key: str) -> bool:
+        return key not in self._types and time.monotonic() >= self._later.get(key, 0.0)
+
     async def _expose_parameters(self, name: str) -> None:
         prefix = resource_name("param", name) + "/"
         key = f"node {name}"
-        if key in self._types or time.monotonic() < self._later.get(key, 0.0):
-            return
         try:
             async with self._asking:
                 node = await self._node(name)

@@ -31,9 +31,10 @@ class Malformed(ValueError):
 class Codec:
     """The decoder of one type, or of one part of it."""
 
-    def __init__(self, cls: Any, path: str | None = None) -> None:
+    def __init__(self, cls: Any, path: str | None = None, unit: str | None = None) -> None:
         self.name = full_name(cls)
-        self.type = outward(cls, path)
+        self.type = outward(cls, path, unit)
+        self._whole = outward(cls, None, unit)
         self._cls = cls
         self._path = path.split(".") if path else None
         self._stamped = _is_stamped(cls)
@@ -62,7 +63,7 @@ class Codec:
         order = _ORDERS.get(header)
         if order is None:
             raise Malformed(f"encapsulation {header.hex() or 'missing'} of {self.name} is not CDR")
-        made = _Module(order).compile(self._cls, self._path)
+        made = _Module(order).compile(self._cls, self._whole, self._path)
         self._decoders[header] = made
         return made
 
@@ -114,9 +115,9 @@ class _Module:
         self._parts: dict[Any, str] = {}
         self._sources: list[str] = []
 
-    def compile(self, cls: Any, path: list[str] | None) -> Decoder:
+    def compile(self, cls: Any, type_: Any, path: list[str] | None) -> Decoder:
         body = _Function(self, offset=0)
-        result = body.message(cls, outward(cls), path)
+        result = body.message(cls, type_, path)
         body.flush()
         source = (
             "def decode(b):\n    e = len(b)\n    p = 4\n"
@@ -216,7 +217,10 @@ class _Function:
     # -- types -----------------------------------------------------------------------------------
 
     def message(self, cls: Any, type_: Any, path: list[str] | None) -> str:
-        """Write the code for a message; return the expression of its value (or of its part)."""
+        """Write the code for a message; return the expression of its value (or of its part).
+
+        Without a type the message is only passed over.
+        """
         fields = fields_of(cls)
         if not fields:  # C forbids empty structs: rosidl puts one byte there
             self._take("B", 1)
@@ -224,8 +228,10 @@ class _Function:
         for field in fields:
             if path and field.name == path[0]:
                 return self._value(field.type, _declared(type_, field.name), path[1:] or None)
-            inner = None if path else _declared(type_, field.name)
+            inner = None if path or type_ is None else _declared(type_, field.name)
             values.append(self._value(field.type, inner, None))
+        if type_ is None:
+            return "None"
         return f"{self._module.bind(type_, 'C')}({', '.join(values)})"
 
     def _value(self, type_: Type, typed: Any, path: list[str] | None) -> str:
@@ -235,7 +241,7 @@ class _Function:
             case Text(_, wide):
                 return self._string(wide=wide, skipped=typed is None)
             case Ref(cls):
-                return self.message(cls, typed if typed is not None else outward(cls), path)
+                return self.message(cls, typed, path)
             case Sequence(item, None, _):
                 return self._sequence(item, typed)
             case Sequence(item, size, _):

@@ -41,6 +41,9 @@ class Mapping(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """`nav_msgs/msg/Odometry`; without it the graph tells, once somebody offers the topic."""
     field: FieldPath | None = None
     """Only this part of the messages of a sensor or event: `pose.pose`."""
+    unit: str | None = None
+    """UCUM unit of the numbers of which nothing is known: of a parameter, of a message of one's
+    own. ROS's definitions carry none."""
     qos: Qos = Qos()
     description: str | None = None
     deadline: Seconds | None = None

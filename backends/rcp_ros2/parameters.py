@@ -11,7 +11,7 @@ from msgspec import Meta
 
 from rcp_kernel.errors import AdapterUnavailable, DeviceRejected, RcpError
 from rcp_kernel.model import Operation, Resource
-from rcp_kernel.types import NONFINITE, Int64
+from rcp_kernel.types import NONFINITE
 from rcp_ros2.binding import Binding, Shared, common
 from rcp_ros2.config import Mapping
 from rcp_ros2.names import is_internal_parameter
@@ -32,18 +32,7 @@ _FIELDS = {
     9: "string_array_value",
 }
 """rcl_interfaces/msg/ParameterType, with the field of ParameterValue that holds it."""
-_DOUBLE: Any = Annotated[float, Meta(extra_json_schema={NONFINITE: True})]
-_TYPES: dict[int, Any] = {
-    1: bool,
-    2: Int64,
-    3: _DOUBLE,
-    4: str,
-    5: bytes,
-    6: list[bool],
-    7: list[Int64],
-    8: list[_DOUBLE],
-    9: list[str],
-}
+_INT: dict[str, Any] = {"ge": -(2**63), "le": 2**63 - 1}
 
 
 class Described(NamedTuple):
@@ -51,9 +40,27 @@ class Described(NamedTuple):
 
     name: str
     kind: int
-    type: Any
     text: str
     read_only: bool
+    bounds: dict[str, Any]
+
+    def type(self, unit: str | None) -> Any:
+        """Return the type of its values; its numbers are in `unit`."""
+        extra: Any = {} if unit is None else {"unit": unit}
+        match self.kind:
+            case 1 | 6:
+                plain_type: Any = bool
+            case 2 | 7:
+                plain_type = Annotated[int, Meta(**(_INT | self.bounds), extra_json_schema=extra)]
+            case 3 | 8:
+                if not self.bounds:  # a parameter may well be NaN: not set
+                    extra[NONFINITE] = True
+                plain_type = Annotated[float, Meta(**self.bounds, extra_json_schema=extra)]
+            case 4 | 9:
+                plain_type = str
+            case _:
+                return bytes
+        return list[plain_type] if self.kind > 5 else plain_type
 
 
 class NodeParameters:
@@ -84,7 +91,7 @@ class NodeParameters:
         response = await self._call(
             self._srv.DescribeParameters, "describe_parameters", names=names
         )
-        return [_described(d) for d in response.descriptors if d.type in _TYPES]
+        return [_described(d) for d in response.descriptors if d.type in _FIELDS]
 
     async def get(self, name: str, kind: int) -> Any:
         """Return the present value.
@@ -139,17 +146,17 @@ def _described(descriptor: Any) -> Described:
             if text
             else (descriptor.additional_constraints.strip())
         )
-    type_ = _TYPES[descriptor.type]
+    limits: dict[str, Any] = {}
     if descriptor.type == 2 and descriptor.integer_range:
         bounds = descriptor.integer_range[0]
         step = bounds.step if bounds.step > 1 and bounds.from_value % bounds.step == 0 else None
-        type_ = Annotated[int, Meta(ge=bounds.from_value, le=bounds.to_value, multiple_of=step)]
+        limits = {"ge": bounds.from_value, "le": bounds.to_value, "multiple_of": step}
     if descriptor.type == 3 and descriptor.floating_point_range:
         bounds = descriptor.floating_point_range[0]
-        type_ = Annotated[float, Meta(ge=bounds.from_value, le=bounds.to_value)]
+        limits = {"ge": bounds.from_value, "le": bounds.to_value}
         if bounds.step:
             text = f"{text} (in steps of {bounds.step:g})".strip()
-    return Described(descriptor.name, descriptor.type, type_, text, descriptor.read_only)
+    return Described(descriptor.name, descriptor.type, text, descriptor.read_only, limits)
 
 
 class Events:
@@ -222,7 +229,7 @@ class Setting(Binding):
         facts = common(name, mapping, text, node=node.node, parameter=described.name)
         if described.read_only:
             facts["operations"] = Operation.READ | Operation.SUBSCRIBE
-        super().__init__(shared, Resource(value=described.type, **facts), mapping)
+        super().__init__(shared, Resource(value=described.type(mapping.unit), **facts), mapping)
 
     async def read(self) -> Any:
         """Ask the node."""

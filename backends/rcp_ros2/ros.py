@@ -141,8 +141,12 @@ class Ros:
         return ticket.result()
 
     def post(self, function: Callable[..., Any], *args: Any) -> None:
-        """Run a function in the thread, some time soon; its errors are logged."""
-        self._submit(guarded(function, *args))
+        """Run a function in the thread, some time soon; its errors are logged.
+
+        Nothing happens once the thread has ended: it has let go of everything.
+        """
+        with contextlib.suppress(AdapterUnavailable):
+            self._submit(guarded(function, *args))
 
     def _submit(self, run: Callable[[], None]) -> None:
         if self.died is not None or self._executor is None:

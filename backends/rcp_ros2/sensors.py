@@ -8,14 +8,16 @@ from typing import Any
 
 import msgspec
 
-from rcp_kernel.errors import AdapterUnavailable
+from rcp_kernel.errors import AdapterUnavailable, DeviceTimeout
 from rcp_kernel.model import Resource
 from rcp_ros2.binding import Binding, Shared, common
 from rcp_ros2.cdr import Codec
 from rcp_ros2.config import Mapping
 from rcp_ros2.filler import filler
 from rcp_ros2.idl import full_name
-from rcp_ros2.topics import Outlet, Tap
+from rcp_ros2.outlet import Outlet
+from rcp_ros2.ros import Ticket
+from rcp_ros2.topics import Tap
 from rcp_ros2.types import example_of, inward
 
 __all__ = ["Commanded", "Observed"]
@@ -32,6 +34,7 @@ _VELOCITY = {
 }
 _DEADMAN = 0.5  # s that a velocity stands, where the mapping does not say
 _MATCH = 1.0  # s for a publisher to find a subscriber that the graph lists
+_MARGIN = 1.0  # s that the gateway waits longer than a read has
 _PAUSE = 0.05  # s between looks whether it has
 
 
@@ -41,7 +44,7 @@ class Observed(Binding):
     def __init__(self, shared: Shared, name: str, mapping: Mapping, cls: Any) -> None:
         self.topic = mapping.target
         self._cls = cls
-        self._codec = Codec(cls, mapping.field)
+        self._codec = Codec(cls, mapping.field, mapping.unit)
         type_name = full_name(cls)
         part = f"{mapping.field} of {type_name}" if mapping.field else type_name
         event = name.startswith("event/")
@@ -53,7 +56,7 @@ class Observed(Binding):
             type=type_name,
             field=mapping.field,
         )
-        facts.setdefault("timeout", shared.config.timeout)
+        facts["timeout"] = (mapping.timeout or shared.config.timeout) + _MARGIN
         resource = Resource(value=self._codec.type, native=type_name, live=event, **facts)
         super().__init__(shared, resource, mapping)
         if event:  # nobody could read the last one otherwise
@@ -61,7 +64,8 @@ class Observed(Binding):
 
     def watched(self, rate: float) -> None:
         """Subscribe, or change the rate."""
-        tap = Tap(self.resource.name, self._codec, 0.0 if rate == math.inf else 1 / rate)
+        period = 0.0 if rate == math.inf else 1 / rate
+        tap = Tap(self.resource.name, self._codec, period=period)
         self.shared.ros.post(self.shared.feeds.tap, self.topic, self._cls, self.mapping.qos, tap)
 
     def unwatched(self) -> None:
@@ -74,22 +78,37 @@ class Observed(Binding):
         self.shared.ros.post(self.shared.feeds.untap, self.topic, self.resource.name)
 
     async def read(self) -> Any:
-        """Return what a latched topic is at; of others, only the next value is worth having.
+        """Return the next value, or what a latched topic is at.
 
-        :raises AdapterUnavailable: no node publishes the topic.
+        :raises AdapterUnavailable: no node publishes the topic, or it is an event that never came.
+        :raises DeviceTimeout: nothing came in time.
         """
-        graph = self.shared
-        if not await graph.until(
-            lambda: bool(graph.graph.publishers.get(self.topic)), graph.settling
-        ):
+        if self.resource.live:  # the kernel would have answered with the last one
+            raise AdapterUnavailable(
+                f"nothing has come on {self.topic} yet",
+                remedy="Subscribe to it, and wait for it to happen.",
+            )
+        shared = self.shared
+        if not await shared.until(self._is_published, shared.settling):
             raise AdapterUnavailable(
                 f"no node publishes {self.topic}",
                 remedy="Start the node that does; the gateway finds it by itself.",
             )
-        last = await self.shared.ros.call(self.shared.feeds.last, self.topic)
-        if last is not None:
-            return self._codec.decode(last)
-        return await super().read()
+        next_ = Ticket(shared.host)
+        tap = Tap(f"{self.resource.name} read {id(next_)}", self._codec, once=next_.give)
+        await shared.ros.call(shared.feeds.tap, self.topic, self._cls, self.mapping.qos, tap)
+        try:
+            if not await next_.wait(self.timeout):
+                raise DeviceTimeout(
+                    f"no message came on {self.topic} within {self.timeout:g} s",
+                    remedy="Check that the node that publishes it runs; subscribe to wait longer.",
+                )
+            return next_.result().decode()
+        finally:
+            shared.ros.post(shared.feeds.untap, self.topic, tap.name)
+
+    def _is_published(self) -> bool:
+        return bool(self.shared.graph.publishers.get(self.topic))
 
 
 class Commanded(Binding):
@@ -97,10 +116,11 @@ class Commanded(Binding):
 
     def __init__(self, shared: Shared, name: str, mapping: Mapping, cls: Any) -> None:
         self.topic = mapping.target
-        self._type = inward(cls)
+        self._type = inward(cls, mapping.unit)
         self._fill = filler(cls)
-        self._outlet = Outlet(shared.ros, self.topic, cls, mapping.qos)
+        self._outlet = Outlet(shared, self.topic, cls, mapping.qos)
         self._moved = False
+        self._written: Any = None
         type_name = full_name(cls)
         velocity = type_name in _VELOCITY
         valid_for = _DEADMAN if mapping.valid_for is None and velocity else mapping.valid_for
@@ -120,8 +140,8 @@ class Commanded(Binding):
             ),
         )
         super().__init__(shared, resource, mapping)
-        shared.ros.post(self._outlet.open)
-        shared.on_look.append(self._outlet.open)
+        shared.ros.post(self._outlet.match)
+        shared.on_look.append(self._outlet.match)
 
     def _rest(self, mapping: Mapping) -> Any:
         return self._type() if mapping.safe is None else msgspec.convert(mapping.safe, self._type)
@@ -135,6 +155,7 @@ class Commanded(Binding):
         message = self._fill(value)
         if need:
             await shared.until(self._listened_to, shared.settling)
+            await self._answering()
         heard = await shared.ros.call(self._send if need else self._send_anyhow, message)
         if not heard and need and self._listened_to():
             heard = await self._until_matched(message)
@@ -144,6 +165,26 @@ class Commanded(Binding):
                 remedy="Start the robot's node, or map it with `require_subscriber = false`.",
             )
         self._moved = value != self._safe
+        self._written = value
+
+    async def read(self) -> Any:
+        """Return what was written last.
+
+        :raises AdapterUnavailable: nothing was.
+        """
+        if self._written is None:
+            raise AdapterUnavailable(
+                f"nothing has been written to {self.resource.name} yet",
+                remedy="Write a value first; a topic does not tell what others command.",
+            )
+        return self._written
+
+    async def _answering(self) -> None:
+        silent = await self.shared.ros.call(self._outlet.silent)
+        if silent:
+            raise AdapterUnavailable(
+                f"{' and '.join(silent)} subscribed to {self.topic} and does not answer any more"
+            )
 
     def _listened_to(self) -> bool:
         return bool(self.shared.graph.subscribers.get(self.topic))
@@ -170,6 +211,6 @@ class Commanded(Binding):
 
     def close(self) -> None:
         """Let go of the publisher."""
-        if self._outlet.open in self.shared.on_look:
-            self.shared.on_look.remove(self._outlet.open)
+        if self._outlet.match in self.shared.on_look:
+            self.shared.on_look.remove(self._outlet.match)
         self.shared.ros.post(self._outlet.close)

@@ -105,11 +105,10 @@ class Caller:
             self._client = None
 
 
-def reader(cls: Any) -> Callable[[Any], Any]:
+def reader(codec: Codec) -> Callable[[Any], Any]:
     """Return the function that makes a typed value of a message object."""
     from rclpy.serialization import serialize_message
 
-    codec = Codec(cls)
     return lambda message: codec.decode(serialize_message(message))
 
 
@@ -118,11 +117,11 @@ class Called(Binding):
 
     def __init__(self, shared: Shared, name: str, mapping: Mapping, srv: Any) -> None:
         request, response = srv.Request, srv.Response
-        self._input = inward(request) if fields_of(request) else None
+        self._input = inward(request, mapping.unit) if fields_of(request) else None
         self._fill = filler(request)
         self._request = request
         empty = not fields_of(response)
-        convert = (lambda _response: None) if empty else reader(response)
+        convert = (lambda _response: None) if empty else reader(Codec(response, unit=mapping.unit))
         self._caller = Caller(shared, srv, mapping.target, convert=convert)
         type_name = f"{srv.__module__.split('.')[0]}/srv/{srv.__name__}"
         facts = common(
@@ -135,7 +134,7 @@ class Called(Binding):
         facts["timeout"] = (mapping.timeout or shared.config.timeout) + _MARGIN
         resource = Resource(
             input=self._input,
-            output=None if empty else Codec(response).type,
+            output=None if empty else Codec(response, unit=mapping.unit).type,
             examples=example_of(self._input) if self._input else (),
             **facts,
         )

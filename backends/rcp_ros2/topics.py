@@ -1,4 +1,4 @@
-"""Subscriptions and publishers: one of each for a topic, however many paths stand on it.
+"""Subscriptions: one for each topic, however many paths stand on it.
 
 Everything here runs in the ROS thread.
 """
@@ -15,10 +15,10 @@ import structlog
 from rcp_ros2.cdr import Codec, Value
 from rcp_ros2.config import Qos
 from rcp_ros2.outbox import Outbox
-from rcp_ros2.qos import Profile, clash, for_publisher, for_subscription
+from rcp_ros2.qos import Profile, clash, for_subscription
 from rcp_ros2.ros import Ros, guarded
 
-__all__ = ["Feed", "Feeds", "Outlet", "Tap"]
+__all__ = ["Feed", "Feeds", "Tap"]
 
 log = structlog.get_logger("rcp.ros2")
 _SWEEP = 0.02  # s between looks for held values whose time has come
@@ -30,6 +30,8 @@ class Tap:
 
     name: str
     codec: Codec
+    once: Callable[[Value], None] | None = None
+    """Given the next value in place of the outbox."""
     period: float = 0.0
     """Seconds between two values, at least; 0 takes all."""
     due: float = 0.0
@@ -74,7 +76,7 @@ class Feeds:
         else:
             feed.taps[tap.name] = tap
             if feed.last is not None and feed.profile is not None and feed.profile.latched:
-                self._send(tap, feed.last)  # the middleware has sent it once and will not again
+                self._send(tap, feed.last, 0.0)  # the middleware does not send it again
         self._match(feed)
         self._keep_sweeping()
 
@@ -92,12 +94,6 @@ class Feeds:
         """Match publishers that have come since."""
         for feed in self._feeds.values():
             self._match(feed)
-
-    def last(self, topic: str) -> bytes | None:
-        """Return the value that a latched topic is at now."""
-        feed = self._feeds.get(topic)
-        latched = feed is not None and feed.profile is not None and feed.profile.latched
-        return feed.last if feed is not None and latched else None
 
     def _match(self, feed: Feed) -> None:
         publishers = self._ros.node.get_publishers_info_by_topic(feed.topic)
@@ -134,8 +130,11 @@ class Feeds:
 
         return heard
 
-    def _send(self, tap: Tap, data: bytes, now: float = 0.0) -> None:
+    def _send(self, tap: Tap, data: bytes, now: float) -> None:
         tap.held = None
+        if tap.once is not None:
+            tap.once(Value(data, tap.codec))
+            return
         if tap.period:
             # By the schedule and not by the clock, or jitter would cost every other value.
             tap.due = max(tap.due, now - tap.period) + tap.period
@@ -172,48 +171,3 @@ def _subscribe(
         event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False),
         raw=True,
     )
-
-
-class Outlet:
-    """One publisher; made anew if a subscriber asks for latched values."""
-
-    def __init__(self, ros: Ros, topic: str, cls: Any, wanted: Qos) -> None:
-        self._ros = ros
-        self._topic = topic
-        self._cls = cls
-        self._wanted = wanted
-        self._profile: Profile | None = None
-        self._publisher: Any = None
-
-    def open(self) -> None:
-        """Make the publisher, so that it is discovered before it is needed."""
-        from rclpy.event_handler import PublisherEventCallbacks
-
-        node = self._ros.node
-        profile = for_publisher(node.get_subscriptions_info_by_topic(self._topic), self._wanted)
-        if profile == self._profile:
-            return
-        self.close()
-        self._profile = profile
-        self._publisher = node.create_publisher(
-            self._cls,
-            self._topic,
-            profile.to_ros(),
-            event_callbacks=PublisherEventCallbacks(use_default_callbacks=False),
-        )
-
-    def send(self, message: Any, *, to_nobody: bool) -> bool:
-        """Publish; tell whether anybody hears it. Nothing is sent to nobody unless asked to."""
-        if self._publisher is None:
-            self.open()
-        assert self._publisher is not None
-        heard = self._publisher.get_subscription_count() > 0
-        if heard or to_nobody:
-            self._publisher.publish(message)
-        return heard
-
-    def close(self) -> None:
-        """Let go of the publisher."""
-        if self._publisher is not None:
-            self._ros.node.destroy_publisher(self._publisher)
-            self._publisher = self._profile = None

@@ -34,20 +34,23 @@ _INTS: dict[str, tuple[int, int | None]] = {
 _made: dict[tuple[Any, bool, str | None], type[Struct]] = {}
 
 
-def outward(cls: Any, path: str | None = None) -> Any:
+def outward(cls: Any, path: str | None = None, unit: str | None = None) -> Any:
     """Return the type of what a message class (or the part of it at `path`) says.
+
+    `unit` is that of the numbers of which nothing better is known.
 
     :raises ConfigError: the message has no such part.
     """
     if path is None:
-        return _struct(cls, out=True, unit=None)
-    holder, field, unit = part_of(cls, path)
-    return _typed(field, out=True, unit=unit or unit_of(full_name(holder), path.rpartition(".")[2]))
+        return _struct(cls, out=True, unit=unit)
+    holder, field, inherited = part_of(cls, path)
+    own = unit_of(full_name(holder), path.rpartition(".")[2])
+    return _typed(field, out=True, unit=own or inherited or unit)
 
 
-def inward(cls: Any) -> type[Struct]:
+def inward(cls: Any, unit: str | None = None) -> type[Struct]:
     """Return the type of what is sent as a message class."""
-    return _struct(cls, out=False, unit=None)
+    return _struct(cls, out=False, unit=unit)
 
 
 def part_of(cls: Any, path: str) -> tuple[Any, Type, str | None]:

@@ -1,12 +1,13 @@
 """A robot in a process of its own: every primitive of ROS 2 that the backend maps, and a few traps.
 
-Run as `python peer.py [name]`; prints `ready` when everything is offered and ends with its stdin,
-so that no peer outlives a test run that was killed.
+Run as `python peer.py [name]`; prints `ready` when everything is offered, answers each line with how
+things are, and ends with its stdin, so that no peer outlives a test run that was killed.
 """
 
 from __future__ import annotations
 
 import gc
+import json
 import math
 import os
 import sys
@@ -44,7 +45,9 @@ class Peer(Node):
         super().__init__(name)
         self.group = ReentrantCallbackGroup()
         self.on = False
-        self.twist: Twist | None = None
+        self.twist = Twist()
+        self.running = 0
+        self.result: list[int] = []
         self.sources()
         self.sinks()
         self.calls()
@@ -160,7 +163,14 @@ class Peer(Node):
         return GoalResponse.REJECT if goal.order < 0 else GoalResponse.ACCEPT
 
     def compute(self, goal: object) -> Fibonacci.Result:
-        """Order 0 aborts; an order of 1000 and more never ends by itself; 100 ms a number."""
+        """Order 0 aborts; 100 ms a number."""
+        self.running += 1
+        try:
+            return self.count_up(goal)
+        finally:
+            self.running -= 1
+
+    def count_up(self, goal: object) -> Fibonacci.Result:
         order = goal.request.order
         sequence = [0, 1]
         while len(sequence) <= order:
@@ -170,11 +180,25 @@ class Peer(Node):
             sequence.append((sequence[-1] + sequence[-2]) % 2**31)
             goal.publish_feedback(Fibonacci.Feedback(sequence=sequence[-5:]))
             time.sleep(0.1)
+        self.result = sequence
         if order:
             goal.succeed()
         else:
             goal.abort()
         return Fibonacci.Result(sequence=sequence)
+
+    def truth(self) -> dict[str, object]:
+        """Tell how things are, past every interface of ROS."""
+        linear, angular = self.twist.linear, self.twist.angular
+        return {
+            "twist": {
+                "linear": {"x": linear.x, "y": linear.y, "z": linear.z},
+                "angular": {"x": angular.x, "y": angular.y, "z": angular.z},
+            },
+            "running": self.running,
+            "result": self.result,
+            **{name: self.get_parameter(name).value for name in ("max_speed", "gear", "mode")},
+        }
 
 
 def main() -> None:
@@ -184,9 +208,9 @@ def main() -> None:
     executor.add_node(peer)
     spinning = threading.Thread(target=executor.spin)
     spinning.start()
-    sys.stdout.write("ready\n")
-    sys.stdout.flush()
-    sys.stdin.read()
+    print("ready", flush=True)  # noqa: T201
+    for _ in sys.stdin:
+        print(json.dumps(peer.truth()), flush=True)  # noqa: T201
     executor.shutdown(timeout_sec=1)
     spinning.join(2)
     peer.destroy_node()

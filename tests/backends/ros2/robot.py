@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import asyncio
+import json
 import os
 import signal
 import subprocess
 import sys
 from collections.abc import AsyncIterator, Callable, Sequence
-from contextlib import asynccontextmanager
+from contextlib import asynccontextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -111,6 +112,8 @@ async def robot_of(domain: int, **config: Any) -> AsyncIterator[Robot]:
     decoded = msgspec.convert({"domain_id": domain, **config}, Ros2Config)
     async with open_ros2(decoded, robot) as backend:
         robot.backend = backend
+        with suppress(TimeoutError):  # discovery takes 3 s now and then
+            await asyncio.wait_for(backend._catalog.complete.wait(), decoded.grace)
         yield robot
 
 
@@ -133,6 +136,20 @@ class Peer:
         )
         assert self._process.stdout is not None
         assert self._process.stdout.readline() == "ready\n"
+
+    def truth(self) -> dict[str, Any]:
+        """Ask how things are with it, past every interface of ROS."""
+        assert self._process is not None
+        assert self._process.stdin is not None
+        assert self._process.stdout is not None
+        self._process.stdin.write("truth\n")
+        self._process.stdin.flush()
+        return json.loads(self._process.stdout.readline())
+
+    @property
+    def runs(self) -> bool:
+        """Whether it lives."""
+        return self._process is not None
 
     def kill(self) -> None:
         """Kill it as a crash would: nobody in the graph is told."""

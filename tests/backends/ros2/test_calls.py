@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from backends.ros2.robot import BOUND, Robot, ignore, robot_of
-from rcp_kernel.errors import AdapterUnavailable, DeviceRejected, DeviceTimeout
+from rcp_kernel.errors import AdapterUnavailable, Cancelled, DeviceRejected, DeviceTimeout
 from rcp_kernel.model import Operation
 from rcp_kernel.values import value_type
 
@@ -93,6 +93,16 @@ async def test_halt_cancels_what_runs(robot: Robot) -> None:
         await asyncio.wait_for(command, BOUND)
 
 
+@pytest.mark.parametrize("turns", [0, 1, 3, 10, 30])
+async def test_a_goal_is_stopped_however_early_the_halt_comes(robot: Robot, turns: int) -> None:
+    command = asyncio.ensure_future(robot.execute("action/fibonacci", {"order": 100}))
+    for _ in range(turns + 1):
+        await asyncio.sleep(0)
+    await asyncio.wait_for(robot.backend.halt(), BOUND)
+    with pytest.raises(Cancelled):
+        await asyncio.wait_for(command, BOUND)
+
+
 async def test_a_parameter_carries_its_range_and_words(robot: Robot) -> None:
     resource = robot.resources["param/speed_limit"]
     assert resource.description == "Fastest the robot may drive."
@@ -125,7 +135,7 @@ async def test_a_parameter_the_node_refuses_is_a_refusal_with_its_reason(robot: 
 
 
 async def test_patterns_expose_what_they_name_and_nothing_else(domain: int, peer: object) -> None:
-    expose = ["/odom", "/cmd_vel", "/reset", "/fibonacci", "/peer"]
+    expose = ["/odom", "/best_effort_sink", "/reset", "/fibonacci", "/peer"]
     async with robot_of(domain, expose=expose) as robot:
         await robot.until(lambda: len(robot.resources) >= 9)
         assert {name.split("/", 1)[0] + "/" for name in robot.resources} == {
@@ -137,7 +147,7 @@ async def test_patterns_expose_what_they_name_and_nothing_else(domain: int, peer
         }
         assert {n for n in robot.resources if not n.startswith("param/")} == {
             "sensor/odom",
-            "actuator/cmd_vel",
+            "actuator/best_effort_sink",
             "service/reset",
             "action/fibonacci",
         }

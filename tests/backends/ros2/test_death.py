@@ -11,6 +11,7 @@ import pytest
 
 from backends.ros2.robot import BOUND, Peer, Robot, fresh_domain, robot_of
 from rcp_kernel.errors import AdapterUnavailable, DeviceTimeout
+from rcp_ros2 import catalog
 
 pytestmark = pytest.mark.anyio
 
@@ -86,8 +87,9 @@ async def test_a_server_restarted_at_once_does_not_leave_the_goal_hanging(
 
 
 async def test_a_peer_that_leaves_in_good_order_is_missed_at_once(
-    mortal: tuple[int, Peer],
+    mortal: tuple[int, Peer], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr(catalog, "_LINGER", 1.0)
     domain, peer = mortal
     async with robot_of(domain, expose=["/odom", "/peer"], map=MAP) as robot:
         await robot.until(lambda: "param/peer/gear" in robot.resources)

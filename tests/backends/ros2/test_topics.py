@@ -96,7 +96,8 @@ async def test_a_wanted_rate_is_kept_by_the_ros_side(robot: Robot) -> None:
 
 
 async def test_reading_a_topic_that_nobody_publishes_says_so(robot: Robot) -> None:
-    async with robot_of(99, map={"/sensor/x": {"topic": "/x", "type": "std_msgs/msg/String"}}) as r:
+    nobody = {"/sensor/x": {"topic": "/x", "type": "std_msgs/msg/String"}}
+    async with robot_of(99, map=nobody, grace=0.5) as r:
         with pytest.raises(AdapterUnavailable, match="no node publishes /x"):
             await r.backend.read("sensor/x")
 

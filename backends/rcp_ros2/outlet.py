@@ -1,0 +1,71 @@
+"""Publishers: one for each actuator, matched with those who listen."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from rcp_ros2.binding import Shared
+from rcp_ros2.config import Qos
+from rcp_ros2.pulse import node_of
+from rcp_ros2.qos import Profile, for_publisher
+
+__all__ = ["Outlet"]
+
+
+class Outlet:
+    """One publisher; made anew if a subscriber asks for latched values."""
+
+    def __init__(self, shared: Shared, topic: str, cls: Any, wanted: Qos) -> None:
+        self._node = lambda: shared.ros.node
+        self._pulses = shared.pulses
+        self._topic = topic
+        self._cls = cls
+        self._wanted = wanted
+        self._profile: Profile | None = None
+        self._publisher: Any = None
+        self._nodes: frozenset[str] = frozenset()
+
+    def match(self) -> None:
+        """Suit those who listen now. Done before it is needed, so that it is discovered by then."""
+        from rclpy.event_handler import PublisherEventCallbacks
+
+        node = self._node()
+        endpoints = node.get_subscriptions_info_by_topic(self._topic)
+        self._nodes = frozenset(name for name in map(node_of, endpoints) if name is not None)
+        self._pulses.want(f"topic {self._topic}", self._nodes)
+        profile = for_publisher(endpoints, self._wanted)
+        if profile == self._profile:
+            return
+        self._drop()
+        self._profile = profile
+        self._publisher = node.create_publisher(
+            self._cls,
+            self._topic,
+            profile.to_ros(),
+            event_callbacks=PublisherEventCallbacks(use_default_callbacks=False),
+        )
+
+    def silent(self) -> list[str]:
+        """Name the nodes that listen, if none of them answers any more."""
+        dead = [node for node in self._nodes if self._pulses.is_silent(node)]
+        return dead if len(dead) == len(self._nodes) else []
+
+    def send(self, message: Any, *, to_nobody: bool) -> bool:
+        """Publish; tell whether anybody hears it. Nothing is sent to nobody unless asked to."""
+        if self._publisher is None:
+            self.match()
+        assert self._publisher is not None
+        heard = self._publisher.get_subscription_count() > 0
+        if heard or to_nobody:
+            self._publisher.publish(message)
+        return heard
+
+    def close(self) -> None:
+        """Let go of the publisher."""
+        self._pulses.want(f"topic {self._topic}", ())
+        self._drop()
+
+    def _drop(self) -> None:
+        if self._publisher is not None:
+            self._node().destroy_publisher(self._publisher)
+            self._publisher = self._profile = None

@@ -1,0 +1,117 @@
+"""Is a node alive? Asked of it once a second, because the graph does not know for a long time.
+
+A node that was killed is listed until the lease of its process ends, 20 s with Fast DDS. What
+answers for it at once is its own parameter service, which every ordinary node has: asking for no
+parameters costs it nothing. A node that has never answered is not judged.
+
+Everything here runs in the ROS thread.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable
+from typing import Any
+
+from rcp_ros2.ros import Ros
+
+__all__ = ["Pulse", "Pulses", "node_of"]
+
+_EVERY = 0.9  # s between two questions
+
+
+def node_of(endpoint: Any) -> str | None:
+    """Return the full name of the node of an endpoint; None while it is not known."""
+    if endpoint.node_name.startswith("_"):  # _NODE_NAME_UNKNOWN_
+        return None
+    return f"{endpoint.node_namespace.rstrip('/')}/{endpoint.node_name}"
+
+
+class Pulse:
+    """One node, asked and heard."""
+
+    def __init__(self, ros: Ros, node: str) -> None:
+        from rcl_interfaces.srv import GetParameters
+
+        self._ros = ros
+        self._client: Any = ros.node.create_client(GetParameters, f"{node}/get_parameters")
+        self._pending: Any = None
+        self.answers = 0
+        """How often the node has answered."""
+        self.heard = 0.0
+        """When it last did, in monotonic time."""
+
+    def ask(self) -> None:
+        """Send a question; an older one is forgotten."""
+        if not self._client.service_is_ready():
+            return
+        if self._pending is not None:
+            self._client.remove_pending_request(self._pending)
+        self._pending = self._client.call_async(self._client.srv_type.Request())
+        self._pending.add_done_callback(self._answered)
+
+    def _answered(self, future: Any) -> None:
+        if future is self._pending:
+            self._pending = None
+        self.answers += 1
+        self.heard = time.monotonic()
+
+    @property
+    def silence(self) -> float:
+        """Seconds since its last answer, while one is due; 0 for a node that never gave one."""
+        if not self.answers or self._pending is None:
+            return 0.0
+        return time.monotonic() - self.heard
+
+    def close(self) -> None:
+        """Let go of the client."""
+        self._ros.node.destroy_client(self._client)
+
+
+class Pulses:
+    """The nodes that somebody wants to know about."""
+
+    def __init__(self, ros: Ros, complain: Callable[[str, str | None], None]) -> None:
+        self._ros = ros
+        self._complain = complain
+        self._wanted: dict[str, frozenset[str]] = {}
+        self._pulses: dict[str, Pulse] = {}
+        self._next = 0.0
+
+    def want(self, key: str, nodes: Iterable[str]) -> None:
+        """Say which nodes matter to somebody; none ends the interest."""
+        named = frozenset(nodes)
+        if self._wanted.get(key, frozenset()) == named:
+            return
+        if named:
+            self._wanted[key] = named
+        else:
+            del self._wanted[key]
+        wanted = frozenset[str]().union(*self._wanted.values())
+        for node in wanted - self._pulses.keys():
+            self._pulses[node] = Pulse(self._ros, node)
+        for node in self._pulses.keys() - wanted:
+            self._pulses.pop(node).close()
+            self._complain(node, None)
+
+    def of(self, node: str) -> Pulse | None:
+        """Return the pulse of a node that is wanted."""
+        return self._pulses.get(node)
+
+    def look(self) -> None:
+        """Ask every node, and say which have stopped answering."""
+        now = time.monotonic()
+        due = now >= self._next
+        if due:
+            self._next = now + _EVERY
+        for node, pulse in self._pulses.items():
+            if pulse.answers and not due:  # the first answer is wanted soon
+                continue
+            gone = self.is_silent(node)
+            self._complain(node, f"the node {node} has stopped answering" if gone else None)
+            pulse.ask()
+
+    def is_silent(self, node: str) -> bool:
+        """Tell whether a node used to answer and does not any more."""
+        pulse = self._pulses.get(node)
+        return pulse is not None and pulse.silence > self._ros.config.silence
