@@ -1,8 +1,8 @@
-"""Feeds that send the same bytes: one burst is queued, encoded and framed once for all of them.
+"""Feeds that send alike bytes: one burst is queued and encoded once for all of them.
 
-A hundred dashboards that run one page subscribe to one path with one id: what differs between
-them is only how far each has got. So the samples stand in one ring, and a feed holds its place in
-it. A receiver that falls behind the ring skips, is told how many, and delays nobody.
+A hundred dashboards subscribe to one path: what differs between them is how far each has got,
+and the head of their updates. So the samples stand in one ring, and a feed holds its place in it.
+A receiver that falls behind the ring skips, is told how many, and delays nobody.
 """
 
 from __future__ import annotations
@@ -12,7 +12,8 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
 from rcp_kernel.errors import RcpError
-from rcp_kernel.streams import Feed
+from rcp_kernel.streams import SHARED, Feed
+from rcp_kernel.values import Encoding
 
 if TYPE_CHECKING:
     from rcp_kernel.mailbox import Framing, Mailbox, Wrap
@@ -23,21 +24,56 @@ if TYPE_CHECKING:
 __all__ = ["Chorus", "ChorusFeed", "feeds_of", "join", "part"]
 
 
+_JSON = Encoding.JSON
+_KEPT = 16  # batches of frames kept for receivers that are alike
+Fields = tuple[str, ...] | None
+Batch = tuple[list[bytes], int, int]
+"""Bytes for the socket, how many updates they hold, and how long they are."""
+
+
+class _Tails:
+    """The parts of some updates that all receivers of an encoding share."""
+
+    __slots__ = ("count", "length", "longest", "parts")
+
+    def __init__(self, samples: list[Sample], encoding: Encoding, fields: Fields) -> None:
+        key = encoding if fields is None else (encoding, fields)
+        found: list[bytes] = [b""]
+        for sample in samples:
+            try:
+                found.append(sample.tails.get(key) or sample.tail(encoding, fields))
+            except RcpError:  # reported as the backend's fault where it was found
+                continue
+        self.parts = found
+        """An empty part, so that joining them by a beginning puts it before each; then the tails."""
+        self.count = len(found) - 1
+        lengths = set(map(len, found[1:]))
+        self.length = lengths.pop() if len(lengths) == 1 else None
+        """Of each tail, where all are alike."""
+        self.longest = max(map(len, found))
+
+
 class Chorus:
-    """The samples that some feeds of one entry have in common."""
+    """The samples that the feeds of one entry and depth have in common.
 
-    __slots__ = ("_batch", "_key", "end", "key", "marked", "members", "ring")
+    A sample is taken in once for all of them. What follows is shared as far as it goes: the tails
+    by all of an encoding, the frames by those whose updates have the same head.
+    """
 
-    def __init__(self, key: Any, depth: int) -> None:
-        self.key = key
+    __slots__ = ("_frames", "_made", "_tails", "depth", "end", "marked", "members", "ring")
+
+    def __init__(self, depth: int) -> None:
+        self.depth = depth
         self.members: list[ChorusFeed] = []
         self.ring: deque[Sample] = deque(maxlen=depth)
         self.end = 0
         """How many samples were offered ever."""
         self.marked = False
         """Whether every member is waiting to be collected."""
-        self._key: Any = None
-        self._batch: tuple[list[bytes], int, int] = ([], 0, 0)
+        self._made = 0
+        """What `end` was when the following were made."""
+        self._tails: dict[Any, _Tails] = {}
+        self._frames: dict[Any, Batch] = {}
 
     def offer(self, sample: Sample) -> None:
         """Take a sample in; the first one of a loop turn has every member collected."""
@@ -49,28 +85,41 @@ class Chorus:
                 if not member.marked:
                     member.mark()
 
-    def batch(self, start: int, feed: ChorusFeed, framing: Framing) -> tuple[list[bytes], int, int]:
+    def batch(self, start: int, feed: ChorusFeed, framing: Framing) -> Batch:
         """Return the bytes of all samples since `start`, their number and their length.
 
-        What was made for the last feed that had got as far serves this one too.
+        What was made for a feed that had got as far serves its like too.
         """
-        key = (start, self.end, framing)
-        if key != self._key:
-            self._batch = self._make(start, feed, framing)
-            self._key = key
-        return self._batch
+        if self._made != self.end:
+            self._made = self.end
+            self._tails.clear()
+            self._frames.clear()
+        encoding, head = feed.head
+        key = (start, feed.share, framing)
+        found = self._frames.get(key)
+        if found is None:
+            found = self._make(start, encoding, head, feed.fields, framing)
+            if len(self._frames) < _KEPT:
+                self._frames[key] = found
+        return found
 
-    def _make(self, start: int, feed: ChorusFeed, framing: Framing) -> tuple[list[bytes], int, int]:
-        frames: list[bytes] = []
-        count = 0
-        for sample in self.since(start):
-            try:
-                frames.append(feed.make_frame(sample, frames, framing))
-            except RcpError:  # reported as the backend's fault where it was found
-                continue
-            count += 1
-        size = sum(map(len, frames))
-        return ([b"".join(frames)] if len(frames) == count else frames), count, size
+    def _make(
+        self, start: int, encoding: Encoding, head: bytes, fields: Fields, framing: Framing
+    ) -> Batch:
+        tails = self._tails.get((start, encoding, fields))
+        if tails is None:
+            tails = _Tails(self.since(start), encoding, fields)
+            self._tails[start, encoding, fields] = tails
+        text = encoding is _JSON
+        if tails.length is not None and tails.longest <= SHARED:
+            frames = (framing(len(head) + tails.length, text) + head).join(tails.parts)
+            return [frames], tails.count, len(frames)
+        parts: list[bytes] = []
+        for tail in tails.parts[1:]:
+            parts += framing(len(head) + len(tail), text), head, tail
+        if tails.longest <= SHARED:
+            parts = [b"".join(parts)]
+        return parts, tails.count, sum(map(len, parts))
 
     def since(self, start: int) -> list[Sample]:
         """Return the samples from the `start`th on, as far as the ring still has them."""
@@ -89,14 +138,6 @@ class ChorusFeed(Feed):
         self.chorus: Chorus | None = None
         self.place = 0
         """Number of the next sample of the chorus to send."""
-
-    @property
-    def key(self) -> Any:
-        """What feeds must have in common to send the same bytes."""
-        mailbox = self.mailbox
-        assert mailbox is not None
-        encoding = self.subscription.options.splice or mailbox.encoding
-        return (self.subscription.id, encoding, self.fields, self.depth)
 
     @property
     def waiting(self) -> int:
@@ -149,13 +190,12 @@ class ChorusFeed(Feed):
 
 def join(feed: ChorusFeed, entry: Entry) -> None:
     """Have a feed sing with its like among an entry's listeners, from the next sample on."""
-    key = feed.key
     for listener in entry.listeners:
-        if isinstance(listener, Chorus) and listener.key == key:
+        if isinstance(listener, Chorus) and listener.depth == feed.depth:
             chorus = listener
             break
     else:
-        chorus = Chorus(key, feed.depth)
+        chorus = Chorus(feed.depth)
         entry.listeners.append(chorus)
     feed.chorus = chorus
     feed.place = chorus.end

@@ -29,7 +29,7 @@ __all__ = ["Feed", "FilteredFeed", "Subscription", "ViewFeed"]
 
 _CBOR_MAP = 0xA0
 _LONGEST = 86_400.0  # s between updates, however low the rate
-_SHARED = 16_384  # bytes; a longer update is not copied into a frame that its receivers share
+SHARED = 16_384  # bytes; a longer update is not copied into a frame that its receivers share
 _MSGPACK_MAP = 0x80
 
 
@@ -45,7 +45,6 @@ class Feed:
         "_lifespan",
         "_named",
         "_plain",
-        "_share",
         "backlog",
         "depth",
         "dropped",
@@ -60,6 +59,7 @@ class Feed:
         "queue",
         "reliable",
         "sent",
+        "share",
         "skipped",
         "subscription",
     )
@@ -92,7 +92,7 @@ class Feed:
         self._lifespan = options.qos.lifespan
         self._plain = self._lifespan is None and not self.native and options.count is None
         self._heads: tuple[Encoding, bytes, bytes] | None = None
-        self._share: object = None
+        self.share: object = None
         """Under what a sample keeps the frame that all feeds with the same head send."""
 
     @property
@@ -212,7 +212,7 @@ class Feed:
         self, out: list[bytes], budget: int, mailbox: Mailbox, framing: Framing
     ) -> int:
         """Drain with frames of the transport's own making, made once for all alike receivers."""
-        share = self._share
+        share = self.share
         queue = self.queue
         size = count = 0
         while queue and size < budget:
@@ -220,7 +220,7 @@ class Feed:
             data = None if self.dropped else sample.tails.get(share)
             if data is None:
                 try:
-                    data = self.make_frame(sample, out, framing)
+                    data = self._make_frame(sample, out, framing)
                 except RcpError:  # reported as the backend's fault where it was found
                     continue
             self.sent = sample.seq
@@ -230,7 +230,13 @@ class Feed:
         mailbox.updates += count
         return size
 
-    def make_frame(self, sample: Sample, out: list[bytes], framing: Framing) -> bytes:
+    @property
+    def head(self) -> tuple[Encoding, bytes]:
+        """The encoding, and what every update that skips nothing begins with."""
+        encoding, head, _ = self._heads or self._make_heads()
+        return encoding, head
+
+    def _make_frame(self, sample: Sample, out: list[bytes], framing: Framing) -> bytes:
         """Return an update as a frame; of a long one the head goes to `out` before it."""
         encoding, head, _ = self._heads or self._make_heads()
         text = encoding is Encoding.JSON
@@ -240,10 +246,10 @@ class Feed:
             return framing(len(data), text) + data
         tail = sample.tail(encoding, self.fields)
         start = framing(len(head) + len(tail), text) + head
-        if len(tail) > _SHARED:
+        if len(tail) > SHARED:
             out.append(start)
             return tail
-        data = sample.tails[self._share] = start + tail
+        data = sample.tails[self.share] = start + tail
         return data
 
     def _frame(self, sample: Sample) -> bytes:
@@ -266,7 +272,7 @@ class Feed:
         encoding = self.subscription.options.splice or self.mailbox.encoding
         facts = {"type": "update", "id": self.subscription.id, "path": self.entry.path}
         head = encode_frame(facts, b"", encoding)
-        self._share = _shares.setdefault((head, self.fields, self.mailbox.framing), object())
+        self.share = _shares.setdefault((head, self.fields, self.mailbox.framing), object())
         if len(_shares) > _MANY:
             _shares.clear()
         if encoding is Encoding.JSON:
