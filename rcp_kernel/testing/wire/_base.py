@@ -76,7 +76,7 @@ subscriptions = 40
 batch = 64
 deadline = 2.0
 in_flight = 2000
-session_ttl = 5.0
+session_ttl = 2.5
 """
 
 
