@@ -146,9 +146,9 @@ class Mailbox:
         if self.feedback:
             out.extend(make() for make in self.feedback.values())
             self.feedback.clear()
-        if wrap is not None:
+        if out and wrap is not None:
             out = [wrap(data, None, None) for data in out]
-        elif self.framing is not None:
+        elif out and self.framing is not None:
             text = self.text
             out = [self.framing(len(data), text) + data for data in out]
         pending = self.pending
@@ -158,7 +158,8 @@ class Mailbox:
         self.pending = later
         if self.prioritised:
             pending.sort(key=_urgency)
-        self.high_water = max(self.high_water, len(pending))
+        if len(pending) > self.high_water:
+            self.high_water = len(pending)
         for place, feed in enumerate(pending):
             budget -= feed.drain(out, budget, wrap, big)
             if feed.queue or feed.backlog:

@@ -15,5 +15,5 @@ class SseConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
 
     comment: Annotated[float, Meta(gt=0)] = 15.0
     """Between the comments that keep proxies awake."""
-    journal: Annotated[int, Meta(ge=16)] = 4096
+    journal: Annotated[int, Meta(ge=16)] = 1024
     """Events of a stream whose place is known when its client comes back."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import msgspec
 from msgspec import Raw
 
@@ -103,16 +105,22 @@ class Events:
         session = connection.session
         journal = self._journals.of(session.id)
         mailbox = connection.mailbox
-        wrap = _wrapper(journal, session.id)
+
+        def told() -> None:
+            stream.last = connection.expelled or not session.subscriptions
+
+        wrap = _wrapper(journal, session.id, told)
         first = [_gap()] if lost else []
 
-        def collect() -> tuple[list[bytes], bool]:
+        def collect() -> list[bytes]:
             out = mailbox.collect(wrap=wrap)
             if first:
                 out.insert(0, first.pop())
-            if mailbox.pending:
+            if not out:
+                told()
+            elif mailbox.pending:
                 mailbox.mark()
-            return out, bool(session.subscriptions) and not connection.expelled
+            return out
 
         await stream.run(collect)
 
@@ -137,13 +145,14 @@ class Refusal(Exception):
         self.reply = reply
 
 
-def _wrapper(journal: Journal, session: str) -> Wrap:
+def _wrapper(journal: Journal, session: str, told: Callable[[], None]) -> Wrap:
     note = journal.note
     update = b"id: " + session.encode() + b":%d\nevent: update\ndata: %b\n\n"
 
     def wrap(data: bytes, feed: Feed | None, sample: Sample | None) -> bytes:
         if feed is not None and sample is not None:
             return update % (note(feed.entry.path, sample.seq), data)
+        told()  # a subscription that ends says so
         return event(b"notice" if data.startswith(_NOTICE) else b"reply", data)
 
     return wrap

@@ -47,17 +47,16 @@ class Replies:
             waiting.append(reply)
             stream.wake()
 
-        def collect() -> tuple[list[bytes], bool]:
+        def collect() -> list[bytes]:
             nonlocal told
             out: list[bytes] = []
-            more = True
             while waiting:
                 reply = waiting.popleft()
                 told += 1
-                more = not reply.final
+                stream.last = reply.final
                 data = encode_reply(reply, Encoding.JSON)
                 out.append(event(b"reply", data, f"{id_}:{told}".encode()))
-            return out, more
+            return out
 
         stop = self._door.follow(command, follow)
         try:

@@ -16,8 +16,8 @@ _HEADERS = [
     (b"x-accel-buffering", b"no"),  # nginx would hold events back
 ]
 _COMMENT = b":\n\n"
-Collect = Callable[[], tuple[list[bytes], bool]]
-"""Return what is to be sent now, and whether more may come after it."""
+Collect = Callable[[], list[bytes]]
+"""Return what is to be sent now."""
 
 
 class Body(Protocol):
@@ -46,19 +46,21 @@ class Stream:
         self._collect: Collect | None = None
         self._ended = asyncio.get_running_loop().create_future()
         self._comment = False
+        self.last = False
+        """What is collected next ends the response."""
 
     def wake(self) -> None:
         """Send what there is, if the socket takes it; what waits goes on conflating."""
         collect = self._collect
         if collect is None or not self._out.writable:
             return
-        chunks, more = collect()
+        chunks = collect()
         if self._comment:
             self._comment = False
             chunks.append(_COMMENT)
         if chunks:
             self._out.write(chunks[0] if len(chunks) == 1 else b"".join(chunks))
-        if not more:
+        if self.last:
             self.finish()
 
     def finish(self) -> None:
@@ -68,7 +70,7 @@ class Stream:
             self._ended.set_result(None)
 
     async def run(self, collect: Collect) -> None:
-        """Send what `collect` returns whenever woken, until it says that this was all."""
+        """Send what `collect` returns whenever woken, until `last` or `finish`."""
         await self._send({"type": "http.response.start", "status": 200, "headers": _HEADERS})
         self._out.write(b":ok\n\n")  # the head goes out, and `EventSource` is open
         self._out.drained = self.wake
