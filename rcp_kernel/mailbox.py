@@ -158,7 +158,7 @@ class Mailbox:
         self.pending = later
         if self.prioritised:
             pending.sort(key=_urgency)
-        if len(pending) > self.high_water:
+        if len(pending) > self.high_water:  # noqa: PLR1730 - a call less for each update
             self.high_water = len(pending)
         for place, feed in enumerate(pending):
             budget -= feed.drain(out, budget, wrap, big)
