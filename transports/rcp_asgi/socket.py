@@ -9,15 +9,15 @@ from __future__ import annotations
 
 import asyncio
 import zlib
-from typing import Protocol
 
 from picows import WSFrame, WSListener, WSMsgType, WSTransport
 
 from rcp_asgi import heads
 from rcp_asgi.deflate import TooLong, deflate, inflate
+from rcp_asgi.receiver import Receiver
 from rcp_asgi.settings import Settings
 
-__all__ = ["Receiver", "Socket"]
+__all__ = ["Socket"]
 
 _TEXT, _BINARY, _CONTINUATION = WSMsgType.TEXT, WSMsgType.BINARY, WSMsgType.CONTINUATION
 _PING, _PONG, _CLOSE = WSMsgType.PING, WSMsgType.PONG, WSMsgType.CLOSE
@@ -29,34 +29,6 @@ _UNANSWERED = 2  # pings after which the peer counts as gone
 _PROTOCOL_ERROR = 1002
 _GONE = 1006
 _INVALID_TEXT = 1007
-
-
-class Receiver(Protocol):
-    """Who uses the socket."""
-
-    def received(self, data: bytes, text: bool) -> None:  # noqa: FBT001 - a frame's own flag
-        """Take one whole message."""
-        ...
-
-    def settled(self) -> None:
-        """Take notice that the last frame of what was read has been told of."""
-        ...
-
-    def garbled(self, data: bytes) -> None:
-        """Take notice of a text message that is not UTF-8; the socket closes after it."""
-        ...
-
-    def oversized(self, size: int) -> None:
-        """Take notice of a message that was too long and was thrown away."""
-        ...
-
-    def drained(self) -> None:
-        """Take notice that the socket is writable again."""
-        ...
-
-    def lost(self, code: int) -> None:
-        """Take notice of the end, with the close code (1006: none)."""
-        ...
 
 
 class Socket(WSListener):
@@ -274,7 +246,7 @@ class Socket(WSListener):
             return
         if len(messages) == 1:
             data = messages[0]
-            self._transport.send(_TEXT if data[0] == 0x7B else _BINARY, data)
+            self._transport.send(_TEXT if data[0] == _OBJECT else _BINARY, data)
             return
         short: list[bytes] = []
         for data in messages:
@@ -284,7 +256,7 @@ class Socket(WSListener):
             if short:
                 self._raw.write(heads.join(short))
                 short = []
-            self._transport.send(_TEXT if data[0] == 0x7B else _BINARY, data)
+            self._transport.send(_TEXT if data[0] == _OBJECT else _BINARY, data)
         if short:
             self._raw.write(heads.join(short))
 

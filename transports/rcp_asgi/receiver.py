@@ -1,0 +1,35 @@
+"""Who is told of what comes in by a WebSocket."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+__all__ = ["Receiver"]
+
+
+class Receiver(Protocol):
+    """Who uses the socket."""
+
+    def received(self, data: bytes, text: bool) -> None:  # noqa: FBT001 - a frame's own flag
+        """Take one whole message."""
+        ...
+
+    def settled(self) -> None:
+        """Take notice that the last frame of what was read has been told of."""
+        ...
+
+    def garbled(self, data: bytes) -> None:
+        """Take notice of a text message that is not UTF-8; the socket closes after it."""
+        ...
+
+    def oversized(self, size: int) -> None:
+        """Take notice of a message that was too long and was thrown away."""
+        ...
+
+    def drained(self) -> None:
+        """Take notice that the socket is writable again."""
+        ...
+
+    def lost(self, code: int) -> None:
+        """Take notice of the end, with the close code (1006: none)."""
+        ...
