@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable
 __all__ = ["absolute", "allows", "is_internal", "is_internal_parameter", "resource_name"]
 
 _PLUMBING = re.compile(
-    r"/(_[^/]*|.*/_[^/]*|rosout|parameter_events|.*/(describe_parameters|get_parameters"
+    r"/(_.*|.*/_.*|rosout|parameter_events|.*/(describe_parameters|get_parameters"
     r"|get_parameter_types|list_parameters|set_parameters|set_parameters_atomically"
     r"|get_type_description|get_logger_levels|set_logger_levels))\Z"
 )
