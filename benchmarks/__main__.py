@@ -11,6 +11,7 @@ ALL = (
     "ws_rtt",
     "http_get",
     "sse_fanout",
+    "fanout",
     "beside_foxglove",
     "starvation",
     "scale",
