@@ -76,7 +76,7 @@ class Store:
             ).fetchall()
         finally:
             base.close()
-        found = [_from_row(msgspec.msgpack.decode(row[0])) for row in reversed(rows)]
+        found = [command for row in reversed(rows) if (command := _read(row[0])) is not None]
         for command in found:
             if not command.final:
                 _cut_off(command)
@@ -146,6 +146,15 @@ def _as_row(command: Command) -> dict[str, Any]:
             for r in command.history
         ],
     }
+
+
+def _read(data: bytes) -> Command | None:
+    """Return the command of a row; one that cannot be read is left out and told of."""
+    try:
+        return _from_row(msgspec.msgpack.decode(data))
+    except (msgspec.DecodeError, TypeError, KeyError, AttributeError) as error:
+        log.warning("store_row_unreadable", error=str(error))
+        return None
 
 
 def _from_row(row: dict[str, Any]) -> Command:

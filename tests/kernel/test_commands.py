@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import sqlite3
+from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -162,3 +164,16 @@ async def test_history_outlives_the_gateway_and_what_a_crash_cut_off_is_failed(
         listed = (await world.client().ask(type="read", path="/system/commands"))["body"]
         assert [(c["input"], c["status"]) for c in listed] == [(2.0, "failed"), (1.0, "completed")]
         assert "stopped while the command was running" in listed[0]["error"]["message"]
+
+
+async def test_a_row_that_cannot_be_read_is_left_out_of_the_history(tmp_path: Path) -> None:
+    path = tmp_path / "rcp.sqlite3"
+    text = CONFIG + f'\n[store]\npath = "{path}"\n'
+    async with world_of(text) as world:
+        world.robot.release.set()
+        await world.client().ask(type="execute", path=GO, body=1)
+    with closing(sqlite3.connect(path)) as base, base:
+        base.execute("INSERT INTO commands VALUES ('broken', 1, 1, x'ff00')")
+    async with world_of(text) as world:
+        listed = (await world.client().ask(type="read", path="/system/commands"))["body"]
+        assert [command["input"] for command in listed] == [1.0]
