@@ -94,6 +94,11 @@ class Run(Binding):
         :raises AdapterUnavailable: there is none.
         """
         await self.shared.present("action", self.mapping.target)
+        if await self.shared.ros.call(self._is_silent):
+            raise AdapterUnavailable(
+                f"the node that offers action {self.mapping.target} does not answer any more",
+                remedy="Check the robot's node; it may have crashed, or be busy for too long.",
+            )
         end = time.monotonic() + _MATCH
         while not await self.shared.ros.call(self.is_ready):
             if time.monotonic() >= end:
@@ -118,6 +123,9 @@ class Run(Binding):
             self._node = named[-1]
             self.shared.pulses.want(f"action {self.mapping.target}", named[-1:])
         return frozenset(bytes(endpoint.endpoint_gid) for endpoint in endpoints)
+
+    def _is_silent(self) -> bool:
+        return self.shared.pulses.is_silent(self._node)
 
     def pulse(self) -> Pulse | None:
         """Return the pulse of the server's node."""

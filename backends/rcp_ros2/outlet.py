@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Literal
 
 from rcp_ros2.binding import Shared
 from rcp_ros2.config import Qos
 from rcp_ros2.pulse import node_of
 from rcp_ros2.qos import Profile, for_publisher
 
-__all__ = ["Outlet"]
+__all__ = ["Hearing", "Outlet"]
+
+Hearing = Literal["heard", "nobody", "silent"]
+"""Whether somebody hears what is sent; silent are nodes that used to answer and do not any more."""
 
 
 class Outlet:
@@ -45,20 +48,22 @@ class Outlet:
             event_callbacks=PublisherEventCallbacks(use_default_callbacks=False),
         )
 
-    def silent(self) -> list[str]:
-        """Name the nodes that listen, if none of them answers any more."""
-        dead = [node for node in self._nodes if self._pulses.is_silent(node)]
-        return dead if len(dead) == len(self._nodes) else []
-
-    def send(self, message: Any, *, to_nobody: bool) -> bool:
-        """Publish; tell whether anybody hears it. Nothing is sent to nobody unless asked to."""
+    def send(self, message: Any, *, anyhow: bool) -> Hearing:
+        """Publish, if it is heard or anyhow; tell who hears it."""
         if self._publisher is None:
             self.match()
         assert self._publisher is not None
-        heard = self._publisher.get_subscription_count() > 0
-        if heard or to_nobody:
+        hearing = self._hearing()
+        if hearing == "heard" or anyhow:
             self._publisher.publish(message)
-        return heard
+        return hearing
+
+    def _hearing(self) -> Hearing:
+        if self._publisher is None or not self._publisher.get_subscription_count():
+            return "nobody"
+        if self._nodes and all(map(self._pulses.is_silent, self._nodes)):
+            return "silent"
+        return "heard"
 
     def close(self) -> None:
         """Let go of the publisher."""

@@ -15,7 +15,7 @@ from rcp_ros2.cdr import Codec
 from rcp_ros2.config import Mapping
 from rcp_ros2.filler import filler
 from rcp_ros2.idl import full_name
-from rcp_ros2.outlet import Outlet
+from rcp_ros2.outlet import Hearing, Outlet
 from rcp_ros2.ros import Ticket
 from rcp_ros2.topics import Tap
 from rcp_ros2.types import example_of, inward
@@ -147,25 +147,34 @@ class Commanded(Binding):
         return self._type() if mapping.safe is None else msgspec.convert(mapping.safe, self._type)
 
     async def write(self, value: Any) -> None:
-        """Publish.
+        """Publish. What brings it to rest is sent whether it is heard or not.
 
-        :raises AdapterUnavailable: no node would hear it.
+        :raises AdapterUnavailable: no node hears it, or none that answers.
         """
         shared, need = self.shared, self.mapping.require_subscriber
         message = self._fill(value)
+        rests = value == self._safe
+        self._moved = self._moved or not rests  # before it is sent: a cancel may come in between
         if need:
             await shared.until(self._listened_to, shared.settling)
-            await self._answering()
-        heard = await shared.ros.call(self._send if need else self._send_anyhow, message)
-        if not heard and need and self._listened_to():
-            heard = await self._until_matched(message)
-        if not heard and need:
-            raise AdapterUnavailable(
-                f"no node subscribes to {self.topic}: nobody would hear the command",
-                remedy="Start the robot's node, or map it with `require_subscriber = false`.",
-            )
-        self._moved = value != self._safe
+        hearing = await shared.ros.call(self._send, message, rests or not need)
+        if hearing == "nobody" and need and self._listened_to():
+            hearing = await self._until_matched(message)
+        if hearing != "heard" and need:
+            raise self._unheard(hearing)
+        self._moved = not rests
         self._written = value
+
+    def _unheard(self, hearing: Hearing) -> AdapterUnavailable:
+        if hearing == "silent":
+            return AdapterUnavailable(
+                f"the node that subscribes to {self.topic} does not answer any more",
+                remedy="Check the robot's node; it may have crashed, or be busy for too long.",
+            )
+        return AdapterUnavailable(
+            f"no node subscribes to {self.topic}: nobody would hear the command",
+            remedy="Start the robot's node, or map it with `require_subscriber = false`.",
+        )
 
     async def read(self) -> Any:
         """Return what was written last.
@@ -179,35 +188,31 @@ class Commanded(Binding):
             )
         return self._written
 
-    async def _answering(self) -> None:
-        silent = await self.shared.ros.call(self._outlet.silent)
-        if silent:
-            raise AdapterUnavailable(
-                f"{' and '.join(silent)} subscribed to {self.topic} and does not answer any more"
-            )
-
     def _listened_to(self) -> bool:
         return bool(self.shared.graph.subscribers.get(self.topic))
 
-    def _send(self, message: Any) -> bool:
-        return self._outlet.send(message, to_nobody=False)
+    def _send(self, message: Any, anyhow: bool) -> Hearing:  # noqa: FBT001 - called by the thread
+        return self._outlet.send(message, anyhow=anyhow)
 
-    def _send_anyhow(self, message: Any) -> bool:
-        return self._outlet.send(message, to_nobody=True)
-
-    async def _until_matched(self, message: Any) -> bool:
+    async def _until_matched(self, message: Any) -> Hearing:
         """Try again for as long as a subscriber that the graph lists may need to be matched."""
         for _ in range(int(_MATCH / _PAUSE)):
-            if await self.shared.ros.call(self._send, message):
-                return True
+            hearing: Hearing = await self.shared.ros.call(self._send, message, False)
+            if hearing != "nobody":
+                return hearing
             await asyncio.sleep(_PAUSE)
-        return False
+        return "nobody"
 
     async def halt(self) -> None:
-        """Publish the safe value, if anything else was published last."""
-        if self._moved and self._safe is not None:
-            await self.shared.ros.call(self._send_anyhow, self._fill(self._safe))
-            self._moved = False
+        """Publish the safe value, if anything else was published last.
+
+        :raises DeviceTimeout: whoever moves by it does not answer.
+        """
+        if not self._moved or self._safe is None:
+            return
+        if await self.shared.ros.call(self._send, self._fill(self._safe), True) == "silent":
+            raise DeviceTimeout(f"the node that subscribes to {self.topic} does not answer")
+        self._moved = False
 
     def close(self) -> None:
         """Let go of the publisher."""
