@@ -75,7 +75,8 @@ def check(config: Path) -> None:
     click.echo(f"  transports  {', '.join(found.transports) or 'none'}")
     click.echo(f"  plugins     {', '.join(found.plugins) or 'none'}")
     click.echo(f"  keys        {', '.join(key.name for key in found.keys) or 'none'}")
-    click.echo(f"  anonymous   {found.anonymous.role or 'refused'}")
+    strangers = sorted({role for _, roles in found.anonymous.grants for role in roles})
+    click.echo(f"  anonymous   {', '.join(strangers) or 'refused'}")
     if prepared.plugins.missing:
         sys.exit(_FAILED)
 

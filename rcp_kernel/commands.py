@@ -31,7 +31,7 @@ from rcp_kernel.errors import (
 from rcp_kernel.metrics import Histogram
 from rcp_kernel.model import Kind
 from rcp_kernel.registry import Entry
-from rcp_kernel.safety import check_motion
+from rcp_kernel.spi import Backend
 from rcp_kernel.values import to_plain
 from rcp_kernel.wire import FINAL, NO_BODY, Reply, Status, error_body
 
@@ -157,13 +157,15 @@ class Command:
 class Commands:
     """Every command of the gateway: running, queued, and the recently finished."""
 
-    def __init__(self, keeper: Keeper | None = None) -> None:
+    def __init__(self, confirm: Callable[[Entry, Any], Backend], keeper: Keeper | None) -> None:
         self.running: dict[str, Command] = {}
         self.finished: OrderedDict[str, Command] = OrderedDict()
         self.counts: dict[str, int] = {}
         """Ended commands by final status."""
         self.seconds = Histogram()
         self.keeper = keeper
+        self.confirm = confirm
+        """Asked when a command's turn comes: the world may have changed while it waited."""
         self._active: dict[str, Command] = {}
         """The command that holds each path, where the policy allows only one."""
         self._queues: dict[str, deque[Command]] = {}
@@ -263,10 +265,7 @@ class Commands:
         command.task.add_done_callback(lambda task: self._ended(command, task))
 
     async def _call(self, command: Command, entry: Entry, value: Any) -> Any:
-        check_motion(entry, entry.owner.latch)  # it may have been latched while this one waited
-        backend = entry.owner.backend
-        if backend is None:
-            raise entry.owner.unavailable()
+        backend = self.confirm(entry, value)
 
         def progress(feedback: Any = None, *, fraction: float | None = None) -> None:
             if not command.final:

@@ -19,12 +19,14 @@ from msgspec import Meta
 from rcp_kernel._plain import is_list, is_map
 from rcp_kernel.acl import BUILTIN_ROLES, Role
 from rcp_kernel.errors import ConfigError, InvalidPath
+from rcp_kernel.identity import Grants, granted
 from rcp_kernel.model import Pattern
 
 __all__ = [
     "Anonymous",
     "BackendConfig",
     "GatewayConfig",
+    "Granting",
     "KeyConfig",
     "Limits",
     "LogConfig",
@@ -87,21 +89,38 @@ class BackendConfig(Table, frozen=True):
     """The keys that the plugin's own type decodes."""
 
 
-class KeyConfig(Table, frozen=True):
+class Granting(Table, frozen=True):
+    """Base of what gives roles: one `role` in some `tenants`, or `roles` tenant by tenant."""
+
+    role: str | tuple[str, ...] | None = None
+    tenants: tuple[str, ...] = ("*",)
+    roles: dict[str, str | tuple[str, ...]] = {}
+    """By tenant, instead of the other two: `{ alpha = "operator", beta = "viewer" }`."""
+
+    @property
+    def grants(self) -> Grants:
+        """The roles in each tenant."""
+        if self.roles:
+            return tuple((tenant, _several(role)) for tenant, role in self.roles.items())
+        return granted(self.tenants, _several(self.role or ()))
+
+
+def _several(role: str | tuple[str, ...]) -> tuple[str, ...]:
+    return (role,) if isinstance(role, str) else role
+
+
+class KeyConfig(Granting, frozen=True, kw_only=True):
     """A static API key: the text itself (by `${NAME}`) or its SHA-256 in hex."""
 
     name: str
-    role: str | tuple[str, ...]
-    tenants: tuple[str, ...] = ("*",)
     key: Annotated[str, Meta(min_length=16)] | None = None
     sha256: Annotated[str, Meta(pattern="^[0-9a-f]{64}$")] | None = None
 
 
-class Anonymous(Table, frozen=True):
+class Anonymous(Granting, frozen=True):
     """What those may do who prove nothing; `anonymous = false` refuses them."""
 
-    role: str | None = "viewer"
-    tenants: tuple[str, ...] = ("*",)
+    role: str | tuple[str, ...] | None = "viewer"
 
 
 class LogConfig(Table, frozen=True):
@@ -134,9 +153,10 @@ class GatewayConfig(Table, frozen=True):
 
     @property
     def closed(self) -> bool:
-        """Whether strangers may do nothing: they have no role, or one that allows nothing."""
-        role = {**BUILTIN_ROLES, **self.roles}.get(self.anonymous.role or "")
-        return role is None or not role.allow
+        """Whether strangers may do nothing: they have no role, or only such that allow nothing."""
+        known = {**BUILTIN_ROLES, **self.roles}
+        held = {role for _, roles in self.anonymous.grants for role in roles}
+        return not any(known[role].allow for role in held if role in known)
 
     @property
     def tenant_names(self) -> list[str]:
@@ -311,16 +331,11 @@ def _check(config: GatewayConfig, source: str) -> None:
                 f"{source}: two [[backends]] are named '{name}': give each a `name` of its own"
             )
     roles = {**BUILTIN_ROLES, **config.roles}
-    used = [(f"keys '{key.name}'", role) for key in config.keys for role in role_names(key.role)]
-    if config.anonymous.role is not None:
-        used.append(("anonymous", config.anonymous.role))
-    for where, role in used:
-        if role not in roles:
-            near = difflib.get_close_matches(role, roles, n=1)
-            advice = f"; did you mean '{near[0]}'?" if near else f"; there are {', '.join(roles)}"
-            raise ConfigError(
-                f"{source}: {where} has the role '{role}', which is not there{advice}"
-            )
+    for key in config.keys:
+        _check_granting(key, f"{source}: key '{key.name}'", config, roles)
+        if not key.roles and key.role is None:
+            raise ConfigError(f"{source}: key '{key.name}' needs a `role`, or `roles` by tenant")
+    _check_granting(config.anonymous, f"{source}: anonymous", config, roles)
     for name, role in config.roles.items():
         for rule in (*role.allow, *role.deny):
             for path in rule.paths:
@@ -328,9 +343,19 @@ def _check(config: GatewayConfig, source: str) -> None:
     for key in config.keys:
         if (key.key is None) == (key.sha256 is None):
             raise ConfigError(f"{source}: key '{key.name}' needs either `key` or `sha256`")
-        for tenant in key.tenants:
-            if tenant != "*" and tenant not in config.tenant_names:
-                raise ConfigError(f"{source}: key '{key.name}' names the unknown tenant '{tenant}'")
+
+
+def _check_granting(
+    given: Granting, where: str, config: GatewayConfig, roles: dict[str, Role]
+) -> None:
+    for tenant, held in given.grants:
+        if tenant != "*" and tenant not in config.tenant_names:
+            raise ConfigError(f"{where} names the unknown tenant '{tenant}'")
+        for role in held:
+            if role not in roles:
+                near = difflib.get_close_matches(role, roles, n=1)
+                known = f"did you mean '{near[0]}'?" if near else f"there are {', '.join(roles)}"
+                raise ConfigError(f"{where} has the role '{role}', which is not there; {known}")
 
 
 def _check_rule(path: str, where: str) -> None:
@@ -340,8 +365,3 @@ def _check_rule(path: str, where: str) -> None:
         Pattern(path)
     except InvalidPath as error:
         raise ConfigError(f"{where} has a rule for no path: {error.message}") from None
-
-
-def role_names(role: str | tuple[str, ...]) -> tuple[str, ...]:
-    """Return a role or several as a tuple."""
-    return (role,) if isinstance(role, str) else role

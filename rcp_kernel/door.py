@@ -16,11 +16,12 @@ import msgspec
 from rcp_kernel.acl import Rights
 from rcp_kernel.commands import Command
 from rcp_kernel.config import Limits
+from rcp_kernel.connections import Connection, Hello
 from rcp_kernel.discovery import Query
 from rcp_kernel.errors import PluginError
 from rcp_kernel.identity import Principal
 from rcp_kernel.model import Pattern
-from rcp_kernel.sessions import Answer, Connection, Hello, Session
+from rcp_kernel.sessions import Answer, Session
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import Reply, Request
 

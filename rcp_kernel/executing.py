@@ -14,7 +14,6 @@ from rcp_kernel.commands import Command
 from rcp_kernel.errors import UnknownPath
 from rcp_kernel.model import Kind, Operation
 from rcp_kernel.registry import Entry
-from rcp_kernel.safety import check_age, check_motion
 from rcp_kernel.sessions import Answer, Session
 from rcp_kernel.values import value_type
 from rcp_kernel.wire import Reply, Request
@@ -53,11 +52,7 @@ class Executing:
         if isinstance(known, Command):
             self._follow(session, request, known, answer, started)
             return None
-        check_age(entry, request)
-        check_motion(entry, entry.owner.latch)
-        gateway.check_open()
-        if entry.owner.backend is None:
-            raise entry.owner.unavailable()
+        gateway.admission.admit(session, request, entry, value)
         gateway.commands.admit(entry)
         if request.dry_run:
             return would(request, entry, {"execute": value})

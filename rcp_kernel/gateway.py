@@ -9,16 +9,18 @@ from __future__ import annotations
 import asyncio
 import secrets
 from collections.abc import Callable, Coroutine
+from contextlib import suppress
 from time import perf_counter
 from typing import Any
 
 import msgspec
 
 from rcp_kernel.acl import Rules
+from rcp_kernel.admission import Admission
 from rcp_kernel.batching import Batching
 from rcp_kernel.clock import iso, now
 from rcp_kernel.commands import Commands, Keeper
-from rcp_kernel.config import GatewayConfig, role_names
+from rcp_kernel.config import GatewayConfig
 from rcp_kernel.discovery import Discovery
 from rcp_kernel.errors import (
     AdapterUnavailable,
@@ -70,7 +72,8 @@ class Gateway:
         self.loop = loop
         self.registry = Registry()
         self.hub = Hub(self.registry, loop)
-        self.commands = Commands(keeper)
+        self.admission = Admission(self)
+        self.commands = Commands(self.admission.confirm, keeper)
         self.rules = Rules(config.roles)
         self.sessions = Sessions(self)
         self.discovery = Discovery(self.registry)
@@ -115,15 +118,17 @@ class Gateway:
 
         :raises Unauthenticated: the configuration gives them no role.
         """
-        rule = self.config.anonymous
-        if rule.role is None:
+        grants = self.config.anonymous.grants
+        if not any(roles for _, roles in grants):
             raise Unauthenticated("this gateway serves nobody without a token")
-        return Principal("anonymous", rule.tenants, (rule.role,))
+        return Principal("anonymous", grants)
 
     def renewed(self, principal: Principal) -> Principal | None:
         """Return what a principal's proof is worth under the present configuration."""
         if principal.anonymous:
-            return self.anonymous() if self.config.anonymous.role is not None else None
+            with suppress(Unauthenticated):
+                return self.anonymous()
+            return None
         return self._keyring.renewed(principal) if principal.proof == "key" else principal
 
     @property
@@ -423,5 +428,5 @@ def _keyring(config: GatewayConfig) -> Keyring:
     found: dict[str, Principal] = {}
     for key in config.keys:
         digest = key.sha256 or fingerprint(key.key or "")
-        found[digest] = Principal(key.name, key.tenants, role_names(key.role), "key", digest)
+        found[digest] = Principal(key.name, key.grants, "key", digest)
     return Keyring(found)

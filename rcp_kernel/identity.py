@@ -4,25 +4,47 @@ from __future__ import annotations
 
 import hashlib
 import hmac
+from collections.abc import Iterable
 
 import msgspec
 
 from rcp_kernel.errors import Unauthenticated
 
-__all__ = ["Keyring", "Principal", "fingerprint"]
+__all__ = ["Grants", "Keyring", "Principal", "fingerprint", "granted"]
+
+
+Grants = tuple[tuple[str, tuple[str, ...]], ...]
+"""Roles by tenant, in order; `*` is every tenant."""
+
+
+def granted(tenants: Iterable[str], roles: Iterable[str]) -> Grants:
+    """Give the same roles in several tenants."""
+    held = tuple(roles)
+    return tuple((tenant, held) for tenant in tenants)
 
 
 class Principal(msgspec.Struct, frozen=True):
-    """An identity with its tenants and roles, and how it proved itself."""
+    """An identity with its roles in each tenant, and how it proved itself."""
 
     name: str
-    tenants: tuple[str, ...]
-    """The tenants it acts in; the first one resolves its relative paths. `*` is every tenant."""
-    roles: tuple[str, ...]
+    grants: Grants
+    """The first tenant resolves its relative paths."""
     proof: str = "none"
     """`none`, `key`, or what an authenticator of a plugin says."""
     credential: str | None = None
-    """Hash of the key that proved it; never shown to anybody."""
+    """Hash of what proved it; never shown to anybody."""
+    expires: int | None = None
+    """When the proof is not good any more, ns since the UNIX epoch; None: it stays good."""
+
+    @property
+    def tenants(self) -> tuple[str, ...]:
+        """The tenants it acts in."""
+        return tuple(tenant for tenant, _ in self.grants)
+
+    @property
+    def roles(self) -> tuple[str, ...]:
+        """Every role that it has in some tenant."""
+        return tuple(dict.fromkeys(role for _, roles in self.grants for role in roles))
 
     @property
     def anonymous(self) -> bool:

@@ -10,39 +10,29 @@ import asyncio
 import secrets
 from collections import deque
 from collections.abc import Callable
-from functools import partial
-from typing import TYPE_CHECKING, Annotated, Any, Protocol
-
-import msgspec
-from msgspec import Meta
+from typing import TYPE_CHECKING, Any, Protocol
 
 from rcp_kernel.acl import Rights
 from rcp_kernel.clock import iso, now
-from rcp_kernel.errors import Gap, RcpError, TokenExpired, Unauthenticated
+from rcp_kernel.errors import Gap, TokenExpired, Unauthenticated
 from rcp_kernel.hub import Hub
 from rcp_kernel.identity import Principal
-from rcp_kernel.mailbox import Mailbox
-from rcp_kernel.pending import crash
 from rcp_kernel.streams import Subscription
-from rcp_kernel.values import Encoding, value_type
+from rcp_kernel.values import Encoding
 from rcp_kernel.wire import (
-    NO_BODY,
     VERSION,
     Reply,
     Request,
-    check_size,
-    decode_request,
-    encode_reply,
     failure,
-    salvage,
 )
 
 if TYPE_CHECKING:
     from rcp_kernel.commands import Command
+    from rcp_kernel.connections import Connection, Hello
     from rcp_kernel.gateway import Gateway
     from rcp_kernel.pending import Pending
 
-__all__ = ["Answer", "Connection", "Handler", "Hello", "Session", "Sessions"]
+__all__ = ["Answer", "Handler", "Session", "Sessions"]
 
 Answer = Callable[[Reply], None]
 _STATELESS = 10_000  # principals whose shared session is kept at hand
@@ -139,143 +129,6 @@ class Session:
             "commands": sum(1 for c in self.commands.values() if not c.final),
             "backlog": self.connection.mailbox.backlog if self.connection else len(self.missed),
         }
-
-
-class Hello(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """The body of `hello`."""
-
-    token: Annotated[str, Meta(max_length=8192)] | None = None
-    session: Annotated[str, Meta(max_length=128)] | None = None
-    resume_token: Annotated[str, Meta(max_length=128)] | None = None
-    resume_from: int | dict[str, int] | None = None
-    """What the client has: the last `seq`, of its one path or of each path."""
-    client: Annotated[str, Meta(max_length=256)] | None = None
-    tenant: Annotated[str, Meta(max_length=128)] | None = None
-    """Which of the principal's tenants relative paths mean."""
-    segment_size: Annotated[int, Meta(ge=1024, le=64 * 1024 * 1024)] | None = None
-
-
-_HELLO = value_type(Hello)
-
-
-class Connection:
-    """The gateway's end of one client connection.
-
-    The transport feeds `receive` with whole messages, is called by `flush` when there is
-    something to send, and takes it with `mailbox.collect`. All on the event loop's thread.
-    """
-
-    __slots__ = (
-        "_gateway",
-        "_splices",
-        "closed",
-        "encoding",
-        "expelled",
-        "mailbox",
-        "on_hello",
-        "session",
-    )
-
-    def __init__(
-        self, gateway: Gateway, session: Session, encoding: Encoding, flush: Callable[[], None]
-    ) -> None:
-        self._gateway = gateway
-        self.encoding = encoding
-        self.mailbox = Mailbox(gateway.hub.ticker, encoding, flush)
-        self.session = session
-        self.closed = False
-        self.expelled = False
-        """The session was ended by the gateway; the transport closes once it has said so."""
-        self.on_hello: Callable[[Hello], dict[str, Any]] | None = None
-        """The transport's part of `hello`: what it adopts, and the limits it answers with."""
-        self._splices = encoding is Encoding.JSON and gateway.quick
-        session.connection = self
-        session.encoding = encoding
-
-    def receive(self, data: bytes) -> None:
-        """Handle one whole message from the client; every reply goes through the mailbox."""
-        gateway = self._gateway
-        try:
-            if len(data) > gateway.limits.message:
-                check_size(data, gateway.limits.message)
-            request = decode_request(data, self.encoding)
-        except RcpError as error:
-            type_, id_ = salvage(data, self.encoding) if len(data) < 1_000_000 else ("error", None)
-            gateway.count(self.session.transport, type_, error.code)
-            self.send(failure(error, type_, id_))
-            return
-        if request.type == "hello":
-            self._hello(request)
-            return
-        session = self.session
-        if request.type == "read" and self._splices:
-            reply = gateway.read_at_once(session, request)
-            if reply is not None:
-                mailbox = self.mailbox
-                mailbox.control.append(reply)
-                if not mailbox.dirty:
-                    mailbox.mark()
-                return
-        gateway.handle(session, request, session.deliver)
-
-    def send(self, reply: Reply) -> None:
-        """Queue a reply; feedback that a slow client has not taken yet gives way to newer."""
-        if self.closed:
-            return
-        mailbox = self.mailbox
-        if reply.command is not None:
-            if reply.status == "in_progress":
-                mailbox.feedback[reply.command] = partial(self._encode_feedback, reply)
-                mailbox.mark()
-                return
-            last = mailbox.feedback.pop(reply.command, None)
-            if last is not None:
-                mailbox.control.append(last())
-        mailbox.control.append(self.encode(reply))
-        if not mailbox.dirty:
-            mailbox.mark()
-
-    def encode(self, reply: Reply) -> bytes:
-        """Write a reply; one whose body cannot be written becomes the error that says so."""
-        try:
-            return encode_reply(reply, self.encoding)
-        except Exception as error:
-            told = crash(error, path=reply.path)
-            said = failure(told, reply.type, reply.id, reply.path, command=reply.command)
-            return encode_reply(said, self.encoding)
-
-    def _encode_feedback(self, reply: Reply) -> bytes:
-        """Write feedback, which never ends its command: without the body if that cannot be written."""
-        try:
-            return encode_reply(reply, self.encoding)
-        except Exception as error:
-            crash(error, path=reply.path)
-            reply.body, reply.custom = NO_BODY, None
-            return encode_reply(reply, self.encoding)
-
-    def _hello(self, request: Request) -> None:
-        gateway = self._gateway
-        try:
-            hello = request.decode_body(_HELLO, "hello") if request.body else Hello()
-            body = gateway.sessions.greet(self, hello)
-        except Exception as error:
-            told = crash(error)
-            gateway.count(self.session.transport, "hello", told.code)
-            self.send(failure(told, "hello", request.id))
-            return
-        gateway.count(self.session.transport, "hello", "ok")
-        reply = Reply(type="hello", id=request.id, body=body, timestamp=iso(now()))
-        # Ahead of what a resumed session has to say: the client must know first whose it is.
-        self.mailbox.control.insert(0, encode_reply(reply, self.encoding))
-        self.mailbox.mark()
-
-    def close(self) -> None:
-        """Tell the gateway that the client is gone."""
-        if not self.closed:
-            self.closed = True
-            self._gateway.sessions.tally(self)
-            self.mailbox.close()
-            self._gateway.sessions.cut(self.session)
 
 
 class Sessions:
@@ -458,7 +311,7 @@ class Sessions:
             connection.send(failure(told, "hello"))
             connection.expelled = True
             connection.mailbox.mark()
-        session.rights = Rights(Principal("", (), ()), {})  # for what is under way to the gateway
+        session.rights = Rights((), {})  # for what is under way to the gateway
         self.drop(session)
 
     def tally(self, connection: Connection) -> None:

@@ -162,7 +162,7 @@ class System(BaseBackend):
                 f"there is no robot in the scope {request.scope or 'of this session'!r}"
             )
         if request.reset:
-            if not session.rights.may_reset:
+            if not all(session.rights.may_reset(robot.tenant) for robot in robots):
                 raise Forbidden(
                     f"{session.principal.name} may not reset an e-stop",
                     remedy="Have a person reset it whose role has `reset = true`.",

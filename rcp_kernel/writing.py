@@ -13,7 +13,7 @@ from rcp_kernel.errors import DeviceRejected, RcpError, Refused
 from rcp_kernel.model import Operation
 from rcp_kernel.pending import blame
 from rcp_kernel.registry import Entry
-from rcp_kernel.safety import ANSWER, check_age, check_motion, safe_value
+from rcp_kernel.safety import ANSWER, check_motion, safe_value
 from rcp_kernel.samples import Sample
 from rcp_kernel.sessions import Answer, Session
 from rcp_kernel.wire import Reply, Request
@@ -42,12 +42,8 @@ class Writing:
         if first is not None:
             self._repeat(first, session, request, entry, answer)
             return None
-        check_age(entry, request)
-        check_motion(entry, entry.owner.latch)
-        gateway.check_open()
+        gateway.admission.admit(session, request, entry, value)
         window = gateway.deadman.window(entry, request)
-        if entry.owner.backend is None:
-            raise entry.owner.unavailable()
         if request.dry_run:
             return would(request, entry, {"write": value, "valid_for": window})
         noted = answer
@@ -69,10 +65,7 @@ class Writing:
         return None
 
     async def _bring_into_force(self, entry: Entry, value: Any, window: float | None) -> Sample:
-        check_motion(entry, entry.owner.latch)  # it may have been latched since the write came in
-        backend = entry.owner.backend
-        if backend is None:
-            raise entry.owner.unavailable()
+        backend = self._gateway.admission.confirm(entry, value)
         deadman = self._gateway.deadman
         started = perf_counter()
         with deadman.flight(entry):

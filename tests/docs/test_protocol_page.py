@@ -10,6 +10,7 @@ import pytest
 
 from docs.pages import DOCS, keys, rows, section
 from rcp_kernel.config import GatewayConfig
+from rcp_kernel.connections import Hello
 from rcp_kernel.discovery import Query
 from rcp_kernel.errors import BY_CODE
 from rcp_kernel.filters import Options, Qos
@@ -17,7 +18,6 @@ from rcp_kernel.gateway import Gateway
 from rcp_kernel.log import Recent
 from rcp_kernel.model import BRANCHES, Policy, operation_names
 from rcp_kernel.reading import ReadOptions
-from rcp_kernel.sessions import Hello
 from rcp_kernel.status import StatusReport
 from rcp_kernel.system import EstopRequest, System
 from rcp_kernel.wire import Reply, Request, RequestType, Status

@@ -154,8 +154,7 @@ class Calls:
     def _etag(self, asked: Asked, session: Session) -> bytes:
         """Make the validator of what a session sees of the tree, as it was asked for."""
         seen = (
-            session.rights.tenants,
-            session.principal.roles,
+            session.principal.grants,
             session.tenant,
             sorted(asked.query.items()),
             id(session.rights),

@@ -7,10 +7,10 @@ from collections import deque
 from collections.abc import Callable
 from typing import Any
 
+from rcp_kernel.connections import Hello
 from rcp_kernel.door import Door
 from rcp_kernel.errors import BadRequest, PayloadTooLarge, RcpError, Unauthenticated
 from rcp_kernel.identity import Principal
-from rcp_kernel.sessions import Hello
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import failure, salvage
 from rcp_ws import segments
@@ -22,7 +22,7 @@ from rcp_ws.socket import NativeSocket
 
 __all__ = ["Peer"]
 
-_NOBODY = Principal("nobody", (), ())
+_NOBODY = Principal("nobody", ())
 _PATIENCE = 10.0  # s for a client to prove itself in `hello`
 _POLICY = 1008
 _SEGMENT = b"segment"  # only a message with this word in it can be one

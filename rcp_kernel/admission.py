@@ -1,0 +1,52 @@
+"""What a write or an execute must pass: once when it comes in, and again at the moment it acts.
+
+Between the two a command may wait in a queue, and the world may change meanwhile. A dry run
+passes the first and ends there.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from rcp_kernel.registry import Entry
+from rcp_kernel.safety import check_age, check_motion
+from rcp_kernel.sessions import Session
+from rcp_kernel.spi import Backend
+from rcp_kernel.wire import Request
+
+if TYPE_CHECKING:
+    from rcp_kernel.gateway import Gateway
+
+__all__ = ["Admission"]
+
+
+class Admission:
+    """The checks, in the order in which a client should learn of them."""
+
+    def __init__(self, gateway: Gateway) -> None:
+        self._gateway = gateway
+
+    def admit(self, session: Session, request: Request, entry: Entry, value: Any) -> None:
+        """Refuse what may not be done now.
+
+        :raises StaleCommand: the request is older than its path allows.
+        :raises EstopActive: the path moves something, and its robot is stopped.
+        :raises AdapterUnavailable: the gateway is closing, or there is no robot.
+        """
+        check_age(entry, request)
+        check_motion(entry, entry.owner.latch)
+        self._gateway.check_open()
+        if entry.owner.backend is None:
+            raise entry.owner.unavailable()
+
+    def confirm(self, entry: Entry, value: Any) -> Backend:
+        """Return the robot that takes it, or refuse what must not reach it any more.
+
+        :raises EstopActive: as above.
+        :raises AdapterUnavailable: there is no robot any more.
+        """
+        check_motion(entry, entry.owner.latch)
+        backend = entry.owner.backend
+        if backend is None:
+            raise entry.owner.unavailable()
+        return backend
