@@ -75,6 +75,10 @@ class Keeper(Protocol):
         """Note the command's present state; must not block."""
         ...
 
+    def forget(self, command: Command) -> None:
+        """Let go of a command that is not remembered any more; must not block."""
+        ...
+
 
 @dataclass(slots=True, eq=False)
 class Command:
@@ -157,7 +161,7 @@ class Command:
 class Commands:
     """Every command of the gateway: running, queued, and the recently finished."""
 
-    def __init__(self, confirm: Callable[[Entry, Any], Backend], keeper: Keeper | None) -> None:
+    def __init__(self, confirm: Callable[[Entry, Any], Backend], keeper: Keeper) -> None:
         self.running: dict[str, Command] = {}
         self.finished: OrderedDict[str, Command] = OrderedDict()
         self.counts: dict[str, int] = {}
@@ -183,7 +187,12 @@ class Commands:
     def remember(self, commands: Iterable[Command]) -> None:
         """Take in finished commands of an earlier run."""
         for command in commands:
-            self.finished[command.id] = command
+            self._remember(command)
+
+    def _remember(self, command: Command) -> None:
+        self.finished[command.id] = command
+        while len(self.finished) > _FINISHED:
+            self.keeper.forget(self.finished.popitem(last=False)[1])
 
     @property
     def queued(self) -> int:
@@ -382,12 +391,10 @@ class Commands:
             del history[1]
         if record.status in FINAL:
             self.running.pop(command.id, None)
-            self.finished[command.id] = command
-            while len(self.finished) > _FINISHED:
-                self.finished.popitem(last=False)
+            self._remember(command)
             self.counts[record.status] = self.counts.get(record.status, 0) + 1
             self.seconds.observe((record.time - command.created) / 1e9)
-        if self.keeper is not None and record.status != "in_progress":
+        if record.status != "in_progress":
             self.keeper.save(command)
         if command.followers:
             reply = command.reply(record)

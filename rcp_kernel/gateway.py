@@ -17,9 +17,10 @@ import msgspec
 
 from rcp_kernel.acl import Rules
 from rcp_kernel.admission import Admission
+from rcp_kernel.audit import Audit
 from rcp_kernel.batching import Batching
 from rcp_kernel.clock import iso, now
-from rcp_kernel.commands import Commands, Keeper
+from rcp_kernel.commands import Commands
 from rcp_kernel.config import GatewayConfig
 from rcp_kernel.discovery import Discovery
 from rcp_kernel.errors import (
@@ -34,6 +35,7 @@ from rcp_kernel.errors import (
     UnsupportedOperation,
 )
 from rcp_kernel.executing import Executing
+from rcp_kernel.history import History
 from rcp_kernel.hub import Hub
 from rcp_kernel.idempotency import Keys
 from rcp_kernel.identity import Keyring, Principal, fingerprint
@@ -45,6 +47,7 @@ from rcp_kernel.registry import Entry, Registry
 from rcp_kernel.safety import Deadman
 from rcp_kernel.samples import READ_PIECE
 from rcp_kernel.sessions import Answer, Handler, Session, Sessions
+from rcp_kernel.store import Store
 from rcp_kernel.subscribing import Subscribing
 from rcp_kernel.wire import Reply, Request, failure
 from rcp_kernel.writing import Writing
@@ -63,7 +66,7 @@ class Gateway:
         config: GatewayConfig,
         loop: asyncio.AbstractEventLoop,
         *,
-        keeper: Keeper | None = None,
+        store: Store | None = None,
         authenticator: Callable[[str], Principal | None] | None = None,
         interceptors: list[Callable[[Handler], Handler]] | None = None,
     ) -> None:
@@ -73,7 +76,12 @@ class Gateway:
         self.registry = Registry()
         self.hub = Hub(self.registry, loop)
         self.admission = Admission(self)
-        self.commands = Commands(self.admission.confirm, keeper)
+        self.store = store or Store()
+        """What survives the process."""
+        self.audit = Audit(self.store)
+        history = History(self.store)
+        self.commands = Commands(self.admission.confirm, history)
+        self.commands.remember(history.load())
         self.rules = Rules(config.roles)
         self.sessions = Sessions(self)
         self.discovery = Discovery(self.registry)

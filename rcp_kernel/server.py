@@ -21,7 +21,7 @@ from rcp_kernel.plugins import Missing, Plugins
 from rcp_kernel.safety import halt
 from rcp_kernel.spi import AdapterKind, TransportKind
 from rcp_kernel.status import StatusReport
-from rcp_kernel.store import Store
+from rcp_kernel.store import DiskStore, Store
 from rcp_kernel.supervisor import Slot
 from rcp_kernel.system import System
 
@@ -109,19 +109,18 @@ async def running(prepared: Prepared, recent: Recent | None = None) -> AsyncGene
     recent = recent or Recent()
     loop = asyncio.get_running_loop()
     async with AsyncExitStack() as stack:
-        keeper = None
+        store = Store()
         if config.store.path is not None:
-            keeper = Store(Path(os.path.expanduser(config.store.path)))  # noqa: PTH111, ASYNC240 - no I/O
-            stack.callback(keeper.close)
+            path = Path(os.path.expanduser(config.store.path))  # noqa: PTH111, ASYNC240 - no I/O
+            store = DiskStore(path, loop)
+            stack.callback(store.close)
         gateway = Gateway(
             config,
             loop,
-            keeper=keeper,
+            store=store,
             authenticator=plugins.authenticator,
             interceptors=plugins.interceptors,
         )
-        if keeper is not None:
-            gateway.commands.remember(keeper.load())
         slots: list[Slot] = []
         status = StatusReport(gateway, slots, recent)
         System(gateway, slots, status, recent)

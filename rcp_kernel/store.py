@@ -1,50 +1,124 @@
-"""What survives a restart: command history in SQLite, written by a thread of its own.
+"""What survives the process: keyed values and the audit's rows in SQLite, written by one thread.
 
-The event loop only appends to a queue; the thread writes what has gathered in one transaction.
+The event loop gathers what is put and hands it over once a turn; the thread writes whatever has
+come in one transaction. With WAL and `synchronous=NORMAL` what is committed survives `kill -9`
+of the gateway; a power cut may cost the last moments, never the file.
 """
 
 from __future__ import annotations
 
+import asyncio
+import os
 import queue
 import sqlite3
 import threading
+from collections import deque
+from collections.abc import Callable, Iterator
+from contextlib import closing, suppress
 from pathlib import Path
 from typing import Any
 
 import msgspec
 import structlog
 
-from rcp_kernel.clock import now
-from rcp_kernel.commands import Command, Record
-from rcp_kernel.errors import ConfigError, InternalError
-from rcp_kernel.values import Encoding, dump, to_plain
-from rcp_kernel.wire import NO_BODY, error_body
+from rcp_kernel.errors import ConfigError
+from rcp_kernel.values import Encoding, dump
 
-__all__ = ["Store"]
+__all__ = ["DiskStore", "Row", "Store", "open_read_only"]
 
 log = structlog.get_logger("rcp.store")
 _SCHEMA = """
-CREATE TABLE IF NOT EXISTS commands (
-    id TEXT PRIMARY KEY, created INTEGER NOT NULL, final INTEGER NOT NULL, record BLOB NOT NULL
+CREATE TABLE IF NOT EXISTS kept (
+    place TEXT NOT NULL, key TEXT NOT NULL, value BLOB NOT NULL, PRIMARY KEY (place, key)
 ) WITHOUT ROWID;
-CREATE INDEX IF NOT EXISTS commands_created ON commands (created);
+CREATE TABLE IF NOT EXISTS audit (
+    seq INTEGER PRIMARY KEY, hash BLOB NOT NULL, record BLOB NOT NULL
+);
 """
-_KEPT = 10_000  # commands
-_BATCH = 500
+_RETRY = 0.5  # s between attempts of a store that cannot write
+_BUSY = 1.0  # s to wait for somebody else's lock on the database
+
+Row = tuple[int, bytes, bytes]
+"""A record of the audit: its number, its hash, its bytes."""
 
 
 class Store:
-    """Command history on disk; a `commands.Keeper`."""
+    """Keeps nothing: the store of a gateway without `[store] path`, and the base of the other."""
 
-    def __init__(self, path: Path) -> None:
+    keeps = False
+    """Whether anything survives; what is dear to prepare need not be put where nothing does."""
+    trouble: str | None = None
+    """Why nothing can be written at present."""
+    waiting = 0
+    """Rows of the audit that are not committed yet."""
+
+    def put(self, table: str, key: str, value: Any | None) -> None:
+        """Keep a value that msgpack takes under a key; None deletes. Returns at once."""
+
+    def load(self, table: str) -> dict[str, Any]:
+        """Return what earlier runs kept in a table. Blocks: for the start only."""
+        return {}
+
+    def append(self, row: Row) -> None:
+        """Add a row to the audit. Returns at once."""
+
+    def prune(self, before: int) -> None:
+        """Delete the audit's rows before a number. Returns at once."""
+
+    def rows(self, last: int) -> list[Row]:
+        """Return the last rows of the audit that earlier runs left. Blocks: for the start only."""
+        return []
+
+    def settled(self, callback: Callable[[], None]) -> None:
+        """Call back on the event loop once all that was put before is committed."""
+        callback()
+
+    def close(self) -> None:
+        """Write what is left, then stop."""
+
+
+class _Batch:
+    """What one transaction writes."""
+
+    __slots__ = ("before", "puts", "rows", "upto")
+
+    def __init__(self) -> None:
+        self.puts: dict[tuple[str, str], bytes | None] = {}
+        self.rows: list[Row] = []
+        self.before = 0
+        self.upto = 0
+
+    def take(self, later: _Batch) -> None:
+        self.puts.update(later.puts)
+        self.rows += later.rows
+        self.before = max(self.before, later.before)
+        self.upto = later.upto
+
+
+class DiskStore(Store):
+    """A store in one SQLite file. For the event loop's thread, which it never blocks."""
+
+    keeps = True
+
+    def __init__(self, path: Path, loop: asyncio.AbstractEventLoop) -> None:
         """Open or create the database.
 
-        :raises ConfigError: it cannot be opened.
+        :raises ConfigError: it cannot be opened, or another gateway has it.
         """
-        self._path = path
-        self._queue: queue.SimpleQueue[tuple[str, int, int, bytes] | None] = queue.SimpleQueue()
+        self.path = path
+        self._loop = loop
+        self._gathered = _Batch()
+        self._scheduled = False
+        self._count = 0
+        self._committed = 0
+        self._waiters: deque[tuple[int, Callable[[], None]]] = deque()
+        self._queue: queue.SimpleQueue[_Batch | None] = queue.SimpleQueue()
+        self._closing = threading.Event()
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
+            with suppress(FileExistsError):  # records are nobody else's to read
+                os.close(os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o600))
+            self._lock = _lock(path)
             self._connect().close()
         except (OSError, sqlite3.Error) as error:
             raise ConfigError(f"[store] path = '{path}' cannot be opened: {error}") from None
@@ -52,127 +126,180 @@ class Store:
         self._thread.start()
 
     def _connect(self) -> sqlite3.Connection:
-        base = sqlite3.connect(self._path)
+        base = sqlite3.connect(self.path, timeout=_BUSY)
         base.execute("PRAGMA journal_mode=WAL")
         base.execute("PRAGMA synchronous=NORMAL")
         base.executescript(_SCHEMA)
         return base
 
-    def save(self, command: Command) -> None:
-        """Note the command's present state; returns at once."""
-        try:
-            data = _encoded(command)
-        except Exception:  # the command goes on, whether it can be written down or not
-            log.exception("store_failed", command=command.id, path=command.path)
-            return
-        self._queue.put((command.id, command.created, int(command.final), data))
+    # -- the event loop's side -----------------------------------------------------------------
 
-    def load(self) -> list[Command]:
-        """Return the commands of earlier runs, oldest first; those cut off are `failed` now."""
-        base = self._connect()
-        try:
-            rows = base.execute(
-                "SELECT record FROM commands ORDER BY created DESC LIMIT 1000"
+    def put(self, table: str, key: str, value: Any | None) -> None:
+        """Keep a value, or delete it."""
+        data = None
+        if value is not None:
+            try:
+                data = _encoded(value)
+            except Exception:  # what it tells of goes on, whether it can be written down or not
+                log.exception("store_failed", table=table, key=key)
+                return
+        self._gathered.puts[table, key] = data
+        self._gather()
+
+    def append(self, row: Row) -> None:
+        """Add a row to the audit."""
+        self._gathered.rows.append(row)
+        self.waiting += 1
+        self._gather()
+
+    def prune(self, before: int) -> None:
+        """Delete the audit's rows before a number."""
+        self._gathered.before = before
+        self._gather()
+
+    def _gather(self) -> None:
+        self._count += 1
+        if not self._scheduled:
+            self._scheduled = True
+            self._loop.call_soon(self._hand_over)
+
+    def _hand_over(self) -> None:
+        self._scheduled = False
+        batch, self._gathered = self._gathered, _Batch()
+        batch.upto = self._count
+        self._queue.put(batch)
+
+    def settled(self, callback: Callable[[], None]) -> None:
+        """Call back once all that was put before is committed."""
+        if self._committed == self._count:
+            callback()
+        else:
+            self._waiters.append((self._count, callback))
+
+    def _written(self, upto: int, rows: int) -> None:
+        self._committed = upto
+        self.waiting -= rows
+        self.trouble = None
+        while self._waiters and self._waiters[0][0] <= upto:
+            callback = self._waiters.popleft()[1]
+            try:
+                callback()
+            except Exception:
+                log.exception("store_callback_failed")
+
+    def _failed(self, reason: str) -> None:
+        if self.trouble is None:
+            log.error("store_failed", path=str(self.path), error=reason)
+        self.trouble = reason
+
+    def load(self, table: str) -> dict[str, Any]:
+        """Return what earlier runs kept in a table; a row that cannot be read is left out."""
+        with closing(self._connect()) as base:
+            rows = base.execute("SELECT key, value FROM kept WHERE place = ?", (table,)).fetchall()
+        return dict(_readable(table, rows))
+
+    def rows(self, last: int) -> list[Row]:
+        """Return the audit's last rows, oldest first."""
+        with closing(self._connect()) as base:
+            found = base.execute(
+                "SELECT seq, hash, record FROM audit ORDER BY seq DESC LIMIT ?", (last,)
             ).fetchall()
-        finally:
-            base.close()
-        found = [command for row in reversed(rows) if (command := _read(row[0])) is not None]
-        for command in found:
-            if not command.final:
-                _cut_off(command)
-                self.save(command)
-        return found
-
-    def _write(self) -> None:
-        base = self._connect()
-        try:
-            while (first := self._queue.get()) is not None:
-                rows = [first]
-                while len(rows) < _BATCH and not self._queue.empty():
-                    row = self._queue.get()
-                    if row is None:
-                        self._queue.put(None)
-                        break
-                    rows.append(row)
-                self._save(base, rows)
-        finally:
-            base.close()
-
-    def _save(self, base: sqlite3.Connection, rows: list[tuple[str, int, int, bytes]]) -> None:
-        try:
-            with base:
-                base.executemany("INSERT OR REPLACE INTO commands VALUES (?, ?, ?, ?)", rows)
-                base.execute(
-                    "DELETE FROM commands WHERE final = 1 AND created < (SELECT created FROM "
-                    "commands ORDER BY created DESC LIMIT 1 OFFSET ?)",
-                    (_KEPT,),
-                )
-        except sqlite3.Error as error:
-            log.error("store_failed", path=str(self._path), error=str(error), lost=len(rows))
+        return found[::-1]
 
     def close(self) -> None:
-        """Write what is queued, then stop."""
+        """Write what is left within a bound, then stop."""
+        self._hand_over()
         self._queue.put(None)
+        self._closing.set()
         self._thread.join(timeout=10)
+        self._lock.close()
+
+    # -- the thread's side ---------------------------------------------------------------------
+
+    def _write(self) -> None:
+        base: sqlite3.Connection | None = None
+        batch, ending = _Batch(), False
+        while not ending:
+            ending = self._collect(batch)
+            while batch.upto > 0:
+                try:
+                    base = base or self._connect()
+                    _commit(base, batch)
+                except sqlite3.Error as error:
+                    self._tell(self._failed, str(error))
+                    if base is not None:
+                        base.close()
+                        base = None
+                    if self._closing.wait(_RETRY):
+                        log.error("store_lost", path=str(self.path), rows=len(batch.rows))
+                        return
+                    ending = self._collect(batch, wait=False)
+                else:
+                    self._tell(self._written, batch.upto, len(batch.rows))
+                    batch = _Batch()
+        if base is not None:
+            base.close()
+
+    def _collect(self, batch: _Batch, *, wait: bool = True) -> bool:
+        """Take in what has gathered; return whether that was all there will ever be."""
+        while wait or not self._queue.empty():
+            wait = False
+            more = self._queue.get()
+            if more is None:
+                return True
+            batch.take(more)
+        return False
+
+    def _tell(self, what: Callable[..., None], *facts: Any) -> None:
+        with suppress(RuntimeError):  # the loop has ended: nobody waits any more
+            self._loop.call_soon_threadsafe(what, *facts)
 
 
-def _encoded(command: Command) -> bytes:
-    row = _as_row(command)
+def _commit(base: sqlite3.Connection, batch: _Batch) -> None:
+    kept = [(place, key, data) for (place, key), data in batch.puts.items() if data is not None]
+    gone = [key for key, data in batch.puts.items() if data is None]
+    with base:
+        base.executemany("INSERT OR REPLACE INTO kept VALUES (?, ?, ?)", kept)
+        base.executemany("DELETE FROM kept WHERE place = ? AND key = ?", gone)
+        base.executemany("INSERT OR REPLACE INTO audit VALUES (?, ?, ?)", batch.rows)
+        if batch.before:
+            base.execute("DELETE FROM audit WHERE seq < ?", (batch.before,))
+
+
+def _lock(path: Path) -> sqlite3.Connection:
+    """Keep a second gateway from the same store; the system lets go when the process ends."""
+    held = sqlite3.connect(path.with_name(path.name + ".lock"), timeout=0, isolation_level=None)
     try:
-        return msgspec.msgpack.encode(row)
+        held.execute("BEGIN EXCLUSIVE")
+    except sqlite3.Error:
+        held.close()
+        raise sqlite3.OperationalError("another gateway is using it") from None
+    return held
+
+
+def open_read_only(path: Path) -> sqlite3.Connection:
+    """Open a store to look at, also while its gateway runs.
+
+    :raises ConfigError: it is not there, or not a store.
+    """
+    try:
+        base = sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro", uri=True, timeout=_BUSY)
+        base.execute("SELECT 1 FROM audit LIMIT 1")
+    except sqlite3.Error as error:
+        raise ConfigError(f"the store '{path}' cannot be read: {error}") from None
+    return base
+
+
+def _encoded(value: Any) -> bytes:
+    try:
+        return msgspec.msgpack.encode(value)
     except OverflowError:  # an integer past 64 bits: a text, as on the wire
-        return msgspec.msgpack.encode(msgspec.json.decode(dump(row, Encoding.JSON)))
+        return msgspec.msgpack.encode(msgspec.json.decode(dump(value, Encoding.JSON)))
 
 
-def _as_row(command: Command) -> dict[str, Any]:
-    return {
-        "id": command.id,
-        "path": command.path,
-        "principal": command.principal,
-        "tenant": command.tenant,
-        "request_id": command.request_id,
-        "input": to_plain(command.input),
-        "created": command.created,
-        "finished": command.finished,
-        "history": [
-            {
-                "status": r.status,
-                "time": r.time,
-                "progress": r.progress,
-                "message": r.message,
-                "error": r.error,
-                **({} if r.body is NO_BODY else {"body": to_plain(r.body)}),
-            }
-            for r in command.history
-        ],
-    }
-
-
-def _read(data: bytes) -> Command | None:
-    """Return the command of a row; one that cannot be read is left out and told of."""
-    try:
-        return _from_row(msgspec.msgpack.decode(data))
-    except (msgspec.DecodeError, TypeError, KeyError, AttributeError) as error:
-        log.warning("store_row_unreadable", error=str(error))
-        return None
-
-
-def _from_row(row: dict[str, Any]) -> Command:
-    steps = row.pop("history")
-    command = Command(**row)
-    for step in steps:
-        step.setdefault("body", NO_BODY)
-        command.history.append(Record(**step))
-    return command
-
-
-def _cut_off(command: Command) -> None:
-    error = InternalError(
-        "the gateway stopped while the command was running",
-        path=command.path,
-        remedy="Look at the state of the robot, then send the command again if it is still wanted.",
-    )
-    command.finished = now()
-    command.history.append(
-        Record("failed", command.finished, message=error.message, error=error_body(error))
-    )
+def _readable(table: str, rows: list[tuple[str, bytes]]) -> Iterator[tuple[str, Any]]:
+    for key, data in rows:
+        try:
+            yield key, msgspec.msgpack.decode(data)
+        except (msgspec.DecodeError, TypeError) as error:
+            log.warning("store_row_unreadable", table=table, key=key, error=str(error))

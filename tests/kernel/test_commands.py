@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import shutil
 import sqlite3
 from contextlib import closing
 from pathlib import Path
 
 import pytest
 
-from kernel.world import CONFIG, World, world_of
+from kernel.world import World, kept_in, settled, world_of
 
 pytestmark = pytest.mark.anyio
 GO = "/tenant/alpha/action/go"
@@ -147,8 +148,7 @@ async def test_a_command_outlives_its_connection(world: World) -> None:
 async def test_history_outlives_the_gateway_and_what_a_crash_cut_off_is_failed(
     tmp_path: Path,
 ) -> None:
-    text = CONFIG + f'\n[store]\npath = "{tmp_path / "rcp.sqlite3"}"\n'
-    async with world_of(text) as world:
+    async with world_of(kept_in(tmp_path / "run.db")) as world:
         client = world.client()
         world.robot.release.set()
         await client.ask(type="execute", path=GO, body=1)
@@ -156,11 +156,11 @@ async def test_history_outlives_the_gateway_and_what_a_crash_cut_off_is_failed(
         client.send(type="execute", path=GO, body=2)
         await world.robot.started.get()
         await world.robot.started.get()
-        keeper = world.server.gateway.commands.keeper
-        assert keeper is not None
-        keeper.close()  # pyright: ignore[reportAttributeAccessIssue] - what is on disk now is all that a crash leaves
-        world.server.gateway.commands.keeper = None
-    async with world_of(text) as world:
+        await settled(world.server.gateway.store)
+        # What is on disk now is all that a crash leaves.
+        for suffix in ("", "-wal"):
+            shutil.copy(tmp_path / f"run.db{suffix}", tmp_path / f"crashed.db{suffix}")
+    async with world_of(kept_in(tmp_path / "crashed.db")) as world:
         listed = (await world.client().ask(type="read", path="/system/commands"))["body"]
         assert [(c["input"], c["status"]) for c in listed] == [(2.0, "failed"), (1.0, "completed")]
         assert "stopped while the command was running" in listed[0]["error"]["message"]
@@ -168,12 +168,13 @@ async def test_history_outlives_the_gateway_and_what_a_crash_cut_off_is_failed(
 
 async def test_a_row_that_cannot_be_read_is_left_out_of_the_history(tmp_path: Path) -> None:
     path = tmp_path / "rcp.sqlite3"
-    text = CONFIG + f'\n[store]\npath = "{path}"\n'
+    text = kept_in(path)
     async with world_of(text) as world:
         world.robot.release.set()
         await world.client().ask(type="execute", path=GO, body=1)
     with closing(sqlite3.connect(path)) as base, base:
-        base.execute("INSERT INTO commands VALUES ('broken', 1, 1, x'ff00')")
+        base.execute("INSERT INTO kept VALUES ('commands', 'broken', x'ff00')")
+        base.execute("INSERT INTO kept VALUES ('commands', 'odd', x'01')")
     async with world_of(text) as world:
         listed = (await world.client().ask(type="read", path="/system/commands"))["body"]
         assert [command["input"] for command in listed] == [1.0]

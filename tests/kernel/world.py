@@ -6,6 +6,7 @@ import asyncio
 import json
 from collections.abc import AsyncGenerator, AsyncIterator, Callable
 from contextlib import asynccontextmanager
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -18,6 +19,7 @@ from rcp_kernel.log import configure
 from rcp_kernel.model import Resource
 from rcp_kernel.server import Prepared, Server, running
 from rcp_kernel.spi import BackendKind, BaseBackend, Host, Progress
+from rcp_kernel.store import Store
 from rcp_kernel.types import Twist, quantity
 from rcp_kernel.values import Encoding
 
@@ -218,6 +220,19 @@ name = "admin"
 role = "admin"
 key = "admin-admin-admin"
 """
+
+
+def kept_in(path: Path, text: str = CONFIG) -> str:
+    """Add a store to a configuration."""
+    return f'{text}\n[store]\npath = "{path}"\n'
+
+
+async def settled(store: Store) -> None:
+    """Wait until all that was put is committed."""
+    done = asyncio.Event()
+    store.settled(done.set)
+    async with asyncio.timeout(BOUND):
+        await done.wait()
 
 
 def prepared(config: GatewayConfig, robots: list[Robot]) -> Prepared:

@@ -1,0 +1,109 @@
+"""What is put is there after a crash once it is settled, and a store that cannot write says so."""
+
+from __future__ import annotations
+
+import asyncio
+import shutil
+import sqlite3
+from collections.abc import AsyncGenerator
+from contextlib import closing
+from pathlib import Path
+
+import pytest
+
+from kernel.world import BOUND, settled
+from rcp_kernel.errors import ConfigError
+from rcp_kernel.store import DiskStore, Store
+
+pytestmark = pytest.mark.anyio
+
+
+@pytest.fixture
+async def store(tmp_path: Path) -> AsyncGenerator[DiskStore]:
+    made = DiskStore(tmp_path / "store.db", asyncio.get_running_loop())
+    yield made
+    made.close()
+
+
+def crashed(store: DiskStore) -> DiskStore:
+    """Open what a crash at this moment leaves."""
+    copy = store.path.with_name("crashed.db")
+    for suffix in ("", "-wal"):
+        shutil.copy(f"{store.path}{suffix}", f"{copy}{suffix}")
+    return DiskStore(copy, asyncio.get_running_loop())
+
+
+async def test_what_is_settled_survives_a_crash(store: DiskStore) -> None:
+    store.put("things", "a", {"x": [1, "ä", b"\0"]})
+    store.put("things", "b", 1)
+    store.put("others", "a", 2)
+    store.put("things", "b", None)
+    await settled(store)
+    later = crashed(store)
+    assert later.load("things") == {"a": {"x": [1, "ä", b"\0"]}}
+    assert later.load("others") == {"a": 2}
+    later.close()
+
+
+async def test_settled_calls_back_in_order_and_at_once_when_nothing_waits(store: DiskStore) -> None:
+    said: list[int] = []
+    store.settled(lambda: said.append(0))
+    assert said == [0]
+    for number in range(1, 4):
+        store.put("things", str(number), number)
+        store.settled(lambda number=number: said.append(number))
+    assert said == [0]
+    await settled(store)
+    assert said == [0, 1, 2, 3]
+
+
+async def test_a_locked_store_is_retried_and_loses_nothing(
+    store: DiskStore, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    failed = asyncio.Event()
+    told = store._failed
+
+    def tell(reason: str) -> None:
+        told(reason)
+        failed.set()
+
+    monkeypatch.setattr(store, "_failed", tell)
+    store.put("things", "a", 1)
+    await settled(store)
+    async with asyncio.timeout(BOUND):
+        with closing(sqlite3.connect(store.path)) as other:
+            other.execute("BEGIN IMMEDIATE")
+            store.put("things", "b", 2)
+            store.append((1, b"hash", b"record"))
+            await failed.wait()
+            assert store.trouble is not None
+            assert store.waiting == 1
+            other.rollback()
+        await settled(store)
+    assert store.trouble is None
+    assert store.waiting == 0
+    assert store.load("things") == {"a": 1, "b": 2}
+    assert store.rows(5) == [(1, b"hash", b"record")]
+
+
+async def test_a_second_gateway_on_the_same_store_is_refused(store: DiskStore) -> None:
+    with pytest.raises(ConfigError, match="another gateway is using it"):
+        DiskStore(store.path, asyncio.get_running_loop())
+
+
+async def test_a_store_is_for_its_owner_alone(store: DiskStore) -> None:
+    assert store.path.stat().st_mode & 0o077 == 0
+
+
+async def test_what_no_encoding_takes_is_left_out_and_the_rest_kept(store: DiskStore) -> None:
+    store.put("things", "bad", object())
+    store.put("things", "long", 10**30)
+    await settled(store)
+    assert store.load("things") == {"long": str(10**30)}
+
+
+async def test_without_a_path_nothing_is_kept_and_everything_is_settled() -> None:
+    store = Store()
+    store.put("things", "a", 1)
+    await settled(store)
+    assert store.load("things") == {}
