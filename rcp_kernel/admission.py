@@ -39,8 +39,10 @@ class Admission:
         if entry.owner.backend is None:
             raise entry.owner.unavailable()
 
-    def confirm(self, entry: Entry, value: Any) -> Backend:
+    def confirm(self, session: Session, entry: Entry, value: Any) -> Backend:
         """Return the robot that takes it, or refuse what must not reach it any more.
+
+        `session` is whose request it is, with the rights it has by now.
 
         :raises EstopActive: as above.
         :raises AdapterUnavailable: there is no robot any more.

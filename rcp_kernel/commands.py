@@ -12,7 +12,7 @@ import secrets
 from collections import OrderedDict, deque
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import structlog
 
@@ -34,6 +34,9 @@ from rcp_kernel.registry import Entry
 from rcp_kernel.spi import Backend
 from rcp_kernel.values import to_plain
 from rcp_kernel.wire import FINAL, NO_BODY, Reply, Status, error_body
+
+if TYPE_CHECKING:
+    from rcp_kernel.sessions import Session
 
 __all__ = ["Command", "Commands", "Keeper", "Record"]
 
@@ -95,6 +98,8 @@ class Command:
     finished: int | None = None
     history: list[Record] = field(default_factory=list[Record])
     session: str | None = None
+    asker: Session | None = None
+    """In whose name it runs; None once it has ended."""
     entry: Entry | None = None
     task: asyncio.Task[Any] | None = None
     followers: list[Follower] = field(default_factory=list[Follower])
@@ -161,7 +166,7 @@ class Command:
 class Commands:
     """Every command of the gateway: running, queued, and the recently finished."""
 
-    def __init__(self, confirm: Callable[[Entry, Any], Backend], keeper: Keeper) -> None:
+    def __init__(self, confirm: Callable[[Session, Entry, Any], Backend], keeper: Keeper) -> None:
         self.running: dict[str, Command] = {}
         self.finished: OrderedDict[str, Command] = OrderedDict()
         self.counts: dict[str, int] = {}
@@ -221,6 +226,7 @@ class Commands:
     def start(
         self,
         command: Command,
+        asker: Session,
         entry: Entry,
         value: Any,
         timeout: float | None,
@@ -230,12 +236,13 @@ class Commands:
 
         It has `timeout` seconds from then on, and `deadline` from now on.
         """
+        command.asker = asker
         command.entry = entry
         self.running[command.id] = command
         self._note(command, Record("accepted", now(), message="Command accepted."))
 
         def begin() -> None:
-            self._run(command, entry, value, timeout)
+            self._run(command, asker, entry, value, timeout)
 
         busy = self._active.get(entry.path)
         if busy is None or self._shared(entry):
@@ -262,19 +269,21 @@ class Commands:
         policy = entry.resource.policy
         return policy == "parallel" or (policy is None and entry.kind is Kind.SERVICE)
 
-    def _run(self, command: Command, entry: Entry, value: Any, timeout: float | None) -> None:
+    def _run(
+        self, command: Command, asker: Session, entry: Entry, value: Any, timeout: float | None
+    ) -> None:
         if not self._shared(entry):
             self._active[entry.path] = command
         loop = asyncio.get_running_loop()
         command.task = loop.create_task(
-            self._call(command, entry, value), name=f"command {command.id}"
+            self._call(command, asker, entry, value), name=f"command {command.id}"
         )
         if timeout and command.timer is None:
             command.timer = loop.call_later(timeout, self._expire, command, timeout)
         command.task.add_done_callback(lambda task: self._ended(command, task))
 
-    async def _call(self, command: Command, entry: Entry, value: Any) -> Any:
-        backend = self.confirm(entry, value)
+    async def _call(self, command: Command, asker: Session, entry: Entry, value: Any) -> Any:
+        backend = self.confirm(asker, entry, value)
 
         def progress(feedback: Any = None, *, fraction: float | None = None) -> None:
             if not command.final:
@@ -377,7 +386,7 @@ class Commands:
             body = NO_BODY if outcome is None else outcome
             text = f"Command {command.path} executed successfully."
             record = Record("completed", now(), body, message=text)
-        command.finished = record.time
+        command.finished, command.asker = record.time, None
         if command.timer is not None:
             command.timer.cancel()
             command.timer = None

@@ -70,7 +70,7 @@ class Executing:
         self._follow(session, request, command, answer, started)
         gateway.keys.note(session, request, entry.path, command)
         timeout = self._timeout(request, entry)
-        gateway.commands.start(command, entry, value, timeout, request.deadline)
+        gateway.commands.start(command, session, entry, value, timeout, request.deadline)
         return None
 
     def _estop(

@@ -54,7 +54,7 @@ class Writing:
                 session,
                 request,
                 noted,
-                self._bring_into_force(entry, value, window),
+                self._bring_into_force(session, entry, value, window),
                 partial(_written, request, entry),
                 gateway.deadline(request, entry),
                 entry.path,
@@ -64,8 +64,10 @@ class Writing:
             raise
         return None
 
-    async def _bring_into_force(self, entry: Entry, value: Any, window: float | None) -> Sample:
-        backend = self._gateway.admission.confirm(entry, value)
+    async def _bring_into_force(
+        self, session: Session, entry: Entry, value: Any, window: float | None
+    ) -> Sample:
+        backend = self._gateway.admission.confirm(session, entry, value)
         deadman = self._gateway.deadman
         started = perf_counter()
         with deadman.flight(entry):
