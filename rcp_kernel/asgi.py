@@ -7,6 +7,7 @@ from typing import Any
 
 from rcp_kernel.door import Door
 from rcp_kernel.errors import BY_CODE, BadRequest, RcpError
+from rcp_kernel.peer import UNKNOWN, Peer
 from rcp_kernel.sessions import Session
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import Reply, encode_reply, failure
@@ -20,6 +21,7 @@ __all__ = [
     "Send",
     "bearer",
     "header",
+    "peer_of",
     "refuse",
     "respond",
     "session_of",
@@ -64,6 +66,13 @@ def bearer(authorization: bytes | None) -> str | None:
     return token.strip().decode("latin-1")
 
 
+def peer_of(scope: Scope) -> Peer:
+    """Return who is at the other end of a request's connection, as the listener knows it."""
+    extensions = scope.get("extensions")
+    found = None if extensions is None else extensions.get("rcp.peer")
+    return UNKNOWN if found is None else found
+
+
 def session_of(door: Door, scope: Scope, tenant: str | None = None) -> Session:
     """Return the stateless session of the caller; `X-RCP-Tenant` names one of its tenants.
 
@@ -73,7 +82,8 @@ def session_of(door: Door, scope: Scope, tenant: str | None = None) -> Session:
     named = header(scope, b"x-rcp-tenant")
     if tenant is None and named is not None:
         tenant = named.decode("latin-1")
-    principal = door.authenticate(bearer(header(scope, b"authorization")))
+    token = bearer(header(scope, b"authorization"))
+    principal = door.authenticate(token, peer_of(scope))
     return door.session(principal, tenant)
 
 

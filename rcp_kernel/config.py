@@ -25,6 +25,7 @@ from rcp_kernel.model import Pattern
 __all__ = [
     "Anonymous",
     "BackendConfig",
+    "CertificateConfig",
     "GatewayConfig",
     "Granting",
     "KeyConfig",
@@ -117,6 +118,18 @@ class KeyConfig(Granting, frozen=True, kw_only=True):
     sha256: Annotated[str, Meta(pattern="^[0-9a-f]{64}$")] | None = None
 
 
+class CertificateConfig(Granting, frozen=True, kw_only=True):
+    """Client certificates and whom they prove; the first table that fits counts."""
+
+    name: str
+    subject: Annotated[str, Meta(min_length=1)] | None = None
+    """The common name, or the whole subject as RFC 4514 text: `CN=arm-3,O=Example`."""
+    san: Annotated[str, Meta(pattern="^(DNS|URI|email):.+$")] | None = None
+    """A subject alternative name; `*` is any text without `.` (DNS), `/` (URI), `@` (email)."""
+    issuer: Annotated[str, Meta(min_length=1)] | None = None
+    """RFC 4514 text; where several CAs sign."""
+
+
 class Anonymous(Granting, frozen=True):
     """What those may do who prove nothing; `anonymous = false` refuses them."""
 
@@ -146,6 +159,7 @@ class GatewayConfig(Table, frozen=True):
     plugins: dict[str, dict[str, Any]] = {}
     roles: dict[str, Role] = {}
     keys: tuple[KeyConfig, ...] = ()
+    certificates: tuple[CertificateConfig, ...] = ()
     anonymous: Anonymous = Anonymous()
     limits: Limits = Limits()
     log: LogConfig = LogConfig()
@@ -154,9 +168,17 @@ class GatewayConfig(Table, frozen=True):
     @property
     def closed(self) -> bool:
         """Whether strangers may do nothing: they have no role, or only such that allow nothing."""
+        return not self._allows(self.anonymous)
+
+    @property
+    def serves(self) -> bool:
+        """Whether somebody who proves something by this file alone may do anything."""
+        return any(self._allows(given) for given in (*self.keys, *self.certificates))
+
+    def _allows(self, given: Granting) -> bool:
         known = {**BUILTIN_ROLES, **self.roles}
-        held = {role for _, roles in self.anonymous.grants for role in roles}
-        return not any(known[role].allow for role in held if role in known)
+        held = {role for _, roles in given.grants for role in roles}
+        return any(known[role].allow for role in held if role in known)
 
     @property
     def tenant_names(self) -> list[str]:
@@ -340,6 +362,13 @@ def _check(config: GatewayConfig, source: str) -> None:
         for rule in (*role.allow, *role.deny):
             for path in rule.paths:
                 _check_rule(path, f"{source}: [roles.{name}]")
+    for one in config.certificates:
+        where = f"{source}: [[certificates]] '{one.name}'"
+        _check_granting(one, where, config, roles)
+        if not one.roles and one.role is None:
+            raise ConfigError(f"{where} needs a `role`, or `roles` by tenant")
+        if one.subject is None and one.san is None:
+            raise ConfigError(f"{where} needs a `subject` or a `san`: whose it is")
     for key in config.keys:
         if (key.key is None) == (key.sha256 is None):
             raise ConfigError(f"{source}: key '{key.name}' needs either `key` or `sha256`")

@@ -12,6 +12,7 @@ from msgspec import Meta
 from rcp_kernel.clock import iso, now
 from rcp_kernel.errors import RcpError
 from rcp_kernel.mailbox import Mailbox
+from rcp_kernel.peer import UNKNOWN, Peer
 from rcp_kernel.pending import crash
 from rcp_kernel.values import Encoding, value_type
 from rcp_kernel.wire import (
@@ -64,13 +65,20 @@ class Connection:
         "expelled",
         "mailbox",
         "on_hello",
+        "peer",
         "session",
     )
 
     def __init__(
-        self, gateway: Gateway, session: Session, encoding: Encoding, flush: Callable[[], None]
+        self,
+        gateway: Gateway,
+        session: Session,
+        encoding: Encoding,
+        flush: Callable[[], None],
+        peer: Peer = UNKNOWN,
     ) -> None:
         self._gateway = gateway
+        self.peer = peer
         self.encoding = encoding
         self.mailbox = Mailbox(gateway.hub.ticker, encoding, flush)
         self.session = session

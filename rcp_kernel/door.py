@@ -21,6 +21,7 @@ from rcp_kernel.discovery import Query
 from rcp_kernel.errors import PluginError
 from rcp_kernel.identity import Principal
 from rcp_kernel.model import Pattern
+from rcp_kernel.peer import UNKNOWN, Peer, Serial
 from rcp_kernel.sessions import Answer, Session
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import Reply, Request
@@ -90,9 +91,9 @@ class Door:
         return self._gateway.config.closed
 
     @property
-    def has_keys(self) -> bool:
-        """Whether anybody can prove anything at all."""
-        return bool(self._gateway.config.keys) or self._gateway.authenticates
+    def serves(self) -> bool:
+        """Whether anybody can prove to be somebody who may do anything."""
+        return self._gateway.config.serves or self._gateway.authenticates
 
     def mount(self, mount: Mount) -> None:
         """Offer a part of the HTTP tree to the listener.
@@ -109,12 +110,12 @@ class Door:
         if mount in self.mounts:
             self.mounts.remove(mount)
 
-    def authenticate(self, token: str | None) -> Principal:
-        """Return whom a bearer token proves; None is the anonymous principal.
+    def authenticate(self, token: str | None, peer: Peer = UNKNOWN) -> Principal:
+        """Return whom a bearer token, or the certificate of `peer`, proves; else who is anonymous.
 
         :raises Unauthenticated: the token is not known, or nobody is served without one.
         """
-        return self._gateway.authenticate(token)
+        return self._gateway.authenticate(token, peer)
 
     def connect(
         self,
@@ -122,6 +123,7 @@ class Door:
         encoding: Encoding,
         flush: Callable[[], None],
         tenant: str | None = None,
+        peer: Peer = UNKNOWN,
     ) -> Connection:
         """Open a connection with a session of its own; `flush` is called when it has to send.
 
@@ -132,7 +134,7 @@ class Door:
         """
         gateway = self._gateway
         session = gateway.sessions.open(principal, self.name, tenant)
-        return Connection(gateway, session, encoding, flush)
+        return Connection(gateway, session, encoding, flush, peer)
 
     def hello(self, connection: Connection, hello: Hello) -> dict[str, Any]:
         """Greet on behalf of a client that cannot: `session` and `resume_from` bring it back.
@@ -201,6 +203,10 @@ class Door:
     def rights(self, principal: Principal) -> Rights:
         """Return the compiled rights of a principal."""
         return self._gateway.rules.rights(principal)
+
+    def revoke(self, serials: frozenset[Serial]) -> None:
+        """Take notice which client certificates are not good any more; their sessions end."""
+        self._gateway.revoke(serials)
 
     def refused(self, type_: str, code: str) -> None:
         """Count a request that the transport had to refuse before it was an envelope."""

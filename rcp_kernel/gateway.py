@@ -19,6 +19,7 @@ from rcp_kernel.acl import Rules
 from rcp_kernel.admission import Admission
 from rcp_kernel.audit import Audit
 from rcp_kernel.batching import Batching
+from rcp_kernel.certificates import Certificates
 from rcp_kernel.clock import iso, now
 from rcp_kernel.commands import Commands
 from rcp_kernel.config import GatewayConfig
@@ -41,6 +42,7 @@ from rcp_kernel.idempotency import Keys
 from rcp_kernel.identity import Keyring, Principal, fingerprint
 from rcp_kernel.metrics import Histogram
 from rcp_kernel.model import Operation, Pattern, operation_names, parse_path
+from rcp_kernel.peer import UNKNOWN, Peer, Serial
 from rcp_kernel.pending import Pending, crash
 from rcp_kernel.reading import Reading
 from rcp_kernel.registry import Entry, Registry
@@ -92,6 +94,7 @@ class Gateway:
         self.seconds = Histogram()
         self._authenticator = authenticator
         self._keyring = _keyring(config)
+        self._certificates = Certificates(config.certificates)
         self.keys = Keys()
         self.views: dict[str, Callable[[Session], Any]] = {}
         """Resources whose value depends on who asks, by path."""
@@ -137,6 +140,8 @@ class Gateway:
             with suppress(Unauthenticated):
                 return self.anonymous()
             return None
+        if principal.proof == "certificate":
+            return self._certificates.renewed(principal)
         return self._keyring.renewed(principal) if principal.proof == "key" else principal
 
     @property
@@ -144,13 +149,34 @@ class Gateway:
         """Whether a plugin proves identities."""
         return self._authenticator is not None
 
-    def authenticate(self, token: str | None) -> Principal:
-        """Return whom a bearer token proves, or the anonymous principal for none.
+    def authenticate(self, token: str | None, peer: Peer = UNKNOWN) -> Principal:
+        """Return whom a bearer token proves, else the peer's certificate, else who is anonymous.
 
-        :raises Unauthenticated: the token is not known.
+        A token never falls back on the certificate, and must not contradict it.
+
+        :raises Unauthenticated: the token is not known, or the certificate is somebody else's.
         """
+        certified = None
+        if peer.certificate is not None:
+            certified = self._certificates.find(peer.certificate)
         if token is None:
-            return self.anonymous()
+            return certified or self.anonymous()
+        principal = self._by_token(token)
+        if certified is not None and certified.name != principal.name:
+            raise Unauthenticated(
+                f"the token is that of '{principal.name}', the certificate that of "
+                f"'{certified.name}'",
+                remedy="Send the token of the certificate's owner, or none.",
+            )
+        return principal
+
+    def revoke(self, serials: frozenset[Serial]) -> None:
+        """Have client certificates count for nothing, in open sessions too."""
+        if serials != self._certificates.revoked:
+            self._certificates.revoked = serials
+            self.sessions.review()
+
+    def _by_token(self, token: str) -> Principal:
         if self._authenticator is not None:
             principal = self._authenticator(token)
             if principal is not None:
@@ -405,6 +431,7 @@ class Gateway:
         self.limits = config.limits
         self.rules = Rules(config.roles)
         self._keyring = _keyring(config)
+        self._certificates = Certificates(config.certificates, self._certificates)
         self.sessions.review()
 
     def drop_forbidden(self, session: Session) -> None:

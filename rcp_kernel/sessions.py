@@ -188,7 +188,7 @@ class Sessions:
         session = connection.session
         returning = self._returning(hello)
         if hello.token is not None and not (returning and _matches(returning.secret, hello.token)):
-            principal = gateway.authenticate(hello.token)
+            principal = gateway.authenticate(hello.token, connection.peer)
             if principal != session.principal:
                 self._replace(connection, self.open(principal, session.transport, hello.tenant))
         session = connection.session

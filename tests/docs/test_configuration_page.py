@@ -10,10 +10,12 @@ import msgspec
 import pytest
 
 from docs.pages import DOCS, ROOT, keys, rows, section
+from rcp_asgi.config import TlsConfig
 from rcp_kernel.acl import Role, Rule
 from rcp_kernel.config import (
     Anonymous,
     BackendConfig,
+    CertificateConfig,
     GatewayConfig,
     KeyConfig,
     Limits,
@@ -30,6 +32,7 @@ _TABLES = [
     ("Top level", GatewayConfig),
     ("`[tenants.<name>]`", TenantConfig),
     ("`[[backends]]`", BackendConfig),
+    ("`[[certificates]]`", CertificateConfig),
     ("`[[keys]]`", KeyConfig),
     ("`[anonymous]`", Anonymous),
     ("`[limits]`", Limits),
@@ -98,6 +101,10 @@ def test_every_transport_of_the_house_is_told() -> None:
             agree(section(PAGE, f"`[transports.{name}]`"), kind.config)
         else:
             assert f"`[transports.{name}]`" not in text
+
+
+def test_tls_is_told() -> None:
+    agree(section(PAGE, "`[transports.asgi.tls]`"), TlsConfig)
 
 
 def test_every_backend_of_the_house_tells_its_keys() -> None:

@@ -27,7 +27,7 @@ async def test_strangers_and_other_machines_do_not_go_together(host: str) -> Non
 
 async def test_with_keys_and_without_strangers_it_listens_everywhere() -> None:
     async with (
-        site(top="anonymous = false", asgi='host = "0.0.0.0"') as gateway,
+        site(top="anonymous = false", asgi='host = "0.0.0.0"\nplaintext = true') as gateway,
         httpx.AsyncClient(base_url=f"http://127.0.0.1:{gateway.port}") as http,
     ):
         assert (await http.get(POSE)).status_code == 401

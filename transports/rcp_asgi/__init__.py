@@ -14,7 +14,8 @@ __all__ = ["AsgiConfig", "rcp_transports"]
 @hookimpl
 def rcp_transports() -> Iterable[TransportKind]:
     """Offer the listener."""
-    from rcp_asgi.listener import check_open, open_asgi
+    from rcp_asgi.listener import open_asgi
+    from rcp_asgi.safe import check_open
 
     return [
         TransportKind("asgi", AsgiConfig, open_asgi, __doc__ or "", check=check_open, listens=True)

@@ -16,14 +16,19 @@ from uvicorn.protocols.http.httptools_impl import STATUS_LINE, HttpToolsProtocol
 from uvicorn.server import ServerState
 
 from rcp_asgi.endless import Endless
+from rcp_asgi.seats import Seat
 from rcp_asgi.settings import Settings
 from rcp_asgi.upgrade import Upgrade
+from rcp_kernel.certificates import read_certificate
 from rcp_kernel.door import Asgi
-from rcp_kernel.errors import BadRequest, PayloadTooLarge, QueueFull, RcpError
+from rcp_kernel.errors import BadRequest, PayloadTooLarge, RcpError
+from rcp_kernel.peer import Peer
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import encode_reply, failure
 
 __all__ = ["HttpProtocol"]
+
+_LINGER = 1.0  # s that a refused client has to read why
 
 
 class HttpProtocol(HttpToolsProtocol):
@@ -33,6 +38,7 @@ class HttpProtocol(HttpToolsProtocol):
         self,
         *,
         settings: Settings,
+        seat: Seat,
         config: Config,
         server_state: ServerState,
         app_state: dict[str, Any],
@@ -40,8 +46,11 @@ class HttpProtocol(HttpToolsProtocol):
     ) -> None:
         super().__init__(config, server_state, app_state, _loop)
         self._settings = settings
+        self._seat = seat
         self._head = 0
         self._in_head = True
+        self._in_body = False
+        self._deaf = False
         self._slow: asyncio.TimerHandle | None = None
         self._extensions: dict[str, Any] = {}
         self._body: Endless | None = None
@@ -51,16 +60,34 @@ class HttpProtocol(HttpToolsProtocol):
         super().connection_made(transport)
         self._body = Endless(transport)
         self._extensions = {"rcp.stream": self._body, "rcp.closing": self._settings.closing}
-        settings = self._settings.config
-        if len(self.connections) > settings.connections:
-            error = QueueFull(f"{settings.connections} connections are open already")
-            self._give_up(error, error.http)
+        refusal = self._seat.refusal
+        if refusal is not None:
+            self._turn_away(refusal)
             return
-        self._slow = self.loop.call_later(settings.header_timeout, transport.close)
+        self._extensions["rcp.peer"] = self._peer(transport)
+        self._watch(self._settings.config.header_timeout)
+
+    def _peer(self, transport: asyncio.Transport) -> Peer:
+        address = None if self.client is None else self.client[0]
+        secured = transport.get_extra_info("ssl_object")
+        der = None if secured is None else secured.getpeercert(binary_form=True)
+        return Peer(address, read_certificate(der) if der else None)
+
+    def _watch(self, seconds: float) -> None:
+        """Cut the connection unless `_stop_clock` comes first."""
+        self._slow = self.loop.call_later(seconds, self._late)
+
+    def _late(self) -> None:
+        self._slow = None
+        if self._in_body and (self.pipeline or self.flow.read_paused):
+            self._watch(self._settings.config.body_timeout)  # it is us who do not read
+            return
+        self.transport.close()
 
     def connection_lost(self, exc: Exception | None) -> None:
         """Stop the clock."""
         self._stop_clock()
+        self._seat.leave()
         if self._body is not None:
             self._body.writable = False
         super().connection_lost(exc)
@@ -84,6 +111,8 @@ class HttpProtocol(HttpToolsProtocol):
 
     def data_received(self, data: bytes) -> None:
         """Parse; what is no HTTP is told so and cut."""
+        if self._deaf:
+            return
         self._unset_keepalive_if_required()
         try:
             self.parser.feed_data(data)  # pyright: ignore[reportOptionalMemberAccess] - None once lost
@@ -96,9 +125,21 @@ class HttpProtocol(HttpToolsProtocol):
             else:
                 self._give_up(BadRequest("this is not HTTP/1.1"), 400)
         else:
-            if self._in_head and self._slow is None:
-                delay = self._settings.config.header_timeout
-                self._slow = self.loop.call_later(delay, self.transport.close)
+            if self._slow is None:
+                self._mind()
+
+    def _mind(self) -> None:
+        """See to it that what has begun comes to an end."""
+        if self._in_head:
+            self._watch(self._settings.config.header_timeout)
+        elif self._in_body:
+            self._watch(self._settings.config.body_timeout)
+        elif self.cycle is None or self.cycle.response_complete:
+            # Blank lines between requests must not stop the clock of an idle connection.
+            self._unset_keepalive_if_required()
+            self.timeout_keep_alive_task = self.loop.call_later(
+                self.timeout_keep_alive, self.timeout_keep_alive_handler
+            )
 
     def on_message_begin(self) -> None:
         """Begin to count what the headers take."""
@@ -125,21 +166,39 @@ class HttpProtocol(HttpToolsProtocol):
     def on_headers_complete(self) -> None:
         """Start the request."""
         self._in_head = False
+        self._in_body = True
         if self._slow is not None:
             self._stop_clock()
         super().on_headers_complete()
+
+    def on_message_complete(self) -> None:
+        """Stop the clock: the whole request is there."""
+        self._in_body = False
+        if self._slow is not None:
+            self._stop_clock()
+        super().on_message_complete()
 
     def _give_up(self, error: RcpError, status: int) -> None:
         self._stop_clock()
         if self.transport.is_closing():
             return
-        body = encode_reply(failure(error, "error"), Encoding.JSON)
-        head = STATUS_LINE[status] + (
-            b"content-type: application/json\r\nconnection: close\r\ncontent-length: %d\r\n\r\n"
-        )
         if self.cycle is None or self.cycle.response_complete:
-            self.transport.write(head % len(body) + body)
+            self._say(error, status)
         self.transport.close()
+
+    def _turn_away(self, error: RcpError) -> None:
+        """Tell why there is no place, and let the client read it before the connection goes."""
+        self._deaf = True
+        self._say(error, error.http)
+        self.transport.write_eof()
+        self._watch(_LINGER)
+
+    def _say(self, error: RcpError, status: int) -> None:
+        body = encode_reply(failure(error, "error"), Encoding.JSON)
+        head = STATUS_LINE[status] + b"content-type: application/json\r\nconnection: close\r\n"
+        if error.retry_after is not None:
+            head += b"retry-after: %d\r\n" % max(1, round(error.retry_after))
+        self.transport.write(head + b"content-length: %d\r\n\r\n" % len(body) + body)
 
     def _upgrade(self, rest: bytes) -> None:
         self._stop_clock()
@@ -159,6 +218,7 @@ class HttpProtocol(HttpToolsProtocol):
             self.transport,
             cast("Asgi", self.app),
             settings=self._settings,
+            seat=self._seat,
             state=self.server_state,
             loop=self.loop,
             rest=rest,

@@ -12,21 +12,24 @@ from typing import Any
 import structlog
 from uvicorn import Config, Server
 
+from rcp_asgi.acceptor import Acceptor
 from rcp_asgi.config import AsgiConfig
 from rcp_asgi.front import FrontDoor
 from rcp_asgi.house import OWN, house
 from rcp_asgi.http import HttpProtocol
-from rcp_asgi.origins import Origins, is_loopback
+from rcp_asgi.origins import Origins
+from rcp_asgi.safe import check_door
+from rcp_asgi.seats import Seat
 from rcp_asgi.settings import Settings
+from rcp_asgi.tls import Tls
 from rcp_asgi.upgrade import Upgrade
-from rcp_kernel.config import GatewayConfig
 from rcp_kernel.door import Door
 from rcp_kernel.errors import ConfigError
 
-__all__ = ["check_open", "open_asgi"]
+__all__ = ["open_asgi"]
 
 log = structlog.get_logger("rcp.asgi")
-_TICK = 1.0  # s between new Date headers
+_TICK = 1.0  # s between new Date headers, and looks at the certificates' files
 _BACKLOG = 1024
 
 
@@ -34,55 +37,31 @@ _BACKLOG = 1024
 async def open_asgi(config: AsgiConfig, door: Door) -> AsyncGenerator[dict[str, Any]]:
     """Listen while entered.
 
-    :raises ConfigError: the address is open to others and the gateway is not closed to strangers,
-        or it cannot be listened on.
+    :raises ConfigError: what is configured is not safe, or the address cannot be listened on.
     """
-    _check(config, door)
+    check_door(config, door)
+    tls = None if config.tls is None else Tls(config.tls)
     listening = _bind(config)
     host, port = listening.getsockname()[:2]
     settings = Settings(config, door)
     origins = Origins(config.host, config.origins, config.hosts)
     front = FrontDoor(door, origins, house(door), OWN, config.root_path)
     server = _server(settings, front)
-    await server.startup(sockets=[listening])
+    acceptor = Acceptor(listening, settings, tls, partial(_protocol, server, settings))
     await server.on_tick(0)
-    ticking = asyncio.create_task(_tick(server), name="asgi clock")
+    if tls is not None:
+        door.revoke(tls.revoked)
+    ticking = asyncio.create_task(_tick(server, acceptor, tls, door), name="asgi clock")
+    acceptor.open()
     shown = f"[{host}]" if ":" in host else host
-    url = f"http://{shown}:{port}"
+    url = f"{'http' if tls is None else 'https'}://{shown}:{port}"
     log.info("listening", url=url)
     try:
         yield {"url": url + config.root_path, "host": host, "port": port}
     finally:
         ticking.cancel()
-        await _close(server, listening, settings)
-
-
-def check_open(config: AsgiConfig, gateway: GatewayConfig) -> None:
-    """Refuse an address open to others where strangers may do anything.
-
-    :raises ConfigError: that is so.
-    """
-    if not is_loopback(config.host) and not gateway.closed:
-        raise _open_to_strangers(config)
-
-
-def _open_to_strangers(config: AsgiConfig) -> ConfigError:
-    return ConfigError(
-        f"[transports.asgi] host = '{config.host}' is open to others, and so is the gateway: "
-        "write `anonymous = false`, or listen on 127.0.0.1"
-    )
-
-
-def _check(config: AsgiConfig, door: Door) -> None:
-    if is_loopback(config.host):
-        return
-    if not door.secure:
-        raise _open_to_strangers(config)
-    if not door.has_keys:
-        raise ConfigError(
-            f"[transports.asgi] host = '{config.host}' is open to others, and nobody can prove who "
-            "they are: add [[keys]], or listen on 127.0.0.1"
-        )
+        acceptor.close()
+        await _close(server, settings)
 
 
 def _bind(config: AsgiConfig) -> socket.socket:
@@ -109,9 +88,9 @@ def _bind(config: AsgiConfig) -> socket.socket:
 
 
 def _server(settings: Settings, front: FrontDoor) -> Server:
+    """Make what the connections share; it never listens itself."""
     uvicorn_config = Config(
         front,
-        http=partial(HttpProtocol, settings=settings),  # type: ignore[arg-type] - a factory
         ws=Upgrade,
         lifespan="off",
         interface="asgi3",
@@ -119,25 +98,33 @@ def _server(settings: Settings, front: FrontDoor) -> Server:
         access_log=False,
         proxy_headers=False,
         server_header=False,
-        backlog=_BACKLOG,
         timeout_keep_alive=settings.config.keep_alive,
     )
     uvicorn_config.load()
-    server = Server(uvicorn_config)
-    server.lifespan = uvicorn_config.lifespan_class(uvicorn_config)
-    return server
+    return Server(uvicorn_config)
 
 
-async def _tick(server: Server) -> None:
+def _protocol(server: Server, settings: Settings, seat: Seat) -> HttpProtocol:
+    return HttpProtocol(
+        settings=settings,
+        seat=seat,
+        config=server.config,
+        server_state=server.server_state,
+        app_state={},
+        _loop=settings.door.loop,
+    )
+
+
+async def _tick(server: Server, acceptor: Acceptor, tls: Tls | None, door: Door) -> None:
     while True:
         await asyncio.sleep(_TICK)
         await server.on_tick(0)
+        acceptor.sweep()
+        if tls is not None and tls.refresh():
+            door.revoke(tls.revoked)
 
 
-async def _close(server: Server, listening: socket.socket, settings: Settings) -> None:
-    for accepting in server.servers:
-        accepting.close()
-    listening.close()
+async def _close(server: Server, settings: Settings) -> None:
     for finish in list(settings.closing):
         finish()
     state = server.server_state

@@ -331,7 +331,8 @@ class Socket(WSListener):
         Only the way out is shut at once: a reset would take the close frame with it.
         """
         self.close(code, reason)
-        self._raw.write_eof()
+        if self._raw.can_write_eof():  # TLS cannot: the peer's answer or the clock ends it
+            self._raw.write_eof()
 
     def abort(self) -> None:
         """Cut the connection."""

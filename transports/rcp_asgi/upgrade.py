@@ -27,6 +27,7 @@ from uvicorn.server import ServerState
 
 from rcp_asgi.deflate import RESPONSE, offered
 from rcp_asgi.origins import is_loopback
+from rcp_asgi.seats import Seat
 from rcp_asgi.settings import Settings
 from rcp_asgi.socket import Socket
 from rcp_kernel.asgi import Scope
@@ -56,6 +57,7 @@ class Upgrade(asyncio.Protocol):
         app: Asgi,
         *,
         settings: Settings,
+        seat: Seat,
         state: ServerState,
         loop: asyncio.AbstractEventLoop,
         rest: bytes,
@@ -64,6 +66,7 @@ class Upgrade(asyncio.Protocol):
         self._transport = transport
         self._app = app
         self._settings = settings
+        self._seat = seat
         self._state = state
         self._loop = loop
         self._rest = rest
@@ -93,6 +96,7 @@ class Upgrade(asyncio.Protocol):
             "websocket.http.response": {},
             "rcp.socket": self.socket,
             "rcp.closing": self._settings.closing,
+            "rcp.peer": self._scope["extensions"]["rcp.peer"],
         }
         task = self._loop.create_task(self._run())
         self._state.tasks.add(task)
@@ -280,6 +284,7 @@ class Upgrade(asyncio.Protocol):
     def lost(self, code: int) -> None:
         """Tell the application."""
         self._state.connections.discard(self)  # type: ignore[arg-type]
+        self._seat.leave()
         self._stage = "closed"
         self._push({"type": "websocket.disconnect", "code": code})
         self._drained.set()

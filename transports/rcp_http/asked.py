@@ -12,7 +12,7 @@ import msgspec
 from msgspec import Raw
 
 from rcp_http.negotiate import accepted, body_encoding
-from rcp_kernel.asgi import Receive, Scope, bearer
+from rcp_kernel.asgi import Receive, Scope, bearer, peer_of
 from rcp_kernel.door import Door
 from rcp_kernel.errors import BadRequest, DeadlineExceeded, PayloadTooLarge
 from rcp_kernel.sessions import Session
@@ -46,7 +46,7 @@ _MAX_PARAMETERS = 500
 class Asked:
     """A request's head, read once."""
 
-    __slots__ = ("encoding", "found", "method", "octets", "path", "query", "root_path")
+    __slots__ = ("encoding", "found", "method", "octets", "path", "peer", "query", "root_path")
 
     def __init__(self, scope: Scope) -> None:
         found: dict[str, bytes] = {}
@@ -58,6 +58,7 @@ class Asked:
         """The headers that count."""
         self.method: str = "GET" if scope["method"] == "HEAD" else scope["method"]
         self.path: str = scope["path"]
+        self.peer = peer_of(scope)
         self.root_path: str = scope.get("root_path", "")
         self.query: dict[str, list[str]] = {}
         self.encoding = Encoding.JSON
@@ -93,7 +94,8 @@ class Asked:
         tenant = self.one("tenant")
         if tenant is None and (named := self.found.get("tenant")) is not None:
             tenant = named.decode("latin-1")
-        return door.session(door.authenticate(bearer(self.found.get("authorization"))), tenant)
+        token = bearer(self.found.get("authorization"))
+        return door.session(door.authenticate(token, self.peer), tenant)
 
     def one(self, name: str) -> str | None:
         """Return a parameter that may be given once.
@@ -181,25 +183,21 @@ class Asked:
         length = self.found.get("content_length", b"")
         if length.isdigit() and int(length) > limit:
             raise _too_large(limit)
-        message = await receive()
-        if not message.get("more_body"):
-            data = message.get("body", b"")
-            if len(data) > limit:
-                raise _too_large(limit)
-            return data
-        parts = [message["body"]]
-        size = len(parts[0])
+        parts: list[bytes] = []
+        size = 0
+        more = True
         try:
             async with asyncio.timeout(patience):
-                while message.get("more_body"):
+                while more:
                     message = await receive()
                     parts.append(message.get("body", b""))
                     size += len(parts[-1])
                     if size > limit:
                         raise _too_large(limit)
+                    more = message.get("more_body")
         except TimeoutError:
             raise DeadlineExceeded(f"the body did not come within {patience:g} s") from None
-        return b"".join(parts)
+        return parts[0] if len(parts) == 1 else b"".join(parts)
 
     def put_body(self, request: Request, data: bytes) -> None:
         """Make a request's body of the HTTP body, as its Content-Type says.

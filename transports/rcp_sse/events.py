@@ -7,7 +7,7 @@ from collections.abc import Callable
 import msgspec
 from msgspec import Raw
 
-from rcp_kernel.asgi import Receive, Scope, Send, bearer, header
+from rcp_kernel.asgi import Receive, Scope, Send, bearer, header, peer_of
 from rcp_kernel.clock import iso, now
 from rcp_kernel.connections import Connection, Hello
 from rcp_kernel.door import Door
@@ -64,8 +64,9 @@ class Events:
         named = header(scope, b"x-rcp-tenant")
         if tenant is None and named is not None:
             tenant = named.decode("latin-1")
-        principal = door.authenticate(bearer(header(scope, b"authorization")))
-        connection = door.connect(principal, Encoding.JSON, stream.wake, tenant)
+        peer = peer_of(scope)
+        principal = door.authenticate(bearer(header(scope, b"authorization")), peer)
+        connection = door.connect(principal, Encoding.JSON, stream.wake, tenant, peer)
         connection.mailbox.alone = True
         sent = header(scope, b"last-event-id")
         text = sent.decode("latin-1") if sent else query.get("last_event_id", [None])[0]

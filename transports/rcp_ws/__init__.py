@@ -6,7 +6,7 @@ from collections.abc import AsyncGenerator, Iterable
 from contextlib import asynccontextmanager
 from typing import Any
 
-from rcp_kernel.asgi import Receive, Scope, Send, refuse
+from rcp_kernel.asgi import Receive, Scope, Send, peer_of, refuse
 from rcp_kernel.door import Door, Mount
 from rcp_kernel.errors import RcpError, UnsupportedOperation
 from rcp_kernel.hookspecs import hookimpl
@@ -34,7 +34,8 @@ class _WebSocket:
                 raise UnsupportedOperation(f"the WebSocket is at {_PATH}")
             subprotocol, encoding = choose(scope["subprotocols"])
             socket = scope["extensions"]["rcp.socket"]
-            peer = Peer(self._door, self._config, identify(self._door, scope), encoding, socket)
+            who = identify(self._door, scope)
+            peer = Peer(self._door, self._config, who, encoding, socket, peer_of(scope))
         except RcpError as error:
             self._door.refused("hello", error.code)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from rcp_kernel.asgi import Scope, bearer, header
+from rcp_kernel.asgi import Scope, bearer, header, peer_of
 from rcp_kernel.door import Door
 from rcp_kernel.errors import BadRequest, Unauthenticated
 from rcp_kernel.identity import Principal
@@ -37,7 +37,7 @@ def identify(door: Door, scope: Scope) -> tuple[Principal | None, str | None]:
     token = bearer(header(scope, b"authorization"))
     tenant = header(scope, b"x-rcp-tenant")
     try:
-        principal = door.authenticate(token)
+        principal = door.authenticate(token, peer_of(scope))
     except Unauthenticated:
         if token is not None:
             raise

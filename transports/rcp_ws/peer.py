@@ -7,6 +7,7 @@ from collections import deque
 from collections.abc import Callable
 from typing import Any
 
+from rcp_kernel import peer
 from rcp_kernel.connections import Hello
 from rcp_kernel.door import Door
 from rcp_kernel.errors import BadRequest, PayloadTooLarge, RcpError, Unauthenticated
@@ -56,13 +57,14 @@ class Peer:
         who: tuple[Principal | None, str | None],
         encoding: Encoding,
         socket: NativeSocket,
+        end: peer.Peer,
     ) -> None:
         self._config = config
         self._socket = socket
         self._encoding = encoding
         self._limit = door.limits.message
         principal, tenant = who
-        self.connection = door.connect(principal or _NOBODY, encoding, self.flush, tenant)
+        self.connection = door.connect(principal or _NOBODY, encoding, self.flush, tenant, end)
         self.connection.on_hello = self._hello
         self._mailbox = self.connection.mailbox
         self._receive: Callable[[bytes], None] = self.connection.receive

@@ -1,0 +1,39 @@
+"""The other end of a connection, as far as the transport knows it without being told."""
+
+from __future__ import annotations
+
+import msgspec
+
+__all__ = ["UNKNOWN", "Certificate", "Peer", "Serial"]
+
+Serial = tuple[str, int]
+"""Issuer and number: how a list of revoked certificates names one."""
+
+
+class Certificate(msgspec.Struct, frozen=True):
+    """The facts of a client certificate that the transport has verified."""
+
+    subject: str
+    """RFC 4514."""
+    common_name: str | None
+    sans: tuple[str, ...]
+    """`DNS:…`, `URI:…` and `email:…`."""
+    issuer: str
+    """RFC 4514."""
+    serial: int
+    expires: int
+    """ns since the UNIX epoch."""
+    fingerprint: str
+    """SHA-256, in hex."""
+
+
+class Peer(msgspec.Struct, frozen=True):
+    """Who is at the other end."""
+
+    address: str | None = None
+    """IP address of who is connected, which is the proxy's where there is one."""
+    certificate: Certificate | None = None
+
+
+UNKNOWN = Peer()
+"""Of a transport that has none, such as memory."""

@@ -1,0 +1,118 @@
+"""Takes connections in: counted before anything is spent on them, then TLS, then HTTP."""
+
+from __future__ import annotations
+
+import asyncio
+import socket
+import ssl
+from collections.abc import Callable
+
+import structlog
+
+from rcp_asgi.seats import Seat, Seats
+from rcp_asgi.settings import Settings
+from rcp_asgi.tls import Tls
+
+__all__ = ["Acceptor"]
+
+log = structlog.get_logger("rcp.asgi")
+_AT_ONCE = 64  # connections taken before others have their turn
+_PAUSE = 1.0  # s without taking any, when the process has no file descriptors left
+_TELL = 1.0  # s between log lines about handshakes that failed
+
+
+class Acceptor:
+    """The listening socket."""
+
+    def __init__(
+        self,
+        listening: socket.socket,
+        settings: Settings,
+        tls: Tls | None,
+        make: Callable[[Seat], asyncio.Protocol],
+    ) -> None:
+        self._listening = listening
+        self._settings = settings
+        self._tls = tls
+        self._make = make
+        self._seats = Seats(settings.config)
+        self._loop = settings.door.loop
+        self._opening: set[asyncio.Task[None]] = set()
+        self._resume: asyncio.TimerHandle | None = None
+        self._told = 0.0
+
+    def open(self) -> None:
+        """Begin to take connections in."""
+        self._resume = None
+        self._loop.add_reader(self._listening, self._accept)
+
+    def close(self) -> None:
+        """Take no more, and give up those that have not come to HTTP yet."""
+        if self._resume is not None:
+            self._resume.cancel()
+        self._loop.remove_reader(self._listening)
+        self._listening.close()
+        for task in self._opening:
+            task.cancel()
+
+    def sweep(self) -> None:
+        """Forget who is gone."""
+        self._seats.sweep(self._loop.time())
+
+    def _accept(self) -> None:
+        for _ in range(_AT_ONCE):
+            try:
+                made, address = self._listening.accept()
+            except (BlockingIOError, InterruptedError, ConnectionAbortedError):
+                return
+            except OSError as error:
+                log.error("cannot_accept", reason=error.strerror)
+                self._loop.remove_reader(self._listening)
+                self._resume = self._loop.call_later(_PAUSE, self.open)
+                return
+            self._take(made, address[0])
+
+    def _take(self, made: socket.socket, address: str) -> None:
+        seat = self._seats.take(address, self._loop.time())
+        if seat.refusal is not None:
+            self._settings.door.refused("connection", seat.refusal.code)
+            if self._tls is not None:  # to tell would take the handshake that is to be saved
+                seat.leave()
+                made.close()
+                return
+        made.setblocking(False)
+        made.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        task = self._loop.create_task(self._connect(made, seat, address))
+        self._opening.add(task)
+        task.add_done_callback(self._opening.discard)
+
+    async def _connect(self, made: socket.socket, seat: Seat, address: str) -> None:
+        config = self._settings.config
+        try:
+            if self._tls is None:
+                await self._loop.connect_accepted_socket(lambda: self._make(seat), made)
+                return
+            await self._loop.connect_accepted_socket(
+                lambda: self._make(seat),
+                made,
+                ssl=self._tls.context,
+                ssl_handshake_timeout=config.header_timeout,
+                ssl_shutdown_timeout=max(config.grace, _PAUSE),
+            )
+        except (OSError, EOFError) as error:
+            seat.leave()
+            made.close()
+            self._tell(error, address)
+        except BaseException:
+            seat.leave()
+            made.close()
+            raise
+
+    def _tell(self, error: Exception, address: str) -> None:
+        self._settings.door.refused("connection", "tls")
+        now = self._loop.time()
+        if now - self._told > _TELL:
+            self._told = now
+            certificate = isinstance(error, ssl.SSLCertVerificationError)
+            reason = error.verify_message if certificate else str(error) or type(error).__name__
+            log.info("handshake_failed", peer=address, reason=reason)

@@ -1,0 +1,51 @@
+"""What the listener refuses to do on an address that others reach."""
+
+from __future__ import annotations
+
+from rcp_asgi.config import AsgiConfig
+from rcp_asgi.origins import is_loopback
+from rcp_asgi.tls import Tls
+from rcp_kernel.config import GatewayConfig
+from rcp_kernel.door import Door
+from rcp_kernel.errors import ConfigError
+
+__all__ = ["check_door", "check_open"]
+
+
+def check_open(config: AsgiConfig, gateway: GatewayConfig) -> None:
+    """Refuse an address open to others without TLS, or where anybody or nobody may do anything.
+
+    :raises ConfigError: that is so, or the certificates do not load.
+    """
+    if config.tls is not None:
+        Tls(config.tls)
+    # A plugin of `[plugins]` may prove identities: known when it is there, by `check_door`.
+    _check(config, closed=gateway.closed, served=gateway.serves or bool(gateway.plugins))
+
+
+def check_door(config: AsgiConfig, door: Door) -> None:
+    """Do as `check_open` does, when it is known what the plugins do.
+
+    :raises ConfigError: likewise.
+    """
+    _check(config, closed=door.secure, served=door.serves)
+
+
+def _check(config: AsgiConfig, *, closed: bool, served: bool) -> None:
+    if is_loopback(config.host):
+        return
+    where = f"[transports.asgi] host = '{config.host}' is open to others"
+    if not closed:
+        raise ConfigError(
+            f"{where}, and so is the gateway: write `anonymous = false`, or listen on 127.0.0.1"
+        )
+    if not served:
+        raise ConfigError(
+            f"{where}, and nobody who can prove anything has a role that allows anything: "
+            "add [[keys]] or [[certificates]], or listen on 127.0.0.1"
+        )
+    if config.tls is None and not config.plaintext:
+        raise ConfigError(
+            f"{where}, and keys would cross the network in plain text: add [transports.asgi.tls]; "
+            "or write `plaintext = true` if a proxy in front of it adds TLS"
+        )

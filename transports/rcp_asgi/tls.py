@@ -1,0 +1,148 @@
+"""The listener's certificates: loaded once, and again whenever their files change.
+
+A connection keeps the context that it was made with; new ones get the new one. Files that do not
+load leave the old ones in force, since they may be half written.
+"""
+
+from __future__ import annotations
+
+import ssl
+from pathlib import Path
+
+import structlog
+
+from rcp_asgi.config import TlsConfig
+from rcp_kernel.certificates import revoked_by
+from rcp_kernel.errors import ConfigError
+from rcp_kernel.peer import Serial
+
+__all__ = ["Tls"]
+
+log = structlog.get_logger("rcp.asgi")
+_VERIFY = {"none": ssl.CERT_NONE, "optional": ssl.CERT_OPTIONAL, "required": ssl.CERT_REQUIRED}
+
+
+class Tls:
+    """What connections are made with."""
+
+    def __init__(self, config: TlsConfig) -> None:
+        """Load the files.
+
+        :raises ConfigError: one of them cannot be read, or they do not go together.
+        """
+        self._config = config
+        self._files = [
+            Path(name).expanduser()
+            for name in (config.certificate, config.key, config.client_ca, config.crl)
+            if name is not None
+        ]
+        self._seen = self._stamps()
+        self.context = _context(config)
+        self.revoked = _revoked(config)
+        """Certificates that are not good any more."""
+
+    def refresh(self) -> bool:
+        """Load files that have changed; tell whether there was anything new."""
+        stamps = self._stamps()
+        if stamps == self._seen:
+            return False
+        self._seen = stamps
+        try:
+            context, revoked = _context(self._config), _revoked(self._config)
+        except ConfigError as error:
+            log.error("certificates_refused", reason=str(error))
+            return False
+        self.context, self.revoked = context, revoked
+        log.info("certificates_renewed", certificate=self._config.certificate)
+        return True
+
+    def _stamps(self) -> list[tuple[int, int, int] | None]:
+        return [_stamp(file) for file in self._files]
+
+
+def _stamp(file: Path) -> tuple[int, int, int] | None:
+    try:
+        facts = file.stat()
+    except OSError:
+        return None
+    return facts.st_mtime_ns, facts.st_ino, facts.st_size
+
+
+def _context(config: TlsConfig) -> ssl.SSLContext:
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+    context.minimum_version = ssl.TLSVersion.TLSv1_2
+    context.set_alpn_protocols(["http/1.1"])
+    _own(context, config)
+    if config.client_certificates == "none":
+        if config.client_ca is not None or config.crl is not None:
+            raise _fault(
+                "client_certificates = 'none' does not go with `client_ca` or `crl`: "
+                "write 'optional' or 'required'"
+            )
+        return context
+    if config.client_ca is None:
+        raise _fault(
+            f"client_certificates = '{config.client_certificates}' needs `client_ca`: "
+            "the file of the CA that signs them"
+        )
+    context.verify_mode = _VERIFY[config.client_certificates]
+    _trust(context, "client_ca", config.client_ca)
+    if config.crl is not None:
+        _trust(context, "crl", config.crl)
+        context.verify_flags |= ssl.VERIFY_CRL_CHECK_LEAF
+    # A session taken up again would not look at the certificate again.
+    context.options |= ssl.OP_NO_TICKET
+    context.num_tickets = 0
+    return context
+
+
+def _own(context: ssl.SSLContext, config: TlsConfig) -> None:
+    certificate, key = _path(config.certificate), _path(config.key)
+    for name, path in (("certificate", certificate), ("key", key)):
+        _read(name, path)
+    try:
+        # Never None: OpenSSL would ask for the password on the terminal.
+        context.load_cert_chain(certificate, key, password=config.key_password or "")
+    except (ssl.SSLError, ValueError) as error:
+        raise _fault(
+            f"`certificate` = '{certificate}' and `key` = '{key}' do not load: {_why(error)}; both "
+            "are PEM and belong together, and `key_password` is that of the key if it has one"
+        ) from None
+
+
+def _trust(context: ssl.SSLContext, name: str, text: str) -> None:
+    path = _path(text)
+    _read(name, path)
+    try:
+        context.load_verify_locations(path)
+    except (ssl.SSLError, OSError) as error:
+        raise _fault(f"`{name}` = '{path}' does not load: {_why(error)}; it is PEM") from None
+
+
+def _revoked(config: TlsConfig) -> frozenset[Serial]:
+    if config.crl is None:
+        return frozenset()
+    data = _read("crl", _path(config.crl))
+    try:
+        return revoked_by(data)
+    except ValueError as error:
+        raise _fault(f"`crl` = '{config.crl}' does not load: {error}") from None
+
+
+def _path(text: str) -> Path:
+    return Path(text).expanduser()
+
+
+def _read(name: str, path: Path) -> bytes:
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise _fault(f"`{name}` = '{path}' cannot be read: {error.strerror}") from None
+
+
+def _why(error: Exception) -> str:
+    return (getattr(error, "reason", None) or str(error)).lower().replace("_", " ")
+
+
+def _fault(text: str) -> ConfigError:
+    return ConfigError(f"[transports.asgi.tls] {text}")
