@@ -46,7 +46,7 @@ def demo(*, port: int, verbose: bool) -> None:
 def serve(config: Path) -> None:
     """Serve the robots of a configuration file (./rcp.toml if not given).
 
-    SIGHUP reads the file again: roles, keys, limits and backends change at once;
+    SIGHUP reads the file again: roles, keys, certificates, limits and backends change at once;
     listeners need a restart. SIGTERM or Ctrl-C brings the robots to rest and stops.
     """
     _run(_loaded(config), str(config), config, None)

@@ -12,6 +12,7 @@ from typing import Any
 import msgspec
 import structlog
 
+from rcp_kernel.certificates import Certificates
 from rcp_kernel.config import BackendConfig, GatewayConfig, decode_table
 from rcp_kernel.door import Door
 from rcp_kernel.errors import ConfigError
@@ -69,6 +70,10 @@ def prepare(config: GatewayConfig, source: str) -> Prepared:
     :raises ConfigError: a table does not fit its plugin's type, or names no plugin.
     :raises PluginError: a plugin breaks a rule.
     """
+    try:
+        Certificates(config.certificates)
+    except ConfigError as error:
+        raise ConfigError(f"{source}: {error}") from None
     plugins = Plugins(config)
     backends: list[Any] = []
     for backend in config.backends:

@@ -87,7 +87,47 @@ def test_a_file_that_is_not_there_is_told_by_its_name(tmp_path: Path) -> None:
         load(tmp_path / "nowhere.toml")
 
 
+OPEN = '[transports.asgi]\nhost = "0.0.0.0"\n'
+PLAIN = OPEN + "plaintext = true\n"
+KEY = '[[keys]]\nname = "k"\nrole = "{}"\nkey = "a-key-of-this-test"\n'
+NOTHING = "[roles.nothing]\nallow = []\n"
+
+
 def test_strangers_are_kept_out_by_one_word() -> None:
-    config = parse('anonymous = false\n[transports.asgi]\nhost = "0.0.0.0"', "robots.toml")
+    config = parse("anonymous = false\n" + PLAIN + KEY.format("viewer"), "robots.toml")
     assert config.closed
     prepare(config, "robots.toml")
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        (PLAIN + KEY.format("viewer"), "so is the gateway"),
+        ("anonymous = false\n" + PLAIN, "nobody who can prove anything"),
+        ("anonymous = false\n" + PLAIN + KEY.format("nothing") + NOTHING, "nobody who can"),
+        ("anonymous = false\n" + OPEN + KEY.format("viewer"), "in plain text"),
+    ],
+)
+def test_what_is_open_to_others_has_to_be_safe(text: str, told: str) -> None:
+    with pytest.raises(ConfigError, match=rf"robots\.toml: \[transports\.asgi\] .*{told}"):
+        prepare(parse(text, "robots.toml"), "robots.toml")
+    prepare(parse(text.replace("0.0.0.0", "127.0.0.1"), "robots.toml"), "robots.toml")
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ('role = "viewer"', "needs a `subject` or a `san`"),
+        ('subject = "x"', "needs a `role`"),
+        ('subject = "x"\nrole = "vewer"', "did you mean 'viewer'"),
+        ('san = "x.example"\nrole = "viewer"', "san = 'x.example'"),
+    ],
+)
+def test_a_certificate_says_whose_it_is_and_what_it_may(text: str, told: str) -> None:
+    assert told in refused(f'[[certificates]]\nname = "c"\n{text}')
+
+
+def test_a_subject_of_no_known_form_is_found_before_anything_starts() -> None:
+    text = '[[certificates]]\nname = "c"\nrole = "viewer"\nsubject = "CN=a=b, nothing"\n'
+    with pytest.raises(ConfigError, match=r"robots\.toml: .* 'c': .* no name of RFC 4514"):
+        prepare(parse(text, "robots.toml"), "robots.toml")
