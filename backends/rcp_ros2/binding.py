@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import time
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple, Protocol
 
 from rcp_kernel.errors import AdapterUnavailable, DeviceTimeout, UnsupportedOperation
 from rcp_kernel.model import Resource
@@ -17,7 +17,7 @@ from rcp_ros2.pulse import Pulses
 from rcp_ros2.ros import Ros
 from rcp_ros2.topics import Feeds
 
-__all__ = ["Absent", "Binding", "Shared", "common"]
+__all__ = ["Absent", "Binding", "Construct", "Offer", "Shared", "common"]
 
 _PAUSE = 0.05  # s between looks at something that is about to come
 
@@ -83,7 +83,9 @@ class Shared:
         if await self.until(lambda: self.graph.has(noun, name), self.settling):
             return
         raise AdapterUnavailable(
-            f"the node {name} is not there" if noun == "node" else f"no node offers {noun} {name}",
+            f"the {noun} {name} is not there"
+            if noun.endswith("node")
+            else f"no node offers {noun} {name}",
             remedy="Start the node that has it; the gateway finds it by itself.",
         )
 
@@ -154,6 +156,23 @@ class Absent(Binding):
     async def execute(self, value: Any, progress: Progress) -> Any:
         """Refuse, with the reason."""
         raise self._error()
+
+
+class Offer(NamedTuple):
+    """A path that a construct of ROS brings with it."""
+
+    mapping: Mapping
+    """What it stands on."""
+    make: Callable[[], Binding]
+    """Called in the ROS thread; raises `MissingType`."""
+
+
+class Construct(Protocol):
+    """A convention of ROS that is more than one topic or service: nodes with a lifecycle."""
+
+    def find(self, graph: Graph) -> dict[str, Offer]:
+        """Return the paths there are now; on the event loop, at each look at the graph."""
+        ...
 
 
 def common(name: str, mapping: Mapping, description: str, **facts: Any) -> dict[str, Any]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import time
+from collections.abc import Set as AbstractSet
 from typing import Any
 
 import msgspec
@@ -12,10 +13,11 @@ import structlog
 from rcp_kernel.errors import AdapterUnavailable, ConfigError, PluginError, RcpError
 from rcp_kernel.model import Resource, kind_of
 from rcp_ros2.actions import Run
-from rcp_ros2.binding import Absent, Binding, Shared
+from rcp_ros2.binding import Absent, Binding, Construct, Offer, Shared
 from rcp_ros2.config import Mapping
 from rcp_ros2.graph import Graph
 from rcp_ros2.idl import MissingType, load
+from rcp_ros2.lifecycle import Lifecycles, is_lifecycle
 from rcp_ros2.names import absolute, allows, is_internal, resource_name
 from rcp_ros2.parameters import Events, NodeParameters, Setting
 from rcp_ros2.sensors import Commanded, Observed
@@ -48,6 +50,7 @@ class Catalog:
         self._targets = {m.target for m in self._mapped.values()}
         self._nodes: dict[str, NodeParameters] = {}
         self._events = Events(shared)
+        self._constructs: tuple[Construct, ...] = (Lifecycles(shared, self._exposes),)
         self._gone: dict[str, float] = {}
         """Exposed names that the graph does not have any more, with the time it was noticed."""
         self._types: dict[str, str] = {}
@@ -76,10 +79,20 @@ class Catalog:
         for name, mapping in found.items():
             if name not in self._mapped:
                 self._want(name, mapping, graph, mapped=False)
+        brought = {
+            name: offer
+            for construct in self._constructs
+            for name, offer in construct.find(graph).items()
+            if name not in self._mapped
+        }
+        for name, offer in brought.items():
+            self._gone.pop(name, None)
+            if name not in self.bindings and time.monotonic() >= self._later.get(name, 0.0):
+                self._start(name, self._bring(name, offer))
         for node in graph.nodes:
             if self._exposes(node) and self._is_due(f"node {node}"):
                 self._start(f"node {node}", self._expose_parameters(node))
-        self._sweep(found, graph)
+        self._sweep(found.keys() | brought.keys(), graph)
         self._report(graph)
         if self._is_complete():
             self.complete.set()
@@ -93,12 +106,15 @@ class Catalog:
     def _exposed(self, graph: Graph) -> dict[str, Mapping]:
         found: dict[str, Mapping] = {}
         for topic in filter(self._exposes, graph.topics):
+            if is_lifecycle(graph.topics[topic]):
+                continue
             if graph.publishers.get(topic):
                 found[resource_name("sensor", topic)] = Mapping(topic=topic)
             elif graph.subscribers.get(topic):
                 found[resource_name("actuator", topic)] = Mapping(topic=topic)
         for service in filter(self._exposes, graph.services):
-            found[resource_name("service", service)] = Mapping(service=service)
+            if not is_lifecycle(graph.services[service]):
+                found[resource_name("service", service)] = Mapping(service=service)
         for action in filter(self._exposes, graph.actions):
             found[resource_name("action", action)] = Mapping(action=action)
         return found
@@ -166,6 +182,13 @@ class Catalog:
             type_ = ""
         self._place(name, binding)
         self._types[name] = type_
+
+    async def _bring(self, name: str, offer: Offer) -> None:
+        try:
+            binding = await self._shared.ros.call(offer.make)
+        except MissingType as error:
+            binding = self._absent(name, offer.mapping, str(error), error.remedy)
+        self._place(name, binding)
 
     def _make(self, name: str, mapping: Mapping, type_: str) -> Binding:
         match mapping.noun:
@@ -246,7 +269,7 @@ class Catalog:
         if name in self.rates:
             binding.watched(max(self.rates[name]))
 
-    def _sweep(self, found: dict[str, Mapping], graph: Graph) -> None:
+    def _sweep(self, found: AbstractSet[str], graph: Graph) -> None:
         now = time.monotonic()
         for name, binding in list(self.bindings.items()):
             if name in self._mapped or name in found:

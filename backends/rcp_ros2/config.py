@@ -111,6 +111,8 @@ class Ros2Config(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """For an answer of a service, a parameter or an action server."""
     silence: Seconds = 4.0
     """For which a server that used to answer may say nothing while it runs a goal."""
+    transition_timeout: Seconds = 30.0
+    """For a lifecycle node to come to its new state."""
     grace: Annotated[float, Meta(ge=0, extra_json_schema={"unit": "s"})] = 4.0
     """For the discovery of the graph, before something is said to be missing."""
     poll: Annotated[float, Meta(ge=0.1, le=60, extra_json_schema={"unit": "s"})] = 1.0

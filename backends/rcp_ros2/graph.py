@@ -18,6 +18,8 @@ __all__ = ["Graph", "GraphWatch"]
 _FAST = 0.1  # s between looks while the graph is being discovered
 _SEND_GOAL = "/_action/send_goal"
 _LIST = "/list_parameters"
+_CHANGE = "/change_state"
+_CHANGES = "lifecycle_msgs/srv/ChangeState"
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,12 +33,14 @@ class Graph:
     actions: dict[str, str] = field(default_factory=dict[str, str])
     nodes: frozenset[str] = frozenset()
     """Nodes that have parameters."""
+    lifecycle: frozenset[str] = frozenset()
+    """Nodes with a lifecycle."""
     publishers: dict[str, int] = field(default_factory=dict[str, int])
     """Others' publishers of the topics that matter here."""
     subscribers: dict[str, int] = field(default_factory=dict[str, int])
 
     def has(self, noun: str, name: str) -> bool:
-        """Tell whether somebody offers a topic, service, action, or the parameters of a node."""
+        """Tell whether somebody offers a topic, service, action, or is a node of the kind wanted."""
         match noun:
             case "topic":
                 return bool(self.publishers.get(name) or self.subscribers.get(name))
@@ -44,13 +48,15 @@ class Graph:
                 return name in self.services
             case "action":
                 return name in self.actions
+            case "lifecycle node":
+                return name in self.lifecycle
             case _:
                 return name in self.nodes
 
 
 def _owner(service: str) -> str:
     """Return the service itself, or the action or node that it is a part of."""
-    return service.removesuffix(_SEND_GOAL).removesuffix(_LIST)
+    return service.removesuffix(_SEND_GOAL).removesuffix(_LIST).removesuffix(_CHANGE)
 
 
 class GraphWatch:
@@ -88,7 +94,8 @@ class GraphWatch:
         services = {
             name: types[0]
             for name, types in node.get_service_names_and_types()
-            if self._matters(_owner(name)) and node.count_services(name)  # clients list it too
+            if (self._matters(name) or self._matters(_owner(name)))
+            and node.count_services(name)  # clients list it too
         }
         own_publishers = {p.topic_name for p in node.publishers}
         own_subscriptions = {s.topic_name for s in node.subscriptions}
@@ -104,4 +111,7 @@ class GraphWatch:
             if name.endswith(_SEND_GOAL)
         }
         nodes = frozenset(n.removesuffix(_LIST) for n in services if n.endswith(_LIST))
-        return Graph(topics, services, actions, nodes, publishers, subscribers)
+        lifecycle = frozenset(
+            name.removesuffix(_CHANGE) for name, type_ in services.items() if type_ == _CHANGES
+        )
+        return Graph(topics, services, actions, nodes, lifecycle, publishers, subscribers)

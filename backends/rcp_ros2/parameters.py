@@ -78,7 +78,9 @@ class NodeParameters:
         caller = self._callers.get(srv)
         if caller is None:
             address = f"{self.node}/{name}"
-            caller = self._callers[srv] = Caller(self._shared, srv, address, node=self.node)
+            caller = self._callers[srv] = Caller(
+                self._shared, srv, address, presence=("node", self.node)
+            )
         return await caller.call(srv.Request(**request), self._shared.config.timeout)
 
     async def names(self) -> list[str]:

@@ -95,7 +95,7 @@ class Observed(Binding):
                 remedy="Start the node that does; the gateway finds it by itself.",
             )
         next_ = Ticket(shared.host)
-        tap = Tap(f"{self.resource.name} read {id(next_)}", self._codec, once=next_.give)
+        tap = Tap(f"{self.resource.name} read {id(next_)}", self._codec, taker=next_.give)
         await shared.ros.call(shared.feeds.tap, self.topic, self._cls, self.mapping.qos, tap)
         try:
             if not await next_.wait(self.timeout):

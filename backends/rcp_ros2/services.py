@@ -37,14 +37,14 @@ class Caller:
         srv: Any,
         name: str,
         *,
-        node: str | None = None,
+        presence: tuple[str, str] | None = None,
         convert: Callable[[Any], Any] | None = None,
     ) -> None:
         self._shared = shared
         self._srv = srv
         self._name = name
-        self._presence = ("service", name) if node is None else ("node", node)
-        """What must be in the graph: the service, or the node whose parameters it serves."""
+        self._presence = presence or ("service", name)
+        """What must be in the graph: the service, or the kind of node that serves it."""
         self._convert = convert
         """Run on the response, in the ROS thread."""
         self._client: Any = None

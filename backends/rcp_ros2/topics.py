@@ -30,8 +30,8 @@ class Tap:
 
     name: str
     codec: Codec
-    once: Callable[[Value], None] | None = None
-    """Given the next value in place of the outbox."""
+    taker: Callable[[Value], None] | None = None
+    """Given each value in place of the outbox."""
     period: float = 0.0
     """Seconds between two values, at least; 0 takes all."""
     due: float = 0.0
@@ -132,8 +132,8 @@ class Feeds:
 
     def _send(self, tap: Tap, data: bytes, now: float) -> None:
         tap.held = None
-        if tap.once is not None:
-            tap.once(Value(data, tap.codec))
+        if tap.taker is not None:
+            tap.taker(Value(data, tap.codec))
             return
         if tap.period:
             # By the schedule and not by the clock, or jitter would cost every other value.

@@ -22,7 +22,7 @@ else:
         warnings.simplefilter("ignore")
         import rosidl_parser.definition
         import rosidl_parser.parser  # noqa: F401
-    from backends.ros2.robot import Peer, Robot, fresh_domain, robot_of
+    from backends.ros2.robot import Crew, Peer, Robot, fresh_domain, robot_of
 
     MAP: dict[str, Any] = {
         "/sensor/odom": {"topic": "/odom"},
@@ -64,6 +64,19 @@ else:
         peer.start()
         yield peer
         peer.stop()
+
+    @pytest.fixture(scope="session")
+    def crew_domain() -> int:
+        """The domain of the crew that lives as long as the run."""
+        return fresh_domain()
+
+    @pytest.fixture(scope="session")
+    def crew(crew_domain: int) -> Iterator[Crew]:
+        """Nodes that follow ROS's conventions, for as long as the run."""
+        crew = Crew(crew_domain)
+        crew.start()
+        yield crew
+        crew.stop()
 
     @pytest.fixture(scope="module")
     async def module_robot(domain: int, peer: Peer) -> AsyncIterator[Robot]:

@@ -21,7 +21,6 @@ from rcp_ros2 import Ros2Config, open_ros2
 from rcp_ros2.backend import Ros2Backend
 
 BOUND = 10.0  # s that any wait of a test may take
-_PEER = Path(__file__).with_name("peer.py")
 _domains = iter(range(1000))
 
 
@@ -120,6 +119,8 @@ async def robot_of(domain: int, **config: Any) -> AsyncIterator[Robot]:
 class Peer:
     """The other side, in a process of its own."""
 
+    script = "peer.py"
+
     def __init__(self, domain: int) -> None:
         self._domain = domain
         self._process: subprocess.Popen[str] | None = None
@@ -127,7 +128,7 @@ class Peer:
     def start(self) -> None:
         """Start it and wait until it offers everything."""
         self._process = subprocess.Popen(
-            [sys.executable, str(_PEER)],
+            [sys.executable, str(Path(__file__).with_name(self.script))],
             env={**os.environ, "ROS_DOMAIN_ID": str(self._domain)},
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
@@ -139,10 +140,13 @@ class Peer:
 
     def truth(self) -> dict[str, Any]:
         """Ask how things are with it, past every interface of ROS."""
+        return self._ask("truth")
+
+    def _ask(self, line: str) -> Any:
         assert self._process is not None
         assert self._process.stdin is not None
         assert self._process.stdout is not None
-        self._process.stdin.write("truth\n")
+        self._process.stdin.write(f"{line}\n")
         self._process.stdin.flush()
         return json.loads(self._process.stdout.readline())
 
@@ -175,3 +179,13 @@ class Peer:
                 if pipe is not None:
                     pipe.close()
             self._process = None
+
+
+class Crew(Peer):
+    """Nodes that follow ROS's conventions, in a process of their own."""
+
+    script = "crew.py"
+
+    def tell(self, do: str, **order: Any) -> Any:
+        """Have it do something; return when it has."""
+        return self._ask(json.dumps({"do": do, **order}))

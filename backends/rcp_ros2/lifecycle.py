@@ -1,0 +1,248 @@
+"""Nodes with a lifecycle: their state as a sensor, their transitions as a service."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from collections.abc import Callable
+from functools import partial
+from typing import Any, Literal
+
+import msgspec
+
+from rcp_kernel.errors import AdapterUnavailable, DeviceRejected, DeviceTimeout, RcpError
+from rcp_kernel.model import Resource
+from rcp_kernel.spi import Progress
+from rcp_ros2.binding import Binding, Offer, Shared, common
+from rcp_ros2.cdr import Codec, Value
+from rcp_ros2.config import Mapping, Qos
+from rcp_ros2.graph import Graph
+from rcp_ros2.idl import load
+from rcp_ros2.names import resource_name
+from rcp_ros2.services import Caller
+from rcp_ros2.topics import Tap
+
+__all__ = ["Lifecycles", "is_lifecycle"]
+
+_MARGIN = 1.0  # s that the gateway waits longer than the node has
+_MISSES = 3  # looks without an answer, after which the last state counts as stale
+
+State = Literal[
+    "unknown",
+    "unconfigured",
+    "inactive",
+    "active",
+    "finalized",
+    "configuring",
+    "cleaningup",
+    "shuttingdown",
+    "activating",
+    "deactivating",
+    "errorprocessing",
+]
+Transition = Literal["configure", "cleanup", "activate", "deactivate", "shutdown"]
+
+# lifecycle_msgs/msg/Transition; a shutdown has another number in each state.
+_POSSIBLE: dict[str, dict[Transition, int]] = {
+    "unconfigured": {"configure": 1, "shutdown": 5},
+    "inactive": {"cleanup": 2, "activate": 3, "shutdown": 6},
+    "active": {"deactivate": 4, "shutdown": 7},
+}
+_GOALS: dict[Transition, State] = {
+    "configure": "inactive",
+    "cleanup": "unconfigured",
+    "activate": "active",
+    "deactivate": "inactive",
+    "shutdown": "finalized",
+}
+
+
+class LifecycleState(msgspec.Struct, frozen=True):
+    """The state of a lifecycle node, and what it can be told to do from there."""
+
+    state: State
+    transitions: list[Transition]
+
+
+class LifecycleChange(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """What to tell a lifecycle node to do."""
+
+    transition: Transition
+
+
+def is_lifecycle(type_: str) -> bool:
+    """Tell whether a service or topic of this type is the plumbing of a lifecycle."""
+    return type_.startswith("lifecycle_msgs/")
+
+
+def _state(label: str) -> LifecycleState:
+    known: Any = label if label in State.__args__ else "unknown"
+    return LifecycleState(known, list(_POSSIBLE.get(label, ())))
+
+
+class Lifecycles:
+    """Finds the lifecycle nodes among those that are exposed."""
+
+    def __init__(self, shared: Shared, exposes: Callable[[str], bool]) -> None:
+        self._shared = shared
+        self._exposes = exposes
+
+    def find(self, graph: Graph) -> dict[str, Offer]:
+        """Return a sensor and a service for each."""
+        found: dict[str, Offer] = {}
+        for node in filter(self._exposes, graph.lifecycle):
+            for kind, made in (("sensor", StateOf), ("service", ChangeOf)):
+                name = resource_name(kind, "lifecycle", node)
+                mapping = Mapping(service=f"{node}/change_state")
+                found[name] = Offer(mapping, partial(made, self._shared, name, node, mapping))
+        return found
+
+
+class _Question:
+    """Asks a node for its state."""
+
+    def __init__(self, shared: Shared, node: str) -> None:
+        srv = load("lifecycle_msgs/srv/GetState")
+        self._request = srv.Request
+        self._caller = Caller(
+            shared,
+            srv,
+            f"{node}/get_state",
+            presence=("lifecycle node", node),
+            convert=lambda response: _state(response.current_state.label),
+        )
+        self.close = self._caller.close
+
+    async def ask(self, limit: float) -> LifecycleState:
+        """Return the state.
+
+        :raises AdapterUnavailable: the node is not there.
+        :raises DeviceTimeout: it does not answer; many do not in the middle of a transition.
+        """
+        return await self._caller.call(self._request(), limit)
+
+
+class StateOf(Binding):
+    """The state of a lifecycle node: asked for, and told by the node itself when it changes.
+
+    A watched one is asked as often as the graph is looked at, because a node that is restarted
+    tells nothing; one that has died goes stale.
+    """
+
+    def __init__(self, shared: Shared, name: str, node: str, mapping: Mapping) -> None:
+        self._question = _Question(shared, node)
+        self._event = load("lifecycle_msgs/msg/TransitionEvent")
+        self._codec = Codec(self._event)
+        self._topic = f"{node}/transition_event"
+        self._asking: asyncio.Task[None] | None = None
+        facts = common(name, mapping, f"State of the lifecycle node {node}.", node=node)
+        facts["timeout"] = shared.config.timeout + _MARGIN
+        facts["deadline"] = _MISSES * shared.config.poll + _MARGIN
+        super().__init__(shared, Resource(value=LifecycleState, **facts), mapping)
+
+    async def read(self) -> Any:
+        """Ask the node."""
+        return await self._question.ask(self.timeout)
+
+    def watched(self, rate: float) -> None:
+        """Publish the state, and each change of it."""
+        if self._asking is None:
+            tap = Tap(self.resource.name, self._codec, taker=self._told)
+            self.shared.ros.post(self.shared.feeds.tap, self._topic, self._event, Qos(), tap)
+            self._asking = asyncio.ensure_future(self._ask())
+
+    def unwatched(self) -> None:
+        """Publish no more."""
+        if self._asking is not None:
+            self._asking.cancel()
+            self._asking = None
+            self.shared.ros.post(self.shared.feeds.untap, self._topic, self.resource.name)
+
+    async def _ask(self) -> None:
+        while True:
+            with contextlib.suppress(RcpError):  # it goes stale
+                self._publish(await self.read())
+            await asyncio.sleep(self.shared.config.poll)
+
+    def _told(self, event: Value) -> None:
+        label = event.decode().goal_state.label
+        self.shared.host.call_soon(self._publish, _state(label))
+
+    def _publish(self, state: LifecycleState) -> None:
+        if self._asking is not None:
+            self.shared.host.publish(self.resource.name, state)
+
+    def close(self) -> None:
+        """Publish no more, and let go of the client."""
+        self.unwatched()
+        self._question.close()
+
+
+class ChangeOf(Binding):
+    """The transitions of a lifecycle node."""
+
+    def __init__(self, shared: Shared, name: str, node: str, mapping: Mapping) -> None:
+        self._node = node
+        self._question = _Question(shared, node)
+        self._srv = load("lifecycle_msgs/srv/ChangeState")
+        self._transition = load("lifecycle_msgs/msg/Transition")
+        self._caller = Caller(shared, self._srv, mapping.target, presence=("lifecycle node", node))
+        facts = common(
+            name,
+            mapping,
+            f"Leads the lifecycle node {node} to another state, and returns the state it is in then.",
+            node=node,
+        )
+        facts["timeout"] = shared.config.transition_timeout + shared.config.timeout + _MARGIN
+        facts["policy"] = "reject"  # one transition at a time, as the node itself has it
+        resource = Resource(
+            input=LifecycleChange,
+            output=LifecycleState,
+            examples=({"transition": "activate"},),
+            **facts,
+        )
+        super().__init__(shared, resource, mapping)
+
+    async def execute(self, value: Any, progress: Progress) -> LifecycleState:
+        """Lead the node through a transition.
+
+        :raises DeviceRejected: it is not possible from the present state, or the node failed at it.
+        """
+        transition: Transition = value.transition
+        before = (await self._question.ask(self.timeout)).state
+        possible = _POSSIBLE.get(before, {})
+        if transition not in possible:
+            raise self._impossible(transition, before)
+        request = self._srv.Request(transition=self._transition(id=possible[transition]))
+        response = await self._caller.call(request, self.shared.config.transition_timeout)
+        after = await self._after(transition, succeeded=response.success)
+        if not response.success:
+            raise DeviceRejected(
+                f"{self._node} did not succeed to {transition}: it was {before} and is "
+                f"{after.state} now",
+                remedy="Look at the node's log for its reason.",
+                details={"before": before, "state": after.state, "transitions": after.transitions},
+            )
+        return after
+
+    def _impossible(self, transition: Transition, state: State) -> DeviceRejected:
+        possible = list(_POSSIBLE.get(state, ()))
+        return DeviceRejected(
+            f"{self._node} is {state} and cannot {transition} from there",
+            remedy=f"From {state} it can {' or '.join(possible)}."
+            if possible
+            else f"Wait until it has left the state {state}, or start the node again.",
+            details={"state": state, "transitions": possible},
+        )
+
+    async def _after(self, transition: Transition, *, succeeded: bool) -> LifecycleState:
+        try:
+            return await self._question.ask(self.timeout)
+        except (AdapterUnavailable, DeviceTimeout):
+            # Many end with their shutdown.
+            return _state(_GOALS[transition] if succeeded else "unknown")
+
+    def close(self) -> None:
+        """Let go of the clients."""
+        self._question.close()
+        self._caller.close()

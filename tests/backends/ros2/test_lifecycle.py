@@ -1,0 +1,126 @@
+"""Lifecycle nodes: state and transitions."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator, Iterator
+
+import pytest
+
+from backends.ros2.robot import BOUND, Crew, Robot, fresh_domain, robot_of
+from rcp_kernel.errors import AdapterUnavailable, DeviceRejected, RcpError
+
+pytestmark = pytest.mark.anyio
+
+SENSOR = "sensor/lifecycle/camera/driver"
+SERVICE = "service/lifecycle/camera/driver"
+
+
+@pytest.fixture(scope="module")
+async def managed(crew_domain: int, crew: Crew) -> AsyncIterator[Robot]:
+    async with robot_of(crew_domain, expose=["/camera/**"]) as robot:
+        await robot.until(lambda: {SENSOR, SERVICE} <= robot.resources.keys())
+        yield robot
+
+
+@pytest.fixture
+async def unconfigured(managed: Robot, crew: Crew) -> Robot:
+    """The backend, with a driver that has just begun."""
+    crew.tell("break_", broken=False)
+    for transition in ("deactivate", "cleanup"):
+        state = await managed.backend.read(SENSOR)
+        if transition in state.transitions:
+            crew.tell("lead", transition=transition)
+    assert (await managed.backend.read(SENSOR)).state == "unconfigured"
+    managed.samples.clear()
+    return managed
+
+
+async def lead(robot: Robot, transition: str) -> str:
+    return (await robot.execute(SERVICE, {"transition": transition})).state
+
+
+async def test_a_lifecycle_node_is_found_by_its_pattern_and_its_plumbing_is_not(
+    managed: Robot,
+) -> None:
+    names = {n for n in managed.resources if not n.startswith("param/")}
+    assert names == {SENSOR, SERVICE}
+
+
+async def test_a_node_is_led_through_its_whole_life(unconfigured: Robot) -> None:
+    assert await lead(unconfigured, "configure") == "inactive"
+    assert await lead(unconfigured, "activate") == "active"
+    state = await unconfigured.backend.read(SENSOR)
+    assert (state.state, state.transitions) == ("active", ["deactivate", "shutdown"])
+    assert await lead(unconfigured, "deactivate") == "inactive"
+    assert await lead(unconfigured, "cleanup") == "unconfigured"
+
+
+async def test_a_transition_that_is_not_possible_is_refused_with_those_that_are(
+    unconfigured: Robot,
+) -> None:
+    with pytest.raises(DeviceRejected, match="is unconfigured and cannot activate") as caught:
+        await lead(unconfigured, "activate")
+    assert caught.value.remedy == "From unconfigured it can configure or shutdown."
+    assert caught.value.details == {
+        "state": "unconfigured",
+        "transitions": ["configure", "shutdown"],
+    }
+
+
+async def test_a_transition_the_node_fails_at_is_refused_with_the_state_it_is_in(
+    unconfigured: Robot, crew: Crew
+) -> None:
+    await lead(unconfigured, "configure")
+    crew.tell("break_", broken=True)
+    with pytest.raises(DeviceRejected, match="it was inactive and is inactive now"):
+        await lead(unconfigured, "activate")
+
+
+async def test_a_change_by_somebody_else_is_told_at_once(unconfigured: Robot, crew: Crew) -> None:
+    shared = unconfigured.backend._catalog._shared
+    ros = shared.ros
+    async with unconfigured.backend.watch(SENSOR, None):
+        assert (await unconfigured.first(SENSOR)).state == "unconfigured"
+        crew.tell("lead", transition="configure")
+        await unconfigured.until(lambda: unconfigured.of(SENSOR)[-1].state == "inactive")
+    assert not await ros.call(lambda: list(ros.node.subscriptions))
+
+
+@pytest.fixture
+def mortal() -> Iterator[tuple[int, Crew]]:
+    domain = fresh_domain()
+    crew = Crew(domain)
+    crew.start()
+    yield domain, crew
+    crew.stop()
+
+
+async def test_a_node_that_is_killed_and_comes_back_is_at_its_beginning_again(
+    mortal: tuple[int, Crew],
+) -> None:
+    domain, crew = mortal
+    async with robot_of(domain, expose=["/camera/driver"], timeout=1.0) as robot:
+        await robot.until(lambda: {SENSOR, SERVICE} <= robot.resources.keys())
+        async with robot.backend.watch(SENSOR, None):
+            assert await lead(robot, "configure") == "inactive"
+            await robot.until(lambda: any(s.state == "inactive" for s in robot.of(SENSOR)))
+            crew.kill()
+            with pytest.raises(RcpError):
+                await robot.backend.read(SENSOR)
+            crew.start()
+            await robot.until(lambda: robot.of(SENSOR)[-1].state == "unconfigured")
+        async with asyncio.timeout(BOUND):
+            assert await lead(robot, "configure") == "inactive"
+
+
+async def test_a_node_that_leaves_says_so(mortal: tuple[int, Crew]) -> None:
+    domain, crew = mortal
+    async with robot_of(domain, expose=["/camera/driver"]) as robot:
+        await robot.until(lambda: {SENSOR, SERVICE} <= robot.resources.keys())
+        shared = robot.backend._catalog._shared
+        crew.stop()
+        assert await shared.until(lambda: not shared.graph.lifecycle, BOUND)
+        with pytest.raises(AdapterUnavailable, match="lifecycle node /camera/driver is not there"):
+            async with asyncio.timeout(BOUND):
+                await robot.backend.read(SENSOR)
