@@ -35,7 +35,7 @@ class AsgiConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     tls: TlsConfig | None = None
     plaintext: bool = False
     """Speak plain HTTP on an address open to others: for those behind a proxy that adds TLS."""
-    origins: tuple[str, ...] = ()
+    origins: tuple[Annotated[str, Meta(pattern=r"^(\*|[a-z+.-]+://[^/\s]+/?)$")], ...] = ()
     """Web pages that may use the gateway beside its own: `https://ui.example.org`, or `*`."""
     hosts: tuple[str, ...] = ()
     """Names that requests may address; on loopback its names are there already, elsewhere any is.

@@ -41,6 +41,7 @@ class FrontDoor:
         try:
             origin = self._origins.check(scope)
         except Forbidden as error:
+            self._door.refused("request", error.code)
             await _turn_away(scope, receive, send, error)
             return
         if origin is not None and scope["type"] == "http":

@@ -31,6 +31,11 @@ __all__ = ["open_asgi"]
 log = structlog.get_logger("rcp.asgi")
 _TICK = 1.0  # s between new Date headers, and looks at the certificates' files
 _BACKLOG = 1024
+_HEADERS = [  # for pages of other origins that embed what they may not read
+    ("x-content-type-options", "nosniff"),
+    ("cross-origin-resource-policy", "same-origin"),
+    ("content-security-policy", "frame-ancestors 'self'"),
+]
 
 
 @asynccontextmanager
@@ -98,6 +103,7 @@ def _server(settings: Settings, front: FrontDoor) -> Server:
         access_log=False,
         proxy_headers=False,
         server_header=False,
+        headers=_HEADERS,
         timeout_keep_alive=settings.config.keep_alive,
     )
     uvicorn_config.load()

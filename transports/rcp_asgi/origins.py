@@ -1,7 +1,7 @@
 """Which web pages may talk to the gateway, and by which names it is called.
 
-A browser sends `Origin` with whatever a page of another site starts; a page that rebinds its own
-name to loopback is found out by `Host`.
+A browser sends `Origin` with what a script or form of another site starts, and `Sec-Fetch-Site` with
+what such a page embeds; a page that rebinds its own name to loopback is found out by `Host`.
 """
 
 from __future__ import annotations
@@ -15,8 +15,11 @@ from rcp_kernel.errors import Forbidden
 
 __all__ = ["Origins", "is_loopback"]
 
-_SAFE = frozenset(("GET", "HEAD", "OPTIONS"))
-_DEFAULT_PORTS = (":80", ":443")
+_LOOKED_AT = frozenset(
+    (b"host", b"origin", b"sec-fetch-site", b"sec-fetch-mode", b"sec-fetch-dest")
+)
+_SECURE = ("https", "wss")
+_DEFAULT_PORTS = {"http": ":80", "https": ":443"}
 
 
 def is_loopback(host: str) -> bool:
@@ -45,31 +48,48 @@ class Origins:
 
         :raises Forbidden: the page or the name is not one of those that the configuration allows.
         """
-        host = origin = None
+        found: dict[bytes, bytes] = {}
         for name, value in scope["headers"]:
-            if name == b"host":
-                host = value
-            elif name == b"origin":
-                origin = value
+            if name in _LOOKED_AT:
+                if name in found:
+                    raise Forbidden(f"the header {name.decode()} is there twice")
+                found[name] = value
+        host = found.get(b"host")
         if host is not None and not self._is_ours(host):
             raise Forbidden(
                 f"this gateway is not called {host.decode('latin-1')[:80]!r}",
                 remedy="Use an address that it listens on, or list the name in "
                 "`[transports.asgi] hosts`.",
             )
+        origin = found.get(b"origin")
         if origin is None:
+            if b"sec-fetch-site" in found:
+                self._check_embedding(found, scope["method"])
             return None
         text = origin.decode("latin-1").lower()
-        if host is not None and _netloc(text) == _plain(host.decode("latin-1").lower()):
+        if host is not None and _is_same(text, host, secure=scope["scheme"] in _SECURE):
             return None
         if text in self._origins or "*" in self._origins:
             return text
-        if scope["type"] == "websocket" or scope["method"] not in _SAFE:
+        raise Forbidden(
+            f"pages of {text[:80]!r} may not use this gateway",
+            remedy="List the origin in `[transports.asgi] origins`.",
+        )
+
+    def _check_embedding(self, found: dict[bytes, bytes], method: str) -> None:
+        """Refuse what a page of another origin embeds (images, scripts, frames): it has no Origin.
+
+        :raises Forbidden: it is that.
+        """
+        if found[b"sec-fetch-site"] in (b"same-origin", b"none") or "*" in self._origins:
+            return
+        visit = found.get(b"sec-fetch-mode") == b"navigate" and method in ("GET", "HEAD")
+        if not (visit and found.get(b"sec-fetch-dest") == b"document"):
             raise Forbidden(
-                f"pages of {text[:80]!r} may not use this gateway",
-                remedy="List the origin in `[transports.asgi] origins`.",
+                "another page may link to this gateway, but not embed it",
+                remedy="List its origin in `[transports.asgi] origins`, and have it ask with CORS "
+                "(`crossorigin`).",
             )
-        return None
 
     def _is_ours(self, host: bytes) -> bool:
         if self._hosts is None:
@@ -83,11 +103,10 @@ class Origins:
         return known
 
 
-def _netloc(origin: str) -> str:
-    return _plain(origin.partition("://")[2])
-
-
-def _plain(netloc: str) -> str:
-    for port in _DEFAULT_PORTS:
-        netloc = netloc.removesuffix(port)
-    return netloc
+def _is_same(origin: str, host: bytes, *, secure: bool) -> bool:
+    """Tell whether a page is the gateway's own: a proxy may have added TLS, nobody takes it away."""
+    scheme, _, netloc = origin.partition("://")
+    port = _DEFAULT_PORTS.get(scheme)
+    if port is None or (secure and scheme != "https"):
+        return False
+    return netloc.removesuffix(port) == host.decode("latin-1").lower().removesuffix(port)

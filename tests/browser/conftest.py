@@ -1,0 +1,63 @@
+"""A real Chromium, for every test below this folder that asks for one."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import AsyncGenerator
+
+import pytest
+from playwright.async_api import Browser, Page, async_playwright
+
+_NAMES = ("chromium", "chromium-browser", "google-chrome")
+_FLAGS = (
+    "--no-sandbox",
+    "--disable-gpu",
+    "--disable-quic",
+    "--disable-dev-shm-usage",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+)
+
+
+@pytest.fixture(scope="session")
+def anyio_backend() -> str:
+    """Keep one event loop, so that the browser lives as long as the tests."""
+    return "asyncio"
+
+
+@pytest.fixture(scope="session")
+def chromium() -> str:
+    """Return where the browser is; without one there is no test, except where it is a must."""
+    named = os.environ.get("RCP_CHROMIUM")
+    found = named or next(filter(None, map(shutil.which, _NAMES)), None)
+    if found is None:
+        reason = "no Chromium: install it (Debian: apt-get install chromium) or set RCP_CHROMIUM"
+        if os.environ.get("RCP_CI"):
+            pytest.fail(reason)
+        pytest.skip(reason)
+    return found
+
+
+@pytest.fixture(scope="session")
+async def browser(chromium: str) -> AsyncGenerator[Browser]:
+    """Run a headless browser with a profile of its own."""
+    async with async_playwright() as playwright:
+        made = await playwright.chromium.launch(executable_path=chromium, args=_FLAGS)
+        try:
+            yield made
+        finally:
+            await made.close()
+
+
+@pytest.fixture
+async def page(browser: Browser) -> AsyncGenerator[Page]:
+    """Open a tab of its own: no cookies, no cache, no other tab to see."""
+    context = await browser.new_context(ignore_https_errors=False)
+    context.set_default_timeout(10_000)  # ms
+    try:
+        yield await context.new_page()
+    finally:
+        await context.close()
