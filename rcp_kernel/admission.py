@@ -32,10 +32,12 @@ class Admission:
         :raises StaleCommand: the request is older than its path allows.
         :raises EstopActive: the path moves something, and its robot is stopped.
         :raises AdapterUnavailable: the gateway is closing, or there is no robot.
+        :raises QueueFull: it could not be put on record.
         """
         check_age(entry, request)
         check_motion(entry, entry.owner.latch)
         self._gateway.check_open()
+        self._gateway.recording.check()
         if entry.owner.backend is None:
             raise entry.owner.unavailable()
 

@@ -1,4 +1,4 @@
-"""`rcpd`, the gateway: demo, serve, check, plugins, new, version."""
+"""`rcpd`, the gateway: demo, serve, check, plugins, new, audit, version."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, NoReturn
 
 import click
 
+from rcp_kernel.audit_cli import audit
 from rcp_kernel.config import GatewayConfig, load, parse
 from rcp_kernel.errors import ConfigError, StartupError
 
@@ -27,6 +28,9 @@ _FAILED = 1
 @click.group(context_settings={"help_option_names": ["-h", "--help"]})
 def main() -> None:
     """Run the RCP gateway: one server between robots and everybody who talks to them."""
+
+
+main.add_command(audit)
 
 
 @main.command()

@@ -386,11 +386,12 @@ class Commands:
             body = NO_BODY if outcome is None else outcome
             text = f"Command {command.path} executed successfully."
             record = Record("completed", now(), body, message=text)
-        command.finished, command.asker = record.time, None
+        command.finished = record.time
         if command.timer is not None:
             command.timer.cancel()
             command.timer = None
         self._note(command, record)
+        command.asker = None
         command.followers.clear()
 
     def _note(self, command: Command, record: Record) -> None:

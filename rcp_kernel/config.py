@@ -24,6 +24,7 @@ from rcp_kernel.model import Pattern
 
 __all__ = [
     "Anonymous",
+    "AuditConfig",
     "BackendConfig",
     "CertificateConfig",
     "GatewayConfig",
@@ -144,9 +145,20 @@ class LogConfig(Table, frozen=True):
 
 
 class StoreConfig(Table, frozen=True):
-    """Where command history is kept; without a path only in memory."""
+    """Where everything that survives is kept; without a path only in memory."""
 
     path: str | None = None
+
+
+class AuditConfig(Table, frozen=True):
+    """How much of the record is kept."""
+
+    keep_days: Annotated[float, Meta(gt=0)] | None = 365.0
+    """Records older than that are deleted."""
+    keep_mb: Annotated[float, Meta(ge=1)] | None = 1024.0
+    """The oldest are deleted while the store is larger than that."""
+    denials: Annotated[int, Meta(ge=1)] = 10
+    """Refusals of one principal in a second that have a record each; more are counted in one."""
 
 
 class GatewayConfig(Table, frozen=True):
@@ -164,6 +176,7 @@ class GatewayConfig(Table, frozen=True):
     limits: Limits = Limits()
     log: LogConfig = LogConfig()
     store: StoreConfig = StoreConfig()
+    audit: AuditConfig = AuditConfig()
 
     @property
     def closed(self) -> bool:

@@ -160,7 +160,8 @@ class Connection:
         except Exception as error:
             told = crash(error)
             gateway.count(self.session.transport, "hello", told.code)
-            self.send(failure(told, "hello", request.id))
+            reply = failure(told, "hello", request.id)
+            gateway.recording.unwelcome(self.session, reply, self.send)(reply)
             return
         gateway.count(self.session.transport, "hello", "ok")
         reply = Reply(type="hello", id=request.id, body=body, timestamp=iso(now()))

@@ -18,7 +18,7 @@ from rcp_kernel.commands import Command
 from rcp_kernel.config import Limits
 from rcp_kernel.connections import Connection, Hello
 from rcp_kernel.discovery import Query
-from rcp_kernel.errors import PluginError
+from rcp_kernel.errors import PluginError, Unauthenticated
 from rcp_kernel.identity import Principal
 from rcp_kernel.model import Pattern
 from rcp_kernel.peer import UNKNOWN, Peer, Serial
@@ -115,7 +115,11 @@ class Door:
 
         :raises Unauthenticated: the token is not known, or nobody is served without one.
         """
-        return self._gateway.authenticate(token, peer)
+        try:
+            return self._gateway.authenticate(token, peer)
+        except Unauthenticated as error:
+            self._gateway.recording.stranger(self.name, peer, error)
+            raise
 
     def connect(
         self,

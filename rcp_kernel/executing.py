@@ -68,6 +68,7 @@ class Executing:
             entry=entry,
         )
         self._follow(session, request, command, answer, started)
+        gateway.recording.started(session, request, command)
         gateway.keys.note(session, request, entry.path, command)
         timeout = self._timeout(request, entry)
         gateway.commands.start(command, session, entry, value, timeout, request.deadline)
@@ -97,7 +98,7 @@ class Executing:
         gateway.later(
             session,
             request,
-            answer,
+            gateway.recording.hold_estop(answer),
             work,
             done,
             entry.resource.timeout or 6.0,
@@ -123,6 +124,7 @@ class Executing:
     ) -> None:
         """Have the request answered by the command's replies, those of its past included."""
         key = self._gateway.claim(session, request)
+        answer = self._gateway.recording.held(answer, request)
         if not session.stateless:
             session.commands[command.id] = command
             if len(session.commands) > 256:

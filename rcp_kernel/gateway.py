@@ -18,6 +18,7 @@ import msgspec
 from rcp_kernel.acl import Rules
 from rcp_kernel.admission import Admission
 from rcp_kernel.audit import Audit
+from rcp_kernel.audit_keeping import Keeping
 from rcp_kernel.batching import Batching
 from rcp_kernel.certificates import Certificates
 from rcp_kernel.clock import iso, now
@@ -45,6 +46,7 @@ from rcp_kernel.model import Operation, Pattern, operation_names, parse_path
 from rcp_kernel.peer import UNKNOWN, Peer, Serial
 from rcp_kernel.pending import Pending, crash
 from rcp_kernel.reading import Reading
+from rcp_kernel.recording import ACTS, DENIALS, Recorded, Recording
 from rcp_kernel.registry import Entry, Registry
 from rcp_kernel.safety import Deadman
 from rcp_kernel.samples import READ_PIECE
@@ -80,11 +82,13 @@ class Gateway:
         self.admission = Admission(self)
         self.store = store or Store()
         """What survives the process."""
-        self.audit = Audit(self.store)
+        self.audit = Audit(self.store, loop, config.audit, lambda: self.rules.roles)
+        self.keeping = Keeping(self.audit, self.store, loop, config.audit)
+        self.recording = Recording(self)
         history = History(self.store)
-        self.commands = Commands(self.admission.confirm, history)
-        self.commands.remember(history.load())
+        self.commands = Commands(self.admission.confirm, Recorded(self.recording, history))
         self.rules = Rules(config.roles)
+        self.commands.remember(history.load())
         self.sessions = Sessions(self)
         self.discovery = Discovery(self.registry)
         self.deadman = Deadman(loop)
@@ -98,6 +102,8 @@ class Gateway:
         self.keys = Keys()
         self.views: dict[str, Callable[[Session], Any]] = {}
         """Resources whose value depends on who asks, by path."""
+        self.sieves: dict[str, Callable[[Session, Any], bool]] = {}
+        """Resources of whose samples everybody sees their own only, by path."""
         self.estop: Callable[[Session, Any], Coroutine[Any, Any, Any]] | None = None
         """The e-stop's own lane, past every queue and limit: latches when called, not when awaited."""
         self.executing = Executing(self)
@@ -219,6 +225,8 @@ class Gateway:
             path = told.path or _full(request.path, session.tenant)
             reply = failure(told, request.type, request.id, path)
             reply.custom = request.custom
+            if told.code in DENIALS or request.type in ACTS:
+                answer = self.recording.refused(session, request, reply, answer)
         if reply is not None:
             self.conclude(session, reply, started)
             answer(reply)
@@ -432,6 +440,7 @@ class Gateway:
         self.rules = Rules(config.roles)
         self._keyring = _keyring(config)
         self._certificates = Certificates(config.certificates, self._certificates)
+        self.keeping.config = config.audit
         self.sessions.review()
 
     def drop_forbidden(self, session: Session) -> None:

@@ -193,6 +193,12 @@ class Hub:
         kind = Feed if alone or options.count is not None else ChorusFeed
         return kind(subscription, entry, mailbox)
 
+    @staticmethod
+    def keep(entry: Entry) -> None:
+        """Have the whole history of a path kept although nobody may be listening."""
+        entry.listeners.append(_Keeper(0.0))
+        entry.size_ring()
+
     # -- cut and resume ------------------------------------------------------------------------
 
     def detach(self, subscription: Subscription) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Callable
 from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
@@ -56,6 +57,8 @@ class Reading:
                 raise FilterUnsupported(f"{entry.path} has no field '{field}'", path=entry.path)
         if (view := self._gateway.views.get(entry.path)) is not None:
             return _viewed(request, entry, view(session), options)
+        if (shows := self._gateway.sieves.get(entry.path)) is not None:
+            return _reply(request, entry, _last_shown(entry, session, shows), options)
         if (sample := _at_hand(entry, options)) is not None:
             return _reply(request, entry, sample, options)
         timeout = self._gateway.deadline(request, entry)
@@ -92,7 +95,7 @@ class Reading:
         pattern = Pattern(request.path or "", session.tenant)
         entries: list[Entry] = []
         for entry in gateway.registry.match(pattern):
-            if entry.path in gateway.views:
+            if entry.path in gateway.views or entry.path in gateway.sieves:
                 continue
             if entry.operations & session.rights.mask(entry.path) & Operation.READ:
                 entries.append(entry)
@@ -135,6 +138,17 @@ def _at_hand(entry: Entry, options: ReadOptions) -> Sample | None:
         return entry.latest
     # An actuator's value is the last one commanded, which nobody knows better than the gateway.
     return entry.latest if entry.kind == "actuator" else None
+
+
+def _last_shown(entry: Entry, session: Session, shows: Callable[[Session, Any], bool]) -> Sample:
+    for sample in reversed(entry.ring):
+        if shows(session, sample.value):
+            return sample
+    raise AdapterUnavailable(
+        f"nothing that you may see has happened at {entry.path} yet",
+        path=entry.path,
+        remedy="Subscribe to it.",
+    )
 
 
 def _viewed(request: Request, entry: Entry, value: Any, options: ReadOptions) -> Reply:

@@ -31,6 +31,7 @@ async def reload(server: Server, path: Path) -> None:
         prepared = prepare(msgspec.structs.replace(fresh, **kept), str(path))
     except StartupError as error:
         log.error("reload_refused", reason=str(error))
+        server.gateway.audit.note("reload", principal=None, outcome="refused", message=str(error))
         return
     for part in _FIXED:
         if getattr(running, part) != getattr(fresh, part):
@@ -49,4 +50,5 @@ async def apply(server: Server, prepared: Prepared) -> None:
     for backend, table in zip(new.backends, prepared.backends, strict=True):
         if backend.name not in kept:
             start_backend(server, prepared, backend, table)
+    gateway.audit.note("reload", principal=None, backends=[slot.name for slot in server.slots])
     log.info("reloaded", backends=len(server.slots), stopped=[slot.name for slot in gone])

@@ -21,7 +21,7 @@ from rcp_kernel.log import Recent
 from rcp_kernel.plugins import Missing, Plugins
 from rcp_kernel.safety import halt
 from rcp_kernel.spi import AdapterKind, TransportKind
-from rcp_kernel.status import StatusReport
+from rcp_kernel.status import StatusReport, gateway_version
 from rcp_kernel.store import DiskStore, Store
 from rcp_kernel.supervisor import Slot
 from rcp_kernel.system import System
@@ -129,6 +129,7 @@ async def running(prepared: Prepared, recent: Recent | None = None) -> AsyncGene
         slots: list[Slot] = []
         status = StatusReport(gateway, slots, recent)
         System(gateway, slots, status, recent)
+        _keep_record(stack, gateway)
         stack.callback(setattr, recent, "told", None)
         status.start()
         stack.callback(status.stop)
@@ -141,6 +142,19 @@ async def running(prepared: Prepared, recent: Recent | None = None) -> AsyncGene
         _report_missing(plugins.missing, status)
         stack.push_async_callback(_rest, gateway, slots)
         yield server
+
+
+def _keep_record(stack: AsyncExitStack, gateway: Gateway) -> None:
+    audit = gateway.audit
+    audit.start(name=gateway.config.name, version=gateway_version())
+    gateway.keeping.start()
+
+    def stop() -> None:
+        gateway.keeping.stop()
+        audit.close()
+        audit.note("stop", principal=None)
+
+    stack.callback(stop)
 
 
 async def _open_all(

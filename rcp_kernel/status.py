@@ -76,6 +76,7 @@ class StatusReport:
         states = [WIRE_STATE.get(slot.state, "down") for slot in slots]
         parts = [*self.transports, *self.adapters]
         broken = any(part.get("state") == "down" for part in parts)
+        broken = broken or gateway.store.trouble is not None
         worst = "ok" if all(s == "ready" for s in states) and not broken else "degraded"
         if states and all(state == "down" for state in states):
             worst = "down"

@@ -21,10 +21,11 @@ from typing import Any
 import msgspec
 import structlog
 
+from rcp_kernel.audit_chain import Head, Row, parse_head
 from rcp_kernel.errors import ConfigError
 from rcp_kernel.values import Encoding, dump
 
-__all__ = ["DiskStore", "Row", "Store", "open_read_only"]
+__all__ = ["DiskStore", "Store", "head_beside", "open_read_only"]
 
 log = structlog.get_logger("rcp.store")
 _SCHEMA = """
@@ -38,9 +39,6 @@ CREATE TABLE IF NOT EXISTS audit (
 _RETRY = 0.5  # s between attempts of a store that cannot write
 _BUSY = 1.0  # s to wait for somebody else's lock on the database
 
-Row = tuple[int, bytes, bytes]
-"""A record of the audit: its number, its hash, its bytes."""
-
 
 class Store:
     """Keeps nothing: the store of a gateway without `[store] path`, and the base of the other."""
@@ -51,6 +49,10 @@ class Store:
     """Why nothing can be written at present."""
     waiting = 0
     """Rows of the audit that are not committed yet."""
+    left: Head | None = None
+    """The head of the audit as the earlier run left it beside the database."""
+    head: Head | None = None
+    """The last row of the audit that this run committed."""
 
     def put(self, table: str, key: str, value: Any | None) -> None:
         """Keep a value that msgpack takes under a key; None deletes. Returns at once."""
@@ -69,9 +71,17 @@ class Store:
         """Return the last rows of the audit that earlier runs left. Blocks: for the start only."""
         return []
 
-    def settled(self, callback: Callable[[], None]) -> None:
+    @property
+    def idle(self) -> bool:
+        """Whether all that was put is committed."""
+        return True
+
+    def settled(self, callback: Callable[[], object]) -> None:
         """Call back on the event loop once all that was put before is committed."""
         callback()
+
+    def look(self, work: Callable[[sqlite3.Connection], Any], then: Callable[[Any], None]) -> None:
+        """Have the store's thread look something up; `then` gets it on the event loop."""
 
     def close(self) -> None:
         """Write what is left, then stop."""
@@ -80,9 +90,10 @@ class Store:
 class _Batch:
     """What one transaction writes."""
 
-    __slots__ = ("before", "puts", "rows", "upto")
+    __slots__ = ("before", "looks", "puts", "rows", "upto")
 
     def __init__(self) -> None:
+        self.looks: list[tuple[Callable[[sqlite3.Connection], Any], Callable[[Any], None]]] = []
         self.puts: dict[tuple[str, str], bytes | None] = {}
         self.rows: list[Row] = []
         self.before = 0
@@ -91,6 +102,7 @@ class _Batch:
     def take(self, later: _Batch) -> None:
         self.puts.update(later.puts)
         self.rows += later.rows
+        self.looks += later.looks
         self.before = max(self.before, later.before)
         self.upto = later.upto
 
@@ -111,7 +123,7 @@ class DiskStore(Store):
         self._scheduled = False
         self._count = 0
         self._committed = 0
-        self._waiters: deque[tuple[int, Callable[[], None]]] = deque()
+        self._waiters: deque[tuple[int, Callable[[], object]]] = deque()
         self._queue: queue.SimpleQueue[_Batch | None] = queue.SimpleQueue()
         self._closing = threading.Event()
         try:
@@ -119,6 +131,8 @@ class DiskStore(Store):
             with suppress(FileExistsError):  # records are nobody else's to read
                 os.close(os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o600))
             self._lock = _lock(path)
+            self.left = head_beside(path)
+            self._beside = os.open(_beside(path), os.O_CREAT | os.O_WRONLY, 0o600)
             self._connect().close()
         except (OSError, sqlite3.Error) as error:
             raise ConfigError(f"[store] path = '{path}' cannot be opened: {error}") from None
@@ -169,17 +183,31 @@ class DiskStore(Store):
         batch.upto = self._count
         self._queue.put(batch)
 
-    def settled(self, callback: Callable[[], None]) -> None:
+    def look(self, work: Callable[[sqlite3.Connection], Any], then: Callable[[Any], None]) -> None:
+        """Have the thread look something up once all that was put before is committed."""
+        self._gathered.looks.append((work, then))
+        self._gather()
+
+    @property
+    def idle(self) -> bool:
+        """Whether all that was put is committed."""
+        return self._committed == self._count
+
+    def settled(self, callback: Callable[[], object]) -> None:
         """Call back once all that was put before is committed."""
-        if self._committed == self._count:
+        if self.idle:
             callback()
         else:
             self._waiters.append((self._count, callback))
 
-    def _written(self, upto: int, rows: int) -> None:
-        self._committed = upto
-        self.waiting -= rows
+    def _written(self, batch: _Batch, found: list[Any]) -> None:
+        upto = self._committed = batch.upto
+        self.waiting -= len(batch.rows)
         self.trouble = None
+        if batch.rows:
+            self.head = batch.rows[-1][:2]
+        for (_, then), result in zip(batch.looks, found, strict=True):
+            then(result)
         while self._waiters and self._waiters[0][0] <= upto:
             callback = self._waiters.popleft()[1]
             try:
@@ -213,6 +241,7 @@ class DiskStore(Store):
         self._closing.set()
         self._thread.join(timeout=10)
         self._lock.close()
+        os.close(self._beside)
 
     # -- the thread's side ---------------------------------------------------------------------
 
@@ -225,6 +254,8 @@ class DiskStore(Store):
                 try:
                     base = base or self._connect()
                     _commit(base, batch)
+                    self._write_beside(batch)
+                    found = [_looked(base, work) for work, _ in batch.looks]
                 except sqlite3.Error as error:
                     self._tell(self._failed, str(error))
                     if base is not None:
@@ -235,7 +266,7 @@ class DiskStore(Store):
                         return
                     ending = self._collect(batch, wait=False)
                 else:
-                    self._tell(self._written, batch.upto, len(batch.rows))
+                    self._tell(self._written, batch, found)
                     batch = _Batch()
         if base is not None:
             base.close()
@@ -249,6 +280,14 @@ class DiskStore(Store):
                 return True
             batch.take(more)
         return False
+
+    def _write_beside(self, batch: _Batch) -> None:
+        """Keep the head in a second place, where the end of the chain can be missed."""
+        if batch.rows:
+            seq, digest, _ = batch.rows[-1]
+            with suppress(OSError):  # what is committed is committed
+                os.lseek(self._beside, 0, os.SEEK_SET)
+                os.write(self._beside, f"{seq:020d}:{digest.hex()}\n".encode())
 
     def _tell(self, what: Callable[..., None], *facts: Any) -> None:
         with suppress(RuntimeError):  # the loop has ended: nobody waits any more
@@ -264,6 +303,26 @@ def _commit(base: sqlite3.Connection, batch: _Batch) -> None:
         base.executemany("INSERT OR REPLACE INTO audit VALUES (?, ?, ?)", batch.rows)
         if batch.before:
             base.execute("DELETE FROM audit WHERE seq < ?", (batch.before,))
+
+
+def _looked(base: sqlite3.Connection, work: Callable[[sqlite3.Connection], Any]) -> Any:
+    try:
+        return work(base)
+    except Exception:  # nobody's question may end the thread that writes
+        log.exception("store_look_failed")
+        return None
+
+
+def _beside(path: Path) -> Path:
+    return path.with_name(path.name + ".head")
+
+
+def head_beside(path: Path) -> Head | None:
+    """Return the head of the audit that the last writer left beside a database."""
+    try:
+        return parse_head(_beside(path).read_text(encoding="ascii"))
+    except (OSError, ValueError):
+        return None
 
 
 def _lock(path: Path) -> sqlite3.Connection:

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from rcp_kernel.hub import Hub
     from rcp_kernel.mailbox import Framing, Mailbox, Wrap
 
-__all__ = ["Feed", "FilteredFeed", "Subscription", "ViewFeed"]
+__all__ = ["Feed", "FilteredFeed", "SievedFeed", "Subscription", "ViewFeed"]
 
 _CBOR_MAP = 0xA0
 _LONGEST = 86_400.0  # s between updates, however low the rate
@@ -409,6 +409,31 @@ class FilteredFeed(Feed):
         self._held = None
 
 
+class SievedFeed(FilteredFeed):
+    """A path of which everybody sees some samples only."""
+
+    __slots__ = ("_shows",)
+
+    def __init__(
+        self,
+        subscription: Subscription,
+        entry: Entry,
+        mailbox: Mailbox | None,
+        shows: Callable[[Any], bool],
+    ) -> None:
+        super().__init__(subscription, entry, mailbox)
+        self._shows = shows
+
+    def offer(self, sample: Sample) -> None:
+        """Queue a sample that this principal may see."""
+        if self._shows(sample.value):
+            super().offer(sample)
+
+    def admit(self, sample: Sample) -> bool:
+        """Tell whether an earlier sample may be seen, and passes."""
+        return self._shows(sample.value) and super().admit(sample)
+
+
 class ViewFeed(Feed):
     """A path whose value depends on who asks: a sample only says that it changed."""
 
@@ -456,6 +481,7 @@ class Subscription:
         "options",
         "patterns",
         "remaining",
+        "sieve",
         "timer",
         "view",
         "where",
@@ -472,6 +498,7 @@ class Subscription:
         may: Callable[[Entry], bool],
         end: Callable[[Subscription, str, RcpError | None], None],
         view: Callable[[Entry], Callable[[], Any] | None],
+        sieve: Callable[[Entry], Callable[[Any], bool] | None],
     ) -> None:
         self.hub = hub
         self.id = id_
@@ -484,6 +511,8 @@ class Subscription:
         """Called when the subscription ends by itself, with the reason."""
         self.view = view
         """What an entry shows this principal, where that depends on who asks."""
+        self.sieve = sieve
+        """Which of an entry's samples this principal may see, where these are not all."""
         self.feeds: dict[str, Feed] = {}
         self.where: Where | None = parse_where(options.where) if options.where else None
         self.remaining = options.count
@@ -498,6 +527,8 @@ class Subscription:
         view = self.view(entry)
         if view is not None:
             return ViewFeed(self, entry, self.mailbox, view)
+        if (shows := self.sieve(entry)) is not None:
+            return SievedFeed(self, entry, self.mailbox, shows)
         if not self.options.plain:
             return FilteredFeed(self, entry, self.mailbox)
         return self.hub.plain_feed(self, entry, self.mailbox)

@@ -80,8 +80,20 @@ class Subscribing:
             shown = gateway.views.get(entry.path)
             return None if shown is None else partial(shown, session)
 
+        def sieve(entry: Entry) -> Callable[[Any], bool] | None:
+            shows = gateway.sieves.get(entry.path)
+            return None if shows is None else partial(shows, session)
+
         subscription = Subscription(
-            gateway.hub, id_, patterns, options, connection.mailbox, may=may, end=end, view=view
+            gateway.hub,
+            id_,
+            patterns,
+            options,
+            connection.mailbox,
+            may=may,
+            end=end,
+            view=view,
+            sieve=sieve,
         )
         session.subscriptions[id_] = subscription
         reply = Reply(

@@ -10,6 +10,7 @@ from typing import Annotated, Any
 import msgspec
 from msgspec import Meta
 
+from rcp_kernel.audit import PATH
 from rcp_kernel.errors import DeviceTimeout, Forbidden, RcpError, UnknownPath
 from rcp_kernel.gateway import Gateway
 from rcp_kernel.log import Recent
@@ -26,6 +27,7 @@ __all__ = ["System"]
 
 _POLLED = ("sensor/status", "sensor/sessions", "sensor/commands")
 _LOOK = Operation.READ | Operation.SUBSCRIBE
+_AUDIT = 1000  # records at hand for `history`
 _HALT_WAIT = 5.0  # s an e-stop waits for robots to confirm; it goes on trying after that
 
 
@@ -75,12 +77,14 @@ class System(BaseBackend):
         self.entries = {entry.path: entry for entry in map(self._place, _resources())}
         gateway.views.update(
             {
-                "/system/status": lambda s: status.plain(s.rights.tenants),
+                "/system/status": self._health,
                 "/system/sessions": self._sessions,
                 "/system/commands": self._commands,
                 "/system/estop": lambda s: msgspec.to_builtins(self._estop_state(s)),
             }
         )
+        gateway.sieves[PATH] = gateway.audit.shows
+        self._open_audit(self.entries[PATH])
         gateway.estop = self.estop
         recent.told = self._logged
 
@@ -99,6 +103,13 @@ class System(BaseBackend):
 
     def fault(self, detail: str) -> None:
         """A value of the gateway's own that does not fit is a bug, and raises where it is made."""
+
+    def _open_audit(self, entry: Entry) -> None:
+        audit = self._gateway.audit
+        self._gateway.hub.keep(entry)
+        for record in audit.past(_AUDIT):
+            entry.publish(record, None)
+        audit.told = lambda record: entry.publish(record, None)
 
     def _logged(self, record: dict[str, Any]) -> None:
         # Warnings come from any thread.
@@ -126,6 +137,11 @@ class System(BaseBackend):
             await asyncio.sleep(period)
 
     # -- views ---------------------------------------------------------------------------------
+
+    def _health(self, session: Session) -> dict[str, Any]:
+        audit = self._gateway.audit
+        report = self._status.plain(session.rights.tenants)
+        return report | {"record": audit.state(head=audit.shows(session, {}))}
 
     def _sessions(self, session: Session) -> list[dict[str, Any]]:
         mine = session.principal
@@ -240,6 +256,12 @@ def _resources() -> list[Resource]:
             value=LogRecord,
             history=100,
             live=True,
+        ),
+        Resource(
+            name="event/audit",
+            description="Records of commands, writes, refusals and logins in your tenants.",
+            value=dict[str, Any],
+            history=_AUDIT,
         ),
         Resource(
             name="sensor/sessions",

@@ -40,15 +40,16 @@ class Writing:
         value = request.decode_body(entry.value_type, entry.label)
         first = gateway.keys.find(session, request, entry.path)
         if first is not None:
-            self._repeat(first, session, request, entry, answer)
+            held = gateway.recording.held(answer, request, entry)
+            self._repeat(first, session, request, entry, held)
             return None
         gateway.admission.admit(session, request, entry, value)
         window = gateway.deadman.window(entry, request)
         if request.dry_run:
             return would(request, entry, {"write": value, "valid_for": window})
-        noted = answer
+        noted = gateway.recording.written(session, request, entry, answer)
         if request.idempotency_key is not None:
-            noted = self._noting(session, request, entry, answer)
+            noted = self._noting(session, request, entry, noted)
         try:
             gateway.later(
                 session,

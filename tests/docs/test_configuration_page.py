@@ -14,6 +14,7 @@ from rcp_asgi.config import TlsConfig
 from rcp_kernel.acl import Role, Rule
 from rcp_kernel.config import (
     Anonymous,
+    AuditConfig,
     BackendConfig,
     CertificateConfig,
     GatewayConfig,
@@ -38,6 +39,7 @@ _TABLES = [
     ("`[limits]`", Limits),
     ("`[log]`", LogConfig),
     ("`[store]`", StoreConfig),
+    ("`[audit]`", AuditConfig),
 ]
 
 
