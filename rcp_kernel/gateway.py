@@ -23,6 +23,7 @@ from rcp_kernel.batching import Batching
 from rcp_kernel.certificates import Certificates
 from rcp_kernel.clock import iso, now
 from rcp_kernel.commands import Commands
+from rcp_kernel.conditions import Conditions
 from rcp_kernel.config import GatewayConfig
 from rcp_kernel.discovery import Discovery
 from rcp_kernel.errors import (
@@ -79,6 +80,7 @@ class Gateway:
         self.loop = loop
         self.registry = Registry()
         self.hub = Hub(self.registry, loop)
+        self.conditions = Conditions(self.hub)
         self.admission = Admission(self)
         self.store = store or Store()
         """What survives the process."""

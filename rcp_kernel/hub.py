@@ -267,6 +267,16 @@ class Hub:
             entry.listeners.remove(keeper)
             self._left(entry)
 
+    def sustain(self, entry: Entry, rate: float) -> None:
+        """Have an entry published at `rate` Hz at least, whoever listens; 0.0: no more."""
+        if entry.sustained != rate:
+            entry.sustained = rate
+            self._retune(entry)
+
+    def watches(self, entry: Entry) -> bool:
+        """Tell whether the source of an entry is kept running."""
+        return entry.path in self._watches
+
     # -- the tree changes ----------------------------------------------------------------------
 
     def _added(self, entry: Entry) -> None:
@@ -302,6 +312,7 @@ class Hub:
                 )
         self._timed.pop(entry.path, None)
         entry.listeners = []
+        entry.sustained = 0.0
         self._retune(entry)
 
     # -- sources -------------------------------------------------------------------------------
@@ -416,7 +427,7 @@ def _keeper(feed: Feed) -> _Keeper:
 
 def _wanted_rate(entry: Entry) -> float | None:
     """The most that anybody wants in Hz; None for everything, 0.0 for nothing at all."""
-    best = 0.0
+    best = entry.sustained
     for listener in entry.listeners:
         if isinstance(listener, _Keeper):
             rate = listener.rate

@@ -95,6 +95,7 @@ class Entry:
         "ring",
         "robot",
         "seq",
+        "sustained",
         "tenant",
         "value_type",
         "written",
@@ -124,6 +125,8 @@ class Entry:
         self.seq = 0
         self.ring: deque[Sample] = deque(maxlen=min(resource.history, _IDLE_HISTORY) or 1)
         self.listeners: list[Listener] = []
+        self.sustained = 0.0
+        """Rate in Hz at which it is published whoever listens."""
         self.written: float | None = None
         """Monotonic time of the last write, for rates of change and the dead-man."""
         self._heard = 0.0
@@ -174,6 +177,7 @@ class Entry:
         """Go on where an entry of the same path left off: number, samples and listeners."""
         self.seq = old.seq
         self.listeners = old.listeners
+        self.sustained = old.sustained
         self.written = old.written
         if old.resource.value == self.resource.value:
             self.latest, self.ring, self._heard = old.latest, old.ring, old._heard
