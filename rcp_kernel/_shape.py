@@ -17,7 +17,7 @@ from msgspec import inspect as mi
 from rcp_kernel._plain import is_index, is_map, is_sequence
 from rcp_kernel.types import NONFINITE
 
-__all__ = ["SAFE_INTEGER", "Beyond", "Node", "Shape", "unescaped"]
+__all__ = ["SAFE_INTEGER", "Beyond", "Node", "Shape", "children", "facts_of", "unescaped"]
 
 SAFE_INTEGER = 2**53 - 1
 _NAMES = {"NaN": math.nan, "Infinity": math.inf, "-Infinity": -math.inf}
@@ -50,42 +50,22 @@ class Shape:
         """Tell whether `position.x` leads to a part of the type."""
         found = [self._info]
         for name in dotted.split("."):
-            found = [child for info in found for child in self._children(info, name)]
+            found = [child for info in found for child in children(info, name)]
         return bool(found)
 
     def unit(self, pointer: str) -> str | None:
         """Return the unit of the number at a JSON Pointer, if its type names one."""
         found, unit = [self._info], None
         for name in [unescaped(p) for p in pointer.split("/") if p]:
-            found = [child for info in found for child in self._children(info, name)]
+            found = [child for info in found for child in children(info, name)]
         for info in found:
-            unit = _extra(info).get("unit", unit)
+            unit = facts_of(info).get("unit", unit)
         return unit
-
-    def _children(self, info: mi.Type, name: str) -> list[mi.Type]:
-        match info:
-            case mi.Metadata():
-                return self._children(info.type, name)
-            case mi.StructType() | mi.TypedDictType() | mi.DataclassType() | mi.NamedTupleType():
-                return [f.type for f in info.fields if f.encode_name == name]
-            case mi.DictType():
-                return [info.value_type]
-            case mi.UnionType():
-                return [c for option in info.types for c in self._children(option, name)]
-            case mi.ListType() | mi.VarTupleType():
-                return [info.item_type] if is_index(name) else []
-            case mi.TupleType():
-                inside = is_index(name) and int(name) < len(info.item_types)
-                return [info.item_types[int(name)]] if inside else []
-            case mi.AnyType():
-                return [info]
-            case _:
-                return []
 
     def _node(self, info: mi.Type, memo: dict[type, Node], *, outward: bool) -> Node:
         extra: dict[str, Any] = {}
         while isinstance(info, mi.Metadata):
-            extra |= _extra(info)
+            extra |= facts_of(info)
             info = info.type
         match info:
             case mi.FloatType():
@@ -151,6 +131,28 @@ class Shape:
         return node
 
 
+def children(info: mi.Type, name: str) -> list[mi.Type]:
+    """Return the types that the field of a name, or the element at a place, may have."""
+    match info:
+        case mi.Metadata():
+            return children(info.type, name)
+        case mi.StructType() | mi.TypedDictType() | mi.DataclassType() | mi.NamedTupleType():
+            return [f.type for f in info.fields if f.encode_name == name]
+        case mi.DictType():
+            return [info.value_type]
+        case mi.UnionType():
+            return [c for option in info.types for c in children(option, name)]
+        case mi.ListType() | mi.VarTupleType():
+            return [info.item_type] if is_index(name) else []
+        case mi.TupleType():
+            inside = is_index(name) and int(name) < len(info.item_types)
+            return [info.item_types[int(name)]] if inside else []
+        case mi.AnyType():
+            return [info]
+        case _:
+            return []
+
+
 def _bare(info: mi.Type) -> mi.Type:
     while isinstance(info, mi.Metadata):
         info = info.type
@@ -175,7 +177,8 @@ def unescaped(step: str) -> str:
     return step.replace("~1", "/").replace("~0", "~")
 
 
-def _extra(info: mi.Type) -> dict[str, Any]:
+def facts_of(info: mi.Type) -> dict[str, Any]:
+    """Return what a type says of itself beyond its kind, such as its unit."""
     return getattr(info, "extra_json_schema", None) or {}
 
 

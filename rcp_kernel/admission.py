@@ -33,6 +33,7 @@ class Admission:
         :raises EstopActive: the path moves something, and its robot is stopped.
         :raises AdapterUnavailable: the gateway is closing, or there is no robot.
         :raises QueueFull: it could not be put on record.
+        :raises OutOfRange, ModeForbids, PreconditionFailed: an envelope does not hold.
         """
         check_age(entry, request)
         check_motion(entry, entry.owner.latch)
@@ -40,6 +41,7 @@ class Admission:
         self._gateway.recording.check()
         if entry.owner.backend is None:
             raise entry.owner.unavailable()
+        self._gateway.envelopes.check(session, entry, value)
 
     def confirm(self, session: Session, entry: Entry, value: Any) -> Backend:
         """Return the robot that takes it, or refuse what must not reach it any more.
@@ -48,9 +50,11 @@ class Admission:
 
         :raises EstopActive: as above.
         :raises AdapterUnavailable: there is no robot any more.
+        :raises OutOfRange, ModeForbids, PreconditionFailed: as above.
         """
         check_motion(entry, entry.owner.latch)
         backend = entry.owner.backend
         if backend is None:
             raise entry.owner.unavailable()
+        self._gateway.envelopes.send(session, entry, value)
         return backend

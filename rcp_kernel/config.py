@@ -18,6 +18,7 @@ from msgspec import Meta
 
 from rcp_kernel._plain import is_list, is_map
 from rcp_kernel.acl import BUILTIN_ROLES, Role
+from rcp_kernel.config_envelopes import EnvelopeConfig, check_envelopes
 from rcp_kernel.errors import ConfigError, InvalidPath
 from rcp_kernel.identity import Grants, granted
 from rcp_kernel.model import Pattern
@@ -173,6 +174,7 @@ class GatewayConfig(Table, frozen=True):
     keys: tuple[KeyConfig, ...] = ()
     certificates: tuple[CertificateConfig, ...] = ()
     anonymous: Anonymous = Anonymous()
+    envelopes: tuple[EnvelopeConfig, ...] = ()
     limits: Limits = Limits()
     log: LogConfig = LogConfig()
     store: StoreConfig = StoreConfig()
@@ -310,6 +312,8 @@ def _explain(text: str, raw: Any, type_: type[Any]) -> str:
         match = _AT.match(text)
         if match is None:
             return text
+        if "..." in match["at"]:  # below a key that msgspec does not name
+            return f"{match['at']}: {match['what']}"
         value = _follow(raw, match["at"])
         return f"{match['at']} = {_shown(value)}: {match['what']}"
     table = (unknown["at"] or "").lstrip(".")
@@ -337,7 +341,7 @@ def _shown(value: Any) -> str:
 
 def _keys_at(type_: Any, at: str) -> list[str]:
     info: Any = msgspec.inspect.type_info(type_)
-    for step in re.findall(r"[^.\[\]]+", at):
+    for step in re.findall(r"\.{3}|[^.\[\]]+", at):
         info = _step(info, step)
     while isinstance(info, msgspec.inspect.Metadata):
         info = info.type
@@ -382,6 +386,7 @@ def _check(config: GatewayConfig, source: str) -> None:
             raise ConfigError(f"{where} needs a `role`, or `roles` by tenant")
         if one.subject is None and one.san is None:
             raise ConfigError(f"{where} needs a `subject` or a `san`: whose it is")
+    check_envelopes(config.envelopes, source, roles, config.tenant_names)
     for key in config.keys:
         if (key.key is None) == (key.sha256 is None):
             raise ConfigError(f"{source}: key '{key.name}' needs either `key` or `sha256`")

@@ -55,7 +55,8 @@ class Executing:
         gateway.admission.admit(session, request, entry, value)
         gateway.commands.admit(entry)
         if request.dry_run:
-            return would(request, entry, {"execute": value})
+            held = gateway.envelopes.applied(session, entry)
+            return would(request, entry, {"execute": value, "envelopes": held or None})
         command = Command(
             id="cmd-" + secrets.token_hex(8),
             path=entry.path,

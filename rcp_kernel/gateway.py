@@ -26,6 +26,7 @@ from rcp_kernel.commands import Commands
 from rcp_kernel.conditions import Conditions
 from rcp_kernel.config import GatewayConfig
 from rcp_kernel.discovery import Discovery
+from rcp_kernel.envelopes import Envelopes
 from rcp_kernel.errors import (
     AdapterUnavailable,
     BadRequest,
@@ -94,6 +95,8 @@ class Gateway:
         self.sessions = Sessions(self)
         self.discovery = Discovery(self.registry)
         self.deadman = Deadman(loop)
+        self.envelopes = Envelopes(self)
+        self.envelopes.configure(config.envelopes)
         self.closing = False
         self.counts: dict[tuple[str, str, str], int] = {}
         """Requests by transport, type and code."""
@@ -443,6 +446,7 @@ class Gateway:
         self._keyring = _keyring(config)
         self._certificates = Certificates(config.certificates, self._certificates)
         self.keeping.config = config.audit
+        self.envelopes.configure(config.envelopes)
         self.sessions.review()
 
     def drop_forbidden(self, session: Session) -> None:

@@ -21,7 +21,7 @@ from rcp_kernel.chorus import ChorusFeed, feeds_of, join, part
 from rcp_kernel.clock import iso, now
 from rcp_kernel.errors import RcpError
 from rcp_kernel.mailbox import Mailbox, Ticker
-from rcp_kernel.registry import Entry, Registry
+from rcp_kernel.registry import Entry, Listener, Registry
 from rcp_kernel.samples import Sample
 from rcp_kernel.spi import BaseBackend
 from rcp_kernel.streams import Feed, Subscription
@@ -198,6 +198,20 @@ class Hub:
         """Have the whole history of a path kept although nobody may be listening."""
         entry.listeners.append(_Keeper(0.0))
         entry.size_ring()
+
+    def listen(self, entry: Entry, listener: Listener) -> None:
+        """Offer the gateway's own listener every sample, and keep the source running for it."""
+        if listener not in entry.listeners:
+            entry.listeners.append(listener)
+            if len(entry.listeners) == 1:
+                entry.size_ring()
+        self._retune(entry)
+
+    def unlisten(self, entry: Entry, listener: Listener) -> None:
+        """Offer a listener nothing more."""
+        if listener in entry.listeners:
+            entry.listeners = [known for known in entry.listeners if known is not listener]
+            self._left(entry)
 
     # -- cut and resume ------------------------------------------------------------------------
 

@@ -7,7 +7,7 @@ Whatever moves is an actuator or an action. The e-stop has a lane of its own: it
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Generator
+from collections.abc import Callable, Generator
 from contextlib import contextmanager
 from typing import Any, Protocol
 
@@ -120,6 +120,10 @@ class Deadman:
         """Writes that the robot has not answered yet."""
         self.lapsed = 0
         """How many commands have lapsed."""
+        self.sending: Callable[[Entry, Any], None] = _nobody
+        """Told when a safe value is on its way."""
+        self.at_rest: Callable[[Entry, Any], None] = _nobody
+        """Told when a safe value is in force, or the robot is brought to rest as a whole."""
 
     def window(self, entry: Entry, request: Request) -> float | None:
         """Return for how many seconds a write stands, or None for ever.
@@ -154,6 +158,25 @@ class Deadman:
 
     def ground(self, entry: Entry) -> None:
         """Cancel every write to an entry that is under way, and forget its window."""
+        self._cut(entry)
+        self.at_rest(entry, safe_value(entry))
+
+    def stop(self, entry: Entry) -> None:
+        """Bring an actuator to rest at once, whatever is in force or on its way."""
+        self._cut(entry)
+        self._start(entry)
+
+    def _start(self, entry: Entry) -> None:
+        task = self._loop.create_task(self._stop(entry), name=f"dead-man {entry.path}")
+        self._stops[entry.path] = task
+
+        def forget(done: asyncio.Task[None]) -> None:
+            if self._stops.get(entry.path) is done:
+                del self._stops[entry.path]
+
+        task.add_done_callback(forget)
+
+    def _cut(self, entry: Entry) -> None:
         self.begin(entry)
         for task in self._flights.get(entry.path, ()):
             task.cancel()
@@ -185,14 +208,7 @@ class Deadman:
     def _lapse(self, entry: Entry) -> None:
         del self._timers[entry.path]
         self.lapsed += 1
-        task = self._loop.create_task(self._stop(entry), name=f"dead-man {entry.path}")
-        self._stops[entry.path] = task
-
-        def forget(done: asyncio.Task[None]) -> None:
-            if self._stops.get(entry.path) is done:
-                del self._stops[entry.path]
-
-        task.add_done_callback(forget)
+        self._start(entry)
 
     async def _stop(self, entry: Entry) -> None:
         safe = safe_value(entry)
@@ -200,7 +216,9 @@ class Deadman:
             backend = entry.owner.backend
             try:
                 if backend is not None:
+                    self.sending(entry, safe)
                     await asyncio.wait_for(backend.write(entry.name, safe), _STOP_TIMEOUT)
+                    self.at_rest(entry, safe)
                     entry.publish(safe, None)
                     return
             except Exception as error:
@@ -212,6 +230,10 @@ class Deadman:
         """Forget all windows; the backends are halted by whoever closes them."""
         for handle in (*self._timers.values(), *self._stops.values()):
             handle.cancel()
+
+
+def _nobody(_entry: Entry, _value: Any) -> None:
+    """Take no notice."""
 
 
 def safe_value(entry: Entry) -> Any:

@@ -77,6 +77,8 @@ class StatusReport:
         parts = [*self.transports, *self.adapters]
         broken = any(part.get("state") == "down" for part in parts)
         broken = broken or gateway.store.trouble is not None
+        faults = gateway.envelopes.faults_in(tenants)
+        broken = broken or bool(faults)
         worst = "ok" if all(s == "ready" for s in states) and not broken else "degraded"
         if states and all(state == "down" for state in states):
             worst = "down"
@@ -96,6 +98,7 @@ class StatusReport:
             "backends": [slot.plain() for slot in slots],
             "transports": self.transports,
             "adapters": self.adapters,
+            "envelopes": faults,
             "sessions": len(gateway.sessions.known),
             "subscriptions": len(gateway.hub.subscriptions),
             "resources": len(gateway.registry.entries),

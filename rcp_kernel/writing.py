@@ -46,7 +46,10 @@ class Writing:
         gateway.admission.admit(session, request, entry, value)
         window = gateway.deadman.window(entry, request)
         if request.dry_run:
-            return would(request, entry, {"write": value, "valid_for": window})
+            held = gateway.envelopes.applied(session, entry)
+            return would(
+                request, entry, {"write": value, "valid_for": window, "envelopes": held or None}
+            )
         noted = gateway.recording.written(session, request, entry, answer)
         if request.idempotency_key is not None:
             noted = self._noting(session, request, entry, noted)
@@ -69,7 +72,7 @@ class Writing:
         self, session: Session, entry: Entry, value: Any, window: float | None
     ) -> Sample:
         backend = self._gateway.admission.confirm(session, entry, value)
-        deadman = self._gateway.deadman
+        deadman, envelopes = self._gateway.deadman, self._gateway.envelopes
         started = perf_counter()
         with deadman.flight(entry):
             superseded = deadman.begin(entry)
@@ -78,6 +81,8 @@ class Writing:
             try:
                 actual = await backend.write(entry.name, value)
             except BaseException as error:
+                if isinstance(error, _UNCHANGED):
+                    envelopes.refused(entry, value)
                 if superseded or (guard is not None and not isinstance(error, _UNCHANGED)):
                     deadman.arm(entry, 0)
                 else:
@@ -87,10 +92,12 @@ class Writing:
                     raise blame(error, entry.owner.name, entry.path) from error
                 raise
         entry.owner.latency = perf_counter() - started
+        actual = value if actual is None else actual
+        envelopes.took(entry, value, actual)
         deadman.disarm(entry, guard)
         if window is not None and value != safe_value(entry):
             deadman.arm(entry, window)
-        return entry.publish(value if actual is None else actual, None)
+        return entry.publish(actual, None)
 
     def _noting(self, session: Session, request: Request, entry: Entry, answer: Answer) -> Answer:
         """Remember a write under its key from now on, so that a repeat of it runs nothing."""

@@ -235,12 +235,14 @@ async def settled(store: Store) -> None:
         await done.wait()
 
 
-def prepared(config: GatewayConfig, robots: list[Robot]) -> Prepared:
+def prepared(
+    config: GatewayConfig, robots: list[Robot], make: Callable[[Host], Robot] = Robot
+) -> Prepared:
     """Prepare a gateway whose only plugin is the robot of these tests."""
 
     @asynccontextmanager
     async def open_robot(_config: NoOptions, host: Host) -> AsyncGenerator[Robot]:
-        robot = Robot(host)
+        robot = make(host)
         robots.append(robot)
         robot.declare()
         yield robot
@@ -259,9 +261,11 @@ def prepared(config: GatewayConfig, robots: list[Robot]) -> Prepared:
 
 
 @asynccontextmanager
-async def world_of(text: str = CONFIG) -> AsyncGenerator[World]:
+async def world_of(
+    text: str = CONFIG, make: Callable[[Host], Robot] = Robot
+) -> AsyncGenerator[World]:
     """Run a gateway of a configuration around the robot."""
     robots: list[Robot] = []
     recent = configure("warning", "json")
-    async with running(prepared(parse(text, "test"), robots), recent) as server:
+    async with running(prepared(parse(text, "test"), robots, make), recent) as server:
         yield World(server, robots)

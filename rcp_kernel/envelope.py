@@ -1,0 +1,256 @@
+"""One envelope at one path: what a command's value must fulfil, and what is said if it does not."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from enum import Enum
+from typing import TYPE_CHECKING, Any, NoReturn
+
+from rcp_kernel import inforce
+from rcp_kernel.config_envelopes import Bound, EnvelopeConfig
+from rcp_kernel.errors import ModeForbids, OutOfRange, PreconditionFailed
+from rcp_kernel.fields import Field
+from rcp_kernel.inforce import InForce
+from rcp_kernel.model import Kind, Operation, full_path
+from rcp_kernel.place import Place
+
+if TYPE_CHECKING:
+    from rcp_kernel.registry import Entry, Registry
+    from rcp_kernel.sessions import Session
+
+__all__ = ["Envelope"]
+
+_LONGEST = 1.0  # s that a change may take for granted where the path has no `valid_for`
+
+
+class Envelope:
+    """A table of the configuration, bound to the type of one path."""
+
+    def __init__(self, table: EnvelopeConfig, entry: Entry, registry: Registry) -> None:
+        self.table = table
+        self.entry = entry
+        self.bounds = [(Field(name), bound) for name, bound in table.bounds.items()]
+        self.rates = [(Field(name), most) for name, most in table.rate.items()]
+        self.place = None if table.fence is None else Place(table.fence, entry, registry)
+        self.mode = full_path(entry.tenant or "", entry.robot, "sensor/mode")
+        self._registry = registry
+        called = entry.kind in (Kind.ACTION, Kind.SERVICE)
+        self._type = entry.input_type if called else entry.value_type
+        self._longest = entry.resource.valid_for or _LONGEST
+        self.units: dict[str, str | None] = {}
+        self.fault = self._find_fault()
+        """Why nothing can be checked here, so that nothing is let through."""
+
+    def _find_fault(self) -> str | None:
+        wanted = [(field, bool(bound.allow)) for field, bound in self.bounds]
+        wanted += [(field, False) for field, _ in self.rates]
+        if self.place is not None and self.place.sensor is None:
+            wanted += [(field, False) for field in self.place.point]
+        for field, words in wanted:
+            leaf = field.leaf(self._type.type)
+            if leaf is None:
+                return f"{self.entry.label} has no field '{field.text}'"
+            if not (leaf.word if words else leaf.number):
+                return f"{_named(field.text, self.entry)} is no {'word' if words else 'number'}"
+            self.units[field.text] = leaf.unit
+        return None
+
+    @property
+    def watched(self) -> list[str]:
+        """The sensors whose present value it asks for."""
+        found = [self.mode] if self.table.modes else []
+        if self.place is not None and self.place.sensor is not None:
+            found.append(self.place.sensor)
+        return found
+
+    def check(self, session: Session, value: Any, force: InForce) -> None:
+        """Refuse a value that may not reach the robot now.
+
+        :raises OutOfRange: a field, its change or a place lies outside its limits.
+        :raises ModeForbids: the robot's mode is not one of those.
+        :raises PreconditionFailed: something does not hold, or cannot be known.
+        """
+        if self.fault is not None:
+            raise PreconditionFailed(
+                f"the envelope '{self.table.name}' does not fit this path: {self.fault}",
+                path=self.entry.path,
+                remedy="Have the operator mend [[envelopes]]; until then nothing is let through.",
+                details=self.facts(),
+            )
+        if self.table.modes:
+            self._check_mode(session)
+        for field, bound in self.bounds:
+            for name, found in field.every(value):
+                self._check_bound(name, found, bound, self.units[field.text])
+        if self.place is not None:
+            self._check_place(session, self.place, value)
+        for field, most in self.rates:
+            for was in force.held:
+                step = most * min(max(0.0, inforce.clock() - was.since), self._longest)
+                self._check_change(field, field.every(value), field.every(was.value), most, step)
+
+    # -- the limits ----------------------------------------------------------------------------
+
+    def _check_bound(self, name: str, found: Any, bound: Bound, unit: str | None) -> None:
+        if found is None:
+            if not bound.optional:
+                self._refuse(name, "is not given, so the robot would choose it", found, unit)
+            return
+        if bound.allow:
+            plain = found.value if isinstance(found, Enum) else found
+            if not any(_same(plain, allowed) for allowed in bound.allow):
+                allowed = ", ".join(map(str, bound.allow))
+                self._refuse(
+                    name,
+                    f"is {_shown(plain)}, allowed: {allowed}",
+                    plain,
+                    unit,
+                    allowed=bound.allow,
+                )
+            return
+        if not _is_number(found):
+            self._refuse(name, "is not a finite number", found, unit)
+        if bound.max is not None and found > bound.max:
+            self._beyond(name, found, f"> {_text(bound.max)}", f"<= {_text(bound.max)}", unit)
+        if bound.min is not None and found < bound.min:
+            self._beyond(name, found, f"< {_text(bound.min)}", f">= {_text(bound.min)}", unit)
+
+    def _check_change(
+        self,
+        field: Field,
+        now: Iterable[tuple[str, Any]],
+        before: Iterable[tuple[str, Any]],
+        most: float,
+        step: float,
+    ) -> None:
+        unit = self.units[field.text]
+        found, known = dict(now), {name: n for name, n in before if _is_number(n)}
+        for name, number in found.items():
+            if not _is_number(number):
+                self._refuse(name, "is not a finite number", number, unit)
+        if known and known.keys() != found.keys():
+            self._refuse(field.text, "has other elements than the value in force", None, unit)
+        for name, was in known.items():
+            if abs(found[name] - was) > step:
+                per = f"{_text(most)} {unit}/s" if unit and unit != "1" else f"{_text(most)}/s"
+                self._refuse(
+                    name,
+                    f"changes too fast: from {was} to {found[name]} at {per} at most",
+                    found[name],
+                    unit,
+                    rate=most,
+                    allowed={"min": was - step, "max": was + step},
+                )
+
+    def _check_place(self, session: Session, place: Place, value: Any) -> None:
+        if place.sensor is None:
+            where = place.commanded(value)
+            if where is None:
+                self._refuse(place.point[0].text, "does not say where", None, None)
+            trouble = place.trouble(*where)
+            if trouble is not None:
+                self._raise(
+                    f"the place {_spot(where)} of {self.entry.label} {trouble[1]}",
+                    value=list(where),
+                    fence=trouble[0],
+                    field=[field.text for field in place.point],
+                )
+            return
+        where = place.present()
+        if where is None:
+            raise PreconditionFailed(
+                f"where the robot is cannot be known now{self.why}",
+                path=self.entry.path,
+                remedy="Wait until the robot says where it is, then send it again.",
+                details=self.facts(),
+            )
+        trouble = place.trouble(*where)
+        if trouble is not None:
+            seen = session.rights.mask(place.sensor) & Operation.READ
+            facts = {"place": list(where), "of": place.sensor} if seen else {}
+            at = f" at {_spot(where)}" if seen else ""
+            self._raise(f"the robot{at} {trouble[1]}", fence=trouble[0], **facts)
+
+    def _check_mode(self, session: Session) -> None:
+        entry = self._registry.entries.get(self.mode)
+        found = None if entry is None or entry.stale or entry.latest is None else entry.latest.value
+        found = found.value if isinstance(found, Enum) else found
+        if isinstance(found, str) and found in self.table.modes:
+            return
+        wanted = ", ".join(self.table.modes)
+        known = "its mode cannot be known now"
+        facts: dict[str, Any] = {}
+        if isinstance(found, str):
+            known = "its mode is another"
+            if session.rights.mask(self.mode) & Operation.READ:
+                known, facts = f"its mode is {found}", {"mode": found}
+        raise ModeForbids(
+            f"{self.entry.path} takes commands in the mode {wanted}; {known}{self.why}",
+            path=self.entry.path,
+            details={"modes": list(self.table.modes), **facts, **self.facts()},
+        )
+
+    # -- what is said --------------------------------------------------------------------------
+
+    def facts(self) -> dict[str, Any]:
+        """Name the envelope."""
+        facts = {"envelope": self.table.name, "reason": self.table.reason}
+        return {key: fact for key, fact in facts.items() if fact is not None}
+
+    @property
+    def why(self) -> str:
+        """The reason in brackets, for the end of a sentence."""
+        return f" ({self.table.reason})" if self.table.reason else ""
+
+    def _beyond(self, name: str, found: Any, broken: str, bound: str, unit: str | None) -> NoReturn:
+        tail = f" {unit}" if unit and unit != "1" else ""
+        text = f"exceeds allowed range: {_shown(found)} {broken}{tail}"
+        self._refuse(name, text, found, unit, bound=bound)
+
+    def _refuse(self, name: str, text: str, found: Any, unit: str | None, **more: Any) -> NoReturn:
+        pointer = "".join("/" + step for step in name.split(".")) if name else ""
+        facts = {"field": name, "pointer": pointer, "value": _plain(found), "unit": unit, **more}
+        self._raise(f"{_named(name, self.entry)} {text}", **facts)
+
+    def _raise(self, text: str, **facts: Any) -> NoReturn:
+        raise OutOfRange(
+            f"{text}{self.why}",
+            path=self.entry.path,
+            remedy="Stay inside the envelope that the details name; `discover` shows it.",
+            details={**facts, **self.facts()},
+        )
+
+
+def _named(name: str, entry: Entry) -> str:
+    return f"field '{name}' of {entry.label}" if name else entry.label
+
+
+def _is_number(found: Any) -> bool:
+    if isinstance(found, bool) or not isinstance(found, (int, float)):
+        return False
+    return math.isfinite(found)
+
+
+def _same(found: Any, allowed: Any) -> bool:
+    if isinstance(found, bool) or isinstance(allowed, bool):
+        return found is allowed
+    return found == allowed
+
+
+def _plain(found: Any) -> Any:
+    if found is None or isinstance(found, (str, bool)) or _is_number(found):
+        return found
+    return str(found)[:60]
+
+
+def _shown(found: Any) -> str:
+    return str(_plain(found))[:60]
+
+
+def _text(number: float) -> str:
+    return f"{number:.12g}"
+
+
+def _spot(where: tuple[float, float]) -> str:
+    return f"({_text(round(where[0], 3))}, {_text(round(where[1], 3))})"

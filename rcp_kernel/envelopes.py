@@ -1,0 +1,197 @@
+"""The envelopes of the configuration, bound to the paths that they match.
+
+Bound anew when the configuration or a path changes, and worked out once for each path and set of
+grants: a command on a path without an envelope costs one dictionary access.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING, Any
+
+import structlog
+
+from rcp_kernel.config_envelopes import EnvelopeConfig, patterns
+from rcp_kernel.envelope import Envelope
+from rcp_kernel.fence_guard import FenceGuard
+from rcp_kernel.identity import Grants
+from rcp_kernel.inforce import InForce
+from rcp_kernel.model import Kind, Operation, Pattern, tenant_of
+from rcp_kernel.registry import Entry
+from rcp_kernel.safety import safe_value
+from rcp_kernel.sessions import Session
+
+if TYPE_CHECKING:
+    from rcp_kernel.gateway import Gateway
+
+__all__ = ["Bound", "Envelopes"]
+
+log = structlog.get_logger("rcp.envelopes")
+_MAX_HELD = 1000  # sets of grants that a path remembers
+_COMMANDED = Operation.WRITE | Operation.EXECUTE
+
+
+class Bound:
+    """Every envelope of one path."""
+
+    __slots__ = ("_held", "entry", "envelopes", "force", "safe")
+
+    def __init__(self, entry: Entry, envelopes: list[Envelope], force: InForce) -> None:
+        self.entry = entry
+        self.envelopes = envelopes
+        self.force = force
+        self.safe = safe_value(entry)
+        self._held: dict[Grants, tuple[Envelope, ...]] = {}
+
+    def held(self, grants: Grants) -> tuple[Envelope, ...]:
+        """Return those to which a principal is held: any that names one of its roles here."""
+        found = self._held.get(grants)
+        if found is None:
+            roles = {
+                r for place, names in grants if place in ("*", self.entry.tenant) for r in names
+            }
+            found = tuple(
+                e
+                for e in self.envelopes
+                if not e.table.roles or not roles.isdisjoint(e.table.roles)
+            )
+            if len(self._held) >= _MAX_HELD:
+                self._held.clear()
+            self._held[grants] = found
+        return found
+
+    def check(self, session: Session, value: Any) -> None:
+        """Refuse a value that may not reach the robot; bringing it to rest is never refused."""
+        if self.safe is not None and value == self.safe:
+            return
+        for envelope in self.held(session.principal.grants):
+            envelope.check(session, value, self.force)
+
+
+class Envelopes:
+    """Every envelope of the gateway."""
+
+    def __init__(self, gateway: Gateway) -> None:
+        self._gateway = gateway
+        self._registry = gateway.registry
+        self._tables: list[tuple[EnvelopeConfig, list[Pattern]]] = []
+        self.bound: dict[str, Bound] = {}
+        """By path."""
+        self._faults: dict[str, list[str]] = {}
+        self.guard = FenceGuard(gateway, self.bound)
+        gateway.registry.on_added.append(self._added)
+        gateway.registry.on_removed.append(self._removed)
+        gateway.deadman.sending = self._sending
+        gateway.deadman.at_rest = self._at_rest
+
+    def configure(self, tables: Sequence[EnvelopeConfig]) -> None:
+        """Take over the envelopes of a configuration; they count from now on."""
+        self._tables = [(table, patterns(table.paths)) for table in tables]
+        for entry in self._registry.entries.values():
+            self._bind(entry)
+        self._tend()
+
+    def check(self, session: Session, entry: Entry, value: Any) -> None:
+        """Refuse a value outside an envelope, as `Envelope.check` does."""
+        bound = self.bound.get(entry.path)
+        if bound is not None:
+            bound.check(session, value)
+
+    def send(self, session: Session, entry: Entry, value: Any) -> None:
+        """Check a value that goes to the robot right now, and note that it does."""
+        bound = self.bound.get(entry.path)
+        if bound is None:
+            return
+        bound.check(session, value)
+        bound.force.attempt(value)
+        if entry.kind in (Kind.ACTION, Kind.SERVICE):
+            bound.force.settle(value, value)
+        else:
+            self.guard.drives(session, bound, value)
+
+    def took(self, entry: Entry, value: Any, actual: Any) -> None:
+        """Note that the robot took what was sent, as `actual`."""
+        bound = self.bound.get(entry.path)
+        if bound is not None:
+            bound.force.settle(value, actual)
+
+    def refused(self, entry: Entry, value: Any) -> None:
+        """Note that the robot did not take what was sent and goes on as before."""
+        bound = self.bound.get(entry.path)
+        if bound is not None:
+            bound.force.withdraw(value)
+
+    def _sending(self, entry: Entry, safe: Any) -> None:
+        bound = self.bound.get(entry.path)
+        if bound is not None:
+            bound.force.attempt(safe)
+
+    def _at_rest(self, entry: Entry, safe: Any) -> None:
+        bound = self.bound.get(entry.path)
+        if bound is not None:
+            bound.force.rest(safe)
+            self.guard.rests(entry.path)
+
+    def applied(self, session: Session, entry: Entry) -> list[dict[str, Any]]:
+        """List the envelopes that a command of the session has to stay in."""
+        bound = self.bound.get(entry.path)
+        if bound is None:
+            return []
+        return [envelope.facts() for envelope in bound.held(session.principal.grants)]
+
+    def faults_in(self, tenants: tuple[str, ...]) -> dict[str, list[str]]:
+        """Return, by path, why an envelope does not fit it, so that it lets nothing through."""
+        return {
+            path: list(why)
+            for path, why in self._faults.items()
+            if "*" in tenants or tenant_of(path) in tenants
+        }
+
+    # -- binding -------------------------------------------------------------------------------
+
+    def _added(self, entry: Entry) -> None:
+        self._bind(entry)
+        self._tend()
+
+    def _removed(self, entry: Entry) -> None:
+        self.bound.pop(entry.path, None)
+        self._faults.pop(entry.path, None)
+        self._tend()
+
+    def _bind(self, entry: Entry) -> None:
+        path = entry.path
+        old = self.bound.pop(path, None)
+        faults = self._faults.pop(path, None)
+        if not entry.operations & _COMMANDED or entry.tenant is None:
+            return
+        tables = [t for t, wanted in self._tables if any(p.matches(path) for p in wanted)]
+        if not tables:
+            return
+        envelopes = [Envelope(table, entry, self._registry) for table in tables]
+        force = old.force if old is not None and old.entry is entry else _first(entry)
+        self.bound[path] = Bound(entry, envelopes, force)
+        found = [f"{e.table.name}: {e.fault}" for e in envelopes if e.fault is not None]
+        if found:
+            self._faults[path] = found
+            if found != faults:
+                log.warning("envelope_does_not_fit", path=path, faults=found)
+
+    def _tend(self) -> None:
+        """Have every sensor watched that a bound envelope asks for."""
+        self.guard.watch(self._guarded())
+
+    def _guarded(self) -> Iterable[tuple[str, Bound]]:
+        for bound in self.bound.values():
+            for envelope in bound.envelopes:
+                for path in envelope.watched:
+                    yield path, bound
+
+
+def _first(entry: Entry) -> InForce:
+    """Begin with what may be in force on a path of which nothing is known yet."""
+    force = InForce()
+    if (safe := safe_value(entry)) is not None:
+        force.attempt(safe)
+    if entry.latest is not None and entry.operations & Operation.WRITE:
+        force.attempt(entry.latest.value)
+    return force

@@ -1,0 +1,139 @@
+"""A robot with everything that an envelope may be about, and a gateway around it."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncGenerator
+from contextlib import asynccontextmanager
+from typing import Annotated, Any, Literal
+
+import msgspec
+
+from kernel.world import CONFIG as PLAIN
+from kernel.world import Client, Robot, World, prepared, world_of
+from rcp_kernel.config import parse
+from rcp_kernel.model import Resource
+from rcp_kernel.reload import apply
+from rcp_kernel.spi import Progress
+from rcp_kernel.types import Int64, Pose, Real, Twist, quantity
+
+CONFIG = (
+    PLAIN
+    + """
+[[keys]]
+name = "agent"
+role = "agent"
+key = "agent-agent-agent"
+
+[[keys]]
+name = "both"
+role = ["operator", "agent"]
+key = "both-both-both-both"
+
+[roles.blind]
+allow = [{ operations = ["write", "execute"], paths = ["/actuator/**", "/action/**"] }]
+
+[[keys]]
+name = "blind"
+role = "blind"
+key = "blind-blind-blind"
+"""
+)
+AGENT, OPERATOR, BOTH, BLIND = (
+    "agent-agent-agent",
+    "operator-operator",
+    "both-both-both-both",
+    "blind-blind-blind",
+)
+
+
+class Joint(msgspec.Struct, frozen=True):
+    """One joint."""
+
+    velocity: Annotated[float, msgspec.Meta(extra_json_schema={"unit": "rad/s"})] = 0.0
+    name: str = ""
+
+
+class Arm(msgspec.Struct, frozen=True, rename="camel"):
+    """An arm, whose fields have other names on the wire."""
+
+    all_joints: list[Joint]
+    top_speed: float | None = None
+
+
+class Goal(msgspec.Struct, frozen=True):
+    """Where to go."""
+
+    pose: Pose
+    speed: quantity("m/s") | None = None  # pyright: ignore[reportInvalidTypeForm]
+
+
+class FencedRobot(Robot):
+    """Writes down whatever reaches it."""
+
+    def declare(self) -> None:
+        super().declare()
+        self.host.declare(
+            Resource(
+                name="sensor/pose", description="A pose.", value=Pose, live=True, deadline=10.0
+            ),
+            Resource(name="sensor/mode", description="A mode.", value=str),
+            Resource(
+                name="actuator/drive",
+                description="A drive.",
+                value=Twist,
+                valid_for=5.0,
+                safe=Twist(),
+            ),
+            Resource(name="actuator/arm", description="An arm.", value=Arm),
+            Resource(name="actuator/speeds", description="Speeds.", value=list[float]),
+            Resource(name="actuator/raw", description="A raw number.", value=Real),
+            Resource(name="actuator/any", description="Anything.", value=dict[str, Any]),
+            Resource(
+                name="actuator/grip",
+                description="A grip.",
+                value=Literal["open", "shut", "squeeze"],
+            ),
+            Resource(name="param/count", description="A count.", value=Int64),
+            Resource(name="action/move", description="Moves.", input=Goal),
+            Resource(name="action/line_up", description="Moves.", input=Goal, policy="queue"),
+        )
+
+    async def execute(self, name: str, value: Any, progress: Progress) -> Any:
+        if name not in ("action/move", "action/line_up"):
+            return await super().execute(name, value, progress)
+        self.writes.append((name, value))
+        self.started.put_nowait(value)
+        await self.release.wait()
+        return None
+
+    def at(self, x: float, y: float = 0.0) -> None:
+        """Publish a place."""
+        self.host.publish("sensor/pose", {"position": {"x": x, "y": y}})
+
+
+@asynccontextmanager
+async def fenced(envelopes: str) -> AsyncGenerator[World]:
+    """Run a gateway with envelopes around the robot."""
+    async with world_of(CONFIG + envelopes, FencedRobot) as world:
+        yield world
+
+
+async def reconfigured(world: World, envelopes: str) -> None:
+    """Have a running gateway take over other envelopes."""
+    config = parse(CONFIG + envelopes, "test")
+    await apply(world.server, prepared(config, []))
+
+
+def twist(x: float, z: float = 0.0) -> dict[str, Any]:
+    """Write a velocity as plain data."""
+    return {"linear": {"x": x}, "angular": {"z": z}}
+
+
+async def drive(client: Client, x: Any, z: Any = 0.0, **fields: Any) -> dict[str, Any]:
+    """Command a velocity."""
+    return await client.ask(type="write", path="/actuator/drive", body=twist(x, z), **fields)
+
+
+def code(reply: dict[str, Any]) -> str:
+    """Return how a request ended."""
+    return reply["error"]["code"] if "error" in reply else reply["status"]
