@@ -67,8 +67,6 @@ class EnvelopeConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw
     rate: dict[str, Annotated[float, Meta(gt=0)]] = {}
     """The most that a field may change in a second, by field."""
     fence: Fence | None = None
-    when: str | None = None
-    """A condition on the robot's other resources."""
     modes: tuple[str, ...] = ()
     """What `sensor/mode` must say, one of these."""
     reason: Annotated[str, Meta(max_length=500)] | None = None
@@ -109,9 +107,9 @@ def check_envelopes(
         where = f"{source}: [[envelopes]] '{table.name}'"
         if names.count(table.name) > 1:
             raise ConfigError(f"{where}: two have this `name`: give each one of its own")
-        if not (table.bounds or table.rate or table.fence or table.when or table.modes):
+        if not (table.bounds or table.rate or table.fence or table.modes):
             raise ConfigError(
-                f"{where} limits nothing: give it `bounds`, `rate`, `fence`, `when` or `modes`"
+                f"{where} limits nothing: give it `bounds`, `rate`, `fence` or `modes`"
             )
         _check_reach(table, where, roles, tenants)
         for field, bound in table.bounds.items():

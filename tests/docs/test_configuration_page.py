@@ -25,6 +25,7 @@ from rcp_kernel.config import (
     TenantConfig,
     parse,
 )
+from rcp_kernel.config_envelopes import Bound, EnvelopeConfig, Fence
 from rcp_kernel.plugins import Plugins
 
 PAGE = DOCS / "configuration.md"
@@ -36,6 +37,8 @@ _TABLES = [
     ("`[[certificates]]`", CertificateConfig),
     ("`[[keys]]`", KeyConfig),
     ("`[anonymous]`", Anonymous),
+    ("Bounds", Bound),
+    ("Fences", Fence),
     ("`[limits]`", Limits),
     ("`[log]`", LogConfig),
     ("`[store]`", StoreConfig),
@@ -80,6 +83,10 @@ def agree(text: str, type_: Any) -> None:
 @pytest.mark.parametrize(("heading", "type_"), _TABLES, ids=str)
 def test_a_table_of_the_kernel_is_told(heading: str, type_: Any) -> None:
     agree(section(PAGE, heading), type_)
+
+
+def test_an_envelope_is_told() -> None:
+    agree(section(PAGE, "`[[envelopes]]`").split("### Bounds")[0], EnvelopeConfig)
 
 
 def test_a_role_and_its_rules_are_told() -> None:
