@@ -42,6 +42,9 @@ class Shape:
         self.grows = False
         self.open = False
         """Whether some part may be of any type."""
+        self.endless = False
+        """Whether a value may hold one of its own type."""
+        self._within: list[type] = []
         self._info = mi.type_info(type_)
         self.outward = self._node(self._info, self._out, outward=True)
         self.inward = self._node(self._info, self._in, outward=False)
@@ -111,13 +114,16 @@ class Shape:
     def _struct_node(self, info: Any, memo: dict[type, Node], *, outward: bool) -> Node:
         fields: dict[str, Node] = {}
         if (known := memo.get(info.cls)) is not None:
+            self.endless = self.endless or info.cls in self._within
             return known
         node = _struct_node(fields)
         memo[info.cls] = node
+        self._within.append(info.cls)
         for field in info.fields:
             child = self._node(field.type, memo, outward=outward)
             if child is not _same:
                 fields[field.encode_name] = child
+        self._within.pop()
         return node
 
     def _union_node(self, info: mi.UnionType, memo: dict[type, Node], *, outward: bool) -> Node:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import re
+from collections.abc import Iterable
 from enum import StrEnum
 from functools import lru_cache
 from typing import Any
@@ -20,8 +21,10 @@ from rcp_kernel._shape import SAFE_INTEGER, Beyond, Shape, unescaped
 from rcp_kernel.errors import BadRequest, InvalidValue, OutOfRange, PluginError
 from rcp_kernel.types import NONFINITE
 
-__all__ = ["ANY", "Encoding", "ValueType", "dump", "sound", "to_plain", "value_type"]
+__all__ = ["ANY", "DEPTH", "Encoding", "ValueType", "dump", "sound", "to_plain", "value_type"]
 
+DEPTH = 64
+"""How deep lists and maps may stand in each other where a type sets no bound itself."""
 _WIDE_DIGITS = re.compile(rb"\d{16}")
 _HUGE_DIGITS = re.compile(rb"\d{19}")  # may lie past 64 bits, which msgspec alone lets through
 _AT = re.compile(r"(?s)(?P<what>.*?)(?: - at `(?:key in )?\$(?P<path>[^`]*)`)?\Z")
@@ -59,6 +62,7 @@ class ValueType:
     """Everything the gateway needs to know of one type of values."""
 
     __slots__ = (
+        "_bottomless",
         "_from_json",
         "_from_msgpack",
         "_schema",
@@ -77,6 +81,7 @@ class ValueType:
             self._from_msgpack = msgspec.msgpack.Decoder(type_)
         except (TypeError, ValueError) as error:
             raise PluginError(f"{type_!r} is not a type that msgspec decodes: {error}") from error
+        self._bottomless = self._shape.open or self._shape.endless
         self.probes_null = self._shape.has_float
         self.grows = self._shape.grows
         """Whether values may be of any length: text, bytes, lists, maps."""
@@ -109,8 +114,10 @@ class ValueType:
 
         :raises InvalidValue: it does not fit; `details.pointer` names the field.
         :raises OutOfRange: it fits but for a bound.
-        :raises BadRequest: it is not text of the encoding at all.
+        :raises BadRequest: it is not text of the encoding at all, or nested too deep.
         """
+        if self._bottomless:
+            _check_depth(raw, encoding)
         if encoding is _JSON:
             if not (self._shape.has_wide_int and _HUGE_DIGITS.search(raw)):
                 try:
@@ -233,6 +240,25 @@ def _at(plain: Any, pointer: str) -> Any:
         else:
             return None
     return plain
+
+
+def _check_depth(raw: bytes | msgspec.Raw, encoding: Encoding) -> None:
+    if encoding is _JSON:
+        data = bytes(raw)
+        if data.count(b"[") + data.count(b"{") <= DEPTH:
+            return
+    level: list[Any] = [parse(raw, encoding)]
+    for _ in range(DEPTH + 1):
+        level = [child for item in level for child in _children(item)]
+        if not level:
+            return
+    raise BadRequest(f"the value is nested deeper than {DEPTH}")
+
+
+def _children(value: Any) -> Iterable[Any]:
+    if is_map(value):
+        return value.values()
+    return value if is_list(value) else ()
 
 
 def parse(raw: bytes | msgspec.Raw, encoding: Encoding) -> Any:

@@ -206,7 +206,7 @@ def _decode_slowly(data: bytes, encoding: Encoding, error: Exception) -> Request
             encode(fields)
         )
         if custom:
-            request.custom = {k: sound(parse(v, encoding)) for k, v in custom.items()}
+            request.custom = {k: sound(ANY.decode(v, encoding)) for k, v in custom.items()}
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as cause:
         raise BadRequest(_malformed(data, encoding, cause)) from None
     return request
