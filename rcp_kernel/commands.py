@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import asyncio
 import secrets
-from collections import OrderedDict, deque
-from collections.abc import Callable, Iterable
+from collections import deque
+from collections.abc import Awaitable, Callable, Iterable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -28,6 +28,7 @@ from rcp_kernel.errors import (
     QueueFull,
     RcpError,
 )
+from rcp_kernel.finished import Finished
 from rcp_kernel.metrics import Histogram
 from rcp_kernel.model import Kind
 from rcp_kernel.registry import Entry
@@ -43,7 +44,6 @@ __all__ = ["Command", "Commands", "Keeper", "Record"]
 log = structlog.get_logger("rcp.commands")
 _QUEUE = 16  # commands that wait for one path
 _HISTORY = 64  # replies kept of one command; first and last are always among them
-_FINISHED = 1000  # commands remembered after their end
 _CANCEL_GRACE = 5.0  # s a backend has to bring a cancelled command to rest
 
 Follower = Callable[[Reply], None]
@@ -100,6 +100,8 @@ class Command:
     session: str | None = None
     asker: Session | None = None
     """In whose name it runs; None once it has ended."""
+    ready: Callable[[], Awaitable[None]] | None = None
+    """Awaited before the robot is told."""
     entry: Entry | None = None
     task: asyncio.Task[Any] | None = None
     followers: list[Follower] = field(default_factory=list[Follower])
@@ -168,7 +170,7 @@ class Commands:
 
     def __init__(self, confirm: Callable[[Session, Entry, Any], Backend], keeper: Keeper) -> None:
         self.running: dict[str, Command] = {}
-        self.finished: OrderedDict[str, Command] = OrderedDict()
+        self.finished = Finished(keeper.forget)
         self.counts: dict[str, int] = {}
         """Ended commands by final status."""
         self.seconds = Histogram()
@@ -187,17 +189,12 @@ class Commands:
     def every(self) -> Iterable[Command]:
         """Go through all that are known, newest first."""
         yield from reversed(list(self.running.values()))
-        yield from reversed(self.finished.values())
+        yield from self.finished.newest_first()
 
     def remember(self, commands: Iterable[Command]) -> None:
         """Take in finished commands of an earlier run."""
         for command in commands:
-            self._remember(command)
-
-    def _remember(self, command: Command) -> None:
-        self.finished[command.id] = command
-        while len(self.finished) > _FINISHED:
-            self.keeper.forget(self.finished.popitem(last=False)[1])
+            self.finished.add(command)
 
     @property
     def queued(self) -> int:
@@ -283,6 +280,8 @@ class Commands:
         command.task.add_done_callback(lambda task: self._ended(command, task))
 
     async def _call(self, command: Command, asker: Session, entry: Entry, value: Any) -> Any:
+        if command.ready is not None:
+            await command.ready()
         backend = self.confirm(asker, entry, value)
 
         def progress(feedback: Any = None, *, fraction: float | None = None) -> None:
@@ -401,7 +400,7 @@ class Commands:
             del history[1]
         if record.status in FINAL:
             self.running.pop(command.id, None)
-            self._remember(command)
+            self.finished.add(command)
             self.counts[record.status] = self.counts.get(record.status, 0) + 1
             self.seconds.observe((record.time - command.created) / 1e9)
         if record.status != "in_progress":

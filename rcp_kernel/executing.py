@@ -68,12 +68,22 @@ class Executing:
             session=session.id,
             entry=entry,
         )
+        if request.idempotency_key is not None:
+            command.ready = gateway.recording.committed
+            command.followers.append(self._settling(session, request))
         self._follow(session, request, command, answer, started)
         gateway.recording.started(session, request, command)
         gateway.keys.note(session, request, entry.path, command)
         timeout = self._timeout(request, entry)
         gateway.commands.start(command, session, entry, value, timeout, request.deadline)
         return None
+
+    def _settling(self, session: Session, request: Request) -> Answer:
+        def settle(reply: Reply) -> None:
+            if reply.final:
+                self._gateway.keys.settle(session, request, reply)
+
+        return settle
 
     def _estop(
         self, session: Session, request: Request, answer: Answer, entry: Entry, value: Any

@@ -104,7 +104,8 @@ class Gateway:
         self._authenticator = authenticator
         self._keyring = _keyring(config)
         self._certificates = Certificates(config.certificates)
-        self.keys = Keys()
+        self.keys = Keys(self.store, loop)
+        self.keys.load(self.commands.find)
         self.views: dict[str, Callable[[Session], Any]] = {}
         """Resources whose value depends on who asks, by path."""
         self.sieves: dict[str, Callable[[Session, Any], bool]] = {}

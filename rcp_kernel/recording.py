@@ -198,6 +198,14 @@ class Recording:
             x=bounded(command.custom) if command.custom else None,
         )
 
+    async def committed(self) -> None:
+        """Wait until all that was put so far is committed."""
+        store = self._gateway.store
+        if not store.idle:
+            done = self._gateway.loop.create_future()
+            store.settled(lambda: done.done() or done.set_result(None))
+            await done
+
     # -- replies -------------------------------------------------------------------------------
 
     def held(self, answer: Answer, request: Request, entry: Entry | None = None) -> Answer:

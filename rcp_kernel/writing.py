@@ -39,7 +39,7 @@ class Writing:
         entry = gateway.resolve(session, request.path, Operation.WRITE)
         value = request.decode_body(entry.value_type, entry.label)
         first = gateway.keys.find(session, request, entry.path)
-        if first is not None:
+        if isinstance(first, asyncio.Future):
             held = gateway.recording.held(answer, request, entry)
             self._repeat(first, session, request, entry, held)
             return None
@@ -58,7 +58,7 @@ class Writing:
                 session,
                 request,
                 noted,
-                self._bring_into_force(session, entry, value, window),
+                self._bring_into_force(session, request, entry, value, window),
                 partial(_written, request, entry),
                 gateway.deadline(request, entry),
                 entry.path,
@@ -69,8 +69,10 @@ class Writing:
         return None
 
     async def _bring_into_force(
-        self, session: Session, entry: Entry, value: Any, window: float | None
+        self, session: Session, request: Request, entry: Entry, value: Any, window: float | None
     ) -> Sample:
+        if request.idempotency_key is not None:
+            await self._gateway.recording.committed()
         backend = self._gateway.admission.confirm(session, entry, value)
         deadman, envelopes = self._gateway.deadman, self._gateway.envelopes
         started = perf_counter()
@@ -106,6 +108,7 @@ class Writing:
 
         def noted(reply: Reply) -> None:
             outcome.set_result(reply)
+            self._gateway.keys.settle(session, request, reply)
             answer(reply)
 
         return noted
