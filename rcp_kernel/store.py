@@ -128,9 +128,9 @@ class DiskStore(Store):
         self._closing = threading.Event()
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            with suppress(FileExistsError):  # records are nobody else's to read
-                os.close(os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o600))
             self._lock = _lock(path)
+            if not path.exists():
+                _create(path)
             self.left = head_beside(path)
             self._beside = os.open(_beside(path), os.O_CREAT | os.O_WRONLY, 0o600)
             self._connect().close()
@@ -140,11 +140,7 @@ class DiskStore(Store):
         self._thread.start()
 
     def _connect(self) -> sqlite3.Connection:
-        base = sqlite3.connect(self.path, timeout=_BUSY)
-        base.execute("PRAGMA journal_mode=WAL")
-        base.execute("PRAGMA synchronous=NORMAL")
-        base.executescript(_SCHEMA)
-        return base
+        return _opened(self.path)
 
     # -- the event loop's side -----------------------------------------------------------------
 
@@ -325,9 +321,34 @@ def head_beside(path: Path) -> Head | None:
         return None
 
 
+def _opened(path: Path) -> sqlite3.Connection:
+    base = sqlite3.connect(path, timeout=_BUSY)
+    base.execute("PRAGMA journal_mode=WAL")
+    base.execute("PRAGMA synchronous=NORMAL")
+    base.executescript(_SCHEMA)
+    return base
+
+
+def _create(path: Path) -> None:
+    """Make the database all at once: whoever looks finds it whole or not at all."""
+    fresh = path.with_name(path.name + ".new")
+    for suffix in ("", "-journal", "-wal", "-shm"):  # of a start that was cut off
+        fresh.with_name(fresh.name + suffix).unlink(missing_ok=True)
+    _claim(fresh)
+    _opened(fresh).close()
+    fresh.replace(path)
+
+
+def _claim(path: Path) -> None:
+    """Have a file whose content is nobody else's to read."""
+    os.close(os.open(path, os.O_CREAT | os.O_WRONLY, 0o600))
+
+
 def _lock(path: Path) -> sqlite3.Connection:
     """Keep a second gateway from the same store; the system lets go when the process ends."""
-    held = sqlite3.connect(path.with_name(path.name + ".lock"), timeout=0, isolation_level=None)
+    place = path.with_name(path.name + ".lock")
+    _claim(place)
+    held = sqlite3.connect(place, timeout=0, isolation_level=None)
     try:
         held.execute("BEGIN EXCLUSIVE")
     except sqlite3.Error:

@@ -178,3 +178,68 @@ async def test_a_row_that_cannot_be_read_is_left_out_of_the_history(tmp_path: Pa
     async with world_of(text) as world:
         listed = (await world.client().ask(type="read", path="/system/commands"))["body"]
         assert [command["input"] for command in listed] == [1.0]
+
+
+async def test_a_key_outlives_a_crash_with_its_outcome_or_the_news_that_it_has_none(
+    tmp_path: Path,
+) -> None:
+    limit = "/tenant/alpha/param/limit"
+    write = {"type": "write", "path": limit, "body": 1.0, "idempotency_key": "w"}
+    done = {"type": "execute", "path": GO, "body": 1, "idempotency_key": "done"}
+    cut = {"type": "execute", "path": GO, "body": 2, "idempotency_key": "cut"}
+    async with world_of(kept_in(tmp_path / "run.db")) as world:
+        client = world.client()
+        world.robot.release.set()
+        first = [await client.ask(**write), await client.ask(**done)]
+        world.robot.release.clear()
+        running = client.send(**cut)
+        command = (await client.until(lambda m: m["id"] == running))["command"]
+        await world.robot.started.get()
+        await settled(world.server.gateway.store)
+        for suffix in ("", "-wal"):
+            shutil.copy(tmp_path / f"run.db{suffix}", tmp_path / f"crashed.db{suffix}")
+    async with world_of(kept_in(tmp_path / "crashed.db")) as world:
+        client = world.client()
+        again = [await client.ask(**write), await client.ask(**done)]
+        for old, new in zip(first, again, strict=True):
+            assert (new["status"], new["body"]) == (old["status"], old["body"])
+            assert new.get("command") == old.get("command")
+        refused = await client.ask(**{**write, "body": 2.0})
+        assert refused["error"]["code"] == "duplicate_request"
+        failed = await client.ask(**cut)
+        assert (failed["status"], failed["command"]) == ("failed", command)
+        assert "stopped while" in failed["error"]["message"]
+        assert world.robot.writes == []
+        assert world.robot.started.empty()
+
+
+async def test_the_robot_hears_of_a_key_only_once_it_is_committed(tmp_path: Path) -> None:
+    path = tmp_path / "store.db"
+    async with world_of(kept_in(path)) as world:
+        await settled(world.server.gateway.store)
+        client = world.client()
+        world.robot.release.set()
+        with closing(sqlite3.connect(path)) as other:
+            other.execute("BEGIN IMMEDIATE")
+            write = client.send(
+                type="write", path="/param/limit", body=1.0, idempotency_key="w", deadline=0.2
+            )
+            execute = client.send(
+                type="execute", path=GO, body=1, idempotency_key="e", deadline=0.2
+            )
+            for id_ in (write, execute):
+                assert (await client.final(id_))["error"]["code"] == "deadline_exceeded"
+            assert world.robot.writes == []
+            assert world.robot.started.empty()
+            other.rollback()
+
+
+async def test_ended_commands_are_remembered_within_a_number_of_bytes(
+    world: World, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("rcp_kernel.finished._BYTES", 5000)
+    client = world.client()
+    for _ in range(10):
+        await client.ask(type="execute", path="/tenant/alpha/service/echo", body="x" * 300)
+    listed = (await client.ask(type="read", path="/system/commands"))["body"]
+    assert len(listed) == 3  # of about 1.6 kB each

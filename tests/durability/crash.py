@@ -1,0 +1,291 @@
+"""Kill a gateway under load again and again, and look at what is left: run by test_crash.py.
+
+Imports are paid once: every life of the gateway is a fork of this process, which holds no thread
+and no open database at that moment. Clients are in the gateway's process, and write down what they
+are told, at once, in a file of their own; so does the robot with what it is told.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import itertools
+import json
+import os
+import random
+import signal
+import sys
+from collections import Counter
+from collections.abc import AsyncGenerator, Iterator
+from contextlib import asynccontextmanager, closing, suppress
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import msgspec
+
+from rcp_kernel.audit_cli import examined
+from rcp_kernel.config import parse
+from rcp_kernel.log import Recent, configure
+from rcp_kernel.model import Resource
+from rcp_kernel.server import Prepared, Server, running
+from rcp_kernel.spi import BackendKind, BaseBackend, Host, Progress
+from rcp_kernel.store import open_read_only
+from rcp_kernel.values import Encoding
+
+CONFIG = """
+[transports]
+asgi = false
+http = false
+ws = false
+sse = false
+
+[[backends]]
+use = "robot"
+tenant = "alpha"
+
+[[keys]]
+name = "operator"
+role = "operator"
+key = "operator-operator"
+
+[store]
+path = "{path}"
+"""
+IN_FLIGHT = 6  # requests of each client
+AGAIN = 60  # keys sent again in each life
+FINAL = ("completed", "failed", "rejected", "cancelled")
+Sent = tuple[str, dict[str, Any]]
+
+
+class Journal:
+    """Lines that survive whoever writes them."""
+
+    def __init__(self, path: Path) -> None:
+        self._file = os.open(path, os.O_CREAT | os.O_APPEND | os.O_WRONLY)
+        os.write(self._file, b"\n")  # after a line that a kill cut off
+
+    def write(self, fact: Any) -> None:
+        os.write(self._file, json.dumps(fact).encode() + b"\n")
+
+
+def lines(path: Path, skip: int = 0) -> Iterator[Any]:
+    """Read what was written from a place on; a line that a kill cut off says nothing."""
+    data = path.read_bytes()[skip:] if path.exists() else b""
+    for line in data.splitlines():
+        with suppress(ValueError):
+            yield json.loads(line)
+
+
+class NoOptions(msgspec.Struct):
+    """Nothing to configure."""
+
+
+class Robot(BaseBackend):
+    """Writes down what it is told, before anything else."""
+
+    def __init__(self, host: Host, ran: Journal) -> None:
+        self._ran = ran
+        host.declare(
+            Resource(name="param/label", description="A text.", value=str),
+            Resource(name="service/run", description="Runs.", input=str, output=str),
+        )
+
+    async def write(self, name: str, value: Any) -> Any:
+        self._ran.write(value)
+
+    async def execute(self, name: str, value: Any, progress: Progress) -> Any:
+        self._ran.write(value)
+        await asyncio.sleep(random.choice((0, 0, 0.002)))
+        return value[::-1]
+
+
+def prepared(folder: Path) -> Prepared:
+    @asynccontextmanager
+    async def open_robot(_config: NoOptions, host: Host) -> AsyncGenerator[Robot]:
+        yield Robot(host, Journal(folder / "ran"))
+
+    plugins: Any = SimpleNamespace(
+        backends={"robot": BackendKind("robot", NoOptions, open_robot)},
+        transports={},
+        adapters={},
+        missing=[],
+        interceptors=[],
+        authenticator=None,
+        is_missing=lambda _group, _name: None,
+    )
+    config = parse(CONFIG.format(path=folder / "store.db"), "crash")
+    return Prepared(config, plugins, (NoOptions(),), {}, {})
+
+
+class Client:
+    """Has a number of requests in flight for as long as it lives."""
+
+    def __init__(self, server: Server, told: Journal, sent: Journal, work: Iterator[Sent]) -> None:
+        self._told, self._sent, self._work = told, sent, work
+        principal = server.door.authenticate("operator-operator")
+        self.connection = server.door.connect(principal, Encoding.JSON, self._flush)
+
+    def send(self, count: int) -> None:
+        for id_, envelope in itertools.islice(self._work, count):
+            self._sent.write([id_, envelope])
+            self.connection.receive(json.dumps({"id": id_, **envelope}).encode())
+
+    def _flush(self) -> None:
+        ended = 0
+        for data in self.connection.mailbox.collect():
+            reply = json.loads(data)
+            self._told.write(reply)
+            ended += reply["status"] in FINAL
+        self.send(ended)
+
+
+def load(life: int, client: int) -> Iterator[Sent]:
+    """Make requests of every kind; each one's mark is its id, its key and its value."""
+    for number in itertools.count():
+        mark = f"{life}-{client}-{number}"
+        if client == 0 and number < 5:
+            yield f"d{mark}", {"type": "execute", "path": "/system/estop", "body": {"reset": True}}
+        elif number % 5 == 4:
+            yield f"u{mark}", {"type": "write", "path": "/param/label", "body": f"u{mark}"}
+        elif number % 2:
+            yield f"w{mark}", keyed({"type": "write", "path": "/param/label"}, f"w{mark}")
+        else:
+            yield f"e{mark}", keyed({"type": "execute", "path": "/service/run"}, f"e{mark}")
+
+
+def keyed(envelope: dict[str, Any], mark: str) -> dict[str, Any]:
+    return {**envelope, "body": mark, "idempotency_key": mark}
+
+
+def live(folder: Path, life: int, again: list[Sent], ready: int) -> None:
+    """Be a gateway until killed."""
+    configure("error", "json")
+
+    async def serve() -> None:
+        async with running(prepared(folder), Recent()) as server:
+            os.write(ready, b".")
+            told, sent = Journal(folder / f"told-{life}"), Journal(folder / f"sent-{life}")
+            repeats = iter([(f"again-{mark}", envelope) for mark, envelope in again])
+            Client(server, told, sent, repeats).send(len(again))
+            for number in range(3):
+                Client(server, told, sent, load(life, number)).send(IN_FLIGHT)
+            await asyncio.Event().wait()
+
+    asyncio.run(serve())
+
+
+class Inspector:
+    """Knows what has been promised so far."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._outcomes: dict[str, Any] = {}
+        self._seen = 0
+        self._records: dict[tuple[str, str], Any] = {}
+        self.counts: Counter[str] = Counter()
+        self.keys: list[Sent] = []
+        self._ran: Counter[str] = Counter()
+        self._looked = 0
+
+    def inspect(self, life: int) -> None:
+        """Look at everything after a kill; raises AssertionError with what is wrong."""
+        before = self._ran.copy()
+        ran = self._folder / "ran"
+        self._ran.update(lines(ran, self._looked))
+        self._looked = ran.stat().st_size if ran.exists() else 0
+        twice = [mark for mark, count in self._ran.items() if count > 1]
+        assert not twice, f"ran twice: {twice}"
+        store = self._folder / "store.db"
+        if not store.exists():
+            return
+        if life % 4 == 3:  # the whole chain, those of the lives before included
+            verdict = examined(store)
+            assert not verdict.findings, verdict.findings
+        self._read(store)
+        for reply in lines(self._folder / f"told-{life}"):
+            self._check(reply, before)
+        for id_, envelope in lines(self._folder / f"sent-{life}"):
+            if "idempotency_key" in envelope and not id_.startswith("again-"):
+                self.keys.append((id_, envelope))
+        self.counts["records"] = self._seen
+        self.counts["ran"] = sum(self._ran.values())
+
+    def _read(self, store: Path) -> None:
+        with closing(open_read_only(store)) as base:
+            rows = base.execute("SELECT record FROM audit WHERE seq > ?", (self._seen,))
+            for (data,) in rows:
+                record = json.loads(data)
+                self._seen = record["seq"]
+                name = record.get("command") or record.get("id")
+                if name is not None:
+                    self._records[record["what"], name] = record
+
+    def _check(self, reply: dict[str, Any], before: Counter[str]) -> None:
+        id_, status = reply["id"], reply["status"]
+        self.counts["told"] += 1
+        if reply["type"] == "execute" and "command" in reply:
+            assert ("execute", reply["command"]) in self._records, reply
+            if status in FINAL and not id_.startswith("again-"):
+                assert self._records["command", reply["command"]]["outcome"] == "ok", reply
+        elif id_[0] == "d":
+            assert reply["error"]["code"] == "forbidden", reply
+            assert ("denial", id_) in self._records, reply
+            self.counts["denials"] += 1
+        elif id_[0] in "uw":
+            assert self._records["write", id_]["outcome"] == "ok", reply
+        if status not in FINAL:
+            return
+        mark = id_.removeprefix("again-")
+        error = reply.get("error", {}).get("code")
+        outcome = (status, reply.get("body"), reply.get("command"), error)
+        if mark in self._outcomes:
+            assert self._outcomes[mark] == outcome, (reply, self._outcomes[mark])
+            self.counts["repeated"] += 1
+        elif id_ != mark and before[mark]:
+            assert error == "internal" or status == "completed", reply
+            self.counts["cut off" if error else "ended unheard"] += 1
+        elif id_ != mark and error is not None:
+            assert error == "internal", reply
+            self.counts["not begun"] += 1
+        self._outcomes[mark] = outcome
+
+    def again(self) -> list[Sent]:
+        """Choose keys to send again: the latest, and some of any age."""
+        older = random.sample(self.keys, min(10, len(self.keys)))
+        chosen = dict([*older, *self.keys[-AGAIN:]])
+        return list(chosen.items())
+
+
+def main(folder: Path, lives: int, seed: int) -> None:
+    random.seed(seed)
+    inspector = Inspector(folder)
+    for life in range(lives):
+        told, ready = os.pipe()
+        pid = os.fork()
+        if pid == 0:
+            random.seed(seed + life)
+            try:
+                live(folder, life, inspector.again(), ready)
+            finally:
+                os._exit(1)
+        os.close(ready)
+        if life % 4:  # else killed while it starts, perhaps
+            os.read(told, 1)
+        wait(random.uniform(0, 0.1))
+        os.kill(pid, signal.SIGKILL)
+        _, status = os.waitpid(pid, 0)
+        os.close(told)
+        assert os.WIFSIGNALED(status), f"life {life} ended by itself"
+        inspector.inspect(life)
+    print(json.dumps(inspector.counts))  # noqa: T201 - the test reads it
+
+
+def wait(seconds: float) -> None:
+    """Let the child live for a while: the moment of its end is to be any."""
+    signal.setitimer(signal.ITIMER_REAL, max(seconds, 1e-6))
+    signal.sigwait((signal.SIGALRM,))
+
+
+if __name__ == "__main__":
+    signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGALRM,))
+    main(Path(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3]))

@@ -1,0 +1,30 @@
+"""What a gateway has promised holds when it is killed at any moment."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+KILLS = 200
+
+
+def test_nothing_that_was_promised_is_lost_when_the_gateway_is_killed(tmp_path: Path) -> None:
+    """After each kill: the chain verifies, what clients were told is on record, no key ran twice."""
+    script = Path(__file__).with_name("crash.py")
+    done = subprocess.run(
+        [sys.executable, str(script), str(tmp_path), str(KILLS), "1"],
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr[-4000:]
+    counts = json.loads(done.stdout)
+    # The kills came while work was under way, and the checks had something to look at.
+    assert counts["told"] > 1000
+    assert counts["denials"] > 50
+    assert counts["repeated"] > 500
+    assert counts["cut off"] > 10
+    assert counts["ended unheard"] > 10
