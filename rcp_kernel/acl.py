@@ -53,11 +53,12 @@ class Role(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 _LOOK: tuple[OperationName, ...] = ("discover", "read", "subscribe")
 _HEALTH = Rule(_LOOK, ("/system/status",))
 _ESTOP = Rule(("discover", "read", "subscribe", "execute"), ("/system/estop",))
-_OWN = Rule(_LOOK, ("/system/commands", "/system/sessions", "/system/leases"))
+_OWN = Rule(_LOOK, ("/system/commands", "/system/sessions"))
+_LEASES = Rule((*_LOOK, "execute"), ("/system/leases",))
 BUILTIN_ROLES: dict[str, Role] = {
     "viewer": Role(allow=(Rule(_LOOK, ("/**",)), _HEALTH, _ESTOP)),
-    "operator": Role(allow=(Rule(("*",), ("/**",)), _HEALTH, _ESTOP, _OWN)),
-    "agent": Role(allow=(Rule(("*",), ("/**",)), _HEALTH, _ESTOP, _OWN), priority=10),
+    "operator": Role(allow=(Rule(("*",), ("/**",)), _HEALTH, _ESTOP, _OWN, _LEASES)),
+    "agent": Role(allow=(Rule(("*",), ("/**",)), _HEALTH, _ESTOP, _OWN, _LEASES), priority=10),
     "admin": Role(allow=(Rule(("*",), ("/**", "/system/**")),), reset=True, priority=60),
 }
 """Roles that need no configuration: look, operate, operate as a program that gives way to people,

@@ -19,6 +19,7 @@ from msgspec import Meta
 from rcp_kernel._plain import is_list, is_map
 from rcp_kernel.acl import BUILTIN_ROLES, Role
 from rcp_kernel.config_envelopes import EnvelopeConfig, check_envelopes
+from rcp_kernel.config_safety import Safety
 from rcp_kernel.errors import ConfigError, InvalidPath
 from rcp_kernel.identity import Grants, granted
 from rcp_kernel.model import Pattern
@@ -176,6 +177,7 @@ class GatewayConfig(Table, frozen=True):
     anonymous: Anonymous = Anonymous()
     envelopes: tuple[EnvelopeConfig, ...] = ()
     limits: Limits = Limits()
+    safety: Safety = Safety()
     log: LogConfig = LogConfig()
     store: StoreConfig = StoreConfig()
     audit: AuditConfig = AuditConfig()
@@ -375,6 +377,10 @@ def _check(config: GatewayConfig, source: str) -> None:
         if not key.roles and key.role is None:
             raise ConfigError(f"{source}: key '{key.name}' needs a `role`, or `roles` by tenant")
     _check_granting(config.anonymous, f"{source}: anonymous", config, roles)
+    for path in config.safety.lease_required:
+        _check_rule(path, f"{source}: [safety] lease_required")
+    if config.safety.lease_ttl > config.safety.lease_ttl_max:
+        raise ConfigError(f"{source}: [safety] lease_ttl is longer than lease_ttl_max")
     for name, role in config.roles.items():
         for rule in (*role.allow, *role.deny):
             for path in rule.paths:

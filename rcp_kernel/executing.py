@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import asyncio
 import secrets
 from copy import copy
 from time import perf_counter
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import msgspec
 
@@ -22,9 +23,17 @@ from rcp_kernel.writing import would
 if TYPE_CHECKING:
     from rcp_kernel.gateway import Gateway
 
-__all__ = ["Executing"]
+__all__ = ["Executing", "Service"]
 
 _SERVICE_TIMEOUT = 10.0  # s for a service that declares none
+
+
+class Service(Protocol):
+    """Something that the gateway itself does, in no time."""
+
+    def __call__(self, session: Session, value: Any, /, *, dry_run: bool) -> Any:
+        """Do it, or for a dry run only check whether it could be done."""
+        ...
 
 
 class _Cancel(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -48,6 +57,8 @@ class Executing:
         value = self._input(request, entry)
         if entry.path == "/system/estop":
             return self._estop(session, request, answer, entry, value)
+        if (service := gateway.services.get(entry.path)) is not None:
+            return self._serve(service, session, request, entry, value)
         known = gateway.keys.find(session, request, entry.path)
         if isinstance(known, Command):
             self._follow(session, request, known, answer, started)
@@ -117,6 +128,34 @@ class Executing:
             urgent=True,
         )
         return None
+
+    def _serve(
+        self, service: Service, session: Session, request: Request, entry: Entry, value: Any
+    ) -> Reply:
+        """Answer what the gateway does itself, at once; a repeat under the same key does nothing."""
+        known = self._gateway.keys.find(session, request, entry.path)
+        if isinstance(known, asyncio.Future):
+            again = copy(known.result())
+            again.id = request.id
+            return again
+        body = service(session, value, dry_run=request.dry_run)
+        if request.dry_run:
+            return would(request, entry, {"execute": value})
+        reply = Reply(
+            type="execute",
+            id=request.id,
+            path=entry.path,
+            body=body,
+            message=f"{entry.path} done.",
+            timestamp=iso(now()),
+            custom=request.custom,
+        )
+        if request.idempotency_key is not None:
+            outcome: asyncio.Future[Reply] = self._gateway.loop.create_future()
+            outcome.set_result(reply)
+            self._gateway.keys.note(session, request, entry.path, outcome)
+            self._gateway.keys.settle(session, request, reply)
+        return reply
 
     def _input(self, request: Request, entry: Entry) -> Any:
         if entry.resource.input is None and bytes(request.body) in (b"", b"{}", b"null", b"\x80"):

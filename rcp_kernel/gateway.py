@@ -38,11 +38,13 @@ from rcp_kernel.errors import (
     UnknownPath,
     UnsupportedOperation,
 )
-from rcp_kernel.executing import Executing
+from rcp_kernel.executing import Executing, Service
 from rcp_kernel.history import History
 from rcp_kernel.hub import Hub
 from rcp_kernel.idempotency import Keys
 from rcp_kernel.identity import Keyring, Principal, fingerprint
+from rcp_kernel.latches import Latches
+from rcp_kernel.leases import Leases
 from rcp_kernel.metrics import Histogram
 from rcp_kernel.model import Operation, Pattern, operation_names, parse_path
 from rcp_kernel.peer import UNKNOWN, Peer, Serial
@@ -112,6 +114,10 @@ class Gateway:
         """Resources of whose samples everybody sees their own only, by path."""
         self.estop: Callable[[Session, Any], Coroutine[Any, Any, Any]] | None = None
         """The e-stop's own lane, past every queue and limit: latches when called, not when awaited."""
+        self.services: dict[str, Service] = {}
+        """What else of the gateway's own branch can be executed, by path."""
+        self.latches = Latches(self.store)
+        self.leases = Leases(self)
         self.executing = Executing(self)
         self._reading = Reading(self)
         self._subscribing = Subscribing(self)
@@ -187,6 +193,7 @@ class Gateway:
         if serials != self._certificates.revoked:
             self._certificates.revoked = serials
             self.sessions.review()
+        self.leases.review()
 
     def _by_token(self, token: str) -> Principal:
         if self._authenticator is not None:
@@ -460,6 +467,7 @@ class Gateway:
     async def close(self) -> None:
         """Cancel what runs and stop all streams; the backends are still there."""
         self.closing = True
+        self.leases.close()
         self.deadman.close()
         await self.commands.close()
         await self.hub.close()
