@@ -18,7 +18,7 @@ from rcp_kernel.commands import Command
 from rcp_kernel.config import Limits
 from rcp_kernel.connections import Connection, Hello
 from rcp_kernel.discovery import Query
-from rcp_kernel.errors import PluginError, Unauthenticated
+from rcp_kernel.errors import Forbidden, PluginError, Unauthenticated
 from rcp_kernel.identity import Principal
 from rcp_kernel.model import Pattern
 from rcp_kernel.peer import UNKNOWN, Peer, Serial
@@ -137,7 +137,11 @@ class Door:
         :raises QueueFull: the gateway holds too many sessions.
         """
         gateway = self._gateway
-        session = gateway.sessions.open(principal, self.name, tenant)
+        try:
+            session = gateway.sessions.open(principal, self.name, tenant)
+        except Forbidden as error:
+            gateway.recording.stranger(self.name, peer, error, principal)
+            raise
         return Connection(gateway, session, encoding, flush, peer)
 
     def hello(self, connection: Connection, hello: Hello) -> dict[str, Any]:
@@ -153,7 +157,11 @@ class Door:
 
         :raises Forbidden: the principal does not act in `tenant`.
         """
-        return self._gateway.sessions.stateless(principal, self.name, tenant)
+        try:
+            return self._gateway.sessions.stateless(principal, self.name, tenant)
+        except Forbidden as error:
+            self._gateway.recording.stranger(self.name, UNKNOWN, error, principal)
+            raise
 
     def submit(self, session: Session, request: Request, answer: Answer) -> None:
         """Have a request handled; `answer` gets every reply, exactly one of them final.

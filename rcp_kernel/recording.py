@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from rcp_kernel.audit import FULL, bounded, value_of
 from rcp_kernel.errors import DeadlineExceeded, QueueFull, RcpError
+from rcp_kernel.identity import Principal
 from rcp_kernel.peer import Peer
 from rcp_kernel.registry import Entry
 from rcp_kernel.sessions import Answer, Session
@@ -132,11 +133,13 @@ class Recording:
         )
         return self._until(answer, self._gateway.limits.deadline) if noted else answer
 
-    def stranger(self, transport: str, peer: Peer, error: RcpError) -> None:
-        """Record that somebody proved nothing."""
+    def stranger(
+        self, transport: str, peer: Peer, error: RcpError, principal: Principal | None = None
+    ) -> None:
+        """Record that somebody proved nothing, or wanted in where they do not act."""
         self._gateway.audit.note(
             "denial",
-            principal=None,
+            principal=principal,
             transport=transport,
             address=peer.address,
             outcome=error.code,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import msgspec
@@ -147,8 +148,10 @@ async def site(
     configure("error", "json")
     text = CONFIG.format(port=port, top=top, asgi=asgi, http=http, ws=ws, sse=sse, more=more)
     kind = BackendKind("robot", NoOptions, open_robot)
-    async with serve(parse(text, "test"), kind) as served:
-        yield Site(served.server, robots)
+    with TemporaryDirectory() as folder:
+        text += f'[store]\npath = "{folder}/store.db"\n'
+        async with serve(parse(text, "test"), kind) as served:
+            yield Site(served.server, robots)
 
 
 async def until(holds: Any) -> None:

@@ -30,22 +30,21 @@ class Follower:
 
     def __init__(self) -> None:
         self.latest: Reply | None = None
-        self._first: asyncio.Future[None] | None = None
-        self._final: asyncio.Future[None] | None = None
+        self._first: asyncio.Future[Reply] | None = None
+        self._final: asyncio.Future[Reply] | None = None
 
     def __call__(self, reply: Reply) -> None:
         """Take the next reply."""
         self.latest = reply
         for waiter in (self._first, self._final if reply.final else None):
             if waiter is not None and not waiter.done():
-                waiter.set_result(None)
+                waiter.set_result(reply)
 
     async def first(self) -> Reply:
         """Return a reply as soon as there is one."""
         if self.latest is None:
             self._first = asyncio.get_running_loop().create_future()
-            await self._first
-        assert self.latest is not None
+            return await self._first
         return self.latest
 
     async def final(self, patience: float | None = None) -> Reply:

@@ -52,7 +52,7 @@ class Events:
         connection, lost = self._connect(scope, query, stream)
         try:
             if not connection.session.subscriptions:
-                self._subscribe(connection, query, path)
+                await self._subscribe(connection, query, path)
             await self._run(connection, stream, lost)
         finally:
             self._leave(connection)
@@ -92,15 +92,13 @@ class Events:
             return False
         return have is not None
 
-    def _subscribe(self, connection: Connection, query: Query, path: str | None) -> None:
+    async def _subscribe(self, connection: Connection, query: Query, path: str | None) -> None:
         first, body = subscription(query, path)
         id_ = query.get("id", [None])[0]
         request = Request(type="subscribe", path=first, id=id_, body=Raw(msgspec.json.encode(body)))
-        replies: list[Reply] = []
-        self._door.submit(connection.session, request, replies.append)
-        error = replies[0].error
-        if error is not None:
-            raise Refusal(replies[0])
+        reply = await self._door.ask(connection.session, request)
+        if reply.error is not None:
+            raise Refusal(reply)
 
     async def _run(self, connection: Connection, stream: Stream, lost: bool) -> None:  # noqa: FBT001
         session = connection.session

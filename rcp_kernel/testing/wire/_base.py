@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import AsyncGenerator
+from tempfile import TemporaryDirectory
 from typing import Any, ClassVar
 
+import msgspec
 import pytest
 
-from rcp_kernel.config import GatewayConfig, parse
+from rcp_kernel.config import GatewayConfig, StoreConfig, parse
 from rcp_kernel.server import Server
 from rcp_kernel.testing._client import Client
 from rcp_kernel.testing._serve import ADMIN, OPERATOR, VIEWER, Served, serve
@@ -160,9 +162,12 @@ class Wire(Suite):
     @pytest.fixture
     async def world(self) -> AsyncGenerator[World]:
         """A gateway with robots, for one test."""
-        async with serve(configuration(self.transports), ROBOT, DEAD) as served:
-            world = World(served, self)
-            try:
-                yield world
-            finally:
-                await world.close()
+        with TemporaryDirectory() as folder:
+            store = StoreConfig(path=f"{folder}/store.db")
+            config = msgspec.structs.replace(configuration(self.transports), store=store)
+            async with serve(config, ROBOT, DEAD) as served:
+                world = World(served, self)
+                try:
+                    yield world
+                finally:
+                    await world.close()
