@@ -175,16 +175,21 @@ class Conditions:
 
     def holds(self, condition: Condition, entry: Entry) -> bool | None:
         """Tell whether a condition holds for the robot of an entry; None: it cannot be known."""
-        values: dict[Ref, Any] = {}
-        for ref in condition.refs:
-            found = self.resource(ref, entry)
-            if found is not None and self._known(found[0]):
-                self._look(values, ref, *found)
+        values = self.values(condition.refs, entry)
         if condition.times:
             moment = self._today()
             for ref in condition.times:
                 values[ref] = _CLOCK[ref[1]](moment)
         return condition.evaluate(values)
+
+    def values(self, refs: Iterable[Ref], entry: Entry) -> dict[Ref, Any]:
+        """Return what names stand for now, for the robot of an entry; not what is unknown."""
+        values: dict[Ref, Any] = {}
+        for ref in refs:
+            found = self.resource(ref, entry)
+            if found is not None and self._known(found[0]):
+                self._look(values, ref, *found)
+        return values
 
     def resource(self, ref: Ref, entry: Entry) -> tuple[Entry, Ref] | None:
         """Find what a name means for the robot of an entry: the resource, and the field in it."""

@@ -11,6 +11,7 @@ import msgspec
 from msgspec import Meta
 
 from rcp_kernel.acl import Role
+from rcp_kernel.conditions import condition
 from rcp_kernel.errors import ConfigError, InvalidPath
 from rcp_kernel.model import BRANCHES, Kind, Operation, Pattern, kind_of
 from rcp_kernel.polygon import Corner, Polygon
@@ -67,6 +68,8 @@ class EnvelopeConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw
     rate: dict[str, Annotated[float, Meta(gt=0)]] = {}
     """The most that a field may change in a second, by field."""
     fence: Fence | None = None
+    when: str | None = None
+    """A condition on what the robot says of itself."""
     modes: tuple[str, ...] = ()
     """What `sensor/mode` must say, one of these."""
     reason: Annotated[str, Meta(max_length=500)] | None = None
@@ -107,17 +110,26 @@ def check_envelopes(
         where = f"{source}: [[envelopes]] '{table.name}'"
         if names.count(table.name) > 1:
             raise ConfigError(f"{where}: two have this `name`: give each one of its own")
-        if not (table.bounds or table.rate or table.fence or table.modes):
-            raise ConfigError(
-                f"{where} limits nothing: give it `bounds`, `rate`, `fence` or `modes`"
-            )
         _check_reach(table, where, roles, tenants)
-        for field, bound in table.bounds.items():
-            _check_bound(bound, f"{where}: bounds.{_quoted(field)}")
-        for field, most in table.rate.items():
-            _check_finite(most, f"{where}: rate.{_quoted(field)}")
-        if table.fence is not None:
-            _check_fence(table.fence, f"{where}: fence")
+        _check_limits(table, where)
+
+
+def _check_limits(table: EnvelopeConfig, where: str) -> None:
+    if not (table.bounds or table.rate or table.fence or table.when or table.modes):
+        raise ConfigError(
+            f"{where} limits nothing: give it `bounds`, `rate`, `fence`, `when` or `modes`"
+        )
+    for field, bound in table.bounds.items():
+        _check_bound(bound, f"{where}: bounds.{_quoted(field)}")
+    for field, most in table.rate.items():
+        _check_finite(most, f"{where}: rate.{_quoted(field)}")
+    if table.fence is not None:
+        _check_fence(table.fence, f"{where}: fence")
+    if table.when is not None:
+        try:
+            condition(table.when)
+        except ConfigError as error:
+            raise ConfigError(f"{where}: when: {error}") from None
 
 
 def _check_reach(

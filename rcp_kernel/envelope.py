@@ -8,11 +8,12 @@ from enum import Enum
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from rcp_kernel import inforce
+from rcp_kernel.conditions import Condition, Conditions, Ref, condition
 from rcp_kernel.config_envelopes import Bound, EnvelopeConfig
 from rcp_kernel.errors import ModeForbids, OutOfRange, PreconditionFailed
 from rcp_kernel.fields import Field
 from rcp_kernel.inforce import InForce
-from rcp_kernel.model import Kind, Operation, full_path
+from rcp_kernel.model import Kind, Operation
 from rcp_kernel.place import Place
 
 if TYPE_CHECKING:
@@ -21,20 +22,23 @@ if TYPE_CHECKING:
 
 __all__ = ["Envelope"]
 
+_MODE: Ref = ("sensor", "mode")
 _LONGEST = 1.0  # s that a change may take for granted where the path has no `valid_for`
 
 
 class Envelope:
     """A table of the configuration, bound to the type of one path."""
 
-    def __init__(self, table: EnvelopeConfig, entry: Entry, registry: Registry) -> None:
+    def __init__(
+        self, table: EnvelopeConfig, entry: Entry, registry: Registry, conditions: Conditions
+    ) -> None:
         self.table = table
         self.entry = entry
         self.bounds = [(Field(name), bound) for name, bound in table.bounds.items()]
         self.rates = [(Field(name), most) for name, most in table.rate.items()]
         self.place = None if table.fence is None else Place(table.fence, entry, registry)
-        self.mode = full_path(entry.tenant or "", entry.robot, "sensor/mode")
-        self._registry = registry
+        self.when = None if table.when is None else condition(table.when)
+        self._conditions = conditions
         called = entry.kind in (Kind.ACTION, Kind.SERVICE)
         self._type = entry.input_type if called else entry.value_type
         self._longest = entry.resource.valid_for or _LONGEST
@@ -56,14 +60,6 @@ class Envelope:
             self.units[field.text] = leaf.unit
         return None
 
-    @property
-    def watched(self) -> list[str]:
-        """The sensors whose present value it asks for."""
-        found = [self.mode] if self.table.modes else []
-        if self.place is not None and self.place.sensor is not None:
-            found.append(self.place.sensor)
-        return found
-
     def check(self, session: Session, value: Any, force: InForce) -> None:
         """Refuse a value that may not reach the robot now.
 
@@ -80,6 +76,8 @@ class Envelope:
             )
         if self.table.modes:
             self._check_mode(session)
+        if self.when is not None and self._conditions.holds(self.when, self.entry) is not True:
+            self._precondition(session, self.when)
         for field, bound in self.bounds:
             for name, found in field.every(value):
                 self._check_bound(name, found, bound, self.units[field.text])
@@ -173,23 +171,42 @@ class Envelope:
             self._raise(f"the robot{at} {trouble[1]}", fence=trouble[0], **facts)
 
     def _check_mode(self, session: Session) -> None:
-        entry = self._registry.entries.get(self.mode)
-        found = None if entry is None or entry.stale or entry.latest is None else entry.latest.value
-        found = found.value if isinstance(found, Enum) else found
+        found = self._conditions.values((_MODE,), self.entry).get(_MODE)
         if isinstance(found, str) and found in self.table.modes:
             return
-        wanted = ", ".join(self.table.modes)
         known = "its mode cannot be known now"
         facts: dict[str, Any] = {}
-        if isinstance(found, str):
+        if found is not None:
             known = "its mode is another"
-            if session.rights.mask(self.mode) & Operation.READ:
-                known, facts = f"its mode is {found}", {"mode": found}
+            if self._may_read(session, _MODE):
+                known, facts = f"its mode is {_shown(found)}", {"mode": _plain(found)}
+        wanted = ", ".join(self.table.modes)
         raise ModeForbids(
             f"{self.entry.path} takes commands in the mode {wanted}; {known}{self.why}",
             path=self.entry.path,
             details={"modes": list(self.table.modes), **facts, **self.facts()},
         )
+
+    def _precondition(self, session: Session, when: Condition) -> NoReturn:
+        if not all(self._may_read(session, ref) for ref in when.refs):
+            raise PreconditionFailed(
+                f"a condition for commands to {self.entry.path} does not hold now{self.why}",
+                path=self.entry.path,
+                remedy="Ask the operator of the gateway, who knows the condition.",
+                details=self.facts(),
+            )
+        values = self._conditions.values(when.refs, self.entry)
+        known = {".".join(ref): values.get(ref) for ref in when.refs}
+        said = ", ".join(f"{n} is {'unknown' if v is None else v}" for n, v in known.items())
+        raise PreconditionFailed(
+            f"the condition {when.text} does not hold: {said}{self.why}",
+            path=self.entry.path,
+            details={"condition": when.text, "values": known, **self.facts()},
+        )
+
+    def _may_read(self, session: Session, ref: Ref) -> bool:
+        found = self._conditions.resource(ref, self.entry)
+        return found is not None and bool(session.rights.mask(found[0].path) & Operation.READ)
 
     # -- what is said --------------------------------------------------------------------------
 

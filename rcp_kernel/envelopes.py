@@ -6,11 +6,12 @@ grants: a command on a path without an envelope costs one dictionary access.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import structlog
 
+from rcp_kernel.conditions import condition
 from rcp_kernel.config_envelopes import EnvelopeConfig, patterns
 from rcp_kernel.envelope import Envelope
 from rcp_kernel.fence_guard import FenceGuard
@@ -87,6 +88,9 @@ class Envelopes:
     def configure(self, tables: Sequence[EnvelopeConfig]) -> None:
         """Take over the envelopes of a configuration; they count from now on."""
         self._tables = [(table, patterns(table.paths)) for table in tables]
+        asked = [condition(table.when) for table in tables if table.when is not None]
+        modes = [condition("mode")] if any(table.modes for table in tables) else []
+        self._gateway.conditions.use("envelopes", [*asked, *modes])
         for entry in self._registry.entries.values():
             self._bind(entry)
         self._tend()
@@ -167,7 +171,9 @@ class Envelopes:
         tables = [t for t, wanted in self._tables if any(p.matches(path) for p in wanted)]
         if not tables:
             return
-        envelopes = [Envelope(table, entry, self._registry) for table in tables]
+        envelopes = [
+            Envelope(table, entry, self._registry, self._gateway.conditions) for table in tables
+        ]
         force = old.force if old is not None and old.entry is entry else _first(entry)
         self.bound[path] = Bound(entry, envelopes, force)
         found = [f"{e.table.name}: {e.fault}" for e in envelopes if e.fault is not None]
@@ -177,14 +183,9 @@ class Envelopes:
                 log.warning("envelope_does_not_fit", path=path, faults=found)
 
     def _tend(self) -> None:
-        """Have every sensor watched that a bound envelope asks for."""
-        self.guard.watch(self._guarded())
-
-    def _guarded(self) -> Iterable[tuple[str, Bound]]:
-        for bound in self.bound.values():
-            for envelope in bound.envelopes:
-                for path in envelope.watched:
-                    yield path, bound
+        """Have every sensor watched that says where a robot is that has to stay somewhere."""
+        places = ((e.place, bound) for bound in self.bound.values() for e in bound.envelopes)
+        self.guard.watch((p.sensor, b) for p, b in places if p is not None and p.sensor is not None)
 
 
 def _first(entry: Entry) -> InForce:

@@ -76,6 +76,13 @@ class FencedRobot(Robot):
             Resource(
                 name="sensor/pose", description="A pose.", value=Pose, live=True, deadline=10.0
             ),
+            Resource(
+                name="sensor/level",
+                description="A level.",
+                value=quantity("m"),
+                live=True,
+                deadline=30.0,
+            ),
             Resource(name="sensor/mode", description="A mode.", value=str),
             Resource(
                 name="actuator/drive",

@@ -20,6 +20,7 @@ from kernel.fenced import (
 )
 from kernel.world import BOUND, World
 from rcp_kernel import inforce
+from rcp_kernel.conditions import RATE
 from rcp_kernel.errors import DeviceRejected, DeviceTimeout
 from rcp_kernel.types import Twist
 
@@ -484,16 +485,68 @@ async def test_a_mode_that_is_not_named_or_not_known_forbids() -> None:
         assert code(await drive(client, 0.1)) == "completed"
 
 
+CHARGED = """
+[[envelopes]]
+name = "charged"
+paths = ["/actuator/drive", "/action/line_up"]
+when = "sensor.level > 1.0"
+"""
+
+
+async def test_a_condition_refuses_unless_it_is_known_to_hold(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    async with fenced(CHARGED) as world:
+        client, publish = world.client(), world.robot.host.publish
+        refusal = await drive(client, 0.1)
+        assert refusal["error"]["code"] == "precondition_failed"
+        assert refusal["error"]["message"] == (
+            "the condition sensor.level > 1.0 does not hold: sensor.level is unknown"
+        )
+        publish("sensor/level", 0.5)
+        refusal = await drive(client, 0.1)
+        assert refusal["error"]["details"]["values"] == {"sensor.level": 0.5}
+        publish("sensor/level", 2.0)
+        assert code(await drive(client, 0.1)) == "completed"
+        entry = world.server.gateway.registry.entries["/tenant/alpha/sensor/level"]
+        monkeypatch.setattr(entry, "_heard", entry._heard - 60)  # pyright: ignore[reportPrivateUsage]
+        assert code(await drive(client, 0.1)) == "precondition_failed"
+        assert code(await drive(client, 0.0)) == "completed"
+
+
+async def test_what_a_condition_is_about_is_told_to_those_who_may_read_it() -> None:
+    async with fenced(CHARGED) as world:
+        world.robot.host.publish("sensor/level", 0.5)
+        refusal = await drive(world.client(BLIND), 0.1)
+        assert refusal["error"]["code"] == "precondition_failed"
+        assert "level" not in str(refusal)
+        assert "0.5" not in str(refusal)
+
+
+async def test_a_condition_that_ceases_to_hold_refuses_what_waits() -> None:
+    async with fenced(CHARGED) as world:
+        client, robot = world.client(), world.robot
+        robot.host.publish("sensor/level", 2.0)
+        first = client.send(type="execute", path="/action/line_up", body=goal(1))
+        second = client.send(type="execute", path="/action/line_up", body=goal(2))
+        await client.until(lambda m: m.get("id") == second and m.get("status") == "pending")
+        robot.host.publish("sensor/level", 0.5)
+        robot.release.set()
+        assert code(await client.final(first)) == "completed"
+        assert code(await client.final(second)) == "precondition_failed"
+        assert len(reached(world, "action/line_up")) == 1
+
+
 async def test_sensors_that_envelopes_ask_for_are_kept_running() -> None:
     async with fenced("") as world:
         robot = world.robot
-        assert ("sensor/mode", None) not in robot.watched
+        assert ("sensor/mode", RATE) not in robot.watched
         await reconfigured(world, GUIDED)
         await drive(world.client(), 0.1)
-        assert ("sensor/mode", None) in robot.watched
+        assert ("sensor/mode", RATE) in robot.watched
         await reconfigured(world, "")
         await drive(world.client(), 0.1)
-        assert ("sensor/mode", None) in robot.left
+        assert ("sensor/mode", RATE) in robot.left
 
 
 async def test_a_command_that_waited_is_checked_again_when_its_turn_comes() -> None:
