@@ -16,6 +16,7 @@ ALL = (
     "starvation",
     "scale",
     "startup",
+    "tls",
 )
 
 wanted = sys.argv[1:] or ALL

@@ -17,7 +17,7 @@ from rcp_kernel.spi import BackendKind, BaseBackend, Host
 from rcp_kernel.types import Point, PoseStamped, Quaternion
 
 POSE = PoseStamped(Point(1.25, -3.5, 0.125), Quaternion(), "map", "2026-05-29T14:12:04Z")
-_CONFIG = 'limits = {sessions = 5000}\ntransports.asgi = {port = 0}\nlog = {level = "error"}\n'
+_CONFIG = 'limits = {sessions = 5000}\nlog = {level = "error"}\n[transports.asgi]\nport = 0\n'
 
 
 class Nothing(msgspec.Struct):
@@ -35,10 +35,10 @@ class Bench(BaseBackend):
 
 
 @asynccontextmanager
-async def gateway() -> AsyncGenerator[tuple[Bench, str]]:
-    """Run the gateway; yield its robot and its URL."""
+async def gateway(tls: str = "") -> AsyncGenerator[tuple[Bench, str]]:
+    """Run the gateway; yield its robot and its URL. `tls` is a line of `[transports.asgi]`."""
     configure("error")
-    bare = prepare(parse(_CONFIG, "benchmark"), "benchmark")
+    bare = prepare(parse(_CONFIG + tls, "benchmark"), "benchmark")
     robots: list[Bench] = []
 
     @asynccontextmanager
@@ -60,11 +60,11 @@ async def gateway() -> AsyncGenerator[tuple[Bench, str]]:
         yield robots[0], url
 
 
-def serve_gateway(rate: float = 0.0, burst: int = 1) -> None:
+def serve_gateway(rate: float = 0.0, burst: int = 1, tls: str = "") -> None:
     """Serve until killed; publish `rate` poses a second in bursts of `burst`."""
 
     async def main() -> None:
-        async with gateway() as (robot, url):
+        async with gateway(tls) as (robot, url):
             print(url.rpartition(":")[2], flush=True)
             await produce(robot.publish, rate, burst)
 

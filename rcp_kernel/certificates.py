@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     from rcp_kernel.config import CertificateConfig
 
-__all__ = ["Certificates", "read_certificate", "revoked_by"]
+__all__ = ["Certificates", "read_certificate", "read_pem", "revoked_by"]
 
 _STOPS = {"DNS": ".", "URI": "/", "email": "@"}
 """What a `*` in a pattern does not reach over."""
@@ -48,6 +48,17 @@ def read_certificate(der: bytes) -> Certificate | None:
             expires=int(found.not_valid_after_utc.timestamp()) * 1_000_000_000,
             fingerprint=found.fingerprint(SHA256()).hex(),
         )
+    except ValueError:
+        return None
+
+
+def read_pem(pem: bytes) -> Certificate | None:
+    """Read the first certificate of a file; None if there is none."""
+    from cryptography import x509
+    from cryptography.hazmat.primitives.serialization import Encoding
+
+    try:
+        return read_certificate(x509.load_pem_x509_certificates(pem)[0].public_bytes(Encoding.DER))
     except ValueError:
         return None
 

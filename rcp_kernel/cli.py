@@ -75,12 +75,14 @@ def check(config: Path) -> None:
     found = prepared.config
     robots = ", ".join(f"{b.name} ({b.use}, tenant {b.tenant})" for b in found.backends) or "none"
     click.echo(f"{config}: good")
-    click.echo(f"  backends    {robots}")
-    click.echo(f"  transports  {', '.join(found.transports) or 'none'}")
-    click.echo(f"  plugins     {', '.join(found.plugins) or 'none'}")
-    click.echo(f"  keys        {', '.join(key.name for key in found.keys) or 'none'}")
+    click.echo(f"  backends      {robots}")
+    click.echo(f"  transports    {', '.join(found.transports) or 'none'}")
+    click.echo(f"  plugins       {', '.join(found.plugins) or 'none'}")
+    click.echo(f"  keys          {', '.join(key.name for key in found.keys) or 'none'}")
+    named = dict.fromkeys(one.name for one in found.certificates)
+    click.echo(f"  certificates  {', '.join(named) or 'none'}")
     strangers = sorted({role for _, roles in found.anonymous.grants for role in roles})
-    click.echo(f"  anonymous   {', '.join(strangers) or 'refused'}")
+    click.echo(f"  anonymous     {', '.join(strangers) or 'refused'}")
     if prepared.plugins.missing:
         sys.exit(_FAILED)
 

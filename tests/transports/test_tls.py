@@ -15,7 +15,10 @@ from structlog.testing import capture_logs
 from websockets.asyncio.client import connect
 
 from certs import Authority, Signed
+from rcp_asgi.config import TlsConfig
+from rcp_asgi.tls import Tls
 from rcp_kernel.errors import ConfigError
+from rcp_kernel.log import configure
 from transports.raw import TEXT, connected, frame, handshake
 from transports.robot import BOUND, KEY, Site, site, until
 
@@ -37,6 +40,12 @@ name = "op"
 subject = "CN=op,O=Example"
 role = "viewer"
 """
+
+
+@pytest.fixture(params=[False, True], ids=["asyncio", "uvloop"])
+def anyio_backend(request: pytest.FixtureRequest) -> tuple[str, dict[str, bool]]:
+    """Run on both loops: each has a TLS of its own, and `rcpd` takes uvloop where there is one."""
+    return "asyncio", {"use_uvloop": request.param}
 
 
 @pytest.fixture
@@ -217,6 +226,19 @@ async def presented(gateway: Site, ca: Authority) -> int:
     der = writer.get_extra_info("ssl_object").getpeercert(binary_form=True)
     writer.close()
     return x509.load_der_x509_certificate(der).serial_number
+
+
+@pytest.mark.parametrize(("days", "warned"), [(-0.5, True), (13, True), (15, False)])
+async def test_a_certificate_near_its_end_is_warned_of(
+    ca: Authority,
+    days: float,
+    warned: bool,  # noqa: FBT001 - a case
+) -> None:
+    server = ca.sign("gateway", days=(-1, days))
+    configure("warning", "json")
+    with capture_logs() as said:
+        Tls(TlsConfig(certificate=str(server.cert), key=str(server.key))).warn()
+    assert ("certificate_expires" in [one["event"] for one in said]) is warned
 
 
 # -- client certificates ---------------------------------------------------------------------------

@@ -35,7 +35,7 @@ class Acceptor:
         self._settings = settings
         self._tls = tls
         self._make = make
-        self._seats = Seats(settings.config)
+        self._seats = Seats(settings.config, settings.proxies)
         self._loop = settings.door.loop
         self._opening: set[asyncio.Task[None]] = set()
         self._resume: asyncio.TimerHandle | None = None

@@ -42,6 +42,8 @@ class AsgiConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     """
     root_path: Annotated[str, Meta(pattern="^(/[A-Za-z0-9_.~-]+)*$")] = ""
     """Path below which a reverse proxy shows the gateway."""
+    proxies: tuple[str, ...] = ()
+    """Addresses and networks of reverse proxies whose `X-Forwarded-For` is believed."""
     connections: Annotated[int, Meta(ge=1)] = 2000
     """Open at once."""
     connections_per_address: Annotated[int, Meta(ge=1)] | None = None

@@ -22,7 +22,7 @@ from rcp_asgi.upgrade import Upgrade
 from rcp_kernel.certificates import read_certificate
 from rcp_kernel.door import Asgi
 from rcp_kernel.errors import BadRequest, PayloadTooLarge, RcpError
-from rcp_kernel.peer import Peer
+from rcp_kernel.peer import UNKNOWN, Peer
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import encode_reply, failure
 
@@ -51,6 +51,8 @@ class HttpProtocol(HttpToolsProtocol):
         self._in_head = True
         self._in_body = False
         self._deaf = False
+        self._peer = UNKNOWN
+        self._proxied = False
         self._slow: asyncio.TimerHandle | None = None
         self._extensions: dict[str, Any] = {}
         self._body: Endless | None = None
@@ -64,10 +66,12 @@ class HttpProtocol(HttpToolsProtocol):
         if refusal is not None:
             self._turn_away(refusal)
             return
-        self._extensions["rcp.peer"] = self._peer(transport)
+        self._extensions["rcp.peer"] = self._peer = self._seen(transport)
+        address = self._peer.address
+        self._proxied = address is not None and address in self._settings.proxies
         self._watch(self._settings.config.header_timeout)
 
-    def _peer(self, transport: asyncio.Transport) -> Peer:
+    def _seen(self, transport: asyncio.Transport) -> Peer:
         address = None if self.client is None else self.client[0]
         secured = transport.get_extra_info("ssl_object")
         der = None if secured is None else secured.getpeercert(binary_form=True)
@@ -169,7 +173,18 @@ class HttpProtocol(HttpToolsProtocol):
         self._in_body = True
         if self._slow is not None:
             self._stop_clock()
+        if self._proxied:
+            self._speak_for_client()
         super().on_headers_complete()
+
+    def _speak_for_client(self) -> None:
+        """Take the address that a proxy tells for that of the other end."""
+        address = self._settings.proxies.client(self.headers)
+        if address is not None:
+            peer = Peer(address, self._peer.certificate)
+            scope = cast("dict[str, Any]", self.scope)
+            scope["client"] = (address, 0)
+            scope["extensions"] = {**self._extensions, "rcp.peer": peer}
 
     def on_message_complete(self) -> None:
         """Stop the clock: the whole request is there."""

@@ -18,6 +18,7 @@ from rcp_asgi.front import FrontDoor
 from rcp_asgi.house import OWN, house
 from rcp_asgi.http import HttpProtocol
 from rcp_asgi.origins import Origins
+from rcp_asgi.proxies import Proxies
 from rcp_asgi.safe import check_door
 from rcp_asgi.seats import Seat
 from rcp_asgi.settings import Settings
@@ -48,13 +49,14 @@ async def open_asgi(config: AsgiConfig, door: Door) -> AsyncGenerator[dict[str, 
     tls = None if config.tls is None else Tls(config.tls)
     listening = _bind(config)
     host, port = listening.getsockname()[:2]
-    settings = Settings(config, door)
+    settings = Settings(config, door, Proxies(config.proxies))
     origins = Origins(config.host, config.origins, config.hosts)
     front = FrontDoor(door, origins, house(door), OWN, config.root_path)
     server = _server(settings, front)
     acceptor = Acceptor(listening, settings, tls, partial(_protocol, server, settings))
     await server.on_tick(0)
     if tls is not None:
+        tls.warn()
         door.revoke(tls.revoked)
     ticking = asyncio.create_task(_tick(server, acceptor, tls, door), name="asgi clock")
     acceptor.open()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from rcp_asgi.config import AsgiConfig
 from rcp_asgi.origins import is_loopback
+from rcp_asgi.proxies import Proxies
 from rcp_asgi.tls import Tls
 from rcp_kernel.config import GatewayConfig
 from rcp_kernel.door import Door
@@ -15,8 +16,9 @@ __all__ = ["check_door", "check_open"]
 def check_open(config: AsgiConfig, gateway: GatewayConfig) -> None:
     """Refuse an address open to others without TLS, or where anybody or nobody may do anything.
 
-    :raises ConfigError: that is so, or the certificates do not load.
+    :raises ConfigError: that is so, or the certificates or proxies cannot be read.
     """
+    Proxies(config.proxies)
     if config.tls is not None:
         Tls(config.tls)
     # A plugin of `[plugins]` may prove identities: known when it is there, by `check_door`.

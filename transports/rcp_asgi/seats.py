@@ -5,6 +5,7 @@ from __future__ import annotations
 from ipaddress import IPv6Address, ip_address
 
 from rcp_asgi.config import AsgiConfig
+from rcp_asgi.proxies import Proxies
 from rcp_kernel.errors import QueueFull, RateLimited, RcpError
 
 __all__ = ["Seat", "Seats"]
@@ -50,7 +51,8 @@ class Seat:
 class Seats:
     """The seats of one listener. `now` is any clock that only rises, in seconds."""
 
-    def __init__(self, config: AsgiConfig) -> None:
+    def __init__(self, config: AsgiConfig, proxies: Proxies) -> None:
+        self._proxies = proxies
         self._limit = config.connections
         self._each = config.connections_per_address
         self._rate = config.connection_rate
@@ -62,6 +64,7 @@ class Seats:
         name, near = _known_as(address)
         guest = self._guests.get(name)
         if guest is None:
+            near = near or address in self._proxies
             guest = self._guests[name] = _Guest(now, near=near)
         refusal = self._refusal(guest, now)
         self.taken += 1

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from rcp_asgi.config import AsgiConfig
+from rcp_asgi.proxies import Proxies
 from rcp_kernel.door import Door
 
 __all__ = ["Settings"]
@@ -17,5 +18,6 @@ class Settings:
 
     config: AsgiConfig
     door: Door
+    proxies: Proxies
     closing: set[Callable[[], None]] = field(default_factory=set[Callable[[], None]])
     """Called when the listener closes: `scope["extensions"]["rcp.closing"]` of endless responses."""

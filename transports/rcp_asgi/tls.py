@@ -12,13 +12,15 @@ from pathlib import Path
 import structlog
 
 from rcp_asgi.config import TlsConfig
-from rcp_kernel.certificates import revoked_by
+from rcp_kernel.certificates import read_pem, revoked_by
+from rcp_kernel.clock import iso, now
 from rcp_kernel.errors import ConfigError
 from rcp_kernel.peer import Serial
 
 __all__ = ["Tls"]
 
 log = structlog.get_logger("rcp.asgi")
+_SOON = 14 * 86_400  # s before its end that a certificate is warned of
 _VERIFY = {"none": ssl.CERT_NONE, "optional": ssl.CERT_OPTIONAL, "required": ssl.CERT_REQUIRED}
 
 
@@ -54,7 +56,20 @@ class Tls:
             return False
         self.context, self.revoked = context, revoked
         log.info("certificates_renewed", certificate=self._config.certificate)
+        self.warn()
         return True
+
+    def warn(self) -> None:
+        """Log a warning if the gateway's certificate is at its end, or will be soon."""
+        found = read_pem(_read("certificate", _path(self._config.certificate)))
+        left = 0 if found is None else (found.expires - now()) / 1e9
+        if found is not None and left < _SOON:
+            log.warning(
+                "certificate_expires",
+                certificate=self._config.certificate,
+                at=iso(found.expires),
+                days=round(left / 86_400, 1),
+            )
 
     def _stamps(self) -> list[tuple[int, int, int] | None]:
         return [_stamp(file) for file in self._files]
@@ -71,6 +86,7 @@ def _stamp(file: Path) -> tuple[int, int, int] | None:
 def _context(config: TlsConfig) -> ssl.SSLContext:
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
     context.minimum_version = ssl.TLSVersion.TLSv1_2
+    context.options |= ssl.OP_NO_RENEGOTIATION
     context.set_alpn_protocols(["http/1.1"])
     _own(context, config)
     if config.client_certificates == "none":
