@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from rcp_kernel.model import Operation
 from rcp_kernel.registry import Entry
 from rcp_kernel.safety import check_age, check_motion
 from rcp_kernel.sessions import Session
@@ -32,12 +31,14 @@ class Admission:
 
         :raises StaleCommand: the request is older than its path allows.
         :raises EstopActive: the path moves something, and its robot is stopped.
+        :raises LeaseHeld, LeaseLost, LeaseRequired: somebody else has control, or nobody.
         :raises AdapterUnavailable: the gateway is closing, or there is no robot.
         :raises QueueFull: it could not be put on record.
         :raises OutOfRange, ModeForbids, PreconditionFailed: an envelope does not hold.
         """
         check_age(entry, request)
         check_motion(entry, entry.owner.latch)
+        self._gateway.leases.check(session, entry)
         self._gateway.check_open()
         self._gateway.recording.check()
         if entry.owner.backend is None:
@@ -49,14 +50,12 @@ class Admission:
 
         `session` is whose request it is, with the rights it has by now.
 
-        :raises Forbidden: its rights are not there any more, or their condition does not hold.
-        :raises EstopActive: as above.
+        :raises EstopActive, LeaseHeld, LeaseLost, LeaseRequired: as above.
         :raises AdapterUnavailable: there is no robot any more.
         :raises OutOfRange, ModeForbids, PreconditionFailed: as above.
         """
-        called = entry.operations & Operation.EXECUTE
-        self._gateway.check(session, entry, called or Operation.WRITE)
         check_motion(entry, entry.owner.latch)
+        self._gateway.leases.check(session, entry)
         backend = entry.owner.backend
         if backend is None:
             raise entry.owner.unavailable()

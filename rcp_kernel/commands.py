@@ -23,10 +23,10 @@ from rcp_kernel.errors import (
     Cancelled,
     DeadlineExceeded,
     DeviceRejected,
-    EstopActive,
     InternalError,
     QueueFull,
     RcpError,
+    Refused,
 )
 from rcp_kernel.finished import Finished
 from rcp_kernel.metrics import Histogram
@@ -91,8 +91,6 @@ class Command:
     path: str
     principal: str
     tenant: str | None
-    proof: str = "none"
-    """How the principal proved itself."""
     request_id: str | None = None
     custom: dict[str, Any] | None = None
     input: Any = None
@@ -345,6 +343,14 @@ class Commands:
             command.task.cancel()
             asyncio.get_running_loop().call_later(_CANCEL_GRACE, self._give_up, command)
 
+    def withdraw(self, command: Command, error: Refused) -> None:
+        """End a command that has lost its ground: refused if it waits, else cancelled."""
+        if command.id in self._starts:
+            self._unqueue(command)
+            self._end(command, error)
+        else:
+            self.cancel(command, error.message)
+
     def _give_up(self, command: Command) -> None:
         if not command.final:
             self._end(
@@ -455,5 +461,5 @@ def _status(command: Command, error: RcpError) -> Status:
     if isinstance(error, Cancelled):
         return "cancelled"
     moved = any(record.status == "in_progress" for record in command.history)
-    refused = isinstance(error, (DeviceRejected, EstopActive))
+    refused = isinstance(error, (DeviceRejected, Refused))
     return "rejected" if refused and not moved else "failed"

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
+import asyncio
 import secrets
 from copy import copy
 from time import perf_counter
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import msgspec
 
-from rcp_kernel.acl import reach
 from rcp_kernel.clock import iso, now
 from rcp_kernel.commands import Command
 from rcp_kernel.errors import UnknownPath
@@ -23,9 +23,17 @@ from rcp_kernel.writing import would
 if TYPE_CHECKING:
     from rcp_kernel.gateway import Gateway
 
-__all__ = ["Executing"]
+__all__ = ["Executing", "Service"]
 
 _SERVICE_TIMEOUT = 10.0  # s for a service that declares none
+
+
+class Service(Protocol):
+    """Something that the gateway itself does, in no time."""
+
+    def __call__(self, session: Session, value: Any, /, *, dry_run: bool) -> Any:
+        """Do it, or for a dry run only check whether it could be done."""
+        ...
 
 
 class _Cancel(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -49,6 +57,8 @@ class Executing:
         value = self._input(request, entry)
         if entry.path == "/system/estop":
             return self._estop(session, request, answer, entry, value)
+        if (service := gateway.services.get(entry.path)) is not None:
+            return self._serve(service, session, request, entry, value)
         known = gateway.keys.find(session, request, entry.path)
         if isinstance(known, Command):
             self._follow(session, request, known, answer, started)
@@ -62,7 +72,6 @@ class Executing:
             id="cmd-" + secrets.token_hex(8),
             path=entry.path,
             principal=session.principal.name,
-            proof=session.principal.proof,
             tenant=entry.tenant,
             request_id=request.id,
             custom=request.custom,
@@ -120,6 +129,34 @@ class Executing:
         )
         return None
 
+    def _serve(
+        self, service: Service, session: Session, request: Request, entry: Entry, value: Any
+    ) -> Reply:
+        """Answer what the gateway does itself, at once; a repeat under the same key does nothing."""
+        known = self._gateway.keys.find(session, request, entry.path)
+        if isinstance(known, asyncio.Future):
+            again = copy(known.result())
+            again.id = request.id
+            return again
+        body = service(session, value, dry_run=request.dry_run)
+        if request.dry_run:
+            return would(request, entry, {"execute": value})
+        reply = Reply(
+            type="execute",
+            id=request.id,
+            path=entry.path,
+            body=body,
+            message=f"{entry.path} done.",
+            timestamp=iso(now()),
+            custom=request.custom,
+        )
+        if request.idempotency_key is not None:
+            outcome: asyncio.Future[Reply] = self._gateway.loop.create_future()
+            outcome.set_result(reply)
+            self._gateway.keys.note(session, request, entry.path, outcome)
+            self._gateway.keys.settle(session, request, reply)
+        return reply
+
     def _input(self, request: Request, entry: Entry) -> Any:
         if entry.resource.input is None and bytes(request.body) in (b"", b"{}", b"null", b"\x80"):
             return None
@@ -163,14 +200,14 @@ class Executing:
         gateway = self._gateway
         body = request.decode_body(_CANCEL, "cancel")
         wanted = request.command or (body.command if body is not None else None)
-        found = [self.command(session, wanted)] if wanted is not None else []
-        path = found[0].path if found else request.path
-        entry = gateway.resolve(session, path, Operation.EXECUTE, anyway=True)
-        if wanted is None:
+        if wanted is not None:
+            found = [self.command(session, wanted)]
+        else:
+            entry = gateway.resolve(session, request.path, Operation.EXECUTE)
             found = [c for c in gateway.commands.running.values() if c.path == entry.path]
-        if not found or not all(_own(session, command) for command in found):
-            # Whoever set something going may stop it, whatever has become of the conditions.
-            gateway.check(session, entry, Operation.EXECUTE)
+        entry = gateway.resolve(
+            session, found[0].path if found else request.path, Operation.EXECUTE
+        )
         live = [command for command in found if not command.final]
         for command in live:
             gateway.commands.cancel(command, f"{session.principal.name} asked for it")
@@ -191,14 +228,9 @@ class Executing:
         :raises UnknownPath: there is none, or not for this principal.
         """
         command = self._gateway.commands.find(id_)
-        if command is None or not reach(session.rights.mask(command.path)) & Operation.EXECUTE:
+        if command is None or not session.rights.mask(command.path) & Operation.EXECUTE:
             raise UnknownPath(f"there is no command '{id_[:64]}'", remedy="List `commands`.")
         return command
-
-
-def _own(session: Session, command: Command) -> bool:
-    principal = session.principal
-    return (command.principal, command.proof) == principal.identity
 
 
 def _forget_finished(commands: dict[str, Command]) -> None:

@@ -38,11 +38,13 @@ from rcp_kernel.errors import (
     UnknownPath,
     UnsupportedOperation,
 )
-from rcp_kernel.executing import Executing
+from rcp_kernel.executing import Executing, Service
 from rcp_kernel.history import History
 from rcp_kernel.hub import Hub
 from rcp_kernel.idempotency import Keys
 from rcp_kernel.identity import Keyring, Principal, fingerprint
+from rcp_kernel.latches import Latches
+from rcp_kernel.leases import Leases
 from rcp_kernel.metrics import Histogram
 from rcp_kernel.model import Operation, Pattern, operation_names, parse_path
 from rcp_kernel.peer import UNKNOWN, Peer, Serial
@@ -53,7 +55,6 @@ from rcp_kernel.registry import Entry, Registry
 from rcp_kernel.safety import Deadman
 from rcp_kernel.samples import READ_PIECE
 from rcp_kernel.sessions import Answer, Handler, Session, Sessions
-from rcp_kernel.standing import Standing
 from rcp_kernel.store import Store
 from rcp_kernel.subscribing import Subscribing
 from rcp_kernel.wire import Reply, Request, failure
@@ -62,7 +63,6 @@ from rcp_kernel.writing import Writing
 __all__ = ["Gateway"]
 
 _READ = int(Operation.READ)
-_WHOLE = ("/tenant/", "/system/")
 _to_json = msgspec.json.Encoder().encode
 
 
@@ -92,10 +92,9 @@ class Gateway:
         self.recording = Recording(self)
         history = History(self.store)
         self.commands = Commands(self.admission.confirm, Recorded(self.recording, history))
-        self.rules = Rules(config.roles, self.conditions)
+        self.rules = Rules(config.roles)
         self.commands.remember(history.load())
         self.sessions = Sessions(self)
-        self.standing = Standing(self.hub)
         self.discovery = Discovery(self.registry)
         self.deadman = Deadman(loop)
         self.envelopes = Envelopes(self)
@@ -115,6 +114,10 @@ class Gateway:
         """Resources of whose samples everybody sees their own only, by path."""
         self.estop: Callable[[Session, Any], Coroutine[Any, Any, Any]] | None = None
         """The e-stop's own lane, past every queue and limit: latches when called, not when awaited."""
+        self.services: dict[str, Service] = {}
+        """What else of the gateway's own branch can be executed, by path."""
+        self.latches = Latches(self.store)
+        self.leases = Leases(self)
         self.executing = Executing(self)
         self._reading = Reading(self)
         self._subscribing = Subscribing(self)
@@ -190,6 +193,7 @@ class Gateway:
         if serials != self._certificates.revoked:
             self._certificates.revoked = serials
             self.sessions.review()
+        self.leases.review()
 
     def _by_token(self, token: str) -> Principal:
         if self._authenticator is not None:
@@ -316,28 +320,20 @@ class Gateway:
 
     # -- resolve and check ---------------------------------------------------------------------
 
-    def resolve(
-        self, session: Session, path: str | None, operation: Operation, *, anyway: bool = False
-    ) -> Entry:
+    def resolve(self, session: Session, path: str | None, operation: Operation) -> Entry:
         """Find the entry of a path and make sure that the session may do `operation` with it.
-
-        `anyway`: conditions of the rules need not hold.
 
         :raises InvalidPath, UnknownPath, Forbidden, UnsupportedOperation: as they say.
         """
         if path is None:
             raise BadRequest("the envelope has no `path`", remedy="Name the path of a resource.")
-        # A hidden path must cost what one costs that does not exist: the rights come first.
-        full = path if path.startswith(_WHOLE) else parse_path(path, session.tenant)
-        rights = session.rights
-        known = rights.masks.get(full)
-        mask = known or rights.weigh(full)
-        entry = self.registry.entries.get(full)
+        entry = self.registry.entries.get(path)
+        if entry is None:
+            entry = self.registry.entries.get(parse_path(path, session.tenant))
+        mask = 0 if entry is None else session.rights.mask(entry.path)
         if entry is None or not mask:
-            parse_path(full, None)
+            full = parse_path(path, session.tenant)
             raise UnknownPath(f"there is no resource {full}", path=full)
-        if not known:
-            rights.remember(full, mask)
         if not entry.operations & operation:
             offered = operation_names(entry.operations)
             wanted = operation_names(operation)[0]
@@ -346,31 +342,12 @@ class Gateway:
                 path=entry.path,
                 details={"allowed": offered},
             )
-        if not mask & operation and not (anyway and rights.depends(entry, operation)):
-            self.check(session, entry, operation)
+        if not mask & operation:
+            wanted = operation_names(operation)[0]
+            raise Forbidden(
+                f"{session.principal.name} may not {wanted} {entry.path}", path=entry.path
+            )
         return entry
-
-    def check(self, session: Session, entry: Entry, operation: Operation) -> None:
-        """Refuse an operation that the rules do not allow as things are.
-
-        :raises Forbidden: they do not.
-        """
-        rights = session.rights
-        if rights.permits(entry, operation):
-            return
-        wanted = operation_names(operation)[0]
-        text = f"{session.principal.name} may not {wanted} {entry.path}"
-        if not rights.depends(entry, operation):
-            raise Forbidden(text, path=entry.path)
-        hindrance = rights.hindrance(entry, operation)
-        if hindrance is None or not rights.shows(hindrance, entry):
-            raise Forbidden(f"{text} at present", path=entry.path, remedy="Try again later.")
-        raise Forbidden(
-            f"{text} at present: the rule hangs on the condition `{hindrance.text}`",
-            path=entry.path,
-            remedy="Bring about what the condition asks for, or have the rule changed.",
-            details={"condition": hindrance.text},
-        )
 
     def deadline(self, request: Request, entry: Entry) -> float:
         """Return the seconds a read or write may take."""
@@ -380,15 +357,14 @@ class Gateway:
     # -- the operations ------------------------------------------------------------------------
 
     def _read(self, session: Session, request: Request, answer: Answer) -> Reply | None:
-        path = request.path
-        known = session.rights.masks.get(path, 0) & _READ
-        entry = self.registry.entries.get(path) if known else None  # pyright: ignore[reportArgumentType]
+        entry = self.registry.entries.get(request.path)  # pyright: ignore[reportArgumentType]
         if (
             entry is not None
             and entry.live
             and (sample := entry.latest) is not None
             and not request.body
             and entry.owner.backend is not None
+            and session.rights.mask(entry.path) & _READ
         ):
             return Reply(
                 type="read",
@@ -410,10 +386,7 @@ class Gateway:
         The same answer as `_read` gives, spliced around what the sample has encoded already.
         """
         started = perf_counter()
-        path = request.path
-        if not session.rights.masks.get(path, 0) & _READ:
-            return None
-        entry = self.registry.entries.get(path)  # pyright: ignore[reportArgumentType]
+        entry = self.registry.entries.get(request.path)  # pyright: ignore[reportArgumentType]
         if (
             entry is None
             or not entry.live
@@ -421,6 +394,7 @@ class Gateway:
             or request.body
             or request.custom is not None
             or entry.owner.backend is None
+            or not session.rights.mask(entry.path) & _READ
         ):
             return None
         try:
@@ -476,7 +450,7 @@ class Gateway:
         """Take over the rules, keys and limits of another configuration; open sessions feel it."""
         self.config = config
         self.limits = config.limits
-        self.rules = Rules(config.roles, self.conditions)
+        self.rules = Rules(config.roles)
         self._keyring = _keyring(config)
         self._certificates = Certificates(config.certificates, self._certificates)
         self.keeping.config = config.audit
@@ -493,6 +467,7 @@ class Gateway:
     async def close(self) -> None:
         """Cancel what runs and stop all streams; the backends are still there."""
         self.closing = True
+        self.leases.close()
         self.deadman.close()
         await self.commands.close()
         await self.hub.close()

@@ -96,8 +96,6 @@ class Hub:
         options = subscription.options
         for entry in entries:
             feed = self._link(subscription, entry)
-            if feed.paused:
-                continue
             if options.history:
                 feed.replay(subscription.past(feed, options.history))
             elif entry.latest is not None:
@@ -131,42 +129,11 @@ class Hub:
         subscription.feeds[entry.path] = feed
         if subscription.mailbox is None:
             self._keep(feed)
-        else:
-            self._relink(feed)
-            if feed.priority != 4:
-                subscription.mailbox.prioritised = True
-        subscription.placed(feed)
-        return feed
-
-    def join(self, subscription: Subscription, entry: Entry) -> None:
-        """Add an entry to a subscription that stands, and tell its client."""
-        feed = self._link(subscription, entry)
-        notice(subscription.mailbox, "resource_added", id=subscription.id, path=entry.path)
-        if entry.latest is not None and not feed.paused:
-            self._first(feed, entry.latest)
-
-    def pause(self, feed: Feed) -> None:
-        """Send nothing more of a path for now; what waits is forgotten."""
-        if feed.subscription.mailbox is None:
-            self._unkeep(feed)
-        self.unlink(feed)
-        feed.leave()
-        feed.mailbox = feed.subscription.mailbox
-        feed.paused = True
-
-    def unpause(self, feed: Feed) -> None:
-        """Go on with the present value; what came meanwhile is not missed."""
-        entry = feed.entry
-        feed.paused = False
-        feed.sent = entry.seq
-        if entry.path not in self.registry.entries:
-            return
-        if feed.subscription.mailbox is None:
-            self._keep(feed)
-            return
+            return feed
         self._relink(feed)
-        if entry.latest is not None:
-            self._first(feed, entry.latest)
+        if feed.priority != 4:
+            subscription.mailbox.prioritised = True
+        return feed
 
     def _keep(self, feed: Feed) -> None:
         """Have the history of a path kept for a client that is away."""
@@ -253,7 +220,7 @@ class Hub:
         subscription.mailbox = None
         for path, feed in subscription.feeds.items():
             feed.leave()
-            if path in self.registry.entries and not feed.paused:
+            if path in self.registry.entries:
                 self._keep(feed)  # before the feed goes, so that its source goes on
             self.unlink(feed)
 
@@ -264,8 +231,6 @@ class Hub:
         subscription.mailbox = mailbox
         for path, feed in subscription.feeds.items():
             feed.mailbox = mailbox
-            if feed.paused:
-                continue
             known = feed.sent if missed_from is None else missed_from.get(path, feed.sent)
             self._replay(feed, known)
             if path in self.registry.entries:
@@ -334,8 +299,6 @@ class Hub:
             if known is not None:
                 returned = known.entry is not entry and known.entry.listeners is not entry.listeners
                 known.entry = entry
-                if known.paused:
-                    continue
                 if subscription.mailbox is None:
                     if returned:
                         self._keep(known)
@@ -345,7 +308,10 @@ class Hub:
                         subscription.mailbox, "resource_added", id=subscription.id, path=entry.path
                     )
             elif subscription.wants(entry):
-                self.join(subscription, entry)
+                feed = self._link(subscription, entry)
+                notice(subscription.mailbox, "resource_added", id=subscription.id, path=entry.path)
+                if entry.latest is not None:
+                    self._first(feed, entry.latest)
         if entry.listeners:
             if entry.deadline is not None:
                 self._time(entry)

@@ -21,7 +21,7 @@ from rcp_kernel.spi import Backend
 from rcp_kernel.values import ValueType, value_type
 
 if TYPE_CHECKING:
-    from rcp_kernel.safety import Latch
+    from rcp_kernel.latches import Latch
 
 __all__ = ["Entry", "Listener", "Owner", "Registry"]
 
@@ -35,6 +35,8 @@ class Owner(Protocol):
 
     samples: int
     latency: float | None
+    stops: int
+    """How many e-stops it has had: what was admitted before one never reaches it."""
 
     @property
     def name(self) -> str:

@@ -13,8 +13,9 @@ from typing import Any, Protocol
 
 import structlog
 
-from rcp_kernel.clock import iso, now, parse_time
+from rcp_kernel.clock import now, parse_time
 from rcp_kernel.errors import BadRequest, EstopActive, StaleCommand
+from rcp_kernel.latches import Latch
 from rcp_kernel.model import Kind
 from rcp_kernel.registry import Entry
 from rcp_kernel.spi import Backend
@@ -22,8 +23,8 @@ from rcp_kernel.wire import Request
 
 __all__ = [
     "ANSWER",
+    "MOVING",
     "Deadman",
-    "Latch",
     "Stoppable",
     "check_age",
     "check_motion",
@@ -38,24 +39,10 @@ ANSWER = 1.0  # s that a write's window is longer until the robot has answered i
 MOVING = frozenset((Kind.ACTUATOR, Kind.ACTION))
 
 
-class Latch:
-    """A latched e-stop: who, when and why."""
-
-    def __init__(self, by: str, reason: str | None) -> None:
-        self.by = by
-        self.reason = reason
-        self.since = now()
-
-    def plain(self) -> dict[str, Any]:
-        """Describe the latch."""
-        return {"by": self.by, "reason": self.reason, "since": iso(self.since)}
-
-
 class Stoppable(Protocol):
-    """A robot that an e-stop can latch."""
+    """A robot that can be halted."""
 
     name: str
-    latch: Latch | None
 
     @property
     def backend(self) -> Backend | None:
@@ -118,6 +105,8 @@ class Deadman:
         self._stops: dict[str, asyncio.Task[None]] = {}
         self._flights: dict[str, set[asyncio.Task[Any]]] = {}
         """Writes that the robot has not answered yet."""
+        self.leaving: dict[str, set[asyncio.Task[Any]]] = {}
+        """Cancelled writes that have not ended yet: nothing may overtake them."""
         self.lapsed = 0
         """How many commands have lapsed."""
         self.sending: Callable[[Entry, Any], None] = _nobody
@@ -142,9 +131,9 @@ class Deadman:
 
     @contextmanager
     def flight(self, entry: Entry) -> Generator[None]:
-        """Have the present task known as one that writes to an entry, for an e-stop to cancel."""
+        """Have the present task known as one that writes to an entry, for `ground` to cancel."""
         task = asyncio.current_task()
-        if task is None or entry.kind not in MOVING:
+        if task is None:
             yield
             return
         flights = self._flights.setdefault(entry.path, set())
@@ -157,13 +146,13 @@ class Deadman:
                 del self._flights[entry.path]
 
     def ground(self, entry: Entry) -> None:
-        """Cancel every write to an entry that is under way, and forget its window."""
-        self._cut(entry)
+        """Cut what commands an entry whose robot is brought to rest as a whole."""
+        self.cut(entry)
         self.at_rest(entry, safe_value(entry))
 
     def stop(self, entry: Entry) -> None:
         """Bring an actuator to rest at once, whatever is in force or on its way."""
-        self._cut(entry)
+        self.cut(entry)
         self._start(entry)
 
     def _start(self, entry: Entry) -> None:
@@ -176,10 +165,42 @@ class Deadman:
 
         task.add_done_callback(forget)
 
-    def _cut(self, entry: Entry) -> None:
+    def cut(self, entry: Entry) -> None:
+        """Cancel every write to an entry that is under way, and forget its window."""
         self.begin(entry)
         for task in self._flights.get(entry.path, ()):
-            task.cancel()
+            self._cancel(entry.path, task)
+
+    def _cancel(self, path: str, task: asyncio.Task[Any]) -> None:
+        if task.done():
+            return
+        task.cancel()
+        leaving = self.leaving.setdefault(path, set())
+        leaving.add(task)
+
+        def left(done: asyncio.Task[Any]) -> None:
+            leaving.discard(done)
+            if not leaving and self.leaving.get(path) is leaving:
+                del self.leaving[path]
+
+        task.add_done_callback(left)
+
+    async def cleared(self, entry: Entry) -> None:
+        """Wait until what was cancelled on an entry has let go of the robot, within a bound."""
+        leaving = self.leaving.get(entry.path, set()) - {asyncio.current_task()}
+        if leaving:
+            await asyncio.wait(leaving, timeout=ANSWER)
+
+    def holds(self, entry: Entry) -> bool:
+        """Tell whether a command, or a stop that is not acknowledged, is in force on an actuator."""
+        path = entry.path
+        if path in self._timers or path in self._stops:
+            return True
+        if entry.resource.safe is None:
+            return False
+        if path in self._flights:
+            return True
+        return entry.latest is not None and entry.latest.value != safe_value(entry)
 
     def begin(self, entry: Entry) -> bool:
         """Let a new command take over: an older one's stop must not cut into it.

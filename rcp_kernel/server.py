@@ -19,7 +19,7 @@ from rcp_kernel.errors import ConfigError
 from rcp_kernel.gateway import Gateway
 from rcp_kernel.log import Recent
 from rcp_kernel.plugins import Missing, Plugins
-from rcp_kernel.safety import halt
+from rcp_kernel.safety import MOVING, halt
 from rcp_kernel.spi import AdapterKind, TransportKind
 from rcp_kernel.status import StatusReport, gateway_version
 from rcp_kernel.store import DiskStore, Store
@@ -234,7 +234,8 @@ async def _rest(gateway: Gateway, slots: list[Slot]) -> None:
 def _ground(gateway: Gateway, slots: list[Slot]) -> None:
     for slot in slots:
         for entry in slot.entries.values():
-            gateway.deadman.ground(entry)
+            if entry.kind in MOVING:
+                gateway.deadman.ground(entry)
 
 
 async def retire(server: Server, slots: list[Slot]) -> None:

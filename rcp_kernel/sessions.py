@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 from rcp_kernel.acl import Rights
 from rcp_kernel.clock import iso, now
 from rcp_kernel.errors import Gap, TokenExpired, Unauthenticated
-from rcp_kernel.hub import Hub
+from rcp_kernel.hub import Hub, notice
 from rcp_kernel.identity import Principal
 from rcp_kernel.streams import Subscription
 from rcp_kernel.values import Encoding
@@ -37,6 +37,7 @@ __all__ = ["Answer", "Handler", "Session", "Sessions"]
 Answer = Callable[[Reply], None]
 _STATELESS = 10_000  # principals whose shared session is kept at hand
 _MISSED = 4096  # replies kept for a client that is away
+_NEWS = 256  # notices kept for a client that is away
 _RECENT = 30_000_000_000  # ns: final replies sent this shortly before a cut are said again
 
 
@@ -59,9 +60,11 @@ class Session:
         "encoding",
         "expiry",
         "greeted",
+        "holder",
         "id",
         "inflight",
         "missed",
+        "news",
         "overflowed",
         "principal",
         "read_key",
@@ -73,10 +76,18 @@ class Session:
     )
 
     def __init__(
-        self, principal: Principal, rights: Rights, tenant: str | None, transport: str
+        self,
+        principal: Principal,
+        rights: Rights,
+        tenant: str | None,
+        transport: str,
+        *,
+        shared: bool = False,
     ) -> None:
         self.id = "s-" + secrets.token_hex(16)
         self.secret = secrets.token_urlsafe(24)
+        self.holder = f"{principal.proof}:{principal.name}" if shared else self.id
+        """Whose leases are this session's: its own, or those of a principal without connections."""
         self.principal = principal
         self.rights = rights
         self.tenant = tenant
@@ -95,6 +106,8 @@ class Session:
         self.greeted = False
         """The client knows the session's id, so it may come back to it."""
         self.missed: deque[Reply] = deque()
+        self.news: deque[tuple[str, dict[str, Any]]] = deque(maxlen=_NEWS)
+        """Notices for the client's return."""
         self.overflowed = 0
 
     @property
@@ -115,6 +128,13 @@ class Session:
             self.missed.popleft()
             self.overflowed += 1
         self.missed.append(reply)
+
+    def tell(self, code: str, **facts: Any) -> None:
+        """Send a notice now, or keep it for the client's return."""
+        if self.connection is not None:
+            notice(self.connection.mailbox, code, **facts)
+        elif self.cut is not None:
+            self.news.append((code, facts))
 
     def plain(self) -> dict[str, Any]:
         """Describe the session for `/system/sessions`."""
@@ -159,6 +179,10 @@ class Sessions:
         self.known[session.id] = session
         return session
 
+    def everyone(self) -> list[Session]:
+        """List the sessions of connections, and those that requests without one share."""
+        return [*self.known.values(), *self._stateless.values()]
+
     def _make_room(self) -> None:
         """Drop the session that has waited longest for its client: who is here goes first."""
         waiting = [session for session in self.known.values() if session.cut is not None]
@@ -172,7 +196,8 @@ class Sessions:
         if session is None:
             gateway = self._gateway
             chosen = gateway.tenant_for(principal, tenant)
-            session = Session(principal, gateway.rules.rights(principal), chosen, transport)
+            rights = gateway.rules.rights(principal)
+            session = Session(principal, rights, chosen, transport, shared=True)
             if len(self._stateless) >= _STATELESS:
                 del self._stateless[next(iter(self._stateless))]
             self._stateless[key] = session
@@ -289,26 +314,23 @@ class Sessions:
             session.overflowed = 0
         while session.missed:
             connection.send(session.missed.popleft())
+        while session.news:
+            code, facts = session.news.popleft()
+            notice(connection.mailbox, code, **facts)
         for subscription in session.subscriptions.values():
             self._hub().attach(subscription, connection.mailbox, have)
 
     def review(self) -> None:
         """Bring every session under new rules; end those whose proof is not good any more."""
-        gateway = self._gateway
-        askers = [c.asker for c in gateway.commands.running.values() if c.asker is not None]
-        for session in (*self._stateless.values(), *askers):  # for what is under way in their name
-            principal = gateway.renewed(session.principal)
-            rights = Rights((), {}) if principal is None else gateway.rules.rights(principal)
-            session.rights = rights
         self._stateless.clear()
         for session in list(self.known.values()):
-            principal = gateway.renewed(session.principal)
+            principal = self._gateway.renewed(session.principal)
             if principal is None:
                 self._expel(session)
                 continue
             session.principal = principal
-            session.rights = gateway.rules.rights(principal)
-            gateway.drop_forbidden(session)
+            session.rights = self._gateway.rules.rights(principal)
+            self._gateway.drop_forbidden(session)
 
     def _expel(self, session: Session) -> None:
         connection = session.connection
@@ -342,8 +364,9 @@ class Sessions:
         session.expiry = gateway.hub.loop.call_later(gateway.limits.session_ttl, self.drop, session)
 
     def drop(self, session: Session) -> None:
-        """End a session; its commands go on."""
+        """End a session and its leases; its commands go on."""
         self.known.pop(session.id, None)
+        self._gateway.leases.ended(session)
         if session.expiry is not None:
             session.expiry.cancel()
         for subscription in session.subscriptions.values():

@@ -21,9 +21,10 @@ from rcp_kernel.clock import iso, now
 from rcp_kernel.config import BackendConfig
 from rcp_kernel.errors import AdapterUnavailable, ConfigError, NotReady, PluginError, RcpError
 from rcp_kernel.gateway import Gateway
+from rcp_kernel.latches import Latch
 from rcp_kernel.model import Resource, full_path
 from rcp_kernel.registry import Entry
-from rcp_kernel.safety import Latch, halt
+from rcp_kernel.safety import halt
 from rcp_kernel.spi import Backend, BackendKind, Publication
 
 __all__ = ["Slot", "State"]
@@ -61,7 +62,8 @@ class Slot:
         """Seconds that the last call of the robot took."""
         self.samples = 0
         self.faults = 0
-        self.latch: Latch | None = None
+        self.stops = 0
+        self._retired: Latch | None = None
         self.entries: dict[str, Entry] = {}
         self.settled = asyncio.Event()
         """Set once the first attempt to open has ended, well or not."""
@@ -75,6 +77,11 @@ class Slot:
     def backend(self) -> Backend | None:
         """The open backend, or None while there is none that works."""
         return self._backend if self.state in ("ready", "degraded", "closing") else None
+
+    @property
+    def latch(self) -> Latch | None:
+        """The e-stop that holds it, or None."""
+        return self._retired or self._gateway.latches.of(self.name, self.tenant)
 
     def unavailable(self) -> RcpError:
         """Return the error that says why there is no backend now."""
@@ -225,7 +232,7 @@ class Slot:
 
     def retire(self) -> None:
         """Let nothing move any more: the configuration has this backend no longer."""
-        self.latch = self.latch or Latch("the gateway", "the backend is being closed")
+        self._retired = Latch("the gateway", "the backend is being closed")
         self._interrupt("the configuration has it no longer")
 
     def close(self) -> None:

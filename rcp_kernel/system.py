@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncGenerator, Coroutine, Sequence
+from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager
-from typing import Annotated, Any
+from typing import Any
 
 import msgspec
-from msgspec import Meta
 
 from rcp_kernel.audit import PATH
-from rcp_kernel.errors import DeviceTimeout, Forbidden, RcpError, UnknownPath
+from rcp_kernel.errors import RcpError, UnknownPath
+from rcp_kernel.estop import HALT_WAIT, Estop, EstopRequest, EstopState
 from rcp_kernel.gateway import Gateway
+from rcp_kernel.leasing import LeaseRequest, LeaseState, Leasing
 from rcp_kernel.log import Recent
 from rcp_kernel.model import Operation, Resource
 from rcp_kernel.registry import Entry
-from rcp_kernel.safety import Latch, halt
 from rcp_kernel.sessions import Session
 from rcp_kernel.spi import Backend, BaseBackend, Progress
 from rcp_kernel.status import StatusReport
@@ -28,7 +28,6 @@ __all__ = ["System"]
 _POLLED = ("sensor/status", "sensor/sessions", "sensor/commands")
 _LOOK = Operation.READ | Operation.SUBSCRIBE
 _AUDIT = 1000  # records at hand for `history`
-_HALT_WAIT = 5.0  # s an e-stop waits for robots to confirm; it goes on trying after that
 
 
 class LogRecord(msgspec.Struct, frozen=True):
@@ -41,38 +40,22 @@ class LogRecord(msgspec.Struct, frozen=True):
     facts: dict[str, Any] = {}
 
 
-class EstopRequest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Stop, or with `reset` let commands through again; nothing moves until a new one."""
-
-    scope: Annotated[str, Meta(max_length=256)] | None = None
-    """`/tenant/<tenant>`, or the name of a backend; None is every robot that you may see."""
-    reset: bool = False
-    reason: Annotated[str, Meta(max_length=500)] | None = None
-
-
-class EstopState(msgspec.Struct, frozen=True):
-    """Which robots are latched."""
-
-    active: bool
-    robots: dict[str, dict[str, Any]]
-    """Latched backends by name: by whom, since when, why."""
-
-
 class System(BaseBackend):
     """Owner and backend of `/system/…` in one."""
 
     name = "gateway"
     tenant = None
     latch = None
+    stops = 0
 
     def __init__(
         self, gateway: Gateway, slots: list[Slot], status: StatusReport, recent: Recent
     ) -> None:
         self._gateway = gateway
-        self._slots = slots
         self._status = status
         self.samples = 0
-        self._stops: set[asyncio.Future[None]] = set()
+        estop = Estop(gateway, slots)
+        leasing = Leasing(gateway)
         self.latency: float | None = None
         self.entries = {entry.path: entry for entry in map(self._place, _resources())}
         gateway.views.update(
@@ -80,17 +63,27 @@ class System(BaseBackend):
                 "/system/status": self._health,
                 "/system/sessions": self._sessions,
                 "/system/commands": self._commands,
-                "/system/estop": lambda s: msgspec.to_builtins(self._estop_state(s)),
+                "/system/estop": lambda s: msgspec.to_builtins(estop.state(s)),
+                "/system/leases": leasing.view,
             }
         )
         gateway.sieves[PATH] = gateway.audit.shows
         self._open_audit(self.entries[PATH])
-        gateway.estop = self.estop
+        gateway.estop = estop.request
+        gateway.latches.changed = lambda: self._publish("estop", estop.everything())
+        gateway.services["/system/leases"] = leasing.request
+        gateway.leases.changed = lambda: self._publish("leases", [])
+        gateway.latches.changed()
+        gateway.leases.changed()
         recent.told = self._logged
 
     def _place(self, resource: Resource) -> Entry:
         path = "/system/" + resource.name.partition("/")[2]
         return self._gateway.registry.place(Entry(path, resource, self, None, None))
+
+    def _publish(self, name: str, value: Any) -> None:
+        """Say that a view has changed."""
+        self.entries["/system/" + name].publish(value, None)
 
     @property
     def backend(self) -> Backend | None:
@@ -156,90 +149,9 @@ class System(BaseBackend):
         rights = session.rights
         return [c.plain() for c in self._gateway.commands.every() if rights.mask(c.path)]
 
-    def _visible(self, session: Session) -> list[Slot]:
-        rights = session.rights
-        return [s for s in self._slots if any(rights.mask(e.path) for e in s.entries.values())]
-
-    # -- e-stop --------------------------------------------------------------------------------
-
-    def _estop_state(self, session: Session) -> EstopState:
-        latched = {s.name: s.latch.plain() for s in self._visible(session) if s.latch is not None}
-        return EstopState(bool(latched), latched)
-
-    def estop(self, session: Session, request: EstopRequest) -> Coroutine[Any, Any, EstopState]:
-        """Latch or reset the robots in scope, at once; return what waits for them to confirm it.
-
-        :raises UnknownPath: the scope holds no robot that the session may see.
-        :raises Forbidden: a reset by somebody whose role may not.
-        """
-        robots = [s for s in self._visible(session) if _in_scope(s, request.scope)]
-        if not robots:
-            raise UnknownPath(
-                f"there is no robot in the scope {request.scope or 'of this session'!r}"
-            )
-        if request.reset:
-            if not all(session.rights.may_reset(robot.tenant) for robot in robots):
-                raise Forbidden(
-                    f"{session.principal.name} may not reset an e-stop",
-                    remedy="Have a person reset it whose role has `reset = true`.",
-                )
-            for robot in robots:
-                robot.latch = None
-            self._publish_estop(session)
-            return self._state_now(session)
-        for robot in robots:
-            robot.latch = robot.latch or Latch(session.principal.name, request.reason)
-        stops = [asyncio.ensure_future(self._stop(robot)) for robot in robots]
-        for stop in stops:  # held on to: they may have to go on after this request is answered
-            self._stops.add(stop)
-            stop.add_done_callback(self._stops.discard)
-        self._publish_estop(session)
-        return self._halted(session, robots, stops)
-
-    async def _state_now(self, session: Session) -> EstopState:
-        return self._estop_state(session)
-
-    async def _halted(
-        self, session: Session, robots: list[Slot], stops: Sequence[asyncio.Future[None]]
-    ) -> EstopState:
-        """Wait until every robot has confirmed its halt.
-
-        :raises DeviceTimeout: one has not yet; it stays latched and is told again.
-        """
-        _, late = await asyncio.wait(stops, timeout=_HALT_WAIT)
-        if late:
-            names = [r.name for r, stop in zip(robots, stops, strict=True) if stop in late]
-            raise DeviceTimeout(
-                f"latched, but not confirmed yet by {', '.join(names)}; the halt is repeated",
-                remedy="Use the robot's own emergency stop.",
-            )
-        return self._estop_state(session)
-
-    async def _stop(self, robot: Slot) -> None:
-        gateway = self._gateway
-        stopping = asyncio.ensure_future(halt(robot))
-        for entry in robot.entries.values():
-            gateway.deadman.ground(entry)
-            for command in [c for c in gateway.commands.running.values() if c.path == entry.path]:
-                gateway.commands.cancel(command, "emergency stop")
-        await stopping
-
-    def _publish_estop(self, session: Session) -> None:
-        latched = {s.name: s.latch.plain() for s in self._slots if s.latch is not None}
-        self.entries["/system/estop"].publish(EstopState(bool(latched), latched), None)
-
     async def execute(self, name: str, value: Any, progress: Progress) -> Any:
-        """Only the e-stop is executable, and it has a lane of its own."""
+        """What is executable here is done before it gets this far."""
         raise UnknownPath(f"nothing to execute at {name}")
-
-
-def _in_scope(slot: Slot, scope: str | None) -> bool:
-    if scope is None or scope == slot.name:
-        return True
-    parts = scope.strip("/").split("/")
-    if parts[0] != "tenant" or len(parts) < 2 or parts[1] != slot.tenant:
-        return False
-    return len(parts) == 2 or slot.robot in parts[2:]
 
 
 def _resources() -> list[Resource]:
@@ -283,6 +195,21 @@ def _resources() -> list[Resource]:
             output=EstopState,
             operations=_LOOK | Operation.EXECUTE,
             examples=({}, {"scope": "/tenant/alpha", "reason": "person in the cell"}),
-            timeout=_HALT_WAIT + 1,
+            timeout=HALT_WAIT + 1,
+        ),
+        Resource(
+            name="service/leases",
+            description="Exclusive control of a part of the tree: list, acquire, renew, release.",
+            value=list[LeaseState],
+            input=LeaseRequest,
+            output=LeaseState,
+            operations=_LOOK | Operation.EXECUTE,
+            examples=(
+                {"do": "acquire", "scope": "/tenant/alpha", "ttl": 10},
+                {"do": "acquire", "scope": "/actuator", "take": True, "reason": "by hand"},
+                {"do": "hand_over", "scope": "/tenant/alpha", "to": "robin"},
+                {"do": "release", "scope": "/tenant/alpha"},
+            ),
+            history=1,
         ),
     ]

@@ -9,13 +9,14 @@ from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
 from rcp_kernel.clock import iso, now
-from rcp_kernel.errors import DeviceRejected, RcpError, Refused
+from rcp_kernel.errors import DeviceRejected, EstopActive, RcpError, Refused
 from rcp_kernel.model import Operation
 from rcp_kernel.pending import blame
 from rcp_kernel.registry import Entry
-from rcp_kernel.safety import ANSWER, check_motion, safe_value
+from rcp_kernel.safety import ANSWER, MOVING, check_motion, safe_value
 from rcp_kernel.samples import Sample
 from rcp_kernel.sessions import Answer, Session
+from rcp_kernel.spi import Backend
 from rcp_kernel.wire import Reply, Request
 
 if TYPE_CHECKING:
@@ -58,7 +59,7 @@ class Writing:
                 session,
                 request,
                 noted,
-                self._bring_into_force(session, request, entry, value, window),
+                self._bring_into_force(session, request, entry, value, window, entry.owner.stops),
                 partial(_written, request, entry),
                 gateway.deadline(request, entry),
                 entry.path,
@@ -69,30 +70,52 @@ class Writing:
         return None
 
     async def _bring_into_force(
-        self, session: Session, request: Request, entry: Entry, value: Any, window: float | None
+        self,
+        session: Session,
+        request: Request,
+        entry: Entry,
+        value: Any,
+        window: float | None,
+        stops: int,
     ) -> Sample:
+        gateway = self._gateway
         if request.idempotency_key is not None:
-            await self._gateway.recording.committed()
-        backend = self._gateway.admission.confirm(session, entry, value)
+            await gateway.recording.committed()
+        with gateway.deadman.flight(entry):
+            try:
+                if entry.path in gateway.deadman.leaving:
+                    await gateway.deadman.cleared(entry)
+                backend = gateway.admission.confirm(session, entry, value)
+                if entry.owner.stops != stops and entry.kind in MOVING:
+                    text = "an e-stop has come and gone since this was sent"
+                    raise EstopActive(text, path=entry.path)
+                return await self._send(backend, entry, value, window)
+            except BaseException:
+                # An e-stop or a lost lease is why, whatever came of the write.
+                check_motion(entry, entry.owner.latch)
+                gateway.leases.check(session, entry)
+                raise
+
+    async def _send(
+        self, backend: Backend, entry: Entry, value: Any, window: float | None
+    ) -> Sample:
         deadman, envelopes = self._gateway.deadman, self._gateway.envelopes
         started = perf_counter()
-        with deadman.flight(entry):
-            superseded = deadman.begin(entry)
-            # Nobody knows what a robot makes of a write that it does not answer.
-            guard = None if window is None else deadman.arm(entry, window + ANSWER)
-            try:
-                actual = await backend.write(entry.name, value)
-            except BaseException as error:
-                if isinstance(error, _UNCHANGED):
-                    envelopes.refused(entry, value)
-                if superseded or (guard is not None and not isinstance(error, _UNCHANGED)):
-                    deadman.arm(entry, 0)
-                else:
-                    deadman.disarm(entry, guard)
-                check_motion(entry, entry.owner.latch)
-                if isinstance(error, Exception):
-                    raise blame(error, entry.owner.name, entry.path) from error
-                raise
+        superseded = deadman.begin(entry)
+        # Nobody knows what a robot makes of a write that it does not answer.
+        guard = None if window is None else deadman.arm(entry, window + ANSWER)
+        try:
+            actual = await backend.write(entry.name, value)
+        except BaseException as error:
+            if isinstance(error, _UNCHANGED):
+                envelopes.refused(entry, value)
+            if superseded or (guard is not None and not isinstance(error, _UNCHANGED)):
+                deadman.arm(entry, 0)
+            else:
+                deadman.disarm(entry, guard)
+            if isinstance(error, Exception):
+                raise blame(error, entry.owner.name, entry.path) from error
+            raise
         entry.owner.latency = perf_counter() - started
         actual = value if actual is None else actual
         envelopes.took(entry, value, actual)

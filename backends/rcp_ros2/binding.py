@@ -10,15 +10,18 @@ from typing import Any, NamedTuple, Protocol
 from rcp_kernel.errors import AdapterUnavailable, DeviceTimeout, UnsupportedOperation
 from rcp_kernel.model import Resource
 from rcp_kernel.spi import Host, Progress
-from rcp_ros2.config import Mapping, Ros2Config
+from rcp_ros2.cdr import Codec
+from rcp_ros2.config import Mapping, Qos, Ros2Config
 from rcp_ros2.graph import Graph
+from rcp_ros2.idl import MissingType, load
 from rcp_ros2.outbox import Outbox
 from rcp_ros2.pulse import Pulses
 from rcp_ros2.ros import Ros
-from rcp_ros2.topics import Feeds
+from rcp_ros2.topics import Feeds, Tap
 
 __all__ = ["Absent", "Binding", "Construct", "Offer", "Shared", "common"]
 
+_DEPTH = 200  # messages of a construct that may wait: they come in bursts
 _PAUSE = 0.05  # s between looks at something that is about to come
 
 
@@ -39,6 +42,8 @@ class Shared:
         self.pulses = Pulses(ros, self._complain)
         self.on_look: list[Callable[[], None]] = []
         """Called in the ROS thread at each look at the graph."""
+        self.look_again: Callable[[], None] = lambda: None
+        """Has the paths made that a construct has found since the last look; on the event loop."""
         self._settled = time.monotonic() + config.grace
 
     @property
@@ -65,6 +70,19 @@ class Shared:
         if self._complaints.get(key) != detail:
             self._complaints[key] = detail
             self.host.call_soon(self.trouble, key, detail)
+
+    def listen(self, topic: str, type_: str, key: str, taker: Callable[[Any], None]) -> None:
+        """Have a function called with each message of a topic; all of it in the ROS thread.
+
+        A type that is not installed is a trouble, told with its remedy.
+        """
+        try:
+            cls = load(type_)
+        except MissingType as error:
+            self._complain(key, f"{topic} cannot be followed: {error}. {error.remedy}")
+            return
+        tap = Tap(key, Codec(cls), taker=lambda value: taker(value.decode()))
+        self.feeds.tap(topic, cls, Qos(depth=_DEPTH), tap)
 
     async def until(self, holds: Callable[[], bool], seconds: float) -> bool:
         """Wait until something about the graph holds, while that may still be discovered."""
@@ -120,6 +138,9 @@ class Binding:
 
     def unwatched(self) -> None:
         """Publish no more."""
+
+    def placed(self) -> None:
+        """Publish what is known, now that the resource is declared."""
 
     async def halt(self) -> None:
         """Bring to rest what it moves."""

@@ -15,9 +15,11 @@ from rcp_kernel.model import Resource, kind_of
 from rcp_ros2.actions import Run
 from rcp_ros2.binding import Absent, Binding, Construct, Offer, Shared
 from rcp_ros2.config import Mapping
+from rcp_ros2.diagnostics import ARRAY, Diagnostics
 from rcp_ros2.graph import Graph
 from rcp_ros2.idl import MissingType, load
-from rcp_ros2.lifecycle import Lifecycles, is_lifecycle
+from rcp_ros2.lifecycle import Lifecycles
+from rcp_ros2.log import Log
 from rcp_ros2.names import absolute, allows, is_internal, resource_name
 from rcp_ros2.parameters import Events, NodeParameters, Setting
 from rcp_ros2.sensors import Commanded, Observed
@@ -50,7 +52,13 @@ class Catalog:
         self._targets = {m.target for m in self._mapped.values()}
         self._nodes: dict[str, NodeParameters] = {}
         self._events = Events(shared)
-        self._constructs: tuple[Construct, ...] = (Lifecycles(shared, self._exposes),)
+        self._constructs: tuple[Construct, ...] = (
+            Lifecycles(shared, self._exposes),
+            Diagnostics(shared, self._exposes),
+            Log(shared, lambda name: exposed(name) and not hidden(name)),
+        )
+        shared.look_again = lambda: self.update(shared.graph)
+
         self._gone: dict[str, float] = {}
         """Exposed names that the graph does not have any more, with the time it was noticed."""
         self._types: dict[str, str] = {}
@@ -106,14 +114,14 @@ class Catalog:
     def _exposed(self, graph: Graph) -> dict[str, Mapping]:
         found: dict[str, Mapping] = {}
         for topic in filter(self._exposes, graph.topics):
-            if is_lifecycle(graph.topics[topic]):
+            if _is_taken(graph.topics[topic]):
                 continue
             if graph.publishers.get(topic):
                 found[resource_name("sensor", topic)] = Mapping(topic=topic)
             elif graph.subscribers.get(topic):
                 found[resource_name("actuator", topic)] = Mapping(topic=topic)
         for service in filter(self._exposes, graph.services):
-            if not is_lifecycle(graph.services[service]):
+            if not _is_taken(graph.services[service]):
                 found[resource_name("service", service)] = Mapping(service=service)
         for action in filter(self._exposes, graph.actions):
             found[resource_name("action", action)] = Mapping(action=action)
@@ -265,6 +273,7 @@ class Catalog:
             log.error("ros_resource_refused", resource=name, detail=str(error))
             return
         self.bindings[name] = binding
+        binding.placed()
         self._placed = time.monotonic()
         if name in self.rates:
             binding.watched(max(self.rates[name]))
@@ -313,6 +322,11 @@ _START_IT = "Start the node that has it, or name its `type` in the mapping."
 def _absolute(mapping: Mapping, namespace: str) -> Mapping:
     key = mapping.noun
     return msgspec.structs.replace(mapping, **{key: absolute(mapping.target, namespace)})
+
+
+def _is_taken(type_: str) -> bool:
+    """Tell whether a construct offers topics and services of this type in its own way."""
+    return type_.startswith("lifecycle_msgs/") or type_ == ARRAY
 
 
 def _not_seen(mapping: Mapping) -> str:

@@ -9,7 +9,7 @@ from msgspec import Meta, Struct
 from rcp_kernel.errors import RcpError
 from rcp_kernel.model import Kind, Policy, kind_of
 
-__all__ = ["Mapping", "Qos", "Ros2Config"]
+__all__ = ["Diagnostics", "Log", "Mapping", "Qos", "Ros2Config"]
 
 RosName = Annotated[str, Meta(pattern=r"^~?/?[A-Za-z0-9_~/]+$", max_length=256)]
 RosPattern = Annotated[str, Meta(pattern=r"^/[A-Za-z0-9_*/]*$", max_length=256)]
@@ -83,6 +83,20 @@ class Mapping(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
         return "topic" if self.topic else "service" if self.service else "action"
 
 
+class Diagnostics(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """How `/diagnostics` is followed, where `expose` names it."""
+
+    stale: Seconds = 5.0
+    """Without news of a status, after which it counts as stale."""
+
+
+class Log(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Which records of `/rosout` are told, where `expose` names it."""
+
+    level: Literal["debug", "info", "warn", "error", "fatal"] = "info"
+    """The least that is told."""
+
+
 _FITS = {
     Kind.SENSOR: "topic",
     Kind.EVENT: "topic",
@@ -107,6 +121,8 @@ class Ros2Config(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     hide: tuple[RosPattern, ...] = ()
     """Names that `expose` would offer, and should not."""
     map: dict[str, Mapping] = {}
+    diagnostics: Diagnostics = Diagnostics()
+    log: Log = Log()
     timeout: Seconds = 5.0
     """For an answer of a service, a parameter or an action server."""
     silence: Seconds = 4.0

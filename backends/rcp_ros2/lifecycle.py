@@ -22,7 +22,7 @@ from rcp_ros2.names import resource_name
 from rcp_ros2.services import Caller
 from rcp_ros2.topics import Tap
 
-__all__ = ["Lifecycles", "is_lifecycle"]
+__all__ = ["Lifecycles"]
 
 _MARGIN = 1.0  # s that the gateway waits longer than the node has
 _MISSES = 3  # looks without an answer, after which the last state counts as stale
@@ -68,11 +68,6 @@ class LifecycleChange(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """What to tell a lifecycle node to do."""
 
     transition: Transition
-
-
-def is_lifecycle(type_: str) -> bool:
-    """Tell whether a service or topic of this type is the plumbing of a lifecycle."""
-    return type_.startswith("lifecycle_msgs/")
 
 
 def _state(label: str) -> LifecycleState:

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable
+import zlib
+from collections.abc import Callable, Container, Iterable
 
-__all__ = ["absolute", "allows", "is_internal", "is_internal_parameter", "resource_name"]
+__all__ = ["absolute", "allows", "is_internal", "is_internal_parameter", "legal", "resource_name"]
 
 _PLUMBING = re.compile(
     r"/(_.*|.*/_.*|rosout|parameter_events|.*/(describe_parameters|get_parameters"
@@ -13,7 +14,8 @@ _PLUMBING = re.compile(
     r"|get_type_description|get_logger_levels|set_logger_levels))\Z"
 )
 _HIDDEN_PARAMETERS = ("qos_overrides.", "start_type_description_service")
-_NOT_A_SEGMENT = re.compile(r"[^A-Za-z0-9_.-]")
+_NOT_A_SEGMENT = re.compile(r"[^A-Za-z0-9_.-]+")
+_LONGEST = 200  # characters of a text that a path keeps
 
 
 def absolute(name: str, namespace: str = "/") -> str:
@@ -46,6 +48,13 @@ def is_internal(name: str) -> bool:
 def is_internal_parameter(name: str) -> bool:
     """Tell whether a parameter is one that every node has for ROS's own sake."""
     return name.startswith(_HIDDEN_PARAMETERS)
+
+
+def legal(text: str, taken: Container[str] = ()) -> str:
+    """Make segments of any text, slashes and all; a digest keeps apart those that would be one."""
+    found = [_NOT_A_SEGMENT.sub("_", s).strip("_") for s in text.split("/")]
+    short = "/".join(s for s in found if s.strip("."))[:_LONGEST].rstrip("/") or "unnamed"
+    return f"{short}-{zlib.crc32(text.encode()):08x}" if short in taken else short
 
 
 def resource_name(branch: str, *names: str) -> str:

@@ -21,6 +21,7 @@ class Address:
     ws: str
     host: str
     port: int
+    secure: bool
 
     @classmethod
     def parse(cls, text: str) -> Address:
@@ -40,4 +41,5 @@ class Address:
             ws=urlunsplit(("wss" if secure else "ws", parts.netloc, prefix + _WS_PATH, "", "")),
             host=parts.hostname,
             port=port,
+            secure=secure,
         )

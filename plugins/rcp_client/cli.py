@@ -39,6 +39,15 @@ def _common(function: F) -> F:
         _shared("--url", metavar="URL", help="Gateway [RCP_URL; http://127.0.0.1:8080]."),
         _shared("--token", metavar="TEXT", help="API key or JWT [RCP_TOKEN; rcpd demo's]."),
         _shared("--tenant", metavar="NAME", help="Tenant of relative paths [RCP_TENANT]."),
+        _shared("--cacert", metavar="FILE", help="CA of the gateway's certificate [RCP_CACERT]."),
+        _shared("--cert", metavar="FILE", help="Certificate to show [RCP_CERT]."),
+        _shared("--cert-key", "client_key", metavar="FILE", help="Its key [RCP_KEY]."),
+        _shared(
+            "--plaintext",
+            is_flag=True,
+            default=None,
+            help="Send the token over plain http to another machine.",
+        ),
         _shared(
             "--timeout",
             type=click.FloatRange(0, min_open=True),

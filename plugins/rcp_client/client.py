@@ -20,6 +20,7 @@ from rcp_client.credentials import find_token
 from rcp_client.messages import Notice, Reply, ResourceInfo
 from rcp_client.settings import MARGIN, Settings
 from rcp_client.subscription import Subscription
+from rcp_client.tls import check_secrecy, secured
 from rcp_kernel.values import Encoding, value_type
 
 __all__ = ["Client", "connect"]
@@ -38,7 +39,11 @@ def connect(
     patience: float | None = 120.0,
     heartbeat: float = 5.0,
     on_notice: Callable[[Notice], None] | None = None,
+    cacert: str | None = None,
+    cert: str | None = None,
+    key: str | None = None,
     ssl: SSLContext | None = None,
+    plaintext: bool = False,
     client: str = "rcp-client/python",
 ) -> Client:
     """Make a client; `async with` connects it.
@@ -48,13 +53,21 @@ def connect(
     requests that name none, `connect_timeout` for one attempt, `patience` for coming back after a
     cut (None never gives up), `heartbeat` for noticing that the other side is gone.
 
-    :raises ValueError: the address is none.
+    Over https the gateway's certificate is checked, against the CA in the file `cacert` if it has one
+    of its own; `cert` and `key` are files of the client's certificate (`RCP_CACERT`, `RCP_CERT`,
+    `RCP_KEY`), and `ssl` is a context instead of the three. A token goes over plain http to another
+    machine only with `plaintext`.
+
+    :raises ValueError: the address is none, a file does not load, or the token would be readable.
     """
     url = url or os.environ.get("RCP_URL") or DEFAULT_URL
+    address = Address.parse(url)
+    token = token or find_token(url)
+    check_secrecy(address, token, plaintext=plaintext)
     return Client(
         Settings(
-            address=Address.parse(url),
-            token=token or find_token(url),
+            address=address,
+            token=token,
             tenant=tenant or os.environ.get("RCP_TENANT") or None,
             encoding=Encoding(encoding),
             deadline=deadline,
@@ -62,7 +75,7 @@ def connect(
             patience=patience,
             heartbeat=heartbeat,
             client=client,
-            ssl=ssl,
+            ssl=ssl or secured(address, cacert, cert, key),
             on_notice=on_notice,
         )
     )

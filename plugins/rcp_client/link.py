@@ -26,6 +26,7 @@ from rcp_client.address import Address
 from rcp_client.errors import ConnectionLost, error_of
 from rcp_client.messages import Codec, Message, Reply
 from rcp_client.segments import Assembler, split
+from rcp_client.tls import tls_reason
 from rcp_kernel.errors import Forbidden, RcpError, Unauthenticated
 
 __all__ = ["Link"]
@@ -88,6 +89,7 @@ class Link(WSListener):
                     lambda: cls(codec, received, lost),
                     address.ws,
                     ssl_context=ssl,
+                    max_redirects=0,  # the token is for nobody else
                     websocket_handshake_timeout=timeout,
                     enable_auto_ping=True,
                     auto_ping_idle_timeout=heartbeat,
@@ -99,7 +101,8 @@ class Link(WSListener):
             raise _refusal(error, address) from error
         except (OSError, WSError) as error:
             number = getattr(error, "errno", None)
-            reason = os.strerror(number) if number else str(error) or "no answer"
+            reason = tls_reason(error) if isinstance(error, OSError) else None
+            reason = reason or (os.strerror(number) if number else str(error) or "no answer")
             raise ConnectionLost(f"cannot reach {address.url}: {reason}") from error
         if not isinstance(link, cls):  # picows' word for a hang-up in the middle of the handshake
             raise ConnectionLost(f"{address.url} hung up")

@@ -26,6 +26,7 @@ from rcp_kernel.config import (
     parse,
 )
 from rcp_kernel.config_envelopes import Bound, EnvelopeConfig, Fence
+from rcp_kernel.config_safety import Safety
 from rcp_kernel.plugins import Plugins
 
 PAGE = DOCS / "configuration.md"
@@ -39,6 +40,7 @@ _TABLES = [
     ("`[anonymous]`", Anonymous),
     ("Bounds", Bound),
     ("Fences", Fence),
+    ("`[safety]`", Safety),
     ("`[limits]`", Limits),
     ("`[log]`", LogConfig),
     ("`[store]`", StoreConfig),

@@ -19,7 +19,7 @@ from rcp_kernel.log import Recent
 from rcp_kernel.model import BRANCHES, Policy, operation_names
 from rcp_kernel.reading import ReadOptions
 from rcp_kernel.status import StatusReport
-from rcp_kernel.system import EstopRequest, System
+from rcp_kernel.system import EstopRequest, LeaseRequest, System
 from rcp_kernel.wire import Reply, Request, RequestType, Status
 
 PAGE = DOCS / "protocol.md"
@@ -37,6 +37,7 @@ def fields(type_: Any) -> set[str]:
         ("Quality of service", Qos),
         ("Discover", Query),
         ("E-stop", EstopRequest),
+        ("Leases", LeaseRequest),
     ],
 )
 def test_a_table_has_every_field_of_its_type(heading: str, type_: Any) -> None:

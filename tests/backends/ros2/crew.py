@@ -13,8 +13,10 @@ import sys
 import threading
 
 import rclpy
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.node import Node
 
 
 class Driver(LifecycleNode):
@@ -33,16 +35,57 @@ class Driver(LifecycleNode):
         return super().on_activate(state)
 
 
+class Monitor(Node):
+    """Watches the robot's parts, and logs."""
+
+    def __init__(self) -> None:
+        super().__init__("monitor")
+        self.board = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        self.said: dict[str, DiagnosticStatus] = {}
+        self.create_timer(0.2, self.repeat)
+
+    def repeat(self) -> None:
+        array = DiagnosticArray(status=list(self.said.values()))
+        array.header.stamp = self.get_clock().now().to_msg()
+        self.board.publish(array)
+
+
 class Crew:
     """All the nodes, and what they can be told to do."""
 
     def __init__(self) -> None:
         self.driver = Driver()
-        self.nodes = [self.driver]
+        self.monitor = Monitor()
+        self.nodes = [self.driver, self.monitor]
 
     def break_(self, *, broken: bool) -> None:
         """Have the driver fail to be activated."""
         self.driver.broken = broken
+
+    def diagnose(self, name: str, level: int, message: str = "", **values: str) -> None:
+        """Have a part say how it is, from now on."""
+        self.monitor.said[name] = DiagnosticStatus(
+            level=bytes((level,)),
+            name=name,
+            message=message,
+            hardware_id="hw-1",
+            values=[KeyValue(key=key, value=value) for key, value in values.items()],
+        )
+
+    def hush(self, name: str) -> None:
+        """Have a part say nothing any more."""
+        del self.monitor.said[name]
+
+    def log(self, level: str, text: str) -> None:
+        """Log a text."""
+        logger = self.monitor.get_logger()
+        match level:  # rclpy wants one line of code to log at one level
+            case "info":
+                logger.info(text)
+            case "warn":
+                logger.warning(text)
+            case _:
+                logger.error(text)
 
     def lead(self, transition: str) -> None:
         """Lead the driver through a transition from within."""
@@ -55,7 +98,7 @@ def main() -> None:
     executor = SingleThreadedExecutor()
     for node in crew.nodes:
         executor.add_node(node)
-    spinning = threading.Thread(target=executor.spin)
+    spinning = threading.Thread(target=executor.spin, daemon=True)
     spinning.start()
     print("ready", flush=True)  # noqa: T201
     for line in sys.stdin:

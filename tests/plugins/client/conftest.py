@@ -23,7 +23,7 @@ def anyio_backend() -> str:
 @pytest.fixture(autouse=True)
 def alone(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """Keep what this user has set up out of the tests."""
-    for name in ("RCP_URL", "RCP_TOKEN", "RCP_TENANT"):
+    for name in ("RCP_URL", "RCP_TOKEN", "RCP_TENANT", "RCP_CACERT", "RCP_CERT", "RCP_KEY"):
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path / "run"))
 

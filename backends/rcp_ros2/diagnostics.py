@@ -1,0 +1,219 @@
+"""`/diagnostics`: each status as a sensor, each change of a level as an event."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, Literal
+
+import msgspec
+
+from rcp_kernel.errors import AdapterUnavailable
+from rcp_kernel.model import Resource
+from rcp_ros2.binding import Binding, Offer, Shared, common
+from rcp_ros2.config import Mapping
+from rcp_ros2.graph import Graph
+from rcp_ros2.names import legal, resource_name
+
+__all__ = ["ARRAY", "Diagnostics"]
+
+ARRAY = "diagnostic_msgs/msg/DiagnosticArray"
+Level = Literal["ok", "warn", "error", "stale"]
+_LEVELS: tuple[Level, ...] = ("ok", "warn", "error", "stale")
+_MOST = 1000  # statuses of one topic; a name that changes with every message would fill the tree
+
+
+class Diagnosis(msgspec.Struct, frozen=True):
+    """What a part of the robot says of itself."""
+
+    level: Level
+    name: str
+    message: str
+    hardware_id: str
+    values: dict[str, str]
+
+
+class DiagnosisChange(msgspec.Struct, frozen=True):
+    """A part of the robot whose level has changed."""
+
+    path: str
+    """The resource that has the status, below the robot."""
+    was: Level | None
+    """None: it has not been heard of before."""
+    now: Diagnosis
+
+
+@dataclass(slots=True)
+class _Status:
+    path: str
+    diagnosis: Diagnosis
+    stamp: int | None
+    heard: float
+    """In monotonic time."""
+
+
+class Diagnostics:
+    """Finds the topics of diagnostics that are exposed, and the statuses on them."""
+
+    def __init__(self, shared: Shared, exposes: Callable[[str], bool]) -> None:
+        self._shared = shared
+        self._exposes = exposes
+        self._boards: dict[str, _Board] = {}
+
+    def find(self, graph: Graph) -> dict[str, Offer]:
+        """Return an event for each topic, and a sensor for each status on it."""
+        found: dict[str, Offer] = {}
+        for topic, type_ in graph.topics.items():
+            if type_ == ARRAY and topic not in self._boards and self._exposes(topic):
+                self._boards[topic] = _Board(self._shared, topic)
+        for board in self._boards.values():
+            board.sweep()
+            found |= board.offers()
+        return found
+
+
+class _Board:
+    """What is known from one topic; on the event loop."""
+
+    def __init__(self, shared: Shared, topic: str) -> None:
+        self.shared = shared
+        self.topic = topic
+        self.event = resource_name("event", topic)
+        self.statuses: dict[str, _Status] = {}
+        self._paths: set[str] = set()
+        self._early: list[DiagnosisChange] | None = []
+        """Changes from before the event was declared."""
+        self._mapping = Mapping(topic=topic)
+        self._offers = {self.event: Offer(self._mapping, self._change)}
+        shared.ros.post(shared.listen, topic, ARRAY, f"{topic} statuses", self._heard)
+
+    def offers(self) -> dict[str, Offer]:
+        """Return the paths that the topic has brought so far."""
+        return self._offers
+
+    def _change(self) -> Binding:
+        return Changes(self, self.event, self._mapping)
+
+    def _heard(self, array: Any) -> None:
+        stamp = array.header.stamp.sec * 1_000_000_000 + array.header.stamp.nanosec
+        found = [_diagnosis(status) for status in array.status]
+        self.shared.host.call_soon(self._take, found, stamp if stamp > 0 else None)
+
+    def _take(self, found: list[Diagnosis], stamp: int | None) -> None:
+        fresh = False
+        for diagnosis in found:
+            status = self.statuses.get(diagnosis.name)
+            if status is None:
+                if len(self.statuses) >= _MOST:
+                    continue
+                status = self._new(diagnosis, stamp)
+                fresh = True
+                self._changed(status, None)
+            else:
+                was, status.diagnosis = status.diagnosis.level, diagnosis
+                status.stamp, status.heard = stamp, time.monotonic()
+                self._publish(status, was)
+        if fresh:
+            self._full()
+            self.shared.look_again()
+
+    def _full(self) -> None:
+        text = f"{self.topic} has more than {_MOST} statuses: the rest is left out"
+        self.shared.trouble(f"{self.topic} full", text if len(self.statuses) >= _MOST else None)
+
+    def _new(self, diagnosis: Diagnosis, stamp: int | None) -> _Status:
+        name = legal(diagnosis.name, self._paths)
+        self._paths.add(name)
+        path = f"{resource_name('sensor', self.topic)}/{name}"
+        status = _Status(path, diagnosis, stamp, time.monotonic())
+        self.statuses[diagnosis.name] = status
+        make = partial(StatusOf, self, status, self._mapping)
+        self._offers[path] = Offer(self._mapping, make)
+        return status
+
+    def _publish(self, status: _Status, was: Level) -> None:
+        self.shared.host.publish(status.path, status.diagnosis, status.stamp)
+        if status.diagnosis.level != was:
+            self._changed(status, was)
+
+    def _changed(self, status: _Status, was: Level | None) -> None:
+        if was is None and status.diagnosis.level == "ok":
+            return
+        change = DiagnosisChange(f"/{status.path}", was, status.diagnosis)
+        if self._early is not None:
+            self._early.append(change)
+        else:
+            self.shared.host.publish(self.event, change, status.stamp)
+
+    def placed(self) -> None:
+        """Tell what changed before there was an event to tell it."""
+        early, self._early = self._early, None
+        for change in early or ():
+            self.shared.host.publish(self.event, change)
+
+    def sweep(self) -> None:
+        """Say which statuses have gone stale."""
+        limit = self.shared.config.diagnostics.stale
+        oldest = time.monotonic() - limit
+        for status in self.statuses.values():
+            was = status.diagnosis.level
+            if status.heard < oldest and was != "stale":
+                said = f"nothing heard for {limit:g} s; it was {was}"
+                text = f"{said}: {status.diagnosis.message}" if status.diagnosis.message else said
+                status.diagnosis = msgspec.structs.replace(
+                    status.diagnosis, level="stale", message=text
+                )
+                status.stamp = None
+                self._publish(status, was)
+
+
+def _diagnosis(status: Any) -> Diagnosis:
+    level: Level = _LEVELS[status.level] if status.level < len(_LEVELS) else "error"
+    values = {pair.key: pair.value for pair in status.values}
+    return Diagnosis(level, status.name, status.message, status.hardware_id, values)
+
+
+class StatusOf(Binding):
+    """One status."""
+
+    def __init__(self, board: _Board, status: _Status, mapping: Mapping) -> None:
+        self._status = status
+        facts = common(
+            status.path,
+            mapping,
+            f"Diagnostics of {status.diagnosis.name or 'a part without a name'}.",
+            topic=board.topic,
+            status=status.diagnosis.name,
+            hardware_id=status.diagnosis.hardware_id or None,
+        )
+        super().__init__(board.shared, Resource(value=Diagnosis, live=True, **facts), mapping)
+
+    async def read(self) -> Any:
+        """Return the latest."""
+        return self._status.diagnosis
+
+    def placed(self) -> None:
+        """Publish what made it known."""
+        status = self._status
+        self.shared.host.publish(status.path, status.diagnosis, status.stamp)
+
+
+class Changes(Binding):
+    """The changes of the levels on one topic."""
+
+    def __init__(self, board: _Board, name: str, mapping: Mapping) -> None:
+        text = (
+            f"A status on {board.topic} that has changed its level, or is not well from the first."
+        )
+        facts = common(name, mapping, text, topic=board.topic)
+        super().__init__(board.shared, Resource(value=DiagnosisChange, live=True, **facts), mapping)
+        self.placed = board.placed
+
+    async def read(self) -> Any:
+        """Say that nothing changed; the kernel would have answered with the last one."""
+        raise AdapterUnavailable(
+            "no status has changed its level yet",
+            remedy="Subscribe to it, and wait for it to happen.",
+        )

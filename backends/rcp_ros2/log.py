@@ -1,0 +1,113 @@
+"""What the nodes log: `/rosout` as one event."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import Annotated, Any, Literal
+
+import msgspec
+from msgspec import Meta
+
+from rcp_kernel.errors import AdapterUnavailable
+from rcp_kernel.model import Resource
+from rcp_ros2.binding import Binding, Offer, Shared, common
+from rcp_ros2.cdr import Codec, Value
+from rcp_ros2.config import Mapping, Qos
+from rcp_ros2.graph import Graph
+from rcp_ros2.idl import load
+from rcp_ros2.topics import Tap
+
+__all__ = ["Log"]
+
+_NAME = "event/log"
+_TOPIC = "/rosout"
+_DEPTH = 1000  # records that may wait, as many as ROS itself keeps
+_LEVELS = {"debug": 10, "info": 20, "warn": 30, "error": 40, "fatal": 50}
+_LEVEL_AT = 12  # header of the encoding, stamp: the byte that holds the level
+
+Level = Literal["debug", "info", "warn", "error", "fatal"]
+
+
+class LogRecord(msgspec.Struct, frozen=True):
+    """One record of a node's log."""
+
+    level: Level
+    node: str
+    text: str
+    file: str
+    function: str
+    line: Annotated[int, Meta(ge=0, extra_json_schema={"unit": "1"})]
+
+
+class _Records(Codec):
+    """Decodes rcl_interfaces/msg/Log to what people call its parts."""
+
+    def decode(self, data: bytes) -> LogRecord:
+        """Return the record; its level is the next lower one that has a name."""
+        log = super().decode(data)
+        level: Any = next((n for n, least in _FALLING if log.level >= least), "debug")
+        return LogRecord(level, log.name, log.msg, log.file, log.function, log.line)
+
+    def stamp(self, data: bytes) -> int | None:
+        """Return when the node logged it, ns since the epoch."""
+        second = int.from_bytes(data[4:8], self._order(data))
+        nano = int.from_bytes(data[8:12], self._order(data))
+        return second * 1_000_000_000 + nano if second > 0 else None
+
+    def _order(self, data: bytes) -> Literal["little", "big"]:
+        return "little" if data[1] else "big"
+
+
+_FALLING = sorted(_LEVELS.items(), key=lambda item: -item[1])
+
+
+class Log:
+    """Finds the log, if it is exposed."""
+
+    def __init__(self, shared: Shared, exposes: Callable[[str], bool]) -> None:
+        self._shared = shared
+        self._exposed = exposes(_TOPIC)
+
+    def find(self, graph: Graph) -> dict[str, Offer]:
+        """Return the event."""
+        if not self._exposed:
+            return {}
+        mapping = Mapping(topic=_TOPIC)
+        return {_NAME: Offer(mapping, partial(Records, self._shared, mapping))}
+
+
+class Records(Binding):
+    """The log of all nodes, from a level on."""
+
+    def __init__(self, shared: Shared, mapping: Mapping) -> None:
+        cls = load("rcl_interfaces/msg/Log")
+        self._least = _LEVELS[shared.config.log.level]
+        self._codec = _Records(cls)
+        level = shared.config.log.level
+        facts = common(
+            _NAME,
+            mapping,
+            f"What the robot's nodes log, from level {level} on.",
+            topic=_TOPIC,
+            type="rcl_interfaces/msg/Log",
+        )
+        resource = Resource(value=LogRecord, live=True, native="rcl_interfaces/msg/Log", **facts)
+        super().__init__(shared, resource, mapping)
+        tap = Tap(_NAME, self._codec, taker=self._heard)
+        shared.feeds.tap(_TOPIC, cls, Qos(depth=_DEPTH), tap)
+
+    def _heard(self, value: Value) -> None:
+        if value.data[_LEVEL_AT] >= self._least:
+            self.shared.outbox.put(_NAME, value, self._codec.stamp(value.data))
+
+    async def read(self) -> Any:
+        """Say that nothing came; the kernel would have answered with the last one."""
+        raise AdapterUnavailable(
+            "no node has logged anything of this level yet",
+            remedy="Subscribe to it, and wait for it to happen.",
+        )
+
+    def close(self) -> None:
+        """End the subscription."""
+        self.shared.ros.post(self.shared.feeds.untap, _TOPIC, _NAME)

@@ -1,0 +1,76 @@
+"""Whom the client trusts, what it shows of itself, and when it would rather say nothing."""
+
+from __future__ import annotations
+
+import os
+import ssl
+from ipaddress import ip_address
+from pathlib import Path
+
+from rcp_client.address import Address
+
+__all__ = ["check_secrecy", "secured", "tls_reason"]
+
+
+def secured(
+    address: Address, cacert: str | None, cert: str | None, key: str | None
+) -> ssl.SSLContext | None:
+    """Make what an https address is reached with; certificate and name of the gateway are checked.
+
+    What is not given comes from `RCP_CACERT`, `RCP_CERT` and `RCP_KEY`; None for http.
+
+    :raises ValueError: a file does not load.
+    """
+    if not address.secure:
+        return None
+    cacert = cacert or os.environ.get("RCP_CACERT") or None
+    if cert is None and key is None:
+        cert, key = os.environ.get("RCP_CERT") or None, os.environ.get("RCP_KEY") or None
+    if key is not None and cert is None:
+        raise ValueError("a key was given without its certificate: add `cert` (--cert, RCP_CERT)")
+    for path in (cacert, cert, key):
+        if path is not None and not Path(path).is_file():
+            raise ValueError(f"there is no file {path}")
+    try:
+        context = ssl.create_default_context(cafile=cacert)
+    except (ssl.SSLError, OSError) as error:
+        raise ValueError(f"{cacert} does not load as certificates of a CA: {error}") from None
+    context.minimum_version = ssl.TLSVersion.TLSv1_2
+    if cert is not None:
+        try:
+            context.load_cert_chain(cert, key)
+        except (ssl.SSLError, OSError) as error:
+            raise ValueError(f"{cert} and its key do not load: {error}") from None
+    return context
+
+
+def check_secrecy(address: Address, token: str | None, *, plaintext: bool) -> None:
+    """Refuse to send a token where others can read it.
+
+    :raises ValueError: it would cross a network over plain http, and nobody said that it may.
+    """
+    if token is None or address.secure or plaintext or _is_loopback(address.host):
+        return
+    raise ValueError(
+        f"the token would cross the network in plain text to {address.url}: use https, or say "
+        "that it may (--plaintext, plaintext=True)"
+    )
+
+
+def tls_reason(error: OSError) -> str | None:
+    """Say why there is no TLS connection; None if that was not the trouble."""
+    if isinstance(error, ssl.SSLCertVerificationError):
+        return (
+            f"its certificate is not to be trusted: {error.verify_message} "
+            "(--cacert FILE or RCP_CACERT names the CA of a gateway's own)"
+        )
+    if isinstance(error, ssl.SSLError):
+        return (error.reason or str(error)).lower().replace("_", " ")
+    return None
+
+
+def _is_loopback(host: str) -> bool:
+    try:
+        return ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost"
