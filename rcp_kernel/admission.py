@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from rcp_kernel.model import Operation
 from rcp_kernel.registry import Entry
 from rcp_kernel.safety import check_age, check_motion
 from rcp_kernel.sessions import Session
@@ -50,10 +51,13 @@ class Admission:
 
         `session` is whose request it is, with the rights it has by now.
 
+        :raises Forbidden: its rights are not there any more, or their condition does not hold.
         :raises EstopActive, LeaseHeld, LeaseLost, LeaseRequired: as above.
         :raises AdapterUnavailable: there is no robot any more.
         :raises OutOfRange, ModeForbids, PreconditionFailed: as above.
         """
+        called = entry.operations & Operation.EXECUTE
+        self._gateway.check(session, entry, called or Operation.WRITE)
         check_motion(entry, entry.owner.latch)
         self._gateway.leases.check(session, entry)
         backend = entry.owner.backend

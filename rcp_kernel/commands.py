@@ -91,6 +91,8 @@ class Command:
     path: str
     principal: str
     tenant: str | None
+    proof: str = "none"
+    """How the principal proved itself."""
     request_id: str | None = None
     custom: dict[str, Any] | None = None
     input: Any = None

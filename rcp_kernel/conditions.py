@@ -12,17 +12,19 @@ import re
 from collections.abc import Callable, Iterable
 from datetime import datetime
 from functools import lru_cache
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import cel
 import msgspec
 
 from rcp_kernel._plain import is_index, is_map, is_sequence
 from rcp_kernel.errors import ConfigError, RcpError
-from rcp_kernel.hub import Hub
 from rcp_kernel.model import full_path
-from rcp_kernel.registry import Entry, Registry
 from rcp_kernel.values import to_plain
+
+if TYPE_CHECKING:
+    from rcp_kernel.hub import Hub
+    from rcp_kernel.registry import Entry, Registry
 
 __all__ = ["Condition", "Conditions", "Ref", "condition"]
 

@@ -11,7 +11,7 @@ from typing import Annotated, Any
 import msgspec
 from msgspec import Meta
 
-from rcp_kernel.acl import Rights
+from rcp_kernel.acl import Rights, reach
 from rcp_kernel.errors import BadRequest
 from rcp_kernel.model import Kind, Operation, Pattern, operation_names
 from rcp_kernel.registry import Entry, Registry
@@ -69,7 +69,7 @@ class Discovery:
         after = _decode(query.cursor) if query.cursor else ""
         page: list[dict[str, Any]] = []
         for entry in self._from(pattern, after):
-            mask = rights.mask(entry.path)
+            mask = reach(rights.mask(entry.path))
             if not mask or (query.kind is not None and entry.kind is not query.kind):
                 continue
             if wanted and not entry.operations & mask & wanted:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import msgspec
 
+from rcp_kernel.acl import reach
 from rcp_kernel.clock import iso, now
 from rcp_kernel.commands import Command
 from rcp_kernel.errors import UnknownPath
@@ -72,6 +73,7 @@ class Executing:
             id="cmd-" + secrets.token_hex(8),
             path=entry.path,
             principal=session.principal.name,
+            proof=session.principal.proof,
             tenant=entry.tenant,
             request_id=request.id,
             custom=request.custom,
@@ -200,14 +202,14 @@ class Executing:
         gateway = self._gateway
         body = request.decode_body(_CANCEL, "cancel")
         wanted = request.command or (body.command if body is not None else None)
-        if wanted is not None:
-            found = [self.command(session, wanted)]
-        else:
-            entry = gateway.resolve(session, request.path, Operation.EXECUTE)
+        found = [self.command(session, wanted)] if wanted is not None else []
+        path = found[0].path if found else request.path
+        entry = gateway.resolve(session, path, Operation.EXECUTE, anyway=True)
+        if wanted is None:
             found = [c for c in gateway.commands.running.values() if c.path == entry.path]
-        entry = gateway.resolve(
-            session, found[0].path if found else request.path, Operation.EXECUTE
-        )
+        if not found or not all(_own(session, command) for command in found):
+            # Whoever set something going may stop it, whatever has become of the conditions.
+            gateway.check(session, entry, Operation.EXECUTE)
         live = [command for command in found if not command.final]
         for command in live:
             gateway.commands.cancel(command, f"{session.principal.name} asked for it")
@@ -228,9 +230,14 @@ class Executing:
         :raises UnknownPath: there is none, or not for this principal.
         """
         command = self._gateway.commands.find(id_)
-        if command is None or not session.rights.mask(command.path) & Operation.EXECUTE:
+        if command is None or not reach(session.rights.mask(command.path)) & Operation.EXECUTE:
             raise UnknownPath(f"there is no command '{id_[:64]}'", remedy="List `commands`.")
         return command
+
+
+def _own(session: Session, command: Command) -> bool:
+    principal = session.principal
+    return (command.principal, command.proof) == principal.identity
 
 
 def _forget_finished(commands: dict[str, Command]) -> None:

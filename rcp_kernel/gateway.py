@@ -55,6 +55,7 @@ from rcp_kernel.registry import Entry, Registry
 from rcp_kernel.safety import Deadman
 from rcp_kernel.samples import READ_PIECE
 from rcp_kernel.sessions import Answer, Handler, Session, Sessions
+from rcp_kernel.standing import Standing
 from rcp_kernel.store import Store
 from rcp_kernel.subscribing import Subscribing
 from rcp_kernel.wire import Reply, Request, failure
@@ -63,6 +64,7 @@ from rcp_kernel.writing import Writing
 __all__ = ["Gateway"]
 
 _READ = int(Operation.READ)
+_WHOLE = ("/tenant/", "/system/")
 _to_json = msgspec.json.Encoder().encode
 
 
@@ -92,9 +94,10 @@ class Gateway:
         self.recording = Recording(self)
         history = History(self.store)
         self.commands = Commands(self.admission.confirm, Recorded(self.recording, history))
-        self.rules = Rules(config.roles)
+        self.rules = Rules(config.roles, self.conditions)
         self.commands.remember(history.load())
         self.sessions = Sessions(self)
+        self.standing = Standing(self.hub)
         self.discovery = Discovery(self.registry)
         self.deadman = Deadman(loop)
         self.envelopes = Envelopes(self)
@@ -320,20 +323,28 @@ class Gateway:
 
     # -- resolve and check ---------------------------------------------------------------------
 
-    def resolve(self, session: Session, path: str | None, operation: Operation) -> Entry:
+    def resolve(
+        self, session: Session, path: str | None, operation: Operation, *, anyway: bool = False
+    ) -> Entry:
         """Find the entry of a path and make sure that the session may do `operation` with it.
+
+        `anyway`: conditions of the rules need not hold.
 
         :raises InvalidPath, UnknownPath, Forbidden, UnsupportedOperation: as they say.
         """
         if path is None:
             raise BadRequest("the envelope has no `path`", remedy="Name the path of a resource.")
-        entry = self.registry.entries.get(path)
-        if entry is None:
-            entry = self.registry.entries.get(parse_path(path, session.tenant))
-        mask = 0 if entry is None else session.rights.mask(entry.path)
+        # A hidden path must cost what one costs that does not exist: the rights come first.
+        full = path if path.startswith(_WHOLE) else parse_path(path, session.tenant)
+        rights = session.rights
+        known = rights.masks.get(full)
+        mask = known or rights.weigh(full)
+        entry = self.registry.entries.get(full)
         if entry is None or not mask:
-            full = parse_path(path, session.tenant)
+            parse_path(full, None)
             raise UnknownPath(f"there is no resource {full}", path=full)
+        if not known:
+            rights.remember(full, mask)
         if not entry.operations & operation:
             offered = operation_names(entry.operations)
             wanted = operation_names(operation)[0]
@@ -342,12 +353,31 @@ class Gateway:
                 path=entry.path,
                 details={"allowed": offered},
             )
-        if not mask & operation:
-            wanted = operation_names(operation)[0]
-            raise Forbidden(
-                f"{session.principal.name} may not {wanted} {entry.path}", path=entry.path
-            )
+        if not mask & operation and not (anyway and rights.depends(entry, operation)):
+            self.check(session, entry, operation)
         return entry
+
+    def check(self, session: Session, entry: Entry, operation: Operation) -> None:
+        """Refuse an operation that the rules do not allow as things are.
+
+        :raises Forbidden: they do not.
+        """
+        rights = session.rights
+        if rights.permits(entry, operation):
+            return
+        wanted = operation_names(operation)[0]
+        text = f"{session.principal.name} may not {wanted} {entry.path}"
+        if not rights.depends(entry, operation):
+            raise Forbidden(text, path=entry.path)
+        hindrance = rights.hindrance(entry, operation)
+        if hindrance is None or not rights.shows(hindrance, entry):
+            raise Forbidden(f"{text} at present", path=entry.path, remedy="Try again later.")
+        raise Forbidden(
+            f"{text} at present: the rule hangs on the condition `{hindrance.text}`",
+            path=entry.path,
+            remedy="Bring about what the condition asks for, or have the rule changed.",
+            details={"condition": hindrance.text},
+        )
 
     def deadline(self, request: Request, entry: Entry) -> float:
         """Return the seconds a read or write may take."""
@@ -357,14 +387,15 @@ class Gateway:
     # -- the operations ------------------------------------------------------------------------
 
     def _read(self, session: Session, request: Request, answer: Answer) -> Reply | None:
-        entry = self.registry.entries.get(request.path)  # pyright: ignore[reportArgumentType]
+        path = request.path
+        known: int = session.rights.masks.get(path, 0)  # pyright: ignore
+        entry = self.registry.entries.get(path) if known & _READ else None  # pyright: ignore
         if (
             entry is not None
             and entry.live
             and (sample := entry.latest) is not None
             and not request.body
             and entry.owner.backend is not None
-            and session.rights.mask(entry.path) & _READ
         ):
             return Reply(
                 type="read",
@@ -386,7 +417,10 @@ class Gateway:
         The same answer as `_read` gives, spliced around what the sample has encoded already.
         """
         started = perf_counter()
-        entry = self.registry.entries.get(request.path)  # pyright: ignore[reportArgumentType]
+        path = request.path
+        if not session.rights.masks.get(path, 0) & _READ:  # pyright: ignore
+            return None
+        entry = self.registry.entries.get(path)  # pyright: ignore
         if (
             entry is None
             or not entry.live
@@ -394,7 +428,6 @@ class Gateway:
             or request.body
             or request.custom is not None
             or entry.owner.backend is None
-            or not session.rights.mask(entry.path) & _READ
         ):
             return None
         try:
@@ -450,7 +483,7 @@ class Gateway:
         """Take over the rules, keys and limits of another configuration; open sessions feel it."""
         self.config = config
         self.limits = config.limits
-        self.rules = Rules(config.roles)
+        self.rules = Rules(config.roles, self.conditions)
         self._keyring = _keyring(config)
         self._certificates = Certificates(config.certificates, self._certificates)
         self.keeping.config = config.audit

@@ -96,6 +96,8 @@ class Hub:
         options = subscription.options
         for entry in entries:
             feed = self._link(subscription, entry)
+            if feed.paused:
+                continue
             if options.history:
                 feed.replay(subscription.past(feed, options.history))
             elif entry.latest is not None:
@@ -129,11 +131,42 @@ class Hub:
         subscription.feeds[entry.path] = feed
         if subscription.mailbox is None:
             self._keep(feed)
-            return feed
-        self._relink(feed)
-        if feed.priority != 4:
-            subscription.mailbox.prioritised = True
+        else:
+            self._relink(feed)
+            if feed.priority != 4:
+                subscription.mailbox.prioritised = True
+        subscription.placed(feed)
         return feed
+
+    def join(self, subscription: Subscription, entry: Entry) -> None:
+        """Add an entry to a subscription that stands, and tell its client."""
+        feed = self._link(subscription, entry)
+        notice(subscription.mailbox, "resource_added", id=subscription.id, path=entry.path)
+        if entry.latest is not None and not feed.paused:
+            self._first(feed, entry.latest)
+
+    def pause(self, feed: Feed) -> None:
+        """Send nothing more of a path for now; what waits is forgotten."""
+        if feed.subscription.mailbox is None:
+            self._unkeep(feed)
+        self.unlink(feed)
+        feed.leave()
+        feed.mailbox = feed.subscription.mailbox
+        feed.paused = True
+
+    def unpause(self, feed: Feed) -> None:
+        """Go on with the present value; what came meanwhile is not missed."""
+        entry = feed.entry
+        feed.paused = False
+        feed.sent = entry.seq
+        if entry.path not in self.registry.entries:
+            return
+        if feed.subscription.mailbox is None:
+            self._keep(feed)
+            return
+        self._relink(feed)
+        if entry.latest is not None:
+            self._first(feed, entry.latest)
 
     def _keep(self, feed: Feed) -> None:
         """Have the history of a path kept for a client that is away."""
@@ -220,7 +253,7 @@ class Hub:
         subscription.mailbox = None
         for path, feed in subscription.feeds.items():
             feed.leave()
-            if path in self.registry.entries:
+            if path in self.registry.entries and not feed.paused:
                 self._keep(feed)  # before the feed goes, so that its source goes on
             self.unlink(feed)
 
@@ -231,6 +264,8 @@ class Hub:
         subscription.mailbox = mailbox
         for path, feed in subscription.feeds.items():
             feed.mailbox = mailbox
+            if feed.paused:
+                continue
             known = feed.sent if missed_from is None else missed_from.get(path, feed.sent)
             self._replay(feed, known)
             if path in self.registry.entries:
@@ -299,6 +334,8 @@ class Hub:
             if known is not None:
                 returned = known.entry is not entry and known.entry.listeners is not entry.listeners
                 known.entry = entry
+                if known.paused:
+                    continue
                 if subscription.mailbox is None:
                     if returned:
                         self._keep(known)
@@ -308,10 +345,7 @@ class Hub:
                         subscription.mailbox, "resource_added", id=subscription.id, path=entry.path
                     )
             elif subscription.wants(entry):
-                feed = self._link(subscription, entry)
-                notice(subscription.mailbox, "resource_added", id=subscription.id, path=entry.path)
-                if entry.latest is not None:
-                    self._first(feed, entry.latest)
+                self.join(subscription, entry)
         if entry.listeners:
             if entry.deadline is not None:
                 self._time(entry)

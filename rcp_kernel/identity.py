@@ -47,6 +47,11 @@ class Principal(msgspec.Struct, frozen=True):
         return tuple(dict.fromkeys(role for _, roles in self.grants for role in roles))
 
     @property
+    def identity(self) -> tuple[str, str]:
+        """What tells it from others: a name proved in another way is somebody else's."""
+        return self.name, self.proof
+
+    @property
     def anonymous(self) -> bool:
         """Whether nothing was proved."""
         return self.proof == "none"

@@ -97,7 +97,7 @@ class Reading:
         for entry in gateway.registry.match(pattern):
             if entry.path in gateway.views or entry.path in gateway.sieves:
                 continue
-            if entry.operations & session.rights.mask(entry.path) & Operation.READ:
+            if entry.operations & Operation.READ and session.rights.permits(entry, Operation.READ):
                 entries.append(entry)
                 if len(entries) == _MANY:
                     break

@@ -322,6 +322,9 @@ class Sessions:
 
     def review(self) -> None:
         """Bring every session under new rules; end those whose proof is not good any more."""
+        for session in self._stateless.values():  # for what is under way in their name
+            principal = self._gateway.renewed(session.principal)
+            session.rights = self._rights(principal)
         self._stateless.clear()
         for session in list(self.known.values()):
             principal = self._gateway.renewed(session.principal)

@@ -55,6 +55,7 @@ class Feed:
         "marked",
         "missed",
         "native",
+        "paused",
         "priority",
         "queue",
         "reliable",
@@ -88,6 +89,8 @@ class Feed:
         """Monotonic time of the last sample, kept where a deadline was asked for."""
         self.missed = False
         self.marked = False
+        self.paused = False
+        """The rules do not allow it at present."""
         self.fields = options.fields
         self._lifespan = options.qos.lifespan
         self._plain = self._lifespan is None and not self.native and options.count is None
@@ -480,6 +483,7 @@ class Subscription:
         "may",
         "options",
         "patterns",
+        "placed",
         "remaining",
         "sieve",
         "timer",
@@ -499,6 +503,7 @@ class Subscription:
         end: Callable[[Subscription, str, RcpError | None], None],
         view: Callable[[Entry], Callable[[], Any] | None],
         sieve: Callable[[Entry], Callable[[Any], bool] | None],
+        placed: Callable[[Feed], None],
     ) -> None:
         self.hub = hub
         self.id = id_
@@ -513,6 +518,8 @@ class Subscription:
         """What an entry shows this principal, where that depends on who asks."""
         self.sieve = sieve
         """Which of an entry's samples this principal may see, where these are not all."""
+        self.placed = placed
+        """Called with each feed that has joined."""
         self.feeds: dict[str, Feed] = {}
         self.where: Where | None = parse_where(options.where) if options.where else None
         self.remaining = options.count

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 
+from rcp_kernel.acl import reach
 from rcp_kernel.clock import iso, now
 from rcp_kernel.errors import (
     BadRequest,
@@ -71,7 +72,8 @@ class Subscribing:
         entries = self._entries(session, patterns, options)
 
         def may(entry: Entry) -> bool:
-            return bool(entry.operations & session.rights.mask(entry.path) & Operation.SUBSCRIBE)
+            mask = reach(session.rights.mask(entry.path))
+            return bool(entry.operations & mask & Operation.SUBSCRIBE)
 
         def end(subscription: Subscription, reason: str, error: RcpError | None) -> None:
             self._ended(session, subscription, reason, error)
@@ -94,6 +96,7 @@ class Subscribing:
             end=end,
             view=view,
             sieve=sieve,
+            placed=partial(gateway.standing.place, session),
         )
         session.subscriptions[id_] = subscription
         reply = Reply(
@@ -136,7 +139,7 @@ class Subscribing:
                 found[entry.path] = entry
                 continue
             for entry in gateway.registry.match(pattern):
-                mask = entry.operations & session.rights.mask(entry.path)
+                mask = entry.operations & reach(session.rights.mask(entry.path))
                 if mask & Operation.SUBSCRIBE:
                     found[entry.path] = entry
         if len(found) > gateway.limits.paths:
@@ -148,17 +151,24 @@ class Subscribing:
 
     def renew(self, session: Session, subscription: Subscription) -> None:
         """Bring a subscription under its session's new rights."""
-        hub = self._gateway.hub
+        gateway = self._gateway
+        hub = gateway.hub
         for path, feed in list(subscription.feeds.items()):
-            if not subscription.may(feed.entry):
-                hub.drop(feed)
-                notice(
-                    subscription.mailbox,
-                    "resource_removed",
-                    id=subscription.id,
-                    path=path,
-                    message="the rules of this gateway have changed",
-                )
+            if subscription.may(feed.entry):
+                gateway.standing.place(session, feed)
+                continue
+            hub.drop(feed)
+            notice(
+                subscription.mailbox,
+                "resource_removed",
+                id=subscription.id,
+                path=path,
+                message="the rules of this gateway have changed",
+            )
+        for pattern in subscription.patterns:
+            for entry in gateway.registry.match(pattern):
+                if entry.path not in subscription.feeds and subscription.may(entry):
+                    hub.join(subscription, entry)
 
     def unsubscribe(self, session: Session, request: Request, answer: Answer) -> Reply:
         """End a subscription, named by `body.subscription`, by the request's `id`, or by its path.
