@@ -138,7 +138,7 @@ class Rights:
         self._room = room or Room()
         self._room.users.add(self)
         self._terms: dict[str, _Terms] = {}
-        self.masks: dict[str, int] = {}
+        self.masks: dict[str | None, int] = {}
         """What is known so far, by path."""
 
     def may_reset(self, tenant: str | None) -> bool:
@@ -201,9 +201,9 @@ class Rights:
         conditions = self._conditions
         terms = self._terms_of(entry.path)
         for one in terms.deny:
-            if one.bits & operation and one.when is not None:
-                if conditions is None or conditions.holds(one.when, entry) is not False:
-                    return one.when
+            unless = one.when if one.bits & operation else None
+            if unless and (conditions is None or conditions.holds(unless, entry) is not False):
+                return unless
         if terms.allowed & operation:
             return None
         wanted = [r.when for r in terms.allow if r.bits & operation and r.when is not None]

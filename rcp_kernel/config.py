@@ -19,10 +19,10 @@ from msgspec import Meta
 from rcp_kernel._plain import is_list, is_map
 from rcp_kernel.acl import BUILTIN_ROLES, Role
 from rcp_kernel.config_envelopes import EnvelopeConfig, check_envelopes
+from rcp_kernel.config_roles import check_pattern, check_roles
 from rcp_kernel.config_safety import Safety
-from rcp_kernel.errors import ConfigError, InvalidPath
+from rcp_kernel.errors import ConfigError
 from rcp_kernel.identity import Grants, granted
-from rcp_kernel.model import Pattern
 
 __all__ = [
     "Anonymous",
@@ -378,13 +378,10 @@ def _check(config: GatewayConfig, source: str) -> None:
             raise ConfigError(f"{source}: key '{key.name}' needs a `role`, or `roles` by tenant")
     _check_granting(config.anonymous, f"{source}: anonymous", config, roles)
     for path in config.safety.lease_required:
-        _check_rule(path, f"{source}: [safety] lease_required")
+        check_pattern(path, f"{source}: [safety] lease_required")
     if config.safety.lease_ttl > config.safety.lease_ttl_max:
         raise ConfigError(f"{source}: [safety] lease_ttl is longer than lease_ttl_max")
-    for name, role in config.roles.items():
-        for rule in (*role.allow, *role.deny):
-            for path in rule.paths:
-                _check_rule(path, f"{source}: [roles.{name}]")
+    check_roles(config.roles, source)
     for one in config.certificates:
         where = f"{source}: [[certificates]] '{one.name}'"
         _check_granting(one, where, config, roles)
@@ -409,12 +406,3 @@ def _check_granting(
                 near = difflib.get_close_matches(role, roles, n=1)
                 known = f"did you mean '{near[0]}'?" if near else f"there are {', '.join(roles)}"
                 raise ConfigError(f"{where} has the role '{role}', which is not there; {known}")
-
-
-def _check_rule(path: str, where: str) -> None:
-    try:
-        if not path.startswith("/"):
-            raise InvalidPath(f"{path!r} does not begin with '/'")
-        Pattern(path)
-    except InvalidPath as error:
-        raise ConfigError(f"{where} has a rule for no path: {error.message}") from None

@@ -388,8 +388,8 @@ class Gateway:
 
     def _read(self, session: Session, request: Request, answer: Answer) -> Reply | None:
         path = request.path
-        known: int = session.rights.masks.get(path, 0)  # pyright: ignore
-        entry = self.registry.entries.get(path) if known & _READ else None  # pyright: ignore
+        known = session.rights.masks.get(path, 0) & _READ
+        entry = self.registry.entries.get(path) if known else None  # pyright: ignore[reportArgumentType]
         if (
             entry is not None
             and entry.live
@@ -418,9 +418,9 @@ class Gateway:
         """
         started = perf_counter()
         path = request.path
-        if not session.rights.masks.get(path, 0) & _READ:  # pyright: ignore
+        if not session.rights.masks.get(path, 0) & _READ:
             return None
-        entry = self.registry.entries.get(path)  # pyright: ignore
+        entry = self.registry.entries.get(path)  # pyright: ignore[reportArgumentType]
         if (
             entry is None
             or not entry.live

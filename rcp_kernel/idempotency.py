@@ -147,8 +147,8 @@ class Keys:
 
 
 def _name(session: Session, key: str) -> str:
-    who = session.principal.name
-    return hashlib.sha256(f"{len(who)}:{who}:{key}".encode()).hexdigest()
+    who, proof = session.principal.identity
+    return hashlib.sha256(f"{len(who)}:{who}:{proof}:{key}".encode()).hexdigest()
 
 
 def _digest(request: Request, path: str) -> bytes:

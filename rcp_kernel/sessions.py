@@ -322,18 +322,21 @@ class Sessions:
 
     def review(self) -> None:
         """Bring every session under new rules; end those whose proof is not good any more."""
-        for session in self._stateless.values():  # for what is under way in their name
-            principal = self._gateway.renewed(session.principal)
-            session.rights = self._rights(principal)
+        gateway = self._gateway
+        askers = [c.asker for c in gateway.commands.running.values() if c.asker is not None]
+        for session in (*self._stateless.values(), *askers):  # for what is under way in their name
+            principal = gateway.renewed(session.principal)
+            rights = Rights((), {}) if principal is None else gateway.rules.rights(principal)
+            session.rights = rights
         self._stateless.clear()
         for session in list(self.known.values()):
-            principal = self._gateway.renewed(session.principal)
+            principal = gateway.renewed(session.principal)
             if principal is None:
                 self._expel(session)
                 continue
             session.principal = principal
-            session.rights = self._gateway.rules.rights(principal)
-            self._gateway.drop_forbidden(session)
+            session.rights = gateway.rules.rights(principal)
+            gateway.drop_forbidden(session)
 
     def _expel(self, session: Session) -> None:
         connection = session.connection
