@@ -14,6 +14,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from rcp_kernel.acl import reach
 from rcp_kernel.clock import iso, now
 from rcp_kernel.errors import BadRequest, LeaseHeld, LeaseLost, LeaseRequired
 from rcp_kernel.model import Kind, Operation, Pattern
@@ -371,7 +372,7 @@ class Leases:
         """Tell whether a session may write or execute anything in a scope."""
         mask = session.rights.mask
         return any(
-            entry.operations & mask(entry.path) & COMMANDING
+            entry.operations & reach(mask(entry.path)) & COMMANDING
             for entry in scope.entries(self._gateway.registry)
         )
 
