@@ -54,6 +54,15 @@ NOT_TEXT = {
 }
 
 
+def _nested(encoding: Encoding, depth: int) -> bytes:
+    """Write a ping with a list in a list in a list, so deep, in a field of its own."""
+    if encoding is Encoding.JSON:
+        return b'{"type":"ping","x-deep":' + b"[" * depth + b"]" * depth + b"}"
+    if encoding is Encoding.CBOR:
+        return b"\xa2\x64type\x64ping\x66x-deep" + b"\x81" * (depth - 1) + b"\x80"
+    return b"\x82\xa4type\xa4ping\xa6x-deep" + b"\x91" * (depth - 1) + b"\x90"
+
+
 class Envelopes(Wire):
     """The fields of a request, one by one."""
 
@@ -103,6 +112,18 @@ class Envelopes(Wire):
                 await client.transmit_raw(data)
                 reply = await client.final(None)
                 assert reply["error"]["code"] == "bad_request", data[:20]
+            assert (await client.request("ping"))["status"] == "completed"
+
+    @proves("envelope.depth")
+    async def test_what_is_nested_too_deep_is_refused_and_the_connection_kept(
+        self, world: World
+    ) -> None:
+        for encoding in self.encodings:
+            client = await world.client(encoding=encoding)
+            for depth in (100, 600, 900, 1_100, 50_000):
+                await client.transmit_raw(_nested(encoding, depth))
+                reply = await client.final(None)
+                assert reply["error"]["code"] == "bad_request", depth
             assert (await client.request("ping"))["status"] == "completed"
 
     @proves("envelope.salvage")
