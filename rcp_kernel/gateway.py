@@ -39,6 +39,7 @@ from rcp_kernel.errors import (
     UnsupportedOperation,
 )
 from rcp_kernel.executing import Executing, Service
+from rcp_kernel.filters import Options
 from rcp_kernel.history import History
 from rcp_kernel.hub import Hub
 from rcp_kernel.idempotency import Keys
@@ -52,6 +53,7 @@ from rcp_kernel.pending import Pending, crash
 from rcp_kernel.reading import Reading
 from rcp_kernel.recording import ACTS, DENIALS, Recorded, Recording
 from rcp_kernel.registry import Entry, Registry
+from rcp_kernel.returning import Returning
 from rcp_kernel.safety import Deadman
 from rcp_kernel.samples import READ_PIECE
 from rcp_kernel.sessions import Answer, Handler, Session, Sessions
@@ -111,6 +113,7 @@ class Gateway:
         self._certificates = Certificates(config.certificates)
         self.keys = Keys(self.store, loop)
         self.keys.load(self.commands.find)
+        self.returning = Returning(self)
         self.views: dict[str, Callable[[Session], Any]] = {}
         """Resources whose value depends on who asks, by path."""
         self.sieves: dict[str, Callable[[Session, Any], bool]] = {}
@@ -489,6 +492,10 @@ class Gateway:
         self.keeping.config = config.audit
         self.envelopes.configure(config.envelopes)
         self.sessions.review()
+
+    def restore(self, session: Session, id_: str, texts: list[str], options: Options) -> None:
+        """Start a subscription of an earlier run again."""
+        self._subscribing.restore(session, id_, texts, options)
 
     def drop_forbidden(self, session: Session) -> None:
         """Unlink the feeds that a session's rights do not allow any more."""

@@ -9,6 +9,7 @@ import structlog
 from rcp_kernel.clock import now
 from rcp_kernel.commands import Command, Record
 from rcp_kernel.errors import InternalError
+from rcp_kernel.returning import hashed
 from rcp_kernel.store import Store
 from rcp_kernel.values import to_plain
 from rcp_kernel.wire import NO_BODY, error_body
@@ -58,6 +59,7 @@ def _as_row(command: Command) -> dict[str, Any]:
         "principal": command.principal,
         "tenant": command.tenant,
         "request_id": command.request_id,
+        "session": None if command.session is None else hashed(command.session),
         "input": to_plain(command.input),
         "created": command.created,
         "finished": command.finished,

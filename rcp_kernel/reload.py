@@ -31,7 +31,7 @@ async def reload(server: Server, path: Path) -> None:
         prepared = prepare(msgspec.structs.replace(fresh, **kept), str(path))
     except StartupError as error:
         log.error("reload_refused", reason=str(error))
-        server.gateway.audit.note("reload", principal=None, outcome="refused", message=str(error))
+        server.gateway.audit.note("reload", principal=None, outcome="refused")
         return
     for part in _FIXED:
         if getattr(running, part) != getattr(fresh, part):

@@ -148,9 +148,11 @@ def _keep_record(stack: AsyncExitStack, gateway: Gateway) -> None:
     audit = gateway.audit
     audit.start(name=gateway.config.name, version=gateway_version())
     gateway.keeping.start()
+    gateway.returning.start()
 
     def stop() -> None:
         gateway.keeping.stop()
+        gateway.returning.stop()
         audit.close()
         audit.note("stop", principal=None)
 

@@ -17,6 +17,7 @@ from rcp_kernel.clock import iso, now
 from rcp_kernel.errors import Gap, TokenExpired, Unauthenticated
 from rcp_kernel.hub import Hub, notice
 from rcp_kernel.identity import Principal
+from rcp_kernel.returning import Kept, hashed
 from rcp_kernel.streams import Subscription
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import (
@@ -212,7 +213,7 @@ class Sessions:
         gateway = self._gateway
         session = connection.session
         returning = self._returning(hello)
-        if hello.token is not None and not (returning and _matches(returning.secret, hello.token)):
+        if hello.token is not None and not (returning and _proves(hello.token, returning)):
             principal = gateway.authenticate(hello.token, connection.peer)
             if principal != session.principal:
                 self._replace(connection, self.open(principal, session.transport, hello.tenant))
@@ -224,6 +225,7 @@ class Sessions:
         facts = connection.on_hello(hello) if connection.on_hello is not None else {}
         session = connection.session
         session.greeted = True
+        gateway.returning.note(session)
         limits = gateway.limits
         agreed = {
             "message": limits.message,
@@ -252,30 +254,30 @@ class Sessions:
         session.connection = connection
         session.encoding = connection.encoding
 
-    def _returning(self, hello: Hello) -> Session | None:
+    def _returning(self, hello: Hello) -> Session | Kept | None:
         """Find the session that `hello` names, by its id or by its resume token."""
-        if hello.session is None:
+        named = hello.session
+        if named is None:
             return None
-        found = self.known.get(hello.session)
+        found = self.known.get(named)
         if found is None:
-            named = hello.session
-            found = next((s for s in self.known.values() if _matches(s.secret, named)), None)
-        return found
+            found = next((s for s in self.known.values() if _proves(named, s)), None)
+        return found or self._gateway.returning.find(named)
 
-    def _resume(self, connection: Connection, hello: Hello, session: Session | None) -> None:
+    def _resume(self, connection: Connection, hello: Hello, session: Session | Kept | None) -> None:
         if session is None:
-            raise Gap(
-                "the session has expired or never was",
-                remedy="Say `hello` without `session`, then subscribe afresh.",
-            )
+            raise _gone()
         offered = (hello.resume_token, hello.token, hello.session)
-        proved = any(text is not None and _matches(session.secret, text) for text in offered)
+        proof = next((t for t in offered if t is not None and _proves(t, session)), None)
         same = session.principal == connection.session.principal
-        if not proved and (hello.resume_token is not None or not same):
+        if proof is None and (hello.resume_token is not None or not same):
             raise Unauthenticated(
                 "the session belongs to somebody else, or the resume token is wrong",
                 remedy="Send the `resume_token` that the first `hello` was answered with.",
             )
+        if isinstance(session, Kept):
+            self._revive(connection, hello, session, proof)
+            return
         if session.connection is not None:
             self._takeover(session)
         have = hello.resume_from
@@ -283,6 +285,26 @@ class Sessions:
             have = _for_all(session, have)
         self._replace(connection, session)
         self._attach(session, connection, have)
+
+    def _revive(self, connection: Connection, hello: Hello, kept: Kept, proof: str | None) -> None:
+        """Make a session again of what is kept of one of an earlier run."""
+        gateway = self._gateway
+        principal = gateway.returning.take(kept)
+        if principal is None:
+            raise _gone()
+        tenant = kept.tenant if kept.tenant in gateway.tenants_of(principal) else None
+        tenant = gateway.tenant_for(principal, tenant)
+        session = Session(principal, gateway.rules.rights(principal), tenant, kept.transport)
+        if hello.session is not None and not _proves(hello.session, kept):
+            session.id = session.holder = hello.session
+        session.secret = proof or session.secret
+        session.created, session.cut = kept.created, kept.cut or gateway.returning.ended
+        name = hashed(session.id)
+        session.commands = {c.id: c for c in gateway.commands.every() if c.session == name}
+        self.known[session.id] = session
+        self._replace(connection, session)
+        self._attach(session, connection, None)
+        gateway.returning.restore(session, kept)
 
     def _takeover(self, session: Session) -> None:
         """Cut the old connection: its client came back before the gateway saw it leave."""
@@ -368,11 +390,13 @@ class Sessions:
         for subscription in session.subscriptions.values():
             self._hub().detach(subscription)
         session.expiry = gateway.hub.loop.call_later(gateway.limits.session_ttl, self.drop, session)
+        gateway.returning.note(session)
 
     def drop(self, session: Session) -> None:
         """End a session and its leases; its commands go on."""
         self.known.pop(session.id, None)
         self._gateway.leases.ended(session)
+        self._gateway.returning.forget(session)
         if session.expiry is not None:
             session.expiry.cancel()
         for subscription in session.subscriptions.values():
@@ -381,8 +405,18 @@ class Sessions:
         session.missed.clear()
 
 
-def _matches(secret: str, text: str) -> bool:
-    return secrets.compare_digest(secret.encode(), text.encode())
+def _proves(text: str, session: Session | Kept) -> bool:
+    """Tell whether a text is the resume token of a session."""
+    if isinstance(session, Kept):
+        text = hashed(text)
+    return secrets.compare_digest(session.secret.encode(), text.encode())
+
+
+def _gone() -> Gap:
+    return Gap(
+        "the session has expired or never was",
+        remedy="Say `hello` without `session`, then subscribe afresh.",
+    )
 
 
 def _for_all(session: Session, seq: int) -> dict[str, int]:

@@ -71,6 +71,36 @@ class Subscribing:
         patterns = self._patterns(session, request, options)
         entries = self._entries(session, patterns, options)
 
+        subscription = self._begin(session, id_, patterns, options)
+        reply = Reply(
+            type="subscribe",
+            id=request.id,
+            path=patterns[0].text,
+            body={"subscription": id_, "paths": [entry.path for entry in entries[:1000]]},
+            message=f"Subscribed to {len(entries)} paths.",
+            timestamp=iso(now()),
+            custom=request.custom,
+        )
+        # Control messages leave before updates, so the client knows the id before it sees one.
+        gateway.hub.add(subscription, entries)
+        return reply
+
+    def restore(self, session: Session, id_: str, texts: list[str], options: Options) -> None:
+        """Start a subscription of an earlier run on what is there; the rest joins when it comes."""
+        patterns = [Pattern(text, session.tenant) for text in texts]
+        subscription = self._begin(
+            session, id_, patterns, msgspec.structs.replace(options, history=None)
+        )
+        registry = self._gateway.registry
+        matched = {e.path: e for p in patterns for e in registry.match(p) if subscription.may(e)}
+        self._gateway.hub.add(subscription, list(matched.values()))
+
+    def _begin(
+        self, session: Session, id_: str, patterns: list[Pattern], options: Options
+    ) -> Subscription:
+        gateway, connection = self._gateway, session.connection
+        assert connection is not None
+
         def may(entry: Entry) -> bool:
             mask = reach(session.rights.mask(entry.path))
             return bool(entry.operations & mask & Operation.SUBSCRIBE)
@@ -99,18 +129,8 @@ class Subscribing:
             placed=partial(gateway.standing.place, session),
         )
         session.subscriptions[id_] = subscription
-        reply = Reply(
-            type="subscribe",
-            id=request.id,
-            path=patterns[0].text,
-            body={"subscription": id_, "paths": [entry.path for entry in entries[:1000]]},
-            message=f"Subscribed to {len(entries)} paths.",
-            timestamp=iso(now()),
-            custom=request.custom,
-        )
-        # Control messages leave before updates, so the client knows the id before it sees one.
-        gateway.hub.add(subscription, entries)
-        return reply
+        gateway.returning.subscribed(session, subscription)
+        return subscription
 
     def _patterns(self, session: Session, request: Request, options: Options) -> list[Pattern]:
         texts = [request.path, *options.paths] if request.path is not None else [*options.paths]
@@ -179,6 +199,7 @@ class Subscribing:
         found = self._find(session, request, body.subscription if body is not None else None)
         for subscription in found:
             del session.subscriptions[subscription.id]
+            self._gateway.returning.unsubscribed(session, subscription.id)
             self._gateway.hub.remove(subscription)
         return Reply(
             type="unsubscribe",
@@ -212,6 +233,7 @@ class Subscribing:
     ) -> None:
         if session.subscriptions.pop(subscription.id, None) is None:
             return
+        self._gateway.returning.unsubscribed(session, subscription.id)
         mailbox = subscription.mailbox
         if mailbox is not None and error is None:
             # What was delivered to the queue before the end goes out before the notice of it.

@@ -238,7 +238,9 @@ class Subscription:
             self._wake.set()
         if notice.id != self.id:
             return
-        if notice.code == "gap" and notice.path is not None:
+        if notice.code == "gap" and notice.facts.get("reason") == "restart":
+            self.seen.clear()  # numbers begin again
+        elif notice.code == "gap" and notice.path is not None:
             last = notice.facts.get("last", 0)
             self.seen[notice.path] = max(last, self.seen.get(notice.path, 0))
         elif notice.code == "subscription_ended":

@@ -136,3 +136,26 @@ async def test_what_a_restarted_gateway_remembers_of_a_command_is_its_outcome(
         await gateway.start()
         assert await running == {"x": 1.0, "y": 0.0}
         assert gateway.robot.started == []
+
+
+async def test_a_session_outlives_its_gateway_and_its_subscription_goes_on(
+    tmp_path: Path,
+) -> None:
+    heard = Heard()
+    more = f'[store]\npath = "{tmp_path / "store.db"}"'
+    async with asyncio.timeout(BOUND), Gateway(more=more) as gateway:
+        gateway.robot.publish(5)
+        async with (
+            connect(gateway.url, token=OPERATOR, on_notice=heard) as client,
+            client.subscribe("/sensor/count") as subscription,
+        ):
+            updates = aiter(subscription)
+            assert (await anext(updates)).seq == 5
+            await gateway.stop()
+            await heard.until("disconnected")
+            await gateway.start()
+            assert (await heard.until("reconnected")).facts == {"resumed": True}
+            gateway.robot.publish()  # the numbers begin again
+            while (await anext(updates)).seq != 1:
+                pass
+            assert subscription.duplicates == 0
