@@ -71,7 +71,14 @@ class Shared:
             self._complaints[key] = detail
             self.host.call_soon(self.trouble, key, detail)
 
-    def listen(self, topic: str, type_: str, key: str, taker: Callable[[Any], None]) -> None:
+    def listen(
+        self,
+        topic: str,
+        type_: str,
+        key: str,
+        taker: Callable[[Any], None],
+        qos: Qos = Qos(depth=_DEPTH),  # noqa: B008 - frozen
+    ) -> None:
         """Have a function called with each message of a topic; all of it in the ROS thread.
 
         A type that is not installed is a trouble, told with its remedy.
@@ -82,7 +89,7 @@ class Shared:
             self._complain(key, f"{topic} cannot be followed: {error}. {error.remedy}")
             return
         tap = Tap(key, Codec(cls), taker=lambda value: taker(value.decode()))
-        self.feeds.tap(topic, cls, Qos(depth=_DEPTH), tap)
+        self.feeds.tap(topic, cls, qos, tap)
 
     async def until(self, holds: Callable[[], bool], seconds: float) -> bool:
         """Wait until something about the graph holds, while that may still be discovered."""

@@ -15,6 +15,7 @@ from rcp_kernel.model import Resource, kind_of
 from rcp_ros2.actions import Run
 from rcp_ros2.binding import Absent, Binding, Construct, Offer, Shared
 from rcp_ros2.config import Mapping
+from rcp_ros2.definitions import TF_MESSAGE, is_made
 from rcp_ros2.diagnostics import ARRAY, Diagnostics
 from rcp_ros2.graph import Graph
 from rcp_ros2.idl import MissingType, load
@@ -24,6 +25,7 @@ from rcp_ros2.names import absolute, allows, is_internal, resource_name
 from rcp_ros2.parameters import Events, NodeParameters, Setting
 from rcp_ros2.sensors import Commanded, Observed
 from rcp_ros2.services import Called
+from rcp_ros2.transforms import Transforms
 
 __all__ = ["Catalog"]
 
@@ -55,6 +57,7 @@ class Catalog:
         self._constructs: tuple[Construct, ...] = (
             Lifecycles(shared, self._exposes),
             Diagnostics(shared, self._exposes),
+            Transforms(shared, self._exposes),
             Log(shared, lambda name: exposed(name) and not hidden(name)),
         )
         shared.look_again = lambda: self.update(shared.graph)
@@ -203,6 +206,8 @@ class Catalog:
             case "topic":
                 cls = load(type_)
                 made = Commanded if kind_of(name) == "actuator" else Observed
+                if made is Commanded and is_made(cls):
+                    raise MissingType(type_, "known by its text alone it can only be listened to")
                 return made(self._shared, name, mapping, cls)
             case "service":
                 return Called(self._shared, name, mapping, load(type_, "srv"))
@@ -326,7 +331,7 @@ def _absolute(mapping: Mapping, namespace: str) -> Mapping:
 
 def _is_taken(type_: str) -> bool:
     """Tell whether a construct offers topics and services of this type in its own way."""
-    return type_.startswith("lifecycle_msgs/") or type_ == ARRAY
+    return type_.startswith("lifecycle_msgs/") or type_ in (ARRAY, TF_MESSAGE)
 
 
 def _not_seen(mapping: Mapping) -> str:

@@ -9,7 +9,7 @@ from msgspec import Meta, Struct
 from rcp_kernel.errors import RcpError
 from rcp_kernel.model import Kind, Policy, kind_of
 
-__all__ = ["Diagnostics", "Log", "Mapping", "Qos", "Ros2Config"]
+__all__ = ["Diagnostics", "Log", "Mapping", "Qos", "Ros2Config", "Transforms"]
 
 RosName = Annotated[str, Meta(pattern=r"^~?/?[A-Za-z0-9_~/]+$", max_length=256)]
 RosPattern = Annotated[str, Meta(pattern=r"^/[A-Za-z0-9_*/]*$", max_length=256)]
@@ -97,6 +97,17 @@ class Log(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """The least that is told."""
 
 
+class Transforms(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """How the tree of frames is kept, where `expose` names `/tf` and `/tf_static`."""
+
+    targets: tuple[str, ...] = ("earth", "map", "odom", "base_link")
+    """Frames in which every other frame that is connected gets a sensor; roots are added."""
+    buffer: Annotated[float, Meta(gt=0, le=600, extra_json_schema={"unit": "s"})] = 10.0
+    """For which a moving frame is remembered."""
+    rate: Annotated[float, Meta(gt=0, le=200, extra_json_schema={"unit": "Hz"})] = 30.0
+    """At most so many values a second of one pair."""
+
+
 _FITS = {
     Kind.SENSOR: "topic",
     Kind.EVENT: "topic",
@@ -123,6 +134,7 @@ class Ros2Config(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     map: dict[str, Mapping] = {}
     diagnostics: Diagnostics = Diagnostics()
     log: Log = Log()
+    tf: Transforms = Transforms()
     timeout: Seconds = 5.0
     """For an answer of a service, a parameter or an action server."""
     silence: Seconds = 4.0

@@ -19,6 +19,7 @@ __all__ = [
     "Sequence",
     "Text",
     "Type",
+    "define",
     "fields_of",
     "full_name",
     "load",
@@ -41,6 +42,9 @@ WIDTHS = {
 """Each primitive's letter in `struct`, and its size, which is its alignment too."""
 
 _SPELLINGS = {"boolean": "bool", "float": "float32", "double": "float64", "char": "uint8"}
+
+
+_defined: dict[str, Any] = {}
 
 
 class MissingType(Exception):
@@ -101,13 +105,26 @@ def load(name: str, group: str = "msg") -> Any:
     """
     package, *middle, leaf = name.split("/")
     where = middle[0] if middle else group
+    known = _defined.get(f"{package}/{where}/{leaf}")
     try:
         found: Any = getattr(importlib.import_module(f"{package}.{where}"), leaf)
-    except ImportError as error:
-        raise MissingType(name, str(error)) from error
-    except AttributeError:
-        raise MissingType(name, f"{package} has no such {where}") from None
+    except (ImportError, AttributeError) as error:
+        if known is not None:
+            known.prepare()
+            return known
+        is_there = isinstance(error, AttributeError)
+        why = f"{package} has no such {where}" if is_there else str(error)
+        raise MissingType(name, why) from error
     return found
+
+
+def define(cls: Any) -> None:
+    """Have a class stand for its type wherever that is not installed.
+
+    It says what `fields_of` should, itself, in a method `described`, and is made usable by
+    `prepare`, which raises `MissingType` where that cannot be.
+    """
+    _defined[full_name(cls)] = cls
 
 
 def full_name(cls: Any) -> str:
@@ -119,6 +136,8 @@ def full_name(cls: Any) -> str:
 @lru_cache(maxsize=4096)
 def fields_of(cls: Any) -> tuple[Field, ...]:
     """Describe the fields of a message class, in their order on the wire."""
+    if full_name(cls) in _defined and _defined[full_name(cls)] is cls:
+        return cls.described()
     names = cls.get_fields_and_field_types()
     return tuple(
         Field(name, _translate(slot)) for name, slot in zip(names, cls.SLOT_TYPES, strict=True)

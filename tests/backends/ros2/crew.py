@@ -9,6 +9,7 @@ from __future__ import annotations
 import gc
 import json
 import os
+import struct
 import sys
 import threading
 
@@ -17,6 +18,12 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile
+
+import rcp_ros2.definitions  # noqa: F401 - has the type of transforms
+from rcp_ros2.idl import load
+
+LATCHED = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
 class Driver(LifecycleNode):
@@ -50,13 +57,44 @@ class Monitor(Node):
         self.board.publish(array)
 
 
+class Caster(Node):
+    """Publishes transforms; no package has their type, so that the bytes are made by hand."""
+
+    def __init__(self, name: str, *, moving: bool) -> None:
+        super().__init__(name)
+        kind = load("tf2_msgs/msg/TFMessage")
+        self.static = self.create_publisher(kind, "/tf_static", LATCHED)
+        self.moving = self.create_publisher(kind, "/tf", 100) if moving else None
+
+
+def transforms(*items: tuple[str, str, int, list[float]]) -> bytes:
+    """Encode a tf2_msgs/TFMessage: parent, child, time in ns, place."""
+    out = bytearray(b"\0\1\0\0")
+
+    def put(kind: str, value: object, size: int) -> None:
+        out.extend(b"\0" * (-(len(out) - 4) % size) + struct.pack("<" + kind, value))
+
+    put("I", len(items), 4)
+    for parent, child, time, place in items:
+        put("i", time // 10**9, 4)
+        put("I", time % 10**9, 4)
+        for text in (parent, child):
+            put("I", len(text) + 1, 4)
+            out.extend(text.encode() + b"\0")
+        for number in place:
+            put("d", number, 8)
+    return bytes(out)
+
+
 class Crew:
     """All the nodes, and what they can be told to do."""
 
     def __init__(self) -> None:
         self.driver = Driver()
         self.monitor = Monitor()
-        self.nodes = [self.driver, self.monitor]
+        self.base = Caster("base", moving=True)
+        self.arm = Caster("arm", moving=False)
+        self.nodes = [self.driver, self.monitor, self.base, self.arm]
 
     def break_(self, *, broken: bool) -> None:
         """Have the driver fail to be activated."""
@@ -75,6 +113,14 @@ class Crew:
     def hush(self, name: str) -> None:
         """Have a part say nothing any more."""
         del self.monitor.said[name]
+
+    def fix(self, by: str, parent: str, child: str, place: list[float]) -> None:
+        """Have a node say where a frame stands for ever."""
+        getattr(self, by).static.publish(transforms((parent, child, 0, place)))
+
+    def move(self, parent: str, child: str, time: int, place: list[float]) -> None:
+        """Say where a frame is at a time, ns."""
+        self.base.moving.publish(transforms((parent, child, time, place)))
 
     def log(self, level: str, text: str) -> None:
         """Log a text."""

@@ -1,0 +1,332 @@
+"""`/tf` and `/tf_static`: where each frame is in the frames that matter, and any pair at any time."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from collections.abc import Callable
+from functools import partial
+from typing import Annotated, Any, Literal
+
+import msgspec
+from msgspec import Meta
+
+from rcp_kernel.errors import AdapterUnavailable, DeviceRejected, InvalidValue, OutOfRange, RcpError
+from rcp_kernel.model import Resource
+from rcp_kernel.spi import Progress
+from rcp_ros2.binding import Binding, Offer, Shared, common
+from rcp_ros2.config import Mapping, Qos
+from rcp_ros2.definitions import TF_MESSAGE
+from rcp_ros2.frames import Extrapolation, Frames, NotConnected, Place, UnknownFrame
+from rcp_ros2.graph import Graph
+from rcp_ros2.idl import load
+from rcp_ros2.names import legal, resource_name
+from rcp_ros2.types import outward
+
+__all__ = ["Transforms"]
+
+_STAMPED = "geometry_msgs/msg/TransformStamped"
+_STATIC = Qos(reliability="reliable", durability="transient_local", depth=1000)
+_MOVING = Qos(depth=1000)
+_MOST = 500  # pairs with a sensor of their own
+_SHOWN = 20  # frames that a message lists
+_REP105 = {
+    "earth": "the earth's centre, fixed to the earth (REP-105)",
+    "map": "fixed to the world, without drift; poses in it may jump (REP-105)",
+    "odom": "fixed to the world, drifts; poses in it are continuous (REP-105)",
+    "base_link": "fixed to the robot's body, x forward, y left, z up (REP-103, REP-105)",
+}
+
+
+class Lookup(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Which frame is wanted in which, and when."""
+
+    target: Annotated[str, Meta(min_length=1, description="Frame to give the place in.")]
+    source: Annotated[str, Meta(min_length=1, description="Frame whose place is wanted.")]
+    time: (
+        Annotated[
+            float, Meta(description="Seconds since the epoch.", extra_json_schema={"unit": "s"})
+        ]
+        | None
+    ) = None
+    """Without it, the latest that is known of both."""
+
+
+class Transforms:
+    """Finds the trees of frames that are exposed: one for each namespace with a `tf` topic."""
+
+    def __init__(self, shared: Shared, exposes: Callable[[str], bool]) -> None:
+        self._shared = shared
+        self._exposes = exposes
+        self.trees: dict[str, Tree] = {}
+
+    def find(self, graph: Graph) -> dict[str, Offer]:
+        """Return the sensors and the lookup of each tree."""
+        found: dict[str, Offer] = {}
+        topics = [topic for topic, type_ in graph.topics.items() if type_ == TF_MESSAGE]
+        for topic in filter(self._exposes, topics):
+            space = topic.rpartition("/")[0]
+            self.trees.setdefault(space, Tree(self._shared, space))
+        for topic in topics:  # a tree without what stands for ever would fall apart
+            tree = self.trees.get(topic.rpartition("/")[0])
+            if tree is not None:
+                tree.follow(topic)
+        for tree in self.trees.values():
+            found |= tree.offers()
+        return found
+
+
+class Tree:
+    """The frames of one robot."""
+
+    def __init__(self, shared: Shared, space: str) -> None:
+        self.shared = shared
+        self.frames = Frames(shared.config.tf.buffer)
+        self.space = space
+        self._followed: set[str] = set()
+        self._version = -1
+        self._paths: dict[str, str] = {}
+        self._offers: dict[str, Offer] = {}
+
+    def follow(self, topic: str) -> None:
+        """Take in what comes on a topic."""
+        if topic in self._followed:
+            return
+        self._followed.add(topic)
+        static = topic.endswith("_static")
+        qos = _STATIC if static else _MOVING
+        take = partial(self._take, static)
+        self.shared.ros.post(self.shared.listen, topic, TF_MESSAGE, f"{topic} frames", take, qos)
+
+    def _take(self, static: bool, message: Any) -> None:  # noqa: FBT001 - bound by `partial`
+        version = self.frames.version
+        for stamped in message.transforms:
+            stamp, moved = stamped.header.stamp, stamped.transform
+            t, q = moved.translation, moved.rotation
+            place = Place(t.x, t.y, t.z, q.x, q.y, q.z, q.w)
+            time = stamp.sec * 1_000_000_000 + stamp.nanosec
+            self.frames.put(
+                stamped.child_frame_id, stamped.header.frame_id, time, place, static=static
+            )
+        if self.frames.version != version:
+            self.shared.host.call_soon(self.shared.look_again)
+
+    def offers(self) -> dict[str, Offer]:
+        """Return the lookup, and a sensor for each frame in each that matters."""
+        if self.frames.version == self._version:
+            return self._offers
+        self._version = self.frames.version
+        topic = f"{self.space}/tf"
+        mapping = Mapping(topic=topic)
+        name = resource_name("service", self.space, "lookup_transform")
+        offers = {name: Offer(mapping, partial(LookUp, self, name, mapping))}
+        pairs = self._pairs()
+        more = len(pairs) > _MOST
+        text = f"{topic} connects more than {_MOST} pairs of frames: use {name} for the rest"
+        self.shared.trouble(f"{topic} pairs", text if more else None)
+        for target, source in pairs[:_MOST]:
+            name = resource_name(
+                "sensor", self.space, "tf", self._segment(target), self._segment(source)
+            )
+            offers[name] = Offer(mapping, partial(Moved, self, name, mapping, target, source))
+        self._offers = offers
+        return offers
+
+    def _segment(self, frame: str) -> str:
+        if frame not in self._paths:
+            self._paths[frame] = legal(frame.replace("/", "."), self._paths.values())
+        return self._paths[frame]
+
+    def _pairs(self) -> list[tuple[str, str]]:
+        above = self.frames.tree()
+        roots = {frame: _root(frame, above) for frame in (*above, *above.values())}
+        wanted = [*self.shared.config.tf.targets, *sorted({r for r in roots.values() if r})]
+        return [
+            (target, source)
+            for target in dict.fromkeys(wanted)
+            for source, root in sorted(roots.items())
+            if source != target and root and root == roots.get(target)
+        ]
+
+    def look(self, target: str, source: str, time: int | None = None) -> tuple[Place, int | None]:
+        """Return where a frame is in another, and when.
+
+        :raises InvalidValue: there is no such frame.
+        :raises DeviceRejected: they are not connected.
+        :raises OutOfRange: one of them is not known at that time.
+        """
+        try:
+            return self.frames.look(target, source, time)
+        except UnknownFrame as error:
+            raise _unknown(error, target) from None
+        except NotConnected as error:
+            raise DeviceRejected(
+                str(error),
+                remedy="Start the node that publishes the transform between them.",
+                details={"parents": self.frames.tree()},
+            ) from None
+        except Extrapolation as error:
+            raise _out_of_range(error) from None
+
+
+def _root(frame: str, above: dict[str, str]) -> str | None:
+    """Return the frame that all hangs from; None for a ring."""
+    seen = {frame}
+    while frame in above:
+        frame = above[frame]
+        if frame in seen:
+            return None
+        seen.add(frame)
+    return frame
+
+
+def _unknown(error: UnknownFrame, target: str) -> InvalidValue:
+    names = ", ".join(error.near or error.known[:_SHOWN])
+    return InvalidValue(
+        str(error),
+        remedy=f"Use one of the frames there are: {names}."
+        if names
+        else "Start the nodes that publish transforms; no frame is known yet.",
+        details={
+            "pointer": "/target" if f"'{target.lstrip('/')}'" in str(error) else "/source",
+            "near": error.near,
+        },
+    )
+
+
+def _out_of_range(error: Extrapolation) -> OutOfRange:
+    first, last = error.first / 1e9, error.last / 1e9
+    late = error.at > error.last
+    by = (error.at - error.last if late else error.first - error.at) / 1e9
+    return OutOfRange(
+        f"the frame '{error.child}' is known from {first:.6f} to {last:.6f} s; the time asked for "
+        f"is {by:.6f} s {'after' if late else 'before'} that",
+        remedy="Leave `time` out for the latest, or ask for a time inside.",
+        details={"pointer": "/time", "frame": error.child, "value": error.at / 1e9}
+        | {"first": first, "last": last},
+    )
+
+
+def _pair_type(target: str, source: str) -> Any:
+    """Return geometry_msgs/TransformStamped with its frames in the schema."""
+    stamped = outward(load(_STAMPED))
+    header = msgspec.defstruct(
+        "Header",
+        [
+            ("stamp", stamped.__annotations__["header"].__annotations__["stamp"]),
+            ("frame_id", _frame(target)),
+        ],
+        frozen=True,
+    )
+    return msgspec.defstruct(
+        "TransformStamped",
+        [
+            ("header", header),
+            ("child_frame_id", _frame(source)),
+            ("transform", stamped.__annotations__["transform"]),
+        ],
+        frozen=True,
+    )
+
+
+def _frame(name: str) -> Any:
+    known = _REP105.get(name.rpartition("/")[2])
+    return Annotated[Literal[name], Meta(description=known)] if known else Literal[name]
+
+
+def _maker(type_: Any) -> Callable[[str, str, Place, int | None], Any]:
+    """Return the function that makes a value of such a type."""
+    kinds: Any = type_.__annotations__
+    header, transform = kinds["header"], kinds["transform"]
+    stamp = header.__annotations__["stamp"]
+    vector = transform.__annotations__["translation"]
+    quaternion = transform.__annotations__["rotation"]
+
+    def make(target: str, source: str, place: Place, time: int | None) -> Any:
+        return type_(
+            header(stamp(*divmod(time or 0, 1_000_000_000)), target),
+            source,
+            transform(vector(*place[:3]), quaternion(*place[3:])),
+        )
+
+    return make
+
+
+class Moved(Binding):
+    """Where one frame is in another, now."""
+
+    def __init__(self, tree: Tree, name: str, mapping: Mapping, target: str, source: str) -> None:
+        self._tree = tree
+        self._pair = target, source
+        self._telling: asyncio.Task[None] | None = None
+        type_ = _pair_type(target, source)
+        self._make = _maker(type_)
+        text = f"Where the frame {source} is in {target}"
+        if known := _REP105.get(target):
+            text += f", which is {known}"
+        facts = common(name, mapping, text, target=target, source=source)
+        super().__init__(tree.shared, Resource(value=type_, **facts), mapping)
+
+    async def read(self) -> Any:
+        """Return the latest that is known of both.
+
+        :raises AdapterUnavailable: they are not connected any more.
+        """
+        return self._look()[0]
+
+    def _look(self) -> tuple[Any, int | None]:
+        try:
+            place, time = self._tree.look(*self._pair)
+        except RcpError as error:
+            raise AdapterUnavailable(error.message, remedy=error.remedy) from None
+        return self._make(*self._pair, place, time), time
+
+    def watched(self, rate: float) -> None:
+        """Publish whatever is new, so many times a second at most."""
+        self.unwatched()
+        pause = 1 / min(rate, self.shared.config.tf.rate)
+        self._telling = asyncio.ensure_future(self._tell(pause))
+
+    async def _tell(self, pause: float) -> None:
+        last: Any = None
+        while True:
+            with contextlib.suppress(AdapterUnavailable):  # a part of the tree is gone for now
+                value, time = self._look()
+                if value != last:
+                    self.shared.host.publish(self.resource.name, value, time)
+                    last = value
+            await asyncio.sleep(pause)
+
+    def unwatched(self) -> None:
+        """Publish no more."""
+        if self._telling is not None:
+            self._telling.cancel()
+            self._telling = None
+
+    def close(self) -> None:
+        """Publish no more."""
+        self.unwatched()
+
+
+class LookUp(Binding):
+    """Where any frame is in any other, at any time that is remembered."""
+
+    def __init__(self, tree: Tree, name: str, mapping: Mapping) -> None:
+        self._tree = tree
+        output = outward(load(_STAMPED))
+        self._make = _maker(output)
+        span = tree.shared.config.tf.buffer
+        text = f"Where one frame is in another, now or at a time within the last {span:g} s"
+        resource = Resource(
+            input=Lookup,
+            output=output,
+            examples=({"target": "map", "source": "base_link"},),
+            **common(name, mapping, text, topic=mapping.topic),
+        )
+        super().__init__(tree.shared, resource, mapping)
+
+    async def execute(self, value: Any, progress: Progress) -> Any:
+        """Look it up, as `Tree.look` does."""
+        at = None if value.time is None else round(value.time * 1e9)
+        place, time = self._tree.look(value.target, value.source, at)
+        return self._make(value.target.lstrip("/"), value.source.lstrip("/"), place, time)
