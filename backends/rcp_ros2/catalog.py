@@ -14,6 +14,7 @@ from rcp_kernel.errors import AdapterUnavailable, ConfigError, PluginError, RcpE
 from rcp_kernel.model import Resource, kind_of
 from rcp_ros2.actions import Run
 from rcp_ros2.binding import Absent, Binding, Construct, Offer, Shared
+from rcp_ros2.clock import Clock
 from rcp_ros2.config import Mapping
 from rcp_ros2.definitions import TF_MESSAGE, is_made
 from rcp_ros2.diagnostics import ARRAY, Diagnostics
@@ -54,10 +55,12 @@ class Catalog:
         self._targets = {m.target for m in self._mapped.values()}
         self._nodes: dict[str, NodeParameters] = {}
         self._events = Events(shared)
+        clock = Clock(shared)
         self._constructs: tuple[Construct, ...] = (
             Lifecycles(shared, self._exposes),
             Diagnostics(shared, self._exposes),
-            Transforms(shared, self._exposes),
+            clock,
+            Transforms(shared, self._exposes, clock.on_jump),
             Log(shared, lambda name: exposed(name) and not hidden(name)),
         )
         shared.look_again = lambda: self.update(shared.graph)
@@ -77,7 +80,7 @@ class Catalog:
 
     def matters(self, name: str) -> bool:
         """Tell whether a topic is mapped or exposed; asked in the ROS thread."""
-        return name in self._targets or self._exposes(name)
+        return name in self._targets or name in _NEEDED or self._exposes(name)
 
     # -- what is wanted --------------------------------------------------------------------------
 
@@ -321,6 +324,7 @@ class Catalog:
             binding.close()
 
 
+_NEEDED = ("/clock",)  # whether it is published is asked for without any mapping
 _START_IT = "Start the node that has it, or name its `type` in the mapping."
 
 

@@ -135,6 +135,8 @@ class Ros2Config(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     diagnostics: Diagnostics = Diagnostics()
     log: Log = Log()
     tf: Transforms = Transforms()
+    use_sim_time: bool = False
+    """The robot's time is what `/clock` says."""
     timeout: Seconds = 5.0
     """For an answer of a service, a parameter or an action server."""
     silence: Seconds = 4.0

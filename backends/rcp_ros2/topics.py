@@ -64,6 +64,8 @@ class Feeds:
         self._complain = complain
         self._feeds: dict[str, Feed] = {}
         self._sweeper: Any = None
+        self.now: Callable[[], int | None] = lambda: None
+        """The time of what carries none, ns; None is the time of receipt."""
 
     def tap(self, topic: str, cls: Any, qos: Qos, tap: Tap) -> None:
         """Let a path take from a topic, or change its rate."""
@@ -138,7 +140,9 @@ class Feeds:
         if tap.period:
             # By the schedule and not by the clock, or jitter would cost every other value.
             tap.due = max(tap.due, now - tap.period) + tap.period
-        self._outbox.put(tap.name, Value(data, tap.codec), tap.codec.stamp(data))
+        stamp = tap.codec.stamp(data)
+        time_ = self.now() if stamp is None else stamp
+        self._outbox.put(tap.name, Value(data, tap.codec), time_)
 
     def _keep_sweeping(self) -> None:
         needed = any(tap.period for feed in self._feeds.values() for tap in feed.taps.values())

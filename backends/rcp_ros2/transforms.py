@@ -55,10 +55,17 @@ class Lookup(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 class Transforms:
     """Finds the trees of frames that are exposed: one for each namespace with a `tf` topic."""
 
-    def __init__(self, shared: Shared, exposes: Callable[[str], bool]) -> None:
+    def __init__(
+        self, shared: Shared, exposes: Callable[[str], bool], on_jump: list[Callable[[], None]]
+    ) -> None:
         self._shared = shared
         self._exposes = exposes
+        on_jump.append(self._forget)
         self.trees: dict[str, Tree] = {}
+
+    def _forget(self) -> None:
+        for tree in list(self.trees.values()):
+            tree.frames.forget_moving()
 
     def find(self, graph: Graph) -> dict[str, Offer]:
         """Return the sensors and the lookup of each tree."""

@@ -19,6 +19,8 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
+from rosgraph_msgs.msg import Clock as ClockMessage
+from std_msgs.msg import String
 
 import rcp_ros2.definitions  # noqa: F401 - has the type of transforms
 from rcp_ros2.idl import load
@@ -49,6 +51,8 @@ class Monitor(Node):
         super().__init__("monitor")
         self.board = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self.said: dict[str, DiagnosticStatus] = {}
+        self.clock = self.create_publisher(ClockMessage, "/clock", 10)
+        self.note = self.create_publisher(String, "/note", 10)
         self.create_timer(0.2, self.repeat)
 
     def repeat(self) -> None:
@@ -121,6 +125,13 @@ class Crew:
     def move(self, parent: str, child: str, time: int, place: list[float]) -> None:
         """Say where a frame is at a time, ns."""
         self.base.moving.publish(transforms((parent, child, time, place)))
+
+    def tick(self, time: int) -> None:
+        """Say what time it is, ns, and then something that carries no time."""
+        message = ClockMessage()
+        message.clock.sec, message.clock.nanosec = divmod(time, 10**9)
+        self.monitor.clock.publish(message)
+        self.monitor.note.publish(String(data="tick"))
 
     def log(self, level: str, text: str) -> None:
         """Log a text."""

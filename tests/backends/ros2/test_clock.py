@@ -1,0 +1,86 @@
+"""Simulated time."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator, Callable, Iterator
+from contextlib import suppress
+
+import pytest
+
+from backends.ros2.robot import BOUND, Crew, Robot, fresh_domain, robot_of
+from rcp_kernel.errors import InvalidValue
+
+pytestmark = pytest.mark.anyio
+
+S = 1_000_000_000
+CLOCK, JUMP, NOTE = "sensor/clock", "event/clock_jump", "sensor/note"
+
+
+@pytest.fixture(scope="module")
+def simulator() -> Iterator[tuple[int, Crew]]:
+    domain = fresh_domain()
+    crew = Crew(domain)
+    crew.start()
+    yield domain, crew
+    crew.stop()
+
+
+@pytest.fixture
+async def simulated(simulator: tuple[int, Crew]) -> AsyncIterator[tuple[Robot, Crew]]:
+    domain, crew = simulator
+    expose = ["/note", "/tf", "/tf_static"]
+    async with robot_of(domain, expose=expose, use_sim_time=True) as robot:
+        await robot.until(lambda: {CLOCK, JUMP, NOTE} <= robot.resources.keys())
+        yield robot, crew
+
+
+async def repeated(robot: Robot, once: Callable[[], object], holds: Callable[[], bool]) -> None:
+    """Do something until it is heard: nothing tells a publisher whom it has found."""
+    async with asyncio.timeout(BOUND):
+        while not holds():
+            once()
+            with suppress(TimeoutError):
+                await robot.until(holds, 0.1)
+
+
+async def test_what_carries_no_time_has_the_robots(simulated: tuple[Robot, Crew]) -> None:
+    robot, crew = simulated
+
+    def stamps() -> list[int | None]:
+        return [stamp for name, _, stamp in robot.samples if name == NOTE]
+
+    async with robot.backend.watch(NOTE, None), robot.backend.watch(CLOCK, None):
+        await repeated(robot, lambda: crew.tell("tick", time=40 * S), lambda: 40 * S in stamps())
+        assert robot.of(CLOCK)[-1].sec == 40
+    assert not robot.of(JUMP)
+
+
+async def test_a_jump_back_is_told_and_what_moved_is_forgotten(
+    simulated: tuple[Robot, Crew],
+) -> None:
+    robot, crew = simulated
+    here = [1.0, 0, 0, 0, 0, 0, 1]
+    pair = "sensor/tf/odom/base_link"
+
+    def drive() -> None:
+        crew.tell("tick", time=50 * S)
+        crew.tell("move", parent="odom", child="base_link", time=50 * S, place=here)
+
+    crew.tell("fix", by="arm", parent="base_link", child="camera", place=here)
+    await repeated(robot, drive, lambda: pair in robot.resources)
+    crew.tell("tick", time=2 * S)
+    jump = await robot.first(JUMP)
+    assert (jump.before, jump.after) == (50.0, 2.0)
+    lookup = {"target": "odom", "source": "base_link"}
+    with pytest.raises(InvalidValue):
+        await robot.execute("service/lookup_transform", lookup | {"time": 50.0})
+    fixed = await robot.execute(
+        "service/lookup_transform", {"target": "base_link", "source": "camera"}
+    )
+    assert fixed.transform.translation.x == 1.0
+
+
+async def test_a_clock_that_nobody_runs_is_told() -> None:
+    async with robot_of(fresh_domain(), use_sim_time=True, grace=0.5) as robot:
+        await robot.until(lambda: any("/clock" in (text or "") for text in robot.reports))
