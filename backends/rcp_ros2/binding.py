@@ -38,8 +38,8 @@ class Shared:
         self._troubles: dict[str, str] = {}
         self._reported = False
         self._complaints: dict[str, str | None] = {}
-        self.feeds = Feeds(ros, self.outbox, self._complain)
-        self.pulses = Pulses(ros, self._complain)
+        self.feeds = Feeds(ros, self.outbox, self.complain)
+        self.pulses = Pulses(ros, self.complain)
         self.on_look: list[Callable[[], None]] = []
         """Called in the ROS thread at each look at the graph."""
         self.look_again: Callable[[], None] = lambda: None
@@ -65,7 +65,7 @@ class Shared:
             self._reported = detail is not None
             self.host.report(detail)
 
-    def _complain(self, key: str, detail: str | None) -> None:
+    def complain(self, key: str, detail: str | None) -> None:
         """Note what is wrong, from the ROS thread; only changes are worth a wake-up."""
         if self._complaints.get(key) != detail:
             self._complaints[key] = detail
@@ -86,7 +86,7 @@ class Shared:
         try:
             cls = load(type_)
         except MissingType as error:
-            self._complain(key, f"{topic} cannot be followed: {error}. {error.remedy}")
+            self.complain(key, f"{topic} cannot be followed: {error}. {error.remedy}")
             return
         tap = Tap(key, Codec(cls), taker=lambda value: taker(value.decode()))
         self.feeds.tap(topic, cls, qos, tap)

@@ -27,6 +27,7 @@ from rcp_ros2.parameters import Events, NodeParameters, Setting
 from rcp_ros2.sensors import Commanded, Observed
 from rcp_ros2.services import Called
 from rcp_ros2.transforms import Transforms
+from rcp_ros2.view import GraphView
 
 __all__ = ["Catalog"]
 
@@ -60,6 +61,7 @@ class Catalog:
             Lifecycles(shared, self._exposes),
             Diagnostics(shared, self._exposes),
             clock,
+            GraphView(shared),
             Transforms(shared, self._exposes, clock.on_jump),
             Log(shared, lambda name: exposed(name) and not hidden(name)),
         )
@@ -123,7 +125,7 @@ class Catalog:
             if _is_taken(graph.topics[topic]):
                 continue
             if graph.publishers.get(topic):
-                found[resource_name("sensor", topic)] = Mapping(topic=topic)
+                found[resource_name("sensor", topic)] = _observed(topic, graph.topics[topic])
             elif graph.subscribers.get(topic):
                 found[resource_name("actuator", topic)] = Mapping(topic=topic)
         for service in filter(self._exposes, graph.services):
@@ -331,6 +333,13 @@ _START_IT = "Start the node that has it, or name its `type` in the mapping."
 def _absolute(mapping: Mapping, namespace: str) -> Mapping:
     key = mapping.noun
     return msgspec.structs.replace(mapping, **{key: absolute(mapping.target, namespace)})
+
+
+def _observed(topic: str, type_: str) -> Mapping:
+    """Return the mapping of an exposed topic; a robot's description is its text alone."""
+    if topic.endswith("/robot_description") and type_ == "std_msgs/msg/String":
+        return Mapping(topic=topic, field="data", description="The robot's description, as URDF.")
+    return Mapping(topic=topic)
 
 
 def _is_taken(type_: str) -> bool:

@@ -135,6 +135,8 @@ class Ros2Config(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     diagnostics: Diagnostics = Diagnostics()
     log: Log = Log()
     tf: Transforms = Transforms()
+    graph: bool = False
+    """Offer the graph itself as `sensor/ros/graph`."""
     use_sim_time: bool = False
     """The robot's time is what `/clock` says."""
     timeout: Seconds = 5.0

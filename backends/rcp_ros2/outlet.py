@@ -7,7 +7,7 @@ from typing import Any, Literal
 from rcp_ros2.binding import Shared
 from rcp_ros2.config import Qos
 from rcp_ros2.pulse import node_of
-from rcp_ros2.qos import Profile, for_publisher
+from rcp_ros2.qos import Profile, deaf, for_publisher
 
 __all__ = ["Hearing", "Outlet"]
 
@@ -21,6 +21,7 @@ class Outlet:
     def __init__(self, shared: Shared, topic: str, cls: Any, wanted: Qos) -> None:
         self._node = lambda: shared.ros.node
         self._pulses = shared.pulses
+        self._complain = shared.complain
         self._topic = topic
         self._cls = cls
         self._wanted = wanted
@@ -37,6 +38,7 @@ class Outlet:
         self._nodes = frozenset(name for name in map(node_of, endpoints) if name is not None)
         self._pulses.want(f"topic {self._topic}", self._nodes)
         profile = for_publisher(endpoints, self._wanted)
+        self._complain(f"publisher {self._topic}", deaf(self._topic, profile, endpoints))
         if profile == self._profile:
             return
         self._drop()
@@ -68,6 +70,7 @@ class Outlet:
     def close(self) -> None:
         """Let go of the publisher."""
         self._pulses.want(f"topic {self._topic}", ())
+        self._complain(f"publisher {self._topic}", None)
         self._drop()
 
     def _drop(self) -> None:

@@ -7,9 +7,18 @@ from typing import Any, NamedTuple
 
 from rcp_ros2.config import Qos
 
-__all__ = ["Profile", "clash", "for_publisher", "for_subscription"]
+__all__ = [
+    "Profile",
+    "Terms",
+    "clash",
+    "deaf",
+    "for_publisher",
+    "for_subscription",
+    "mismatches",
+]
 
 _DEPTH = 10
+_EVER = 2**63 - 1  # ns, as rclpy has infinity
 
 
 class Profile(NamedTuple):
@@ -64,12 +73,75 @@ def _override(wanted: Qos, *, reliable: bool, latched: bool) -> Profile:
 
 def clash(topic: str, ours: Profile, publishers: Iterable[Any]) -> str | None:
     """Say which publishers a subscription will never hear, and why; None if it hears all."""
-    lost: list[str] = []
-    for endpoint in publishers:
-        reliable, latched = _offers(endpoint)
-        where = f"{endpoint.node_namespace.rstrip('/')}/{endpoint.node_name}"
-        if ours.reliable and not reliable:
-            lost.append(f"{where} publishes best effort and the mapping asks for reliable")
-        elif ours.latched and not latched:
-            lost.append(f"{where} publishes volatile and the mapping asks for transient local")
+    asked = Terms("the gateway", ours.reliable, ours.latched)
+    lost = [words for offer in publishers for words in mismatches(Terms.of(offer), asked)]
     return f"{topic} is not heard in full: {'; '.join(lost)}" if lost else None
+
+
+def deaf(topic: str, ours: Profile, subscriptions: Iterable[Any]) -> str | None:
+    """Say which subscribers will never hear a publisher, and why; None if all do."""
+    offered = Terms("the gateway", ours.reliable, ours.latched)
+    lost = [words for ask in subscriptions for words in mismatches(offered, Terms.of(ask))]
+    return f"{topic} does not reach everybody: {'; '.join(lost)}" if lost else None
+
+
+class Terms(NamedTuple):
+    """What a publisher offers, or a subscriber asks for."""
+
+    node: str
+    reliable: bool
+    latched: bool
+    deadline: int = _EVER
+    """Longest time between two messages, ns."""
+    manual: bool = False
+    """The node itself has to say that it lives, topic by topic."""
+    lease: int = _EVER
+    """For which it counts as alive without a sign, ns."""
+
+    @classmethod
+    def of(cls, endpoint: Any) -> Terms:
+        """Read the terms of an endpoint of the graph."""
+        profile = endpoint.qos_profile
+        return cls(
+            f"{endpoint.node_namespace.rstrip('/')}/{endpoint.node_name}",
+            *_offers(endpoint),
+            profile.deadline.nanoseconds or _EVER,
+            profile.liveliness.name == "MANUAL_BY_TOPIC",
+            profile.liveliness_lease_duration.nanoseconds or _EVER,
+        )
+
+
+def mismatches(offer: Terms, ask: Terms) -> list[str]:
+    """Say in words why a subscriber hears nothing of a publisher, and how to mend it."""
+    here, there = offer.node, ask.node
+    found: list[str] = []
+    if ask.reliable and not offer.reliable:
+        found.append(
+            f"{here} publishes best effort and {there} asks for reliable "
+            f"(have {here} publish reliable, or {there} ask for best effort)"
+        )
+    if ask.latched and not offer.latched:
+        found.append(
+            f"{here} publishes volatile and {there} asks for transient local "
+            f"(have {here} publish transient local, or {there} ask for volatile)"
+        )
+    if offer.deadline > ask.deadline:
+        found.append(
+            f"{there} asks for a message every {ask.deadline / 1e9:g} s and {here} promises "
+            f"{_every(offer.deadline)} (give {here} a deadline that is as short, or {there} none)"
+        )
+    if ask.manual and not offer.manual:
+        found.append(
+            f"{there} asks for a liveliness by topic and {here} offers an automatic one "
+            f"(have {here} offer it by topic, or {there} ask for automatic)"
+        )
+    if offer.lease > ask.lease:
+        found.append(
+            f"{there} asks for a sign of life every {ask.lease / 1e9:g} s and {here} promises "
+            f"{_every(offer.lease)} (give {here} a lease that is as short, or {there} none)"
+        )
+    return found
+
+
+def _every(span: int) -> str:
+    return "none" if span >= _EVER else f"one every {span / 1e9:g} s"
