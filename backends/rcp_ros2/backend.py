@@ -13,6 +13,7 @@ from rcp_kernel.spi import BaseBackend, Host, Progress
 from rcp_ros2.binding import Binding, Shared
 from rcp_ros2.catalog import Catalog
 from rcp_ros2.config import Ros2Config
+from rcp_ros2.definitions import define_text
 from rcp_ros2.graph import GraphWatch
 from rcp_ros2.ros import Ros, open_ros
 
@@ -85,6 +86,8 @@ async def open_ros2(config: Ros2Config, host: Host) -> AsyncGenerator[Ros2Backen
     :raises ConfigError: rclpy is missing.
     :raises NotReady: ROS 2 did not start, or failed later.
     """
+    for name, text in config.types.items():
+        define_text(name, text)
     async with open_ros(config, host) as ros:
         shared = Shared(ros, config, host)
         catalog = Catalog(shared)

@@ -20,6 +20,7 @@ from rcp_ros2.definitions import TF_MESSAGE, is_made
 from rcp_ros2.diagnostics import ARRAY, Diagnostics
 from rcp_ros2.graph import Graph
 from rcp_ros2.idl import MissingType, load
+from rcp_ros2.learning import learn
 from rcp_ros2.lifecycle import Lifecycles
 from rcp_ros2.log import Log
 from rcp_ros2.names import absolute, allows, is_internal, resource_name
@@ -34,6 +35,7 @@ __all__ = ["Catalog"]
 log = structlog.get_logger("rcp.ros2")
 _LINGER = 5.0  # s for which something exposed may be gone before its path goes too
 _AGAIN = 5.0  # s before a node is asked again that did not describe its parameters
+_SOON = 0.5  # s before a type is asked for again while nodes are still being discovered
 _QUIET = 0.5  # s without a new path, after which discovery is taken to have ended
 _AT_ONCE = 4  # nodes asked at the same time
 
@@ -183,8 +185,13 @@ class Catalog:
             if mapping.node is not None:
                 binding = await self._bind_parameter(name, mapping)
             else:
-                binding = await self._shared.ros.call(self._make, name, mapping, type_)
+                binding = await self._made(name, mapping, type_)
         except MissingType as error:
+            if mapping.topic is not None:  # a node that comes may tell it
+                self._later[name] = time.monotonic() + (_SOON if self._shared.settling else _AGAIN)
+                type_ = ""
+                if isinstance(self.bindings.get(name), Absent):
+                    return
             log.warning("ros_type_missing", resource=name, detail=str(error))
             binding = self._absent(name, mapping, str(error), error.remedy)
         except ConfigError as error:
@@ -198,6 +205,15 @@ class Catalog:
             type_ = ""
         self._place(name, binding)
         self._types[name] = type_
+
+    async def _made(self, name: str, mapping: Mapping, type_: str) -> Binding:
+        ros = self._shared.ros
+        try:
+            return await ros.call(self._make, name, mapping, type_)
+        except MissingType:
+            if mapping.topic is None or not await learn(self._shared, mapping.target, type_):
+                raise
+            return await ros.call(self._make, name, mapping, type_)
 
     async def _bring(self, name: str, offer: Offer) -> None:
         try:

@@ -8,6 +8,7 @@ from msgspec import Meta, Struct
 
 from rcp_kernel.errors import RcpError
 from rcp_kernel.model import Kind, Policy, kind_of
+from rcp_ros2.definitions import parse
 
 __all__ = ["Diagnostics", "Log", "Mapping", "Qos", "Ros2Config", "Transforms"]
 
@@ -16,6 +17,7 @@ RosPattern = Annotated[str, Meta(pattern=r"^/[A-Za-z0-9_*/]*$", max_length=256)]
 TypeName = Annotated[
     str, Meta(pattern=r"^[A-Za-z][A-Za-z0-9_]*(/(msg|srv|action))?/[A-Za-z][A-Za-z0-9_]*$")
 ]
+MessageName = Annotated[str, Meta(pattern=r"^[a-z][a-z0-9_]*/msg/[A-Z][A-Za-z0-9]*$")]
 FieldPath = Annotated[str, Meta(pattern=r"^[A-Za-z0-9_]+(\.[A-Za-z0-9_]+)*$")]
 Seconds = Annotated[float, Meta(gt=0, extra_json_schema={"unit": "s"})]
 
@@ -132,6 +134,8 @@ class Ros2Config(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     hide: tuple[RosPattern, ...] = ()
     """Names that `expose` would offer, and should not."""
     map: dict[str, Mapping] = {}
+    types: dict[MessageName, str] = {}
+    """The `.msg` text of types that are not installed."""
     diagnostics: Diagnostics = Diagnostics()
     log: Log = Log()
     tf: Transforms = Transforms()
@@ -151,6 +155,8 @@ class Ros2Config(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Between two looks at the graph."""
 
     def __post_init__(self) -> None:
+        for name, text in self.types.items():
+            parse(name, text)
         for path, mapping in self.map.items():
             try:
                 kind = kind_of(path.removeprefix("/"))

@@ -1,4 +1,4 @@
-"""Message types made of their `.msg` text, for those that nobody can install.
+"""Message types made at run time, of their `.msg` text or of what a node says of them.
 
 Such a type can be listened to and not spoken: there is no code that would turn an object into its
 bytes. What rclpy wants of it is in `support.py`.
@@ -7,44 +7,90 @@ bytes. What rclpy wants of it is in `support.py`.
 from __future__ import annotations
 
 import re
-from typing import Any
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
-from rcp_kernel.errors import ConfigError
-from rcp_ros2.idl import WIDTHS, Field, Primitive, Ref, Sequence, Text, Type, define, load
-from rcp_ros2.support import forge
+from rcp_ros2.idl import WIDTHS, Field, MissingType, Primitive, Ref, Sequence, Text, Type, load
+from rcp_ros2.idl import define as define_class
+from rcp_ros2.support import IDS, forge
 
-__all__ = ["TF_MESSAGE", "define_text", "is_made"]
+__all__ = ["TF_MESSAGE", "BadText", "define_described", "define_text", "is_made", "parse"]
 
 TF_MESSAGE = "tf2_msgs/msg/TFMessage"
 _LINE = re.compile(
     r"(?P<base>[A-Za-z]\w*(?:/\w+){0,2})(?:<=(?P<limit>\d+))?"
     r"(?:\[(?P<upto><=)?(?P<size>\d*)\](?P<array>))?\s+(?P<name>[A-Za-z]\w*)(?P<rest>.*)\Z"
 )
-_OLD = {"byte": "octet", "char": "uint8"}
+_WORD = re.compile(r"(?:[A-Za-z]\w*/msg/)?[A-Za-z]\w*\Z")
+_NEXT = re.compile(r"^={10,}\s*\n\s*MSG:\s*(\S+)\s*\n", re.MULTILINE)
+_OLD = {"byte": "octet", "char": "uint8", "Header": "std_msgs/msg/Header"}
+_NAMES = {id_: name for name, id_ in IDS.items()}
+_STRINGS = {17: (False, False), 18: (True, False), 21: (False, True), 22: (True, True)}
+"""type_description_interfaces/msg/FieldType, with whether it is wide, and bounded."""
+_DUMMY = "structure_needs_at_least_one_member"
+
+
+class BadText(ValueError):
+    """A text is not that of a message."""
+
+
+class Part(NamedTuple):
+    """A field whose type may not be known yet."""
+
+    name: str
+    base: str
+    """A primitive, or the full name of another message."""
+    shape: Callable[[Type], Type]
+    """Makes the field's type of its base."""
 
 
 def is_made(cls: Any) -> bool:
-    """Tell whether a class was made of text."""
+    """Tell whether a class was made at run time."""
     return isinstance(cls, _Made)
+
+
+def parse(name: str, text: str) -> dict[str, list[Part]]:
+    """Read the text of a message, with those that it refers to behind it, as `gendeps` writes them.
+
+    :raises BadText: a line is none of a `.msg` file.
+    """
+    first, *rest = _NEXT.split(text)
+    texts = {name: first} | dict(zip(map(_full, rest[::2]), rest[1::2], strict=True))
+    return {key: _parsed(key, body) for key, body in texts.items()}
 
 
 def define_text(name: str, text: str) -> None:
     """Make the type `pkg/msg/Name`; an installed one goes before it.
 
-    :raises ConfigError: a line of the text is none of a `.msg` file.
+    :raises BadText: as `parse`.
     """
+    for key, parts in parse(name, text).items():
+        _define(key, parts)
+
+
+def define_described(description: Any) -> None:
+    """Make the types of a type_description_interfaces/msg/TypeDescription.
+
+    :raises MissingType: one has a field of a kind that the gateway does not know.
+    """
+    for one in (description.type_description, *description.referenced_type_descriptions):
+        parts = [_described(f) for f in one.fields if f.name != _DUMMY]
+        _define(one.type_name, parts)
+
+
+def _define(name: str, parts: list[Part]) -> None:
+    bad = next((word for word in (name, *(p.name for p in parts)) if not _WORD.match(word)), None)
+    if bad is not None:  # a node can say anything
+        raise MissingType(name, f"{bad[:80]!r} is no name")
     package, _, leaf = name.split("/")
-    lines = [_parsed(name, package, line) for line in text.splitlines()]
-    parts = [line for line in lines if line is not None]
-    facts = {"__module__": f"{package}.msg", "parts": parts}
     kind = type(f"Metaclass_{leaf}", (_Made,), {})  # one for each type holds its support
-    define(kind(leaf, (), facts))
+    define_class(kind(leaf, (), {"__module__": f"{package}.msg", "parts": parts}))
 
 
 class _Made(type):
     """The class of made classes: rclpy looks here for what makes a type usable."""
 
-    parts: list[tuple[str, str, Any]]
+    parts: list[Part]
     _TYPE_SUPPORT: Any = None
     _CREATE_ROS_MESSAGE = _CONVERT_FROM_PY = _CONVERT_TO_PY = _DESTROY_ROS_MESSAGE = ""
 
@@ -62,32 +108,65 @@ def _base(text: str) -> Type:
     return Primitive(text) if text in WIDTHS else Ref(load(text))
 
 
-def _parsed(type_name: str, package: str, line: str) -> tuple[str, str, Any] | None:
-    """Return a field's name, its base type, and what makes its type of that; None if it has none."""
-    code = line.partition("#")[0].strip()
-    if not code:
-        return None
-    found = _LINE.match(code)
+def _full(name: str) -> str:
+    package, _, leaf = name.partition("/")
+    return name if "/" in leaf else f"{package}/msg/{leaf}"
+
+
+def _parsed(name: str, text: str) -> list[Part]:
+    lines = (line.partition("#")[0].strip() for line in text.splitlines())
+    found = [_part(name, line) for line in lines if line]
+    return [part for part in found if part is not None]
+
+
+def _part(type_name: str, line: str) -> Part | None:
+    """Return the field of a line; None for a constant."""
+    found = _LINE.match(line)
     if found is None:
-        raise ConfigError(f"{line.strip()!r} in the text of {type_name} is no line of a .msg file")
-    if found["rest"].strip().startswith("="):  # a constant
+        raise BadText(f"{line!r} in the text of {type_name} is no line of a .msg file")
+    if found["rest"].strip().startswith("="):
         return None
     size = int(found["size"]) if found["size"] else None
-    many = found["array"] is not None
-
-    def shape(base: Type) -> Type:
-        if not many:
-            return base
-        return Sequence(base, None, size) if found["upto"] else Sequence(base, size, None)
-
-    base = found["base"]
+    kind = "one" if found["array"] is None else "upto" if found["upto"] else "many"
+    base = _OLD.get(found["base"], found["base"])
     if base in ("string", "wstring"):
         text = Text(int(found["limit"]) if found["limit"] else None, base == "wstring")
-        return found["name"], "bool", lambda _base: shape(text)
-    base = _OLD.get(base, base)
-    if base not in WIDTHS and "/" not in base:
-        base = f"{package}/msg/{base}"
-    return found["name"], base, shape
+        return Part(found["name"], "bool", _shape(kind, size, text))
+    if base not in WIDTHS:
+        package = type_name.partition("/")[0]
+        base = _full(base) if "/" in base else f"{package}/msg/{base}"
+    return Part(found["name"], base, _shape(kind, size))
+
+
+def _shape(kind: str, size: int | None, text: Text | None = None) -> Callable[[Type], Type]:
+    def shape(base: Type) -> Type:
+        item = base if text is None else text
+        match kind:
+            case "one":
+                return item
+            case "upto":
+                return Sequence(item, None, size)
+            case _:
+                return Sequence(item, size, None)
+
+    return shape
+
+
+def _described(field: Any) -> Part:
+    type_ = field.type
+    more, id_ = divmod(type_.type_id - 1, 48)
+    id_ += 1
+    kind = ("one", "many", "upto", "many")[more]
+    size = type_.capacity if more in (1, 2) else None
+    if id_ == 1:
+        return Part(field.name, type_.nested_type_name, _shape(kind, size))
+    if id_ in _NAMES:
+        return Part(field.name, _NAMES[id_], _shape(kind, size))
+    if id_ in _STRINGS:
+        wide, bounded = _STRINGS[id_]
+        text = Text(type_.string_capacity if bounded else None, wide)
+        return Part(field.name, "bool", _shape(kind, size, text))
+    raise MissingType(field.name, f"the gateway does not know fields of kind {type_.type_id}")
 
 
 define_text(TF_MESSAGE, "geometry_msgs/TransformStamped[] transforms")

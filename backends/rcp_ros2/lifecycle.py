@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import time
 from collections.abc import Callable
 from functools import partial
 from typing import Any, Literal
@@ -25,6 +26,7 @@ from rcp_ros2.topics import Tap
 __all__ = ["Lifecycles"]
 
 _MARGIN = 1.0  # s that the gateway waits longer than the node has
+_ANSWER = 1.0  # s for an answer, before the question is put again
 _MISSES = 3  # looks without an answer, after which the last state counts as stale
 
 State = Literal[
@@ -109,12 +111,16 @@ class _Question:
         self.close = self._caller.close
 
     async def ask(self, limit: float) -> LifecycleState:
-        """Return the state.
+        """Return the state; a question whose answer is lost while both sides meet is put again.
 
         :raises AdapterUnavailable: the node is not there.
         :raises DeviceTimeout: it does not answer; many do not in the middle of a transition.
         """
-        return await self._caller.call(self._request(), limit)
+        end = time.monotonic() + limit
+        while (left := end - time.monotonic()) > _ANSWER:
+            with contextlib.suppress(DeviceTimeout):
+                return await self._caller.call(self._request(), _ANSWER)
+        return await self._caller.call(self._request(), max(left, _ANSWER / 2))
 
 
 class StateOf(Binding):

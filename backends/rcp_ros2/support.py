@@ -13,11 +13,10 @@ from typing import Any
 
 from rcp_ros2.idl import MissingType, Primitive, Ref, Sequence, Text, Type, fields_of, full_name
 
-__all__ = ["forge", "type_hash"]
+__all__ = ["IDS", "forge", "type_hash"]
 
 _FASTRTPS = b"rosidl_typesupport_fastrtps_c"
-# type_description_interfaces/msg/FieldType
-_IDS = {
+IDS = {
     "int8": 2,
     "uint8": 3,
     "int16": 4,
@@ -31,6 +30,7 @@ _IDS = {
     "bool": 15,
     "octet": 16,
 }
+"""Each primitive's number in type_description_interfaces/msg/FieldType."""
 _ARRAY, _BOUNDED, _UNBOUNDED = 48, 96, 144
 _kept: list[Any] = []
 """What the middleware points to for as long as the process lives."""
@@ -132,7 +132,7 @@ def _individual(name: str, fields: Any, referred: dict[str, Any]) -> dict[str, A
     described = [{"name": field.name, "type": _field(field.type, referred)} for field in fields]
     if not described:  # C forbids empty structs
         described.append(
-            {"name": "structure_needs_at_least_one_member", "type": _kind(_IDS["uint8"])}
+            {"name": "structure_needs_at_least_one_member", "type": _kind(IDS["uint8"])}
         )
     return {"type_name": name, "fields": described}
 
@@ -149,7 +149,7 @@ def _kind(id_: int, capacity: int = 0, text: int = 0, nested: str = "") -> dict[
 def _field(type_: Type, referred: dict[str, Any]) -> dict[str, Any]:
     match type_:
         case Primitive(name):
-            return _kind(_IDS[name])
+            return _kind(IDS[name])
         case Text(limit, wide):
             return _kind((17 if limit is None else 21) + wide, text=limit or 0)
         case Ref(cls):

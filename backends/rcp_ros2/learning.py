@@ -1,0 +1,53 @@
+"""Types that are not installed, learnt from the nodes that have them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from rcp_kernel.errors import RcpError
+from rcp_ros2.binding import Shared
+from rcp_ros2.definitions import define_described
+from rcp_ros2.idl import load
+from rcp_ros2.pulse import node_of
+from rcp_ros2.services import Caller
+
+__all__ = ["learn"]
+
+_TRIES = 3  # nodes that are asked
+_PATIENCE = 2.0  # s for one of them
+
+
+async def learn(shared: Shared, topic: str, type_: str) -> bool:
+    """Ask the nodes on a topic for its type; tell whether one of them has said it.
+
+    :raises MissingType: it has a field of a kind that the gateway does not know.
+    """
+    for node, digest in await shared.ros.call(_nodes, shared, topic):
+        response = await _ask(shared, topic, node, type_, digest)
+        if response is not None and response.successful:
+            define_described(response.type_description)
+            return True
+    return False
+
+
+def _nodes(shared: Shared, topic: str) -> list[tuple[str, str]]:
+    ros: Any = shared.ros.node
+    endpoints = [
+        *ros.get_publishers_info_by_topic(topic),
+        *ros.get_subscriptions_info_by_topic(topic),
+    ]
+    named = {node_of(endpoint): str(endpoint.topic_type_hash) for endpoint in endpoints}
+    own = ros.get_fully_qualified_name()
+    return [(node, digest) for node, digest in named.items() if node and node != own][:_TRIES]
+
+
+async def _ask(shared: Shared, topic: str, node: str, type_: str, digest: str) -> Any:
+    srv = await shared.ros.call(load, "type_description_interfaces/srv/GetTypeDescription")
+    caller = Caller(shared, srv, f"{node}/get_type_description", presence=("topic", topic))
+    request = srv.Request(type_name=type_, type_hash=digest, include_type_sources=False)
+    try:
+        return await caller.call(request, _PATIENCE)
+    except RcpError:  # a node without this service, or one that has gone
+        return None
+    finally:
+        caller.close()
