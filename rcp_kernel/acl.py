@@ -112,6 +112,7 @@ class Rights:
         "_held",
         "_room",
         "_terms",
+        "grants",
         "masks",
         "tenants",
     )
@@ -123,6 +124,7 @@ class Rights:
         conditions: Conditions | None = None,
         room: Room | None = None,
     ) -> None:
+        self.grants = grants
         self.tenants = tuple(tenant for tenant, _ in grants)
         self._held = [(t, roles[name]) for t, names in grants for name in names if name in roles]
         self._allow = [

@@ -12,6 +12,7 @@ import msgspec
 from msgspec import Meta
 
 from rcp_kernel.acl import Rights, reach
+from rcp_kernel.envelopes import Envelopes
 from rcp_kernel.errors import BadRequest
 from rcp_kernel.model import Kind, Operation, Pattern, operation_names
 from rcp_kernel.registry import Entry, Registry
@@ -21,6 +22,7 @@ from rcp_kernel.wire import Request
 __all__ = ["Discovery", "Query"]
 
 _LIMIT = 1000
+_COMMANDED = Operation.WRITE | Operation.EXECUTE
 
 
 class Query(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -42,8 +44,9 @@ _QUERY = value_type(Query | None)
 class Discovery:
     """Answers `discover` from the registry; descriptions are written once for each entry."""
 
-    def __init__(self, registry: Registry) -> None:
+    def __init__(self, registry: Registry, envelopes: Envelopes) -> None:
         self._registry = registry
+        self._envelopes = envelopes
         self._known: dict[str, tuple[Entry, dict[str, Any]]] = {}
         registry.on_removed.append(self._forget)
 
@@ -83,7 +86,10 @@ class Discovery:
                     "cursor": cursor,
                     "generation": self._registry.generation,
                 }
-            page.append(self.describe(entry, mask, schemas=query.schemas))
+            facts = self.describe(entry, mask, schemas=query.schemas)
+            if entry.operations & mask & _COMMANDED:
+                facts |= self._envelopes.told(rights, entry, schemas=query.schemas)
+            page.append(facts)
         return {"resources": page, "generation": self._registry.generation}
 
     def _from(self, pattern: Pattern, after: str) -> Iterator[Entry]:

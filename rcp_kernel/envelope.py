@@ -7,6 +7,8 @@ from collections.abc import Iterable
 from enum import Enum
 from typing import TYPE_CHECKING, Any, NoReturn
 
+import msgspec
+
 from rcp_kernel import inforce
 from rcp_kernel.conditions import Condition, Conditions, Ref, condition
 from rcp_kernel.config_envelopes import Bound, EnvelopeConfig
@@ -17,10 +19,11 @@ from rcp_kernel.model import Kind, Operation
 from rcp_kernel.place import Place
 
 if TYPE_CHECKING:
+    from rcp_kernel.acl import Rights
     from rcp_kernel.registry import Entry, Registry
     from rcp_kernel.sessions import Session
 
-__all__ = ["Envelope"]
+__all__ = ["Envelope", "within"]
 
 _MODE: Ref = ("sensor", "mode")
 _LONGEST = 1.0  # s that a change may take for granted where the path has no `valid_for`
@@ -91,28 +94,24 @@ class Envelope:
     # -- the limits ----------------------------------------------------------------------------
 
     def _check_bound(self, name: str, found: Any, bound: Bound, unit: str | None) -> None:
-        if found is None:
-            if not bound.optional:
-                self._refuse(name, "is not given, so the robot would choose it", found, unit)
+        if within(found, bound):
             return
+        plain = found.value if isinstance(found, Enum) else found
+        if plain is None:
+            self._refuse(name, "is not given, so the robot would choose it", None, unit)
         if bound.allow:
-            plain = found.value if isinstance(found, Enum) else found
-            if not any(_same(plain, allowed) for allowed in bound.allow):
-                allowed = ", ".join(map(str, bound.allow))
-                self._refuse(
-                    name,
-                    f"is {_shown(plain)}, allowed: {allowed}",
-                    plain,
-                    unit,
-                    allowed=bound.allow,
-                )
-            return
-        if not _is_number(found):
-            self._refuse(name, "is not a finite number", found, unit)
-        if bound.max is not None and found > bound.max:
-            self._beyond(name, found, f"> {_text(bound.max)}", f"<= {_text(bound.max)}", unit)
-        if bound.min is not None and found < bound.min:
-            self._beyond(name, found, f"< {_text(bound.min)}", f">= {_text(bound.min)}", unit)
+            allowed = ", ".join(map(str, bound.allow))
+            text = f"is {_shown(plain)}, allowed: {allowed}"
+            self._refuse(name, text, plain, unit, allowed=list(bound.allow))
+        if not _is_number(plain):
+            self._refuse(name, "is not a finite number", plain, unit)
+        above = bound.max is not None and plain > bound.max
+        limit = bound.max if above else bound.min
+        assert limit is not None
+        broken, kept = (">", "<=") if above else ("<", ">=")
+        tail = f" {unit}" if unit and unit != "1" else ""
+        text = f"exceeds allowed range: {_shown(plain)} {broken} {_text(limit)}{tail}"
+        self._refuse(name, text, plain, unit, bound=f"{kept} {_text(limit)}")
 
     def _check_change(
         self,
@@ -178,7 +177,7 @@ class Envelope:
         facts: dict[str, Any] = {}
         if found is not None:
             known = "its mode is another"
-            if self._may_read(session, _MODE):
+            if self._may_read(session.rights, _MODE):
                 known, facts = f"its mode is {_shown(found)}", {"mode": _plain(found)}
         wanted = ", ".join(self.table.modes)
         raise ModeForbids(
@@ -188,7 +187,7 @@ class Envelope:
         )
 
     def _precondition(self, session: Session, when: Condition) -> NoReturn:
-        if not all(self._may_read(session, ref) for ref in when.refs):
+        if not all(self._may_read(session.rights, ref) for ref in when.refs):
             raise PreconditionFailed(
                 f"a condition for commands to {self.entry.path} does not hold now{self.why}",
                 path=self.entry.path,
@@ -204,9 +203,9 @@ class Envelope:
             details={"condition": when.text, "values": known, **self.facts()},
         )
 
-    def _may_read(self, session: Session, ref: Ref) -> bool:
+    def _may_read(self, rights: Rights, ref: Ref) -> bool:
         found = self._conditions.resource(ref, self.entry)
-        return found is not None and bool(session.rights.mask(found[0].path) & Operation.READ)
+        return found is not None and bool(rights.mask(found[0].path) & Operation.READ)
 
     # -- what is said --------------------------------------------------------------------------
 
@@ -215,15 +214,21 @@ class Envelope:
         facts = {"envelope": self.table.name, "reason": self.table.reason}
         return {key: fact for key, fact in facts.items() if fact is not None}
 
+    def told(self, rights: Rights) -> dict[str, Any]:
+        """Write the envelope for the catalogue; a condition only for who may read what it names."""
+        plain = msgspec.to_builtins(self.table)
+        keys = ("bounds", "rate", "fence", "modes")
+        facts = {key: plain[key] for key in keys if plain[key]}
+        if self.when is not None and all(self._may_read(rights, ref) for ref in self.when.refs):
+            facts["when"] = self.when.text
+        if self.fault is not None:
+            facts["fault"] = self.fault
+        return {**self.facts(), **facts}
+
     @property
     def why(self) -> str:
         """The reason in brackets, for the end of a sentence."""
         return f" ({self.table.reason})" if self.table.reason else ""
-
-    def _beyond(self, name: str, found: Any, broken: str, bound: str, unit: str | None) -> NoReturn:
-        tail = f" {unit}" if unit and unit != "1" else ""
-        text = f"exceeds allowed range: {_shown(found)} {broken}{tail}"
-        self._refuse(name, text, found, unit, bound=bound)
 
     def _refuse(self, name: str, text: str, found: Any, unit: str | None, **more: Any) -> NoReturn:
         pointer = "".join("/" + step for step in name.split(".")) if name else ""
@@ -237,6 +242,18 @@ class Envelope:
             remedy="Stay inside the envelope that the details name; `discover` shows it.",
             details={**facts, **self.facts()},
         )
+
+
+def within(found: Any, bound: Bound) -> bool:
+    """Tell whether a field may hold something; what is no finite number is within no range."""
+    if found is None:
+        return bound.optional
+    if bound.allow:
+        plain = found.value if isinstance(found, Enum) else found
+        return any(_same(plain, allowed) for allowed in bound.allow)
+    if not _is_number(found):
+        return False
+    return (bound.min is None or found >= bound.min) and (bound.max is None or found <= bound.max)
 
 
 def _named(name: str, entry: Entry) -> str:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import structlog
 
+from rcp_kernel.acl import Rights
 from rcp_kernel.conditions import condition
 from rcp_kernel.config_envelopes import EnvelopeConfig, patterns
 from rcp_kernel.envelope import Envelope
@@ -18,6 +19,7 @@ from rcp_kernel.fence_guard import FenceGuard
 from rcp_kernel.identity import Grants
 from rcp_kernel.inforce import InForce
 from rcp_kernel.model import Kind, Operation, Pattern, tenant_of
+from rcp_kernel.narrowed import narrowed
 from rcp_kernel.registry import Entry
 from rcp_kernel.safety import safe_value
 from rcp_kernel.sessions import Session
@@ -35,7 +37,7 @@ _COMMANDED = Operation.WRITE | Operation.EXECUTE
 class Bound:
     """Every envelope of one path."""
 
-    __slots__ = ("_held", "entry", "envelopes", "force", "safe")
+    __slots__ = ("_held", "_told", "entry", "envelopes", "force", "safe")
 
     def __init__(self, entry: Entry, envelopes: list[Envelope], force: InForce) -> None:
         self.entry = entry
@@ -43,6 +45,7 @@ class Bound:
         self.force = force
         self.safe = safe_value(entry)
         self._held: dict[Grants, tuple[Envelope, ...]] = {}
+        self._told: dict[Grants, dict[str, Any] | None] = {}
 
     def held(self, grants: Grants) -> tuple[Envelope, ...]:
         """Return those to which a principal is held: any that names one of its roles here."""
@@ -60,6 +63,17 @@ class Bound:
                 self._held.clear()
             self._held[grants] = found
         return found
+
+    def schema(self, grants: Grants) -> dict[str, Any] | None:
+        """Return the schema of what a principal may send, or None if no bound narrows it."""
+        if len(self._told) >= _MAX_HELD:
+            self._told.clear()
+        if grants not in self._told:
+            held = [e for e in self.held(grants) if e.fault is None]
+            bounds = [item for e in held for item in e.table.bounds.items()]
+            type_ = self.entry.input_type if _called(self.entry) else self.entry.value_type
+            self._told[grants] = narrowed(type_.schema, bounds) if bounds else None
+        return self._told[grants]
 
     def check(self, session: Session, value: Any) -> None:
         """Refuse a value that may not reach the robot; bringing it to rest is never refused."""
@@ -108,7 +122,7 @@ class Envelopes:
             return
         bound.check(session, value)
         bound.force.attempt(value)
-        if entry.kind in (Kind.ACTION, Kind.SERVICE):
+        if _called(entry):
             bound.force.settle(value, value)
         else:
             self.guard.drives(session, bound, value)
@@ -142,6 +156,17 @@ class Envelopes:
         if bound is None:
             return []
         return [envelope.facts() for envelope in bound.held(session.principal.grants)]
+
+    def told(self, rights: Rights, entry: Entry, *, schemas: bool) -> dict[str, Any]:
+        """Describe the envelopes to which a principal's commands are held, for the catalogue."""
+        bound = self.bound.get(entry.path)
+        held = () if bound is None else bound.held(rights.grants)
+        if bound is None or not held:
+            return {}
+        facts: dict[str, Any] = {"envelopes": [envelope.told(rights) for envelope in held]}
+        if schemas and (schema := bound.schema(rights.grants)) is not None:
+            facts["command_schema"] = schema
+        return facts
 
     def faults_in(self, tenants: tuple[str, ...]) -> dict[str, list[str]]:
         """Return, by path, why an envelope does not fit it, so that it lets nothing through."""
@@ -186,6 +211,10 @@ class Envelopes:
         """Have every sensor watched that says where a robot is that has to stay somewhere."""
         places = ((e.place, bound) for bound in self.bound.values() for e in bound.envelopes)
         self.guard.watch((p.sensor, b) for p, b in places if p is not None and p.sensor is not None)
+
+
+def _called(entry: Entry) -> bool:
+    return entry.kind in (Kind.ACTION, Kind.SERVICE)
 
 
 def _first(entry: Entry) -> InForce:

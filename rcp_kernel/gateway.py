@@ -100,10 +100,10 @@ class Gateway:
         self.commands.remember(history.load())
         self.sessions = Sessions(self)
         self.standing = Standing(self.hub)
-        self.discovery = Discovery(self.registry)
         self.deadman = Deadman(loop)
         self.envelopes = Envelopes(self)
         self.envelopes.configure(config.envelopes)
+        self.discovery = Discovery(self.registry, self.envelopes)
         self.closing = False
         self.counts: dict[tuple[str, str, str], int] = {}
         """Requests by transport, type and code."""
