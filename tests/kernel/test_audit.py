@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import sqlite3
 from contextlib import closing
@@ -320,3 +321,61 @@ async def test_what_cannot_go_on_record_is_refused_but_never_the_estop(tmp_path:
         await world.client("admin-admin-admin").ask(**text)
         assert (await client.ask(type="write", path=LIMIT, body=1.0))["status"] == "completed"
     assert examined(tmp_path / "store.db").findings == []
+
+
+async def test_the_oldest_records_go_while_the_store_is_too_large(tmp_path: Path) -> None:
+    path = tmp_path / "store.db"
+    text = kept_in(path) + "[audit]\nkeep_mb = 1\n"
+    async with world_of(text) as world:
+        gateway = world.server.gateway
+        for number in range(2000):
+            gateway.audit.note("write", principal=None, number=number, message="x" * 500)
+    assert path.stat().st_size > 1_000_000
+    async with world_of(text) as world:
+        admin = world.client("admin-admin-admin")
+        await admin.ask(type="subscribe", path="/system/audit", body={"history": 100})
+        await admin.until(lambda m: m["type"] == "update" and m["body"]["what"] == "prune")
+        await settled(world.server.gateway.store)
+    verdict = examined(path)
+    assert verdict.findings == []
+    assert 500 < verdict.count < 1900
+    assert verdict.head[0] > 2000
+
+
+async def test_a_store_that_cannot_be_written_makes_the_gateway_degraded(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async with world_of(kept_in(tmp_path / "store.db")) as world:
+        store = world.server.gateway.store
+        await settled(store)
+        admin = world.client("admin-admin-admin")
+        assert (await admin.ask(type="status"))["body"]["state"] == "ok"
+        failed = asyncio.Event()
+        told = store._failed  # pyright: ignore[reportAttributeAccessIssue]
+        monkeypatch.setattr(store, "_failed", lambda reason: (told(reason), failed.set()))
+        with closing(sqlite3.connect(tmp_path / "store.db")) as other:
+            other.execute("BEGIN IMMEDIATE")
+            world.server.gateway.audit.note("login", principal=None)
+            await asyncio.wait_for(failed.wait(), 5)
+            status = (await admin.ask(type="status"))["body"]
+            assert status["state"] == "degraded"
+            assert status["record"]["state"] == "degraded"
+            assert status["record"]["waiting"] == 1
+            assert "locked" in status["record"]["detail"]
+            other.rollback()
+        await settled(store)
+        assert (await admin.ask(type="status"))["body"]["state"] == "ok"
+
+
+async def test_a_record_that_was_cut_off_between_two_runs_is_missed(tmp_path: Path) -> None:
+    path = tmp_path / "store.db"
+    async with world_of(kept_in(path)) as world:
+        await world.client().ask(type="write", path=LIMIT, body=1.0)
+    with closing(sqlite3.connect(path)) as base, base:
+        base.execute("DELETE FROM audit WHERE seq >= 2")
+    assert examined(path).findings[0][0] == 2
+    async with world_of(kept_in(path)):
+        pass  # goes on after the cut, and says what it found
+    assert examined(path).findings == [
+        (2, "missing: records 2…3 had been there before this gateway began")
+    ]

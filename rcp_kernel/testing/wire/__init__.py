@@ -11,6 +11,7 @@ from rcp_kernel.testing.wire._once import Once
 from rcp_kernel.testing.wire._paths import Paths
 from rcp_kernel.testing.wire._qos import Quality
 from rcp_kernel.testing.wire._reading import Reading
+from rcp_kernel.testing.wire._record import Records
 from rcp_kernel.testing.wire._requirements import REQUIREMENTS, Requirement
 from rcp_kernel.testing.wire._robot import DEAD, ROBOT
 from rcp_kernel.testing.wire._sessions import Sessions
@@ -44,6 +45,7 @@ class TransportSuite(
     Streams,
     Quality,
     Sessions,
+    Records,
 ):
     """Every promise of the contract, over the transport that a subclass connects by."""
 

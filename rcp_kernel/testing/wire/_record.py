@@ -1,0 +1,66 @@
+"""Section 9 of the contract: what is done, and what is refused, is on record."""
+
+from __future__ import annotations
+
+from rcp_kernel.testing._client import Client, Message
+from rcp_kernel.testing._serve import ADMIN, VIEWER
+from rcp_kernel.testing._suite import proves
+from rcp_kernel.testing.wire._base import LOCAL, Wire, World
+
+__all__ = ["Records"]
+
+AUDIT = "/system/audit"
+LIMIT = "/tenant/alpha/param/limit"
+
+
+async def last(auditor: Client) -> Message:
+    """Read the last record that somebody may see."""
+    reply = await auditor.request("read", AUDIT)
+    assert reply["status"] == "completed", reply
+    return reply["body"]
+
+
+class Records(Wire):
+    """Who did what, and what came of it."""
+
+    @proves("record.acts")
+    async def test_a_write_is_on_record_once_it_is_answered(self, world: World) -> None:
+        auditor, client = await world.client(ADMIN), await world.client()
+        await auditor.request("ping")  # whoever comes in may be on record too
+        reply = await client.request("write", LIMIT, body=2.0, id="w-1")
+        assert reply["status"] == "completed"
+        record = await last(auditor)
+        assert (record["what"], record["principal"], record["outcome"]) == (
+            "write",
+            "operator",
+            "ok",
+        )
+        assert (record["path"], record["tenant"], record["value"]) == (LIMIT, "alpha", 2.0)
+        assert (record["id"], record["request"]) == ("w-1", "write")
+
+    @proves("record.acts")
+    async def test_a_command_is_on_record_with_what_the_robot_said(self, world: World) -> None:
+        auditor, client = await world.client(ADMIN), await world.client()
+        await auditor.request("ping")  # whoever comes in may be on record too
+        reply = await client.request("execute", "/action/go", body={"distance": 3.0})
+        record = await last(auditor)
+        assert (record["what"], record["status"]) == ("command", "completed")
+        assert (record["command"], record["value"]) == (reply["command"], 3.0)
+
+    @proves("record.denials")
+    async def test_a_refusal_is_on_record_once_it_is_answered(self, world: World) -> None:
+        auditor, client = await world.client(ADMIN), await world.client(VIEWER)
+        await auditor.request("ping")  # whoever comes in may be on record too
+        refused = await client.request("write", LIMIT, body=2.0)
+        record = await last(auditor)
+        assert (record["what"], record["principal"]) == ("denial", "viewer")
+        assert (record["path"], record["outcome"]) == (LIMIT, refused["error"]["code"])
+
+    @proves("record.hidden")
+    async def test_the_record_is_not_there_for_who_may_not_see_it(self, world: World) -> None:
+        for token in (VIEWER, LOCAL):
+            client = await world.client(token)
+            for type_ in ("read", "discover"):
+                reply = await client.request(type_, AUDIT)
+                hidden = reply.get("error", {}).get("code") == "unknown_path"
+                assert hidden or reply["body"]["resources"] == [], reply
