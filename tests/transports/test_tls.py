@@ -4,7 +4,7 @@ import asyncio
 import json
 import ssl
 from collections.abc import AsyncGenerator
-from contextlib import asynccontextmanager
+from contextlib import AsyncExitStack, asynccontextmanager
 from pathlib import Path
 from typing import Any
 
@@ -153,6 +153,18 @@ async def test_a_handshake_that_stalls_is_cut(ca: Authority) -> None:
             raw.send(b"\x16\x03\x01\x02\x00\x01")
             await raw.ended()
         await silent.ended()
+
+
+async def test_who_is_still_in_the_handshake_goes_with_the_gateway(ca: Authority) -> None:
+    before = asyncio.all_tasks()
+    async with AsyncExitStack() as stack:
+        async with secured(ca) as gateway:
+            silent = [await stack.enter_async_context(connected(gateway)) for _ in range(3)]
+            silent[1].send(b"\x16\x03\x01\x02\x00\x01")
+            await stack.enter_async_context(socket_to(gateway, trusting(ca)))
+        for raw in silent:
+            await raw.ended()
+    await until(lambda: not asyncio.all_tasks() - before)
 
 
 async def test_a_websocket_that_breaks_the_rules_is_failed_over_tls_too(ca: Authority) -> None:

@@ -6,6 +6,7 @@ import asyncio
 import socket
 import ssl
 from collections.abc import Callable
+from functools import partial
 
 import structlog
 
@@ -19,6 +20,30 @@ log = structlog.get_logger("rcp.asgi")
 _AT_ONCE = 64  # connections taken before others have their turn
 _PAUSE = 1.0  # s without taking any, when the process has no file descriptors left
 _TELL = 1.0  # s between log lines about handshakes that failed
+
+
+class _Guest:
+    """A connection on its way in."""
+
+    __slots__ = ("_make", "address", "handed_over", "seat", "socket")
+
+    def __init__(
+        self,
+        made: socket.socket,
+        address: str,
+        seat: Seat,
+        make: Callable[[Seat], asyncio.Protocol],
+    ) -> None:
+        self.socket = made
+        self.address = address
+        self.seat = seat
+        self._make = make
+        self.handed_over = False
+        """The loop has the socket, and closes it: twice might close that of somebody else."""
+
+    def protocol(self) -> asyncio.Protocol:
+        self.handed_over = True
+        return self._make(self.seat)
 
 
 class Acceptor:
@@ -82,31 +107,36 @@ class Acceptor:
                 return
         made.setblocking(False)
         made.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        task = self._loop.create_task(self._connect(made, seat, address))
+        guest = _Guest(made, address, seat, self._make)
+        task = self._loop.create_task(self._connect(guest))
         self._opening.add(task)
-        task.add_done_callback(self._opening.discard)
+        task.add_done_callback(partial(self._connected, guest))
 
-    async def _connect(self, made: socket.socket, seat: Seat, address: str) -> None:
+    async def _connect(self, guest: _Guest) -> None:
         config = self._settings.config
-        try:
-            if self._tls is None:
-                await self._loop.connect_accepted_socket(lambda: self._make(seat), made)
-                return
-            await self._loop.connect_accepted_socket(
-                lambda: self._make(seat),
-                made,
-                ssl=self._tls.context,
-                ssl_handshake_timeout=config.header_timeout,
-                ssl_shutdown_timeout=max(config.grace, _PAUSE),
-            )
-        except (OSError, EOFError) as error:
-            seat.leave()
-            made.close()
-            self._tell(error, address)
-        except BaseException:
-            seat.leave()
-            made.close()
-            raise
+        if self._tls is None:
+            await self._loop.connect_accepted_socket(guest.protocol, guest.socket)
+            return
+        await self._loop.connect_accepted_socket(
+            guest.protocol,
+            guest.socket,
+            ssl=self._tls.context,
+            ssl_handshake_timeout=config.header_timeout,
+            ssl_shutdown_timeout=max(config.grace, _PAUSE),
+        )
+
+    def _connected(self, guest: _Guest, task: asyncio.Task[None]) -> None:
+        self._opening.discard(task)
+        error = None if task.cancelled() else task.exception()
+        if error is None and not task.cancelled():
+            return
+        guest.seat.leave()
+        if not guest.handed_over:
+            guest.socket.close()
+        if isinstance(error, (OSError, EOFError)):
+            self._tell(error, guest.address)
+        elif error is not None:
+            log.error("connection_failed", peer=guest.address, exc_info=error)
 
     def _tell(self, error: Exception, address: str) -> None:
         self._settings.door.refused("connection", "tls")
