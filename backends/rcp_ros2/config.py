@@ -104,10 +104,17 @@ class Transforms(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
 
     targets: tuple[str, ...] = ("earth", "map", "odom", "base_link")
     """Frames in which every other frame that is connected gets a sensor; roots are added."""
+    names: dict[str, tuple[str, str]] = {}
+    """Sensors by names of one's own: each with the frame that is the target, and the source."""
     buffer: Annotated[float, Meta(gt=0, le=600, extra_json_schema={"unit": "s"})] = 10.0
     """For which a moving frame is remembered."""
     rate: Annotated[float, Meta(gt=0, le=200, extra_json_schema={"unit": "Hz"})] = 30.0
     """At most so many values a second of one pair."""
+
+    def __post_init__(self) -> None:
+        for path in self.names:
+            if not path.startswith(("sensor/", "/sensor/")):
+                raise ValueError(f"{path!r} is no sensor, and a transform is")
 
 
 _FITS = {

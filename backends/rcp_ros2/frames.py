@@ -183,9 +183,7 @@ class Frames:
     def _must_know(self, name: str) -> None:
         if name in self._tracks:
             return
-        known = self._tracks.keys() | {
-            parent for t in self._tracks.values() for parent in t.parents
-        }
+        known = self._tracks.keys() | {track.parents[-1] for track in self._tracks.values()}
         if name not in known:
             raise UnknownFrame(name, sorted(known))
 

@@ -131,13 +131,26 @@ class Tree:
         more = len(pairs) > _MOST
         text = f"{topic} connects more than {_MOST} pairs of frames: use {name} for the rest"
         self.shared.trouble(f"{topic} pairs", text if more else None)
-        for target, source in pairs[:_MOST]:
-            name = resource_name(
-                "sensor", self.space, "tf", self._segment(target), self._segment(source)
-            )
+        named = {
+            self._path(target, source): (target, source) for target, source in pairs[:_MOST]
+        } | self._named()
+        for name, (target, source) in named.items():
             offers[name] = Offer(mapping, partial(Moved, self, name, mapping, target, source))
         self._offers = offers
         return offers
+
+    def _path(self, target: str, source: str) -> str:
+        segments = self._segment(target), self._segment(source)
+        return resource_name("sensor", self.space, "tf", *segments)
+
+    def _named(self) -> dict[str, tuple[str, str]]:
+        """Return the pairs with a name of the configuration that are connected."""
+        found: dict[str, tuple[str, str]] = {}
+        for path, pair in self.shared.config.tf.names.items():
+            with contextlib.suppress(UnknownFrame, NotConnected):
+                self.frames.look(*pair)
+                found[path.removeprefix("/")] = pair
+        return found
 
     def _segment(self, frame: str) -> str:
         if frame not in self._paths:

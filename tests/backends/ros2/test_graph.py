@@ -29,8 +29,31 @@ def topic(graph: Any, name: str) -> Any:
     return next(t for t in graph.topics if t.name == name)
 
 
+async def known(robot: Robot) -> Any:
+    """Return the graph once all of the peer has been discovered: that comes in pieces."""
+    async with robot.backend.watch(GRAPH, None):
+        return await robot.until(
+            lambda: next(
+                (
+                    g
+                    for g in robot.of(GRAPH)
+                    if "/peer" in g.nodes
+                    and g.actions
+                    and any(s.name == "/reset" for s in g.services)
+                    and any(
+                        e.node == "/peer"
+                        for t in g.topics
+                        if t.name == "/imu"
+                        for e in t.publishers
+                    )
+                ),
+                None,
+            )
+        )
+
+
 async def test_the_graph_tells_nodes_topics_services_and_actions(seen: Robot) -> None:
-    graph = await seen.backend.read(GRAPH)
+    graph = await known(seen)
     assert {"/peer", "/rcp_gateway"} <= set(graph.nodes)
     imu = topic(graph, "/imu")
     assert imu.types == ["sensor_msgs/msg/Imu"]

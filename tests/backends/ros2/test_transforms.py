@@ -112,9 +112,11 @@ async def test_what_several_nodes_say_stands_for_ever_reaches_one_that_comes_lat
     framed: tuple[Robot, Crew, int], casters: tuple[int, Crew]
 ) -> None:
     domain, _ = casters
-    async with robot_of(domain, expose=["/tf_static"], node="late") as late:
+    names = {"/sensor/lens": ["base_link", "lens/left"]}
+    async with robot_of(domain, expose=["/tf_static"], tf={"names": names}, node="late") as late:
         await late.until(lambda: "sensor/tf/base_link/lens.left" in late.resources)
         value = await late.backend.read("sensor/tf/base_link/lens.left")
+        assert (await late.backend.read("sensor/lens")).transform == value.transform
         moved = value.transform.translation
         assert (moved.x, moved.y, moved.z) == (0.0, 1.0, 1.0)
 
