@@ -84,6 +84,8 @@ class _Reach(NamedTuple):
     pattern: Pattern
     bits: Operation
     place: str
+    held: str
+    """The tenant of the role."""
     when: Condition | None
 
 
@@ -150,6 +152,21 @@ class Rights:
     def priority(self, tenant: str | None) -> int:
         """Return the highest priority that a role gives in a tenant."""
         return max((role.priority for t, role in self._held if t in ("*", tenant)), default=0)
+
+    def places(self, path: str, operation: Operation) -> tuple[str, ...]:
+        """List the tenants whose own roles allow an operation on a path of `/system/`.
+
+        Such a path is one for all tenants: what it shows has to be told apart by this.
+        """
+        if not self.mask(path) & operation:
+            return ()
+        return tuple(
+            dict.fromkeys(
+                r.held
+                for r in self._allow
+                if r.bits & operation and r.when is None and r.pattern.matches(path)
+            )
+        )
 
     def mask(self, path: str) -> int:
         """Return the operations that are allowed whatever the state, as bits of `Operation`.
@@ -266,11 +283,13 @@ def _reaches(rule: Rule, tenant: str) -> list[_Reach]:
     when = None if rule.when is None else condition(rule.when)
     for text in rule.paths:
         if text.startswith("/system/"):
-            found.append(_Reach(Pattern(text), rule.mask, "*", when))
+            found.append(_Reach(Pattern(text), rule.mask, "*", tenant, when))
         elif text.startswith("/tenant/"):
-            found.append(_Reach(Pattern(text), rule.mask, tenant, when))
+            found.append(_Reach(Pattern(text), rule.mask, tenant, tenant, when))
         else:
-            found.append(_Reach(Pattern(f"/tenant/{tenant}{text}"), rule.mask, tenant, when))
+            found.append(
+                _Reach(Pattern(f"/tenant/{tenant}{text}"), rule.mask, tenant, tenant, when)
+            )
     return found
 
 

@@ -20,7 +20,7 @@ from rcp_kernel.audit_flood import Flood
 from rcp_kernel.clock import iso, now
 from rcp_kernel.config import AuditConfig
 from rcp_kernel.identity import Grants, Principal
-from rcp_kernel.model import tenant_of
+from rcp_kernel.model import Operation, tenant_of
 from rcp_kernel.sessions import Session
 from rcp_kernel.store import Store
 from rcp_kernel.values import Encoding, dump, parse
@@ -29,6 +29,7 @@ from rcp_kernel.wire import Request
 __all__ = ["FULL", "PATH", "Audit", "bounded", "value_of"]
 
 PATH = "/system/audit"
+_LOOK = Operation.READ | Operation.SUBSCRIBE
 _VALUE = 4096  # bytes of a value that are written out
 _TEXT = 500  # characters of a message
 FULL = 5000  # records that may wait before commands and writes are refused, and refusals counted
@@ -142,7 +143,9 @@ class Audit:
         reach = self._reach.get(grants)
         if reach is None:
             reach = self._reach[grants] = tuple(
-                tenant for tenant, held in grants if Rights(((tenant, held),), roles).mask(PATH)
+                tenant
+                for tenant, held in grants
+                if Rights(((tenant, held),), roles).mask(PATH) & _LOOK
             )
         return reach
 

@@ -173,8 +173,8 @@ class Commands:
     def __init__(self, confirm: Callable[[Session, Entry, Any], Backend], keeper: Keeper) -> None:
         self.running: dict[str, Command] = {}
         self.finished = Finished(keeper.forget)
-        self.counts: dict[str, int] = {}
-        """Ended commands by final status."""
+        self.counts: dict[tuple[str | None, str], int] = {}
+        """Ended commands by tenant and final status."""
         self.seconds = Histogram()
         self.keeper = keeper
         self.confirm = confirm
@@ -197,11 +197,6 @@ class Commands:
         """Take in finished commands of an earlier run."""
         for command in commands:
             self.finished.add(command)
-
-    @property
-    def queued(self) -> int:
-        """How many wait for a path."""
-        return sum(len(queue) for queue in self._queues.values())
 
     def admit(self, entry: Entry) -> None:
         """Refuse a command that the path's policy does not allow now.
@@ -411,7 +406,8 @@ class Commands:
         if record.status in FINAL:
             self.running.pop(command.id, None)
             self.finished.add(command)
-            self.counts[record.status] = self.counts.get(record.status, 0) + 1
+            key = command.tenant, record.status
+            self.counts[key] = self.counts.get(key, 0) + 1
             self.seconds.observe((record.time - command.created) / 1e9)
         if record.status != "in_progress":
             self.keeper.save(command)

@@ -6,15 +6,17 @@ import base64
 import binascii
 from bisect import bisect_right
 from collections.abc import Iterator
-from typing import Annotated, Any
+from typing import Annotated, Any, NamedTuple
+from weakref import WeakKeyDictionary
 
 import msgspec
 from msgspec import Meta
 
 from rcp_kernel.acl import Rights, reach
+from rcp_kernel.clock import now
 from rcp_kernel.envelopes import Envelopes
 from rcp_kernel.errors import BadRequest
-from rcp_kernel.model import Kind, Operation, Pattern, operation_names
+from rcp_kernel.model import Kind, Operation, Pattern, Resource, operation_names
 from rcp_kernel.registry import Entry, Registry
 from rcp_kernel.values import ValueType, to_plain, value_type
 from rcp_kernel.wire import Request
@@ -38,6 +40,14 @@ class Query(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Whether schemas are written out; their ids always are."""
 
 
+class _Seen(NamedTuple):
+    """What somebody saw of the tree at one of its generations."""
+
+    generation: int
+    visible: dict[str, Resource]
+    number: int
+
+
 _QUERY = value_type(Query | None)
 
 
@@ -48,10 +58,24 @@ class Discovery:
         self._registry = registry
         self._envelopes = envelopes
         self._known: dict[str, tuple[Entry, dict[str, Any]]] = {}
+        self._seen: WeakKeyDictionary[Rights, _Seen] = WeakKeyDictionary()
         registry.on_removed.append(self._forget)
 
     def _forget(self, entry: Entry) -> None:
         self._known.pop(entry.path, None)
+
+    def generation(self, rights: Rights) -> int:
+        """Return a number that rises when what may be seen of the tree changes, and only then."""
+        seen = self._seen.get(rights)
+        if seen is not None and seen.generation == self._registry.generation:
+            return seen.number
+        entries = self._registry.entries.values()
+        visible = {e.path: e.resource for e in entries if rights.mask(e.path)}
+        number = 0 if seen is None else seen.number
+        if seen is None or seen.visible != visible:
+            number = max(number + 1, now() // 1_000_000)  # a count would tell of others' changes
+        self._seen[rights] = _Seen(self._registry.generation, visible, number)
+        return number
 
     def answer(self, rights: Rights, tenant: str | None, request: Request) -> dict[str, Any]:
         """Carry out a `discover` request.
@@ -84,13 +108,13 @@ class Discovery:
                 return {
                     "resources": page,
                     "cursor": cursor,
-                    "generation": self._registry.generation,
+                    "generation": self.generation(rights),
                 }
             facts = self.describe(entry, mask, schemas=query.schemas)
             if entry.operations & mask & _COMMANDED:
                 facts |= self._envelopes.told(rights, entry, schemas=query.schemas)
             page.append(facts)
-        return {"resources": page, "generation": self._registry.generation}
+        return {"resources": page, "generation": self.generation(rights)}
 
     def _from(self, pattern: Pattern, after: str) -> Iterator[Entry]:
         if not after:

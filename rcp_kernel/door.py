@@ -80,10 +80,9 @@ class Door:
         """The event loop."""
         return self._gateway.loop
 
-    @property
-    def generation(self) -> int:
-        """A number that changes whenever the tree does, for ETags."""
-        return self._gateway.registry.generation
+    def generation(self, session: Session) -> int:
+        """Return a number that rises when what a session sees of the tree changes, for ETags."""
+        return self._gateway.discovery.generation(session.rights)
 
     @property
     def secure(self) -> bool:

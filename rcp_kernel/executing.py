@@ -83,7 +83,7 @@ class Executing:
         )
         if request.idempotency_key is not None:
             command.ready = gateway.recording.committed
-            command.followers.append(self._settling(session, request))
+            command.followers.append(self._settling(session, request, entry.path))
         self._follow(session, request, command, answer, started)
         gateway.recording.started(session, request, command)
         gateway.keys.note(session, request, entry.path, command)
@@ -91,10 +91,10 @@ class Executing:
         gateway.commands.start(command, session, entry, value, timeout, request.deadline)
         return None
 
-    def _settling(self, session: Session, request: Request) -> Answer:
+    def _settling(self, session: Session, request: Request, path: str) -> Answer:
         def settle(reply: Reply) -> None:
             if reply.final:
-                self._gateway.keys.settle(session, request, reply)
+                self._gateway.keys.settle(session, request, path, reply)
 
         return settle
 
@@ -156,7 +156,7 @@ class Executing:
             outcome: asyncio.Future[Reply] = self._gateway.loop.create_future()
             outcome.set_result(reply)
             self._gateway.keys.note(session, request, entry.path, outcome)
-            self._gateway.keys.settle(session, request, reply)
+            self._gateway.keys.settle(session, request, entry.path, reply)
         return reply
 
     def _input(self, request: Request, entry: Entry) -> Any:

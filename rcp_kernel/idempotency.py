@@ -18,6 +18,7 @@ import structlog
 from rcp_kernel.clock import now
 from rcp_kernel.commands import Command, Record
 from rcp_kernel.errors import DuplicateRequest, InternalError
+from rcp_kernel.model import tenant_of
 from rcp_kernel.sessions import Session
 from rcp_kernel.store import Store
 from rcp_kernel.values import Encoding
@@ -74,7 +75,7 @@ class Keys:
         """
         if request.idempotency_key is None:
             return None
-        found = self._known.get(_name(session, request.idempotency_key))
+        found = self._known.get(_name(session, request.idempotency_key, path))
         if found is None or found.created < now() - _AGE:
             return None
         if found.digest != _digest(request, path):
@@ -85,7 +86,7 @@ class Keys:
         """Remember a request that has a key; `settle` says what came of it."""
         if request.idempotency_key is None:
             return
-        name = _name(session, request.idempotency_key)
+        name = _name(session, request.idempotency_key, path)
         if name in self._known:
             self._drop(name)
         seen = _Seen(_digest(request, path), now(), request.type, path)
@@ -96,11 +97,11 @@ class Keys:
         self._store.put(_TABLE, name, seen.row())
         self._bound()
 
-    def settle(self, session: Session, request: Request, reply: Reply) -> None:
+    def settle(self, session: Session, request: Request, path: str, reply: Reply) -> None:
         """Remember the final reply to a request that has a key."""
         if request.idempotency_key is None:
             return
-        name = _name(session, request.idempotency_key)
+        name = _name(session, request.idempotency_key, path)
         seen = self._known.get(name)
         if seen is None:  # there were too many since
             return
@@ -111,10 +112,10 @@ class Keys:
         self._store.put(_TABLE, name, seen.row())
         self._bound()
 
-    def forget(self, session: Session, request: Request) -> None:
+    def forget(self, session: Session, request: Request, path: str) -> None:
         """Let the key go: the request was refused before it could have done anything."""
         if request.idempotency_key is not None:
-            name = _name(session, request.idempotency_key)
+            name = _name(session, request.idempotency_key, path)
             if name in self._known:
                 self._drop(name)
 
@@ -146,9 +147,11 @@ class Keys:
         self._bound()
 
 
-def _name(session: Session, key: str) -> str:
+def _name(session: Session, key: str, path: str) -> str:
+    """Name a key: that of a principal, by its proof, in one tenant."""
     who, proof = session.principal.identity
-    return hashlib.sha256(f"{len(who)}:{who}:{proof}:{key}".encode()).hexdigest()
+    text = f"{len(who)}:{who}:{proof}:{tenant_of(path)}:{key}"
+    return hashlib.sha256(text.encode()).hexdigest()
 
 
 def _digest(request: Request, path: str) -> bytes:

@@ -12,10 +12,14 @@ from typing import Any
 import psutil
 from prometheus_client.core import Metric
 
+from rcp_kernel.acl import Rights
 from rcp_kernel.clock import iso, now
 from rcp_kernel.gateway import Gateway
 from rcp_kernel.log import Recent
 from rcp_kernel.metrics import Histogram, Metrics, counter, gauge, histogram
+from rcp_kernel.model import tenant_of
+from rcp_kernel.sessions import Session
+from rcp_kernel.streams import Subscription
 from rcp_kernel.supervisor import WIRE_STATE, Slot
 
 __all__ = ["StatusReport", "gateway_version"]
@@ -69,48 +73,87 @@ class StatusReport:
         states = {slot.name: WIRE_STATE.get(slot.state, "down") for slot in self._slots}
         return all(state in ("ready", "degraded") for state in states.values()), states
 
-    def plain(self, tenants: tuple[str, ...] = ("*",)) -> dict[str, Any]:
-        """Write the report, with the backends of the given tenants only."""
+    def plain(self, rights: Rights | None = None) -> dict[str, Any]:
+        """Write the report as far as it concerns the tenants of somebody, or all of it."""
         gateway = self._gateway
-        slots = [s for s in self._slots if "*" in tenants or s.tenant in tenants]
-        states = [WIRE_STATE.get(slot.state, "down") for slot in slots]
+        every = rights is None or "*" in rights.tenants
+        tenants = ("*",) if rights is None else rights.tenants
+        slots = [s for s in self._slots if every or s.tenant in tenants]
+        robots = [_robot(slot, rights) for slot in slots]
+        states = [robot["state"] for robot in robots]
         parts = [*self.transports, *self.adapters]
         broken = any(part.get("state") == "down" for part in parts)
         broken = broken or gateway.store.trouble is not None
-        faults = gateway.envelopes.faults_in(tenants)
+        faults = {
+            path: why
+            for path, why in gateway.envelopes.faults_in(tenants).items()
+            if rights is None or rights.mask(path)
+        }
         broken = broken or bool(faults)
         worst = "ok" if all(s == "ready" for s in states) and not broken else "degraded"
         if states and all(state == "down" for state in states):
             worst = "down"
-        commands = gateway.commands
-        return {
+        sessions = self._sessions(tenants)
+        entries = gateway.registry.entries
+        report = {
             "state": worst,
             "version": gateway_version(),
             "uptime": round(time.monotonic() - self.metrics.started, 3),
             "started": iso(self._started),
-            "process": self._process_facts(),
-            "host": {
+            "backends": robots,
+            "transports": self.transports if every else [_part(one) for one in self.transports],
+            "adapters": self.adapters if every else [_part(one) for one in self.adapters],
+            "envelopes": faults,
+            "sessions": len(sessions),
+            "subscriptions": sum(len(session.subscriptions) for session in sessions),
+            "resources": sum(1 for path in entries if rights is None or rights.mask(path)),
+            "commands": self._commands(tenants),
+            "queues": self._queues(tenants),
+            "warnings": [r for r in self._recent.records if self.concerns(r, tenants)],
+        }
+        if every:
+            report["process"] = self._process_facts()
+            report["host"] = {
                 "name": platform.node(),
                 "platform": platform.platform(),
                 "python": platform.python_version(),
                 "cpus": psutil.cpu_count() or 0,
-            },
-            "backends": [slot.plain() for slot in slots],
-            "transports": self.transports,
-            "adapters": self.adapters,
-            "envelopes": faults,
-            "sessions": len(gateway.sessions.known),
-            "subscriptions": len(gateway.hub.subscriptions),
-            "resources": len(gateway.registry.entries),
-            "commands": {
-                "running": len(commands.running) - commands.queued,
-                "queued": commands.queued,
-                "completed": commands.counts.get("completed", 0),
-                "failed": commands.counts.get("failed", 0) + commands.counts.get("rejected", 0),
-                "cancelled": commands.counts.get("cancelled", 0),
-            },
-            "queues": self._queues(tenants),
-            "warnings": list(self._recent.records) if "*" in tenants else [],
+            }
+        return report
+
+    def concerns(self, record: dict[str, Any], tenants: tuple[str, ...]) -> bool:
+        """Tell whether a log record is for those who act in some tenants."""
+        return "*" in tenants or self.tenant_of(record) in tenants
+
+    def tenant_of(self, record: dict[str, Any]) -> str | None:
+        """Return the tenant that a log record is about; None: it is the gateway's own."""
+        facts = record["facts"]
+        path = facts.get("path")
+        if isinstance(path, str) and path.startswith("/tenant/"):
+            return tenant_of(path)
+        name = facts.get("backend")
+        return next((slot.tenant for slot in self._slots if slot.name == name), None)
+
+    def _sessions(self, tenants: tuple[str, ...]) -> list[Session]:
+        known = self._gateway.sessions.known.values()
+        return [s for s in known if "*" in tenants or s.tenant in tenants]
+
+    def _commands(self, tenants: tuple[str, ...]) -> dict[str, int]:
+        commands = self._gateway.commands
+        running = [
+            c.status for c in commands.running.values() if "*" in tenants or c.tenant in tenants
+        ]
+        ended: dict[str, int] = {}
+        for (tenant, status), count in commands.counts.items():
+            if "*" in tenants or tenant in tenants:
+                ended[status] = ended.get(status, 0) + count
+        queued = running.count("pending")
+        return {
+            "running": len(running) - queued,
+            "queued": queued,
+            "completed": ended.get("completed", 0),
+            "failed": ended.get("failed", 0) + ended.get("rejected", 0),
+            "cancelled": ended.get("cancelled", 0),
         }
 
     def _process_facts(self) -> dict[str, Any]:
@@ -125,16 +168,17 @@ class StatusReport:
 
     def _queues(self, tenants: tuple[str, ...]) -> dict[str, Any]:
         gateway = self._gateway
-        boxes = {
-            session.id[:8]: session.connection.mailbox
-            for session in gateway.sessions.known.values()
-            if session.connection is not None and ("*" in tenants or session.tenant in tenants)
-        }
+        sessions = self._sessions(tenants)
+        boxes = {s.id[:8]: s.connection.mailbox for s in sessions if s.connection is not None}
         waiting = {id_: box.backlog for id_, box in boxes.items()}
+        if "*" in tenants:
+            dropped = sum(gateway.hub.dropped.values()) + _conflated(gateway.hub.subscriptions)
+        else:
+            dropped = _conflated(sub for s in sessions for sub in s.subscriptions.values())
         return {
             "depth": sum(waiting.values()),
             "high_water": max((box.high_water for box in boxes.values()), default=0),
-            "dropped": sum(gateway.hub.dropped.values()) + _conflated(gateway),
+            "dropped": dropped,
             "by_session": {id_: depth for id_, depth in waiting.items() if depth},
         }
 
@@ -170,7 +214,7 @@ class StatusReport:
         )
         yield counter("rcp_updates", "Updates sent.", ("transport",), self._updates())
         dropped = {**gateway.hub.dropped}
-        dropped["conflated"] += _conflated(gateway)
+        dropped["conflated"] += _conflated(gateway.hub.subscriptions)
         yield counter(
             "rcp_dropped",
             "Samples not delivered.",
@@ -182,7 +226,7 @@ class StatusReport:
             "rcp_commands",
             "Commands by final status.",
             ("status",),
-            [([status], count) for status, count in commands.counts.items()],
+            _by_status(commands.counts),
         )
         yield histogram(
             "rcp_command_seconds", "Of finished commands.", (), [([], commands.seconds)]
@@ -218,5 +262,31 @@ class StatusReport:
         return [([name], count) for name, count in sums.items()]
 
 
-def _conflated(gateway: Gateway) -> int:
-    return sum(feed.skipped for sub in gateway.hub.subscriptions for feed in sub.feeds.values())
+def _conflated(subscriptions: Iterable[Subscription]) -> int:
+    return sum(feed.skipped for sub in subscriptions for feed in sub.feeds.values())
+
+
+def _part(facts: dict[str, Any]) -> dict[str, Any]:
+    """Tell of a transport or adapter what is no other tenant's business."""
+    return {key: facts[key] for key in ("name", "state") if key in facts}
+
+
+def _robot(slot: Slot, rights: Rights | None) -> dict[str, Any]:
+    """Describe a backend without what somebody may not know to be there."""
+    facts = slot.plain()
+    if rights is None:
+        return facts
+    hidden = [e for e in slot.entries.values() if not rights.mask(e.path)]
+    facts["resources"] -= len(hidden)
+    for key in ("detail", "last_error"):
+        text = facts[key]
+        if text is not None and any(e.path in text or e.name in text for e in hidden):
+            facts[key] = "see the log of the gateway"
+    return facts
+
+
+def _by_status(counts: dict[tuple[str | None, str], int]) -> list[tuple[list[str], float]]:
+    sums: dict[str, int] = {}
+    for (_, status), count in counts.items():
+        sums[status] = sums.get(status, 0) + count
+    return [([status], count) for status, count in sums.items()]

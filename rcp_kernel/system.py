@@ -27,6 +27,7 @@ __all__ = ["System"]
 
 _POLLED = ("sensor/status", "sensor/sessions", "sensor/commands")
 _LOOK = Operation.READ | Operation.SUBSCRIBE
+_LOG = "/system/log"
 _AUDIT = 1000  # records at hand for `history`
 
 
@@ -37,6 +38,8 @@ class LogRecord(msgspec.Struct, frozen=True):
     level: str
     logger: str
     message: str
+    tenant: str | None = None
+    """Whose it is; None is the gateway's own, for those who act in every tenant."""
     facts: dict[str, Any] = {}
 
 
@@ -68,7 +71,9 @@ class System(BaseBackend):
             }
         )
         gateway.sieves[PATH] = gateway.audit.shows
+        gateway.sieves[_LOG] = self._shows
         self._open_audit(self.entries[PATH])
+        gateway.hub.keep(self.entries[_LOG])
         gateway.estop = estop.request
         gateway.latches.changed = lambda: self._publish("estop", estop.everything())
         gateway.services["/system/leases"] = leasing.request
@@ -108,7 +113,16 @@ class System(BaseBackend):
         # Warnings come from any thread.
         loop = self._gateway.loop
         if not loop.is_closed():
-            loop.call_soon_threadsafe(self.entries["/system/log"].publish, record, None)
+            loop.call_soon_threadsafe(self._publish_record, record)
+
+    def _publish_record(self, record: dict[str, Any]) -> None:
+        self.entries[_LOG].publish(record | {"tenant": self._status.tenant_of(record)}, None)
+
+    @staticmethod
+    def _shows(session: Session, record: LogRecord) -> bool:
+        """Tell whether a log record is of a tenant of the session, or the session sees all."""
+        tenants = session.rights.tenants
+        return "*" in tenants or record.tenant in tenants
 
     @asynccontextmanager
     async def watch(self, name: str, rate: float | None) -> AsyncGenerator[None]:
@@ -133,16 +147,16 @@ class System(BaseBackend):
 
     def _health(self, session: Session) -> dict[str, Any]:
         audit = self._gateway.audit
-        report = self._status.plain(session.rights.tenants)
+        report = self._status.plain(session.rights)
         return report | {"record": audit.state(head=audit.shows(session, {}))}
 
     def _sessions(self, session: Session) -> list[dict[str, Any]]:
         mine = session.principal
-        everyone = session.rights.mask("/system/sessions") & Operation.EXECUTE
+        places = session.rights.places("/system/sessions", Operation.EXECUTE)
         return [
             s.plain()
             for s in self._gateway.sessions.known.values()
-            if everyone or s.principal == mine
+            if "*" in places or s.tenant in places or s.principal == mine
         ]
 
     def _commands(self, session: Session) -> list[dict[str, Any]]:
@@ -167,7 +181,6 @@ def _resources() -> list[Resource]:
             description="Log records of level warning and above.",
             value=LogRecord,
             history=100,
-            live=True,
         ),
         Resource(
             name="event/audit",

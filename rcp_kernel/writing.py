@@ -65,7 +65,7 @@ class Writing:
                 entry.path,
             )
         except RcpError:
-            gateway.keys.forget(session, request)
+            gateway.keys.forget(session, request, entry.path)
             raise
         return None
 
@@ -131,7 +131,7 @@ class Writing:
 
         def noted(reply: Reply) -> None:
             outcome.set_result(reply)
-            self._gateway.keys.settle(session, request, reply)
+            self._gateway.keys.settle(session, request, entry.path, reply)
             answer(reply)
 
         return noted

@@ -135,7 +135,8 @@ async def test_a_command_in_the_queue_is_answered_within_its_deadline(world: Wor
     assert (late["status"], late["error"]["code"]) == ("failed", "deadline_exceeded")
     world.robot.release.set()
     assert (await client.final(first))["status"] == "completed"
-    assert world.server.gateway.commands.queued == 0
+    report = (await client.ask(type="status"))["body"]
+    assert report["commands"]["queued"] == 0
 
 
 async def test_the_repeat_of_a_write_keeps_its_own_deadline(world: World) -> None:

@@ -160,7 +160,7 @@ class Calls:
             id(session.rights),
         )
         digest = hashlib.sha256(repr(seen).encode()).hexdigest()[:16].encode()
-        return b'W/"%b.g%d.%b"' % (BOOT, self._door.generation, digest)
+        return b'W/"%b.g%d.%b"' % (BOOT, self._door.generation(session), digest)
 
     async def status(self, asked: Asked, session: Session, send: Send) -> None:
         """GET /status: the health report."""

@@ -25,7 +25,7 @@ class Described:
 
     def part(self, session: Session) -> Node:
         """Return `paths` and `components` of the OpenAPI document."""
-        key = (self._door.generation, session.rights)
+        key = (self._door.generation(session), session.rights)
         if self._known is None or self._known[0] != key:
             self._known = key, self._make(session)
         return self._known[1]
