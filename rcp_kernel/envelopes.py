@@ -98,6 +98,7 @@ class Envelopes:
         gateway.registry.on_removed.append(self._removed)
         gateway.deadman.sending = self._sending
         gateway.deadman.at_rest = self._at_rest
+        self.configure(gateway.config.envelopes)
 
     def configure(self, tables: Sequence[EnvelopeConfig]) -> None:
         """Take over the envelopes of a configuration; they count from now on."""

@@ -86,7 +86,7 @@ class Estop:
         :raises UnknownPath: the scope holds no robot that the session may see.
         :raises Forbidden: a reset by somebody whose role may not, in all of the scope.
         """
-        keys, robots = self._meant(session, asked.scope)
+        keys, robots = self.check(session, asked)
         if asked.reset:
             self._reset(session, asked, keys, robots)
             return self._state_now(session)
@@ -106,9 +106,13 @@ class Estop:
         self._note(session, asked, keys, fresh)
         return self._halted(session, robots, stops)
 
-    def _reset(
-        self, session: Session, asked: EstopRequest, keys: dict[str, str | None], robots: list[Slot]
-    ) -> None:
+    def check(
+        self, session: Session, asked: EstopRequest
+    ) -> tuple[dict[str, str | None], list[Slot]]:
+        """Return the latches and robots that a request means; refuse it as `request` does."""
+        keys, robots = self._meant(session, asked.scope)
+        if not asked.reset:
+            return keys, robots
         known = self._gateway.config.tenant_names
         touched = {robot.tenant for robot in robots}
         for key, tenant in keys.items():
@@ -118,6 +122,11 @@ class Estop:
                 f"{session.principal.name} may not reset an e-stop",
                 remedy="Have a person reset it whose role has `reset = true`.",
             )
+        return keys, robots
+
+    def _reset(
+        self, session: Session, asked: EstopRequest, keys: dict[str, str | None], robots: list[Slot]
+    ) -> None:
         self._end_due()
         freed = [robot for robot in robots if robot.latch is not None]
         latches = self._gateway.latches

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import secrets
+from collections.abc import Coroutine
 from copy import copy
 from time import perf_counter
 from typing import TYPE_CHECKING, Any, Protocol
@@ -24,7 +25,7 @@ from rcp_kernel.writing import would
 if TYPE_CHECKING:
     from rcp_kernel.gateway import Gateway
 
-__all__ = ["Executing", "Service"]
+__all__ = ["EstopLane", "Executing", "Service"]
 
 _SERVICE_TIMEOUT = 10.0  # s for a service that declares none
 
@@ -34,6 +35,18 @@ class Service(Protocol):
 
     def __call__(self, session: Session, value: Any, /, *, dry_run: bool) -> Any:
         """Do it, or for a dry run only check whether it could be done."""
+        ...
+
+
+class EstopLane(Protocol):
+    """The e-stop's own lane, past every queue and limit."""
+
+    def check(self, session: Session, asked: Any, /) -> object:
+        """Refuse what `request` would, and do nothing."""
+        ...
+
+    def request(self, session: Session, asked: Any, /) -> Coroutine[Any, Any, Any]:
+        """Latch when called, not when awaited; return what waits for the robots."""
         ...
 
 
@@ -103,7 +116,9 @@ class Executing:
     ) -> Reply | None:
         gateway = self._gateway
         assert gateway.estop is not None
+        asked = value or entry.input_type.convert({})
         if request.dry_run:
+            gateway.estop.check(session, asked)
             return would(request, entry, {"execute": value})
 
         def done(state: Any) -> Reply:
@@ -118,7 +133,7 @@ class Executing:
                 timestamp=now_,
             )
 
-        work = gateway.estop(session, value or entry.input_type.convert({}))
+        work = gateway.estop.request(session, asked)
         gateway.later(
             session,
             request,

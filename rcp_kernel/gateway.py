@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import secrets
-from collections.abc import Callable, Coroutine
+from collections.abc import Callable
 from contextlib import suppress
 from time import perf_counter
 from typing import Any
@@ -38,7 +38,7 @@ from rcp_kernel.errors import (
     UnknownPath,
     UnsupportedOperation,
 )
-from rcp_kernel.executing import Executing, Service
+from rcp_kernel.executing import EstopLane, Executing, Service
 from rcp_kernel.filters import Options
 from rcp_kernel.history import History
 from rcp_kernel.hub import Hub
@@ -102,7 +102,6 @@ class Gateway:
         self.standing = Standing(self.hub)
         self.deadman = Deadman(loop)
         self.envelopes = Envelopes(self)
-        self.envelopes.configure(config.envelopes)
         self.discovery = Discovery(self.registry, self.envelopes)
         self.closing = False
         self.counts: dict[tuple[str, str, str], int] = {}
@@ -118,8 +117,7 @@ class Gateway:
         """Resources whose value depends on who asks, by path."""
         self.sieves: dict[str, Callable[[Session, Any], bool]] = {}
         """Resources of whose samples everybody sees their own only, by path."""
-        self.estop: Callable[[Session, Any], Coroutine[Any, Any, Any]] | None = None
-        """The e-stop's own lane, past every queue and limit: latches when called, not when awaited."""
+        self.estop: EstopLane | None = None
         self.services: dict[str, Service] = {}
         """What else of the gateway's own branch can be executed, by path."""
         self.latches = Latches(self.store)

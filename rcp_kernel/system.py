@@ -74,7 +74,7 @@ class System(BaseBackend):
         gateway.sieves[_LOG] = self._shows
         self._open_audit(self.entries[PATH])
         gateway.hub.keep(self.entries[_LOG])
-        gateway.estop = estop.request
+        gateway.estop = estop
         gateway.latches.changed = lambda: self._publish("estop", estop.everything())
         gateway.services["/system/leases"] = leasing.request
         gateway.leases.changed = lambda: self._publish("leases", [])

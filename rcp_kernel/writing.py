@@ -87,6 +87,7 @@ class Writing:
                     await gateway.deadman.cleared(entry)
                 backend = gateway.admission.confirm(session, entry, value)
                 if entry.owner.stops != stops and entry.kind in MOVING:
+                    gateway.envelopes.refused(entry, value)
                     text = "an e-stop has come and gone since this was sent"
                     raise EstopActive(text, path=entry.path)
                 return await self._send(backend, entry, value, window)

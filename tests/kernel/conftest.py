@@ -6,6 +6,7 @@ from collections.abc import AsyncGenerator
 
 import pytest
 
+from kernel.fenced import Clock
 from kernel.world import World, world_of
 
 
@@ -20,3 +21,9 @@ async def world() -> AsyncGenerator[World]:
     """A gateway with a robot, for one test."""
     async with world_of() as made:
         yield made
+
+
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
+    """The time by which changes are measured, in the test's hand."""
+    return Clock(monkeypatch)

@@ -7,9 +7,11 @@ from contextlib import asynccontextmanager
 from typing import Annotated, Any, Literal
 
 import msgspec
+import pytest
 
 from kernel.world import CONFIG as PLAIN
 from kernel.world import Client, Robot, World, prepared, world_of
+from rcp_kernel import inforce
 from rcp_kernel.config import parse
 from rcp_kernel.model import Resource
 from rcp_kernel.reload import apply
@@ -144,3 +146,48 @@ async def drive(client: Client, x: Any, z: Any = 0.0, **fields: Any) -> dict[str
 def code(reply: dict[str, Any]) -> str:
     """Return how a request ended."""
     return reply["error"]["code"] if "error" in reply else reply["status"]
+
+
+SLOW = """
+[[envelopes]]
+name = "slow"
+paths = ["/actuator/drive"]
+roles = ["agent"]
+bounds = { "linear.x" = { min = -0.5, max = 0.5 }, "angular.z" = { max = 1 } }
+reason = "people walk here"
+"""
+EDGE = """
+[[envelopes]]
+name = "hall"
+paths = ["/actuator/**", "/action/move"]
+roles = ["agent"]
+fence = { of = "sensor/pose", inside = { hall = [[0, -5], [10, -5], [10, 5], [0, 5]] } }
+"""
+GOALS = """
+[[envelopes]]
+name = "goals"
+paths = ["/tenant/alpha/action/move", "/action/line_up"]
+fence = { point = ["pose.position.x", "pose.position.y"], inside = { hall = [[0,0],[9,0],[9,9],[0,9]] }, outside = { pit = [[4,4],[5,4],[5,5]] } }
+"""
+
+
+GENTLE = SLOW.replace("bounds =", 'rate = { "linear.x" = 1.0 }\nbounds =').replace(
+    "min = -0.5, max = 0.5", "min = -5, max = 5"
+)
+
+
+class Clock:
+    """Time that a test moves."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.now = 1000.0
+        monkeypatch.setattr(inforce, "clock", lambda: self.now)
+
+
+def goal(x: Any, y: Any = 1.0, **more: Any) -> dict[str, Any]:
+    return {"pose": {"position": {"x": x, "y": y}}, **more}
+
+
+def reached(world: World, name: str = "actuator/drive") -> list[Any]:
+    writes: list[tuple[str, Any]] = world.robot.writes
+    return [value for path, value in writes if path == name]
