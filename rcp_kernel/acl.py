@@ -17,6 +17,7 @@ import msgspec
 from msgspec import Meta
 
 from rcp_kernel.conditions import Condition, condition
+from rcp_kernel.config_limits import Quota
 from rcp_kernel.identity import Grants, Principal
 from rcp_kernel.model import Operation, Pattern, tenant_of
 
@@ -61,6 +62,8 @@ class Role(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """May reset a latched e-stop."""
     priority: Annotated[int, Meta(ge=0, le=100)] = 50
     """Who takes a lease from whom: a person (50) beats an agent (10)."""
+    quota: Quota | None = None
+    """What each principal with this role may have."""
 
 
 _LOOK: tuple[OperationName, ...] = ("discover", "read", "subscribe")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Awaitable, Callable, Iterable, MutableMapping
+from math import ceil
 from typing import Any
 
 from rcp_kernel.door import Door
@@ -24,6 +25,7 @@ __all__ = [
     "peer_of",
     "refuse",
     "respond",
+    "retry_after",
     "session_of",
     "status_of",
 ]
@@ -110,6 +112,11 @@ async def respond(
     await send({"type": "http.response.body", "body": body})
 
 
+def retry_after(seconds: float | None) -> Headers:
+    """Return the header that says when to come back, never too early."""
+    return [] if seconds is None else [(b"retry-after", b"%d" % max(1, ceil(seconds)))]
+
+
 async def refuse(
     send: Send,
     error: RcpError,
@@ -125,7 +132,6 @@ async def refuse(
     headers: Headers = []
     if error.http == 401:
         headers.append((b"www-authenticate", b"Bearer"))
-    if error.retry_after is not None:
-        headers.append((b"retry-after", b"%d" % max(1, round(error.retry_after))))
+    headers += retry_after(error.retry_after)
     body = encode_reply(reply, encoding)
     await respond(send, status or error.http, body, MEDIA[encoding], headers)

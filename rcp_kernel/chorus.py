@@ -181,6 +181,12 @@ class ChorusFeed(Feed):
             self.dropped += 1
             self.skipped += 1
 
+    def conflate(self) -> None:
+        """Let go of all that waits but the newest."""
+        if self.chorus is not None and self.mailbox is not None:
+            self._take(self.chorus)
+        super().conflate()
+
     def leave(self) -> None:
         """Forget what waits; the connection is gone."""
         super().leave()

@@ -19,6 +19,7 @@ from msgspec import Meta
 from rcp_kernel._plain import is_list, is_map
 from rcp_kernel.acl import BUILTIN_ROLES, Role
 from rcp_kernel.config_envelopes import EnvelopeConfig, check_envelopes
+from rcp_kernel.config_limits import Limits, Quota, Quotas
 from rcp_kernel.config_roles import check_pattern, check_roles
 from rcp_kernel.config_safety import Safety
 from rcp_kernel.errors import ConfigError
@@ -34,6 +35,8 @@ __all__ = [
     "KeyConfig",
     "Limits",
     "LogConfig",
+    "Quota",
+    "Quotas",
     "StoreConfig",
     "TenantConfig",
     "decode_table",
@@ -49,35 +52,12 @@ class Table(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     """Base of the tables of the configuration: no unknown keys."""
 
 
-class Limits(Table, frozen=True):
-    """What one client may ask for; sizes in bytes, times in seconds."""
-
-    message: Annotated[int, Meta(ge=1024)] = 16 * 1024 * 1024
-    """Longest message or request body, after reassembly."""
-    subscriptions: Annotated[int, Meta(ge=1)] = 1000
-    """Subscriptions of one session."""
-    paths: Annotated[int, Meta(ge=1)] = 20_000
-    """Paths that one subscription's patterns may match."""
-    in_flight: Annotated[int, Meta(ge=1)] = 4096
-    """Unanswered requests of one session."""
-    batch: Annotated[int, Meta(ge=1)] = 256
-    """Envelopes in one `batch`."""
-    sessions: Annotated[int, Meta(ge=1)] = 2000
-    """Sessions at once, those waiting for a client's return included."""
-    session_ttl: Annotated[float, Meta(ge=0)] = 60.0
-    """How long a session waits for its client's return."""
-    heartbeat: Annotated[float, Meta(gt=0)] = 15.0
-    """Between pings of an idle connection; two unanswered ones close it."""
-    deadline: Annotated[float, Meta(gt=0, le=3600)] = 10.0
-    """For a request that names none."""
-    action_timeout: Annotated[float, Meta(gt=0)] = 3600.0
-    """For an action that declares none."""
-
-
 class TenantConfig(Table, frozen=True):
     """A tenant; one that only stands in `[[backends]]` needs no table of its own."""
 
     description: str = ""
+    quota: Quota | None = None
+    """What all its principals may have together."""
 
 
 class BackendConfig(Table, frozen=True):
@@ -178,6 +158,7 @@ class GatewayConfig(Table, frozen=True):
     envelopes: tuple[EnvelopeConfig, ...] = ()
     limits: Limits = Limits()
     safety: Safety = Safety()
+    quotas: Quotas = Quotas()
     log: LogConfig = LogConfig()
     store: StoreConfig = StoreConfig()
     audit: AuditConfig = AuditConfig()

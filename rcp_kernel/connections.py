@@ -63,6 +63,7 @@ class Connection:
         "closed",
         "encoding",
         "expelled",
+        "greetings",
         "mailbox",
         "on_hello",
         "peer",
@@ -85,6 +86,7 @@ class Connection:
         self.closed = False
         self.expelled = False
         """The session was ended by the gateway; the transport closes once it has said so."""
+        self.greetings = 0
         self.on_hello: Callable[[Hello], dict[str, Any]] | None = None
         """The transport's part of `hello`: what it adopts, and the limits it answers with."""
         self._splices = encoding is Encoding.JSON and gateway.quick
@@ -155,6 +157,9 @@ class Connection:
     def _hello(self, request: Request) -> None:
         gateway = self._gateway
         try:
+            self.greetings += 1
+            if self.greetings > 1:  # the first one is free: who wants to stop a robot must get in
+                gateway.pay(self.session)
             hello = request.decode_body(_HELLO, "hello") if request.body else Hello()
             body = gateway.sessions.greet(self, hello)
         except Exception as error:

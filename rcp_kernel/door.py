@@ -180,15 +180,28 @@ class Door:
         self.submit(session, request, answer)
         return await final
 
+    def pay(self, session: Session) -> None:
+        """Count a request that is answered without `submit`.
+
+        :raises RateLimited: a quota does not allow it now.
+        """
+        self._gateway.pay(session)
+
     def command(self, session: Session, id_: str) -> Command:
         """Return a command that the session may see.
 
         :raises UnknownPath: there is none.
+        :raises RateLimited: a quota does not allow the request.
         """
+        self._gateway.pay(session)
         return self._gateway.executing.command(session, id_)
 
     def commands(self, session: Session) -> list[Command]:
-        """List the commands that the session may see, newest first."""
+        """List the commands that the session may see, newest first.
+
+        :raises RateLimited: a quota does not allow the request.
+        """
+        self._gateway.pay(session)
         rights = session.rights
         return [c for c in self._gateway.commands.every() if rights.mask(c.path)]
 
@@ -203,12 +216,16 @@ class Door:
         return stop
 
     def discover(self, session: Session, pattern: str, query: Query) -> dict[str, Any]:
-        """Answer discovery for the resources that a session may see."""
+        """Answer discovery for the resources that a session may see; `pay` first."""
         found = Pattern(pattern, session.tenant)
         return self._gateway.discovery.find(session.rights, found, query)
 
     def schemas(self, session: Session) -> dict[str, dict[str, Any]]:
-        """Return the schemas of all that a session may see, by id."""
+        """Return the schemas of all that a session may see, by id.
+
+        :raises RateLimited: a quota does not allow the request.
+        """
+        self._gateway.pay(session)
         return self._gateway.discovery.schemas(session.rights)
 
     def rights(self, principal: Principal) -> Rights:

@@ -79,6 +79,7 @@ class Executing:
             return None
         gateway.admission.admit(session, request, entry, value)
         gateway.commands.admit(entry)
+        gateway.accounts.check_command(session, entry.path)
         if request.dry_run:
             held = gateway.envelopes.applied(session, entry)
             return would(request, entry, {"execute": value, "envelopes": held or None})
@@ -101,6 +102,7 @@ class Executing:
         gateway.recording.started(session, request, command)
         gateway.keys.note(session, request, entry.path, command)
         timeout = self._timeout(request, entry)
+        gateway.accounts.charge(session, command)
         gateway.commands.start(command, session, entry, value, timeout, request.deadline)
         return None
 

@@ -46,10 +46,12 @@ from rcp_kernel.idempotency import Keys
 from rcp_kernel.identity import Keyring, Principal, fingerprint
 from rcp_kernel.latches import Latches
 from rcp_kernel.leases import Leases
+from rcp_kernel.meter import free
 from rcp_kernel.metrics import Histogram
 from rcp_kernel.model import Operation, Pattern, operation_names, parse_path
 from rcp_kernel.peer import UNKNOWN, Peer, Serial
 from rcp_kernel.pending import Pending, crash
+from rcp_kernel.quotas import Accounts
 from rcp_kernel.reading import Reading
 from rcp_kernel.recording import ACTS, DENIALS, Recorded, Recording
 from rcp_kernel.registry import Entry, Registry
@@ -98,7 +100,7 @@ class Gateway:
         self.commands = Commands(self.admission.confirm, Recorded(self.recording, history))
         self.rules = Rules(config.roles, self.conditions)
         self.commands.remember(history.load())
-        self.sessions = Sessions(self)
+        self.accounts, self.sessions = Accounts(self), Sessions(self)
         self.standing = Standing(self.hub)
         self.deadman = Deadman(loop)
         self.envelopes = Envelopes(self)
@@ -229,13 +231,16 @@ class Gateway:
         :raises QueueFull: there are as many as allowed.
         """
         if count >= self.limits.sessions:
-            raise QueueFull(f"the gateway holds {count} sessions already")
+            raise QueueFull("the gateway holds as many sessions as it can already")
 
     # -- admit ---------------------------------------------------------------------------------
 
     def _admit(self, session: Session, request: Request, answer: Answer) -> None:
         started = perf_counter()
         try:
+            meter = session.meter
+            if meter is not None and not free(request) and not meter.take(started):
+                raise meter.refusal(started)
             reply = self._table[request.type](session, request, answer)
         except Exception as error:
             told = crash(error, type=request.type, path=request.path)
@@ -257,6 +262,15 @@ class Gateway:
             self.counts[key] += 1
         except KeyError:
             self.counts[key] = 1
+
+    def pay(self, session: Session) -> None:
+        """Count a request that comes in no envelope.
+
+        :raises RateLimited: a quota does not allow it now.
+        """
+        meter = session.meter
+        if meter is not None and not meter.take(moment := perf_counter()):
+            raise meter.refusal(moment)
 
     def count(self, transport: str, type_: str, code: str) -> None:
         """Count one request by its outcome."""
@@ -435,6 +449,8 @@ class Gateway:
             piece = sample.tails.get(READ_PIECE) or sample.read_piece()
         except RcpError:
             return None
+        if (meter := session.meter) is not None and not meter.take(started):
+            return None
         id_ = b"" if request.id is None else b'"id":%b,' % _to_json(request.id)
         state = b"stale" if entry.deadline is not None and entry.stale else b"fresh"
         reply = b'{"type":"read",%b%b%b","timestamp":"%b"}' % (
@@ -506,6 +522,7 @@ class Gateway:
         """Cancel what runs and stop all streams; the backends are still there."""
         self.closing = True
         self.leases.close()
+        self.accounts.close()
         self.deadman.close()
         await self.commands.close()
         await self.hub.close()

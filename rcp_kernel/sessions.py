@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import secrets
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -24,6 +24,7 @@ from rcp_kernel.wire import (
     VERSION,
     Reply,
     Request,
+    encode_reply,
     failure,
 )
 
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
     from rcp_kernel.commands import Command
     from rcp_kernel.connections import Connection, Hello
     from rcp_kernel.gateway import Gateway
+    from rcp_kernel.meter import Meter
     from rcp_kernel.pending import Pending
 
 __all__ = ["Answer", "Handler", "Session", "Sessions"]
@@ -39,6 +41,7 @@ Answer = Callable[[Reply], None]
 _STATELESS = 10_000  # principals whose shared session is kept at hand
 _MISSED = 4096  # replies kept for a client that is away
 _NEWS = 256  # notices kept for a client that is away
+_MISSED_BYTES = 16 * 1024 * 1024  # that these may have together
 _RECENT = 30_000_000_000  # ns: final replies sent this shortly before a cut are said again
 
 
@@ -64,7 +67,9 @@ class Session:
         "holder",
         "id",
         "inflight",
+        "meter",
         "missed",
+        "missed_bytes",
         "news",
         "overflowed",
         "principal",
@@ -106,7 +111,11 @@ class Session:
         self.expiry: asyncio.TimerHandle | None = None
         self.greeted = False
         """The client knows the session's id, so it may come back to it."""
-        self.missed: deque[Reply] = deque()
+        self.meter: Meter | None = None
+        """What its requests are counted by; None if no quota concerns it."""
+        self.missed: deque[tuple[Reply, int]] = deque()
+        """Replies for a client that is away, and about how long each is."""
+        self.missed_bytes = 0
         self.news: deque[tuple[str, dict[str, Any]]] = deque(maxlen=_NEWS)
         """Notices for the client's return."""
         self.overflowed = 0
@@ -122,13 +131,19 @@ class Session:
             self.connection.send(reply)
             return
         if reply.status == "in_progress" and reply.command is not None:
-            self.missed = deque(
-                r for r in self.missed if not (r.command == reply.command and not r.final)
-            )
-        if len(self.missed) >= _MISSED:
-            self.missed.popleft()
-            self.overflowed += 1
-        self.missed.append(reply)
+            for old in [kept for kept in self.missed if _replaces(reply, kept[0])]:
+                self.missed.remove(old)
+                self.missed_bytes -= old[1]
+        size = _length(reply)
+        self.missed.append((reply, size))
+        self.missed_bytes += size
+        while len(self.missed) > _MISSED or self.missed_bytes > _MISSED_BYTES:
+            self.lose()
+
+    def lose(self) -> None:
+        """Let go of the oldest reply that waits for a client that is away; it will be told."""
+        self.missed_bytes -= self.missed.popleft()[1]
+        self.overflowed += 1
 
     def tell(self, code: str, **facts: Any) -> None:
         """Send a notice now, or keep it for the client's return."""
@@ -177,6 +192,7 @@ class Sessions:
             self._make_room()
         gateway.check_sessions(len(self.known))
         session = Session(principal, gateway.rules.rights(principal), chosen, transport)
+        gateway.accounts.enter(session)
         self.known[session.id] = session
         return session
 
@@ -185,10 +201,14 @@ class Sessions:
         return [*self.known.values(), *self._stateless.values()]
 
     def _make_room(self) -> None:
-        """Drop the session that has waited longest for its client: who is here goes first."""
+        """Drop the session that has waited longest for its client, of the tenant that has most.
+
+        Who is here goes first, and nobody loses his place to a tenant that takes them all.
+        """
+        held = Counter(session.tenant for session in self.known.values())
         waiting = [session for session in self.known.values() if session.cut is not None]
         if waiting:
-            self.drop(min(waiting, key=lambda session: session.cut or 0))
+            self.drop(min(waiting, key=lambda s: (-held[s.tenant], s.cut or 0)))
 
     def stateless(self, principal: Principal, transport: str, tenant: str | None) -> Session:
         """Return the session that all HTTP requests of a principal share; it holds nothing."""
@@ -199,6 +219,7 @@ class Sessions:
             chosen = gateway.tenant_for(principal, tenant)
             rights = gateway.rules.rights(principal)
             session = Session(principal, rights, chosen, transport, shared=True)
+            gateway.accounts.attach(session)
             if len(self._stateless) >= _STATELESS:
                 del self._stateless[next(iter(self._stateless))]
             self._stateless[key] = session
@@ -219,7 +240,8 @@ class Sessions:
                 self._replace(connection, self.open(principal, session.transport, hello.tenant))
         session = connection.session
         if hello.tenant is not None:
-            session.tenant = gateway.tenant_for(session.principal, hello.tenant)
+            tenant = gateway.tenant_for(session.principal, hello.tenant)
+            gateway.accounts.change_tenant(session, tenant)
         if hello.session is not None and returning is not connection.session:
             self._resume(connection, hello, returning)
         facts = connection.on_hello(hello) if connection.on_hello is not None else {}
@@ -303,6 +325,7 @@ class Sessions:
         session.commands = {c.id: c for c in gateway.commands.every() if c.session == name}
         self.known[session.id] = session
         self._replace(connection, session)
+        gateway.accounts.move(session)
         self._attach(session, connection, None)
         gateway.returning.restore(session, kept)
 
@@ -324,7 +347,7 @@ class Sessions:
             session.expiry.cancel()
             session.expiry = None
         cut, session.cut = session.cut or now(), None
-        said = {reply.command for reply in session.missed if reply.final}
+        said = {reply.command for reply, _ in session.missed if reply.final}
         for command in session.commands.values():
             ended = command.finished
             if command.id not in said and (ended is None or ended > cut - _RECENT):
@@ -335,7 +358,8 @@ class Sessions:
             connection.send(failure(gap, "hello"))
             session.overflowed = 0
         while session.missed:
-            connection.send(session.missed.popleft())
+            connection.send(session.missed.popleft()[0])
+        session.missed_bytes = 0
         while session.news:
             code, facts = session.news.popleft()
             notice(connection.mailbox, code, **facts)
@@ -351,6 +375,7 @@ class Sessions:
             rights = Rights((), {}) if principal is None else gateway.rules.rights(principal)
             session.rights = rights
         self._stateless.clear()
+        gateway.accounts.recount()
         for session in list(self.known.values()):
             principal = gateway.renewed(session.principal)
             if principal is None:
@@ -358,6 +383,7 @@ class Sessions:
                 continue
             session.principal = principal
             session.rights = gateway.rules.rights(principal)
+            gateway.accounts.move(session)
             gateway.drop_forbidden(session)
 
     def _expel(self, session: Session) -> None:
@@ -397,12 +423,14 @@ class Sessions:
         self.known.pop(session.id, None)
         self._gateway.leases.ended(session)
         self._gateway.returning.forget(session)
+        self._gateway.accounts.leave(session)
         if session.expiry is not None:
             session.expiry.cancel()
         for subscription in session.subscriptions.values():
             self._hub().forget(subscription)
         session.subscriptions.clear()
         session.missed.clear()
+        session.missed_bytes = 0
 
 
 def _proves(text: str, session: Session | Kept) -> bool:
@@ -417,6 +445,18 @@ def _gone() -> Gap:
         "the session has expired or never was",
         remedy="Say `hello` without `session`, then subscribe afresh.",
     )
+
+
+def _replaces(newer: Reply, older: Reply) -> bool:
+    return older.command == newer.command and not older.final
+
+
+def _length(reply: Reply) -> int:
+    """Return about how many bytes a reply is; one that cannot be written becomes a short error."""
+    try:
+        return len(encode_reply(reply, Encoding.JSON))
+    except Exception:
+        return 256
 
 
 def _for_all(session: Session, seq: int) -> dict[str, int]:

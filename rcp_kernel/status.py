@@ -223,6 +223,12 @@ class StatusReport:
         )
         yield from self._gauges()
         yield counter(
+            "rcp_quota_refused",
+            "What a quota did not allow.",
+            ("quota", "tenant", "what"),
+            [(list(key), count) for key, count in gateway.accounts.refused().items()],
+        )
+        yield counter(
             "rcp_commands",
             "Commands by final status.",
             ("status",),

@@ -117,6 +117,18 @@ class Feed:
         if not self.marked:
             self.mark()
 
+    def conflate(self) -> None:
+        """Let go of all that waits but the newest."""
+        old = self.waiting - 1
+        if old > 0:
+            if self.backlog and not self.queue:
+                self.queue.append(self.backlog[-1])
+            self.backlog = None
+            while len(self.queue) > 1:
+                self.queue.popleft()
+            self.dropped += old
+            self.skipped += old
+
     def mark(self) -> None:
         """Have the mailbox collect this feed in the coming tick."""
         mailbox = self.mailbox
@@ -549,10 +561,11 @@ class Subscription:
         self.hub.soon(self.end, self, "count", None)
         return True
 
-    def overrun(self, feed: Feed) -> None:
+    def overrun(self, feed: Feed, why: str | None = None) -> None:
         """End the subscription: a reliable queue is full, and nothing may be skipped."""
+        behind = f"fell {feed.depth} samples of {feed.entry.path} behind"
         error = Overrun(
-            f"subscription '{self.id}' fell {feed.depth} samples of {feed.entry.path} behind",
+            f"subscription '{self.id}' {why or behind}",
             path=feed.entry.path,
             details={"depth": feed.depth, "last_seq": feed.sent},
         )

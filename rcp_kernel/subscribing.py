@@ -40,6 +40,7 @@ class _Which(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     subscription: str | None = None
 
 
+_LONGEST = 131_072  # bytes of a subscription's options
 _OPTIONS = value_type(Options | None)
 _WHICH = value_type(_Which | None)
 
@@ -62,12 +63,19 @@ class Subscribing:
                 "this transport carries no stream",
                 remedy="Subscribe over WebSocket, or GET /rcp/v1/events for SSE.",
             )
+        if len(bytes(request.body)) > _LONGEST:
+            raise PayloadTooLarge(
+                f"the options of a subscription have at most {_LONGEST} bytes",
+                remedy="Name fewer paths, or patterns; or subscribe more than once.",
+                details={"limit": _LONGEST},
+            )
         options: Options = request.decode_body(_OPTIONS, "subscribe") or Options()
         id_ = request.id or "sub-" + secrets.token_hex(4)
         if id_ in session.subscriptions or id_ in session.inflight:
             raise DuplicateRequest(f"the id '{id_}' is in use in this session")
         if len(session.subscriptions) >= gateway.limits.subscriptions:
             raise QueueFull(f"a session holds at most {gateway.limits.subscriptions} subscriptions")
+        gateway.accounts.check_subscription(session)
         patterns = self._patterns(session, request, options)
         entries = self._entries(session, patterns, options)
 
@@ -162,10 +170,13 @@ class Subscribing:
                 mask = entry.operations & reach(session.rights.mask(entry.path))
                 if mask & Operation.SUBSCRIBE:
                     found[entry.path] = entry
-        if len(found) > gateway.limits.paths:
+        held = sum(len(subscription.feeds) for subscription in session.subscriptions.values())
+        if held + len(found) > gateway.limits.paths:
             raise PayloadTooLarge(
-                f"the patterns match {len(found)} paths; a subscription has at most "
-                f"{gateway.limits.paths}"
+                f"the patterns match {len(found)} paths, and the session has {held} already; its "
+                f"subscriptions have at most {gateway.limits.paths} together",
+                remedy="Use narrower patterns, or end a subscription that is not needed.",
+                details={"limit": gateway.limits.paths},
             )
         return list(found.values())
 

@@ -148,7 +148,10 @@ class System(BaseBackend):
     def _health(self, session: Session) -> dict[str, Any]:
         audit = self._gateway.audit
         report = self._status.plain(session.rights)
-        return report | {"record": audit.state(head=audit.shows(session, {}))}
+        return report | {
+            "record": audit.state(head=audit.shows(session, {})),
+            "quotas": self._gateway.accounts.plain(session),
+        }
 
     def _sessions(self, session: Session) -> list[dict[str, Any]]:
         mine = session.principal

@@ -58,6 +58,7 @@ Status = Literal[
 FINAL = frozenset(("completed", "failed", "rejected", "cancelled"))
 NO_BODY = Raw()
 _MAX_DEADLINE = 86_400.0  # s
+_MAX_CUSTOM = 16_384  # bytes of all x-… fields, which are kept with commands and records
 _Id = Annotated[str, Meta(min_length=1, max_length=128)]
 
 
@@ -191,6 +192,13 @@ def _decode_slowly(data: bytes, encoding: Encoding, error: Exception) -> Request
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):
         raise BadRequest(_malformed(data, encoding, error)) from None
     custom = {k: fields.pop(k) for k in list(fields) if k.startswith("x-") and len(k) > 2}
+    size = sum(len(key) + len(bytes(value)) for key, value in custom.items())
+    if size > _MAX_CUSTOM:
+        raise PayloadTooLarge(
+            f"the x-… fields have {size} bytes; they have at most {_MAX_CUSTOM}",
+            remedy="Put large data into the body; x-… fields are kept with every record.",
+            details={"limit": _MAX_CUSTOM},
+        )
     unknown = sorted(fields.keys() - _KNOWN)
     if unknown:
         raise BadRequest(

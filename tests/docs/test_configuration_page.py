@@ -21,6 +21,7 @@ from rcp_kernel.config import (
     KeyConfig,
     Limits,
     LogConfig,
+    Quota,
     StoreConfig,
     TenantConfig,
     parse,
@@ -89,6 +90,10 @@ def test_a_table_of_the_kernel_is_told(heading: str, type_: Any) -> None:
 
 def test_an_envelope_is_told() -> None:
     agree(section(PAGE, "`[[envelopes]]`").split("### Bounds")[0], EnvelopeConfig)
+
+
+def test_a_quota_is_told() -> None:
+    agree(section(PAGE, "Quotas").split("A quota has")[1], Quota)
 
 
 def test_a_role_and_its_rules_are_told() -> None:

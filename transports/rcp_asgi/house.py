@@ -10,7 +10,7 @@ from litestar.exceptions import HTTPException, MethodNotAllowedException, NotFou
 
 from rcp_asgi.index import index_page
 from rcp_asgi.openapi import document
-from rcp_kernel.asgi import Scope, session_of, status_of
+from rcp_kernel.asgi import Scope, retry_after, session_of, status_of
 from rcp_kernel.door import Asgi, Door
 from rcp_kernel.errors import (
     BadRequest,
@@ -94,6 +94,7 @@ def _refused(request: Asked, error: Exception) -> Response[bytes]:
     told = _told(request, error)
     reply = failure(told, "error")
     headers = {"www-authenticate": "Bearer"} if told.http == 401 else {}
+    headers |= {key.decode(): value.decode() for key, value in retry_after(told.retry_after)}
     if isinstance(error, MethodNotAllowedException):
         headers["allow"] = "GET, HEAD, OPTIONS"
     body = encode_reply(reply, Encoding.JSON)

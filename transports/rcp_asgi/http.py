@@ -7,6 +7,7 @@ What is malformed is answered with an envelope here too, and a WebSocket handsha
 from __future__ import annotations
 
 import asyncio
+from math import ceil
 from typing import Any, cast
 from urllib.parse import unquote
 
@@ -212,7 +213,7 @@ class HttpProtocol(HttpToolsProtocol):
         body = encode_reply(failure(error, "error"), Encoding.JSON)
         head = STATUS_LINE[status] + b"content-type: application/json\r\nconnection: close\r\n"
         if error.retry_after is not None:
-            head += b"retry-after: %d\r\n" % max(1, round(error.retry_after))
+            head += b"retry-after: %d\r\n" % max(1, ceil(error.retry_after))
         self.transport.write(head + b"content-length: %d\r\n\r\n" % len(body) + body)
 
     def _upgrade(self, rest: bytes) -> None:

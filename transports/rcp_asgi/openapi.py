@@ -14,7 +14,11 @@ _TITLE = "RCP gateway"
 
 
 def document(door: Door, session: Session) -> dict[str, Any]:
-    """Write the document for what a session sees."""
+    """Write the document for what a session sees.
+
+    :raises RateLimited: a quota does not allow it now.
+    """
+    door.pay(session)
     paths: dict[str, Any] = {}
     components: dict[str, dict[str, Any]] = {
         "securitySchemes": {"bearer": {"type": "http", "scheme": "bearer"}}

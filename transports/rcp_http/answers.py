@@ -9,7 +9,7 @@ from rcp_http.asked import Asked
 from rcp_http.compress import compress
 from rcp_http.config import HttpConfig
 from rcp_http.negotiate import coding
-from rcp_kernel.asgi import MEDIA, Headers, Send, status_of
+from rcp_kernel.asgi import MEDIA, Headers, Send, retry_after, status_of
 from rcp_kernel.pending import crash
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import Reply, encode_reply, failure
@@ -102,8 +102,7 @@ def _error_headers(status: int, error: dict[str, Any]) -> Headers:
     headers: Headers = []
     if status == 401:
         headers.append((b"www-authenticate", b"Bearer"))
-    if (after := error.get("retry_after")) is not None:
-        headers.append((b"retry-after", b"%d" % max(1, round(after))))
+    headers += retry_after(error.get("retry_after"))
     if status == 405:
         allowed = (error.get("details") or {}).get("allowed", ())
         methods = dict.fromkeys(_METHODS[name] for name in allowed if name in _METHODS)

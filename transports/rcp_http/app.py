@@ -12,7 +12,7 @@ from rcp_http.calls import Calls
 from rcp_http.config import HttpConfig
 from rcp_http.context import Context
 from rcp_http.octets import range_headers
-from rcp_kernel.asgi import MEDIA, Headers, Receive, Scope, Send, respond
+from rcp_kernel.asgi import MEDIA, Headers, Receive, Scope, Send, respond, retry_after
 from rcp_kernel.door import Door
 from rcp_kernel.errors import RcpError, UnknownPath, UnsupportedOperation
 from rcp_kernel.pending import crash
@@ -111,7 +111,7 @@ class HttpApp:
             type_ = _TYPES.get("GET" if asked is None else asked.method, "error")
         self._door.refused(type_, error.code)
         id_ = None if asked is None else _id(asked)
-        headers: Headers = range_headers(error)
+        headers: Headers = range_headers(error) + retry_after(error.retry_after)
         if error.http == 401:
             headers.append((b"www-authenticate", b"Bearer"))
         if error.http == 405 and error.details is not None:

@@ -143,6 +143,7 @@ class Context:
     async def options(self, asked: Asked, session: Session, path: str, send: Send) -> None:
         """OPTIONS: what may be done with the resource."""
         try:
+            self._door.pay(session)
             found = self._door.discover(session, path, Query(limit=1, schemas=False))["resources"]
         except RcpError as error:
             await self._answers.reply(send, asked, failure(error, "discover", None, path))

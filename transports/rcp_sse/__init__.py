@@ -6,7 +6,7 @@ from collections.abc import AsyncGenerator, Iterable
 from contextlib import AsyncExitStack, asynccontextmanager
 from typing import Any
 
-from rcp_kernel.asgi import Receive, Scope, Send, header, refuse, respond, status_of
+from rcp_kernel.asgi import Receive, Scope, Send, header, refuse, respond, retry_after, status_of
 from rcp_kernel.door import Asgi, Door, Mount
 from rcp_kernel.errors import BadRequest, UnknownPath, UnsupportedOperation
 from rcp_kernel.hookspecs import hookimpl
@@ -44,7 +44,8 @@ class _Sse:
             await self._serve(scope, receive, send)
         except Refusal as refusal:
             body = encode_reply(refusal.reply, Encoding.JSON)
-            await respond(send, status_of(refusal.reply), body)
+            headers = retry_after((refusal.reply.error or {}).get("retry_after"))
+            await respond(send, status_of(refusal.reply), body, headers=headers)
         except Exception as error:
             told = crash(error, path=scope["path"])
             self._door.refused("subscribe", told.code)
