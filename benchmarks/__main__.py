@@ -17,6 +17,7 @@ ALL = (
     "scale",
     "startup",
     "tls",
+    "guarded",
 )
 
 wanted = sys.argv[1:] or ALL

@@ -13,7 +13,7 @@ from rcp_kernel.config import BackendConfig, parse
 from rcp_kernel.log import configure
 from rcp_kernel.model import Resource
 from rcp_kernel.server import Prepared, prepare, running
-from rcp_kernel.spi import BackendKind, BaseBackend, Host
+from rcp_kernel.spi import BackendKind, BaseBackend, Host, Progress
 from rcp_kernel.types import Point, PoseStamped, Quaternion
 
 POSE = PoseStamped(Point(1.25, -3.5, 0.125), Quaternion(), "map", "2026-05-29T14:12:04Z")
@@ -33,18 +33,28 @@ class Bench(BaseBackend):
     def publish(self) -> None:
         self.host.publish("sensor/pose", POSE)
 
+    async def write(self, name: str, value: float) -> None:
+        """Take everything."""
+
+    async def execute(self, name: str, value: float, progress: Progress) -> float:
+        """Add one."""
+        return value + 1.0
+
 
 @asynccontextmanager
-async def gateway(tls: str = "") -> AsyncGenerator[tuple[Bench, str]]:
-    """Run the gateway; yield its robot and its URL. `tls` is a line of `[transports.asgi]`."""
+async def gateway(more: str = "") -> AsyncGenerator[tuple[Bench, str]]:
+    """Run the gateway; yield its robot and its URL. `more` is added to its
+    configuration, first lines of `[transports.asgi]`."""
     configure("error")
-    bare = prepare(parse(_CONFIG + tls, "benchmark"), "benchmark")
+    bare = prepare(parse(_CONFIG + more, "benchmark"), "benchmark")
     robots: list[Bench] = []
 
     @asynccontextmanager
     async def open_bench(_config: Nothing, host: Host) -> AsyncGenerator[Bench]:
         host.declare(
-            Resource(name="sensor/pose", description="A pose.", value=PoseStamped, live=True)
+            Resource(name="sensor/pose", description="A pose.", value=PoseStamped, live=True),
+            Resource(name="param/speed", description="A speed.", value=float),
+            Resource(name="service/add", description="Adds one.", input=float, output=float),
         )
         robots.append(Bench(host))
         robots[0].publish()
@@ -60,11 +70,11 @@ async def gateway(tls: str = "") -> AsyncGenerator[tuple[Bench, str]]:
         yield robots[0], url
 
 
-def serve_gateway(rate: float = 0.0, burst: int = 1, tls: str = "") -> None:
+def serve_gateway(rate: float = 0.0, burst: int = 1, more: str = "") -> None:
     """Serve until killed; publish `rate` poses a second in bursts of `burst`."""
 
     async def main() -> None:
-        async with gateway(tls) as (robot, url):
+        async with gateway(more) as (robot, url):
             print(url.rpartition(":")[2], flush=True)
             await produce(robot.publish, rate, burst)
 

@@ -75,7 +75,7 @@ def serve(server: str) -> None:
         made = "openssl req -x509 -newkey ec -pkeyopt ec_paramgen_curve:P-256 -nodes -days 1"
         call = [*made.split(), "-subj", "/CN=localhost", "-keyout", str(key), "-out", str(cert)]
         subprocess.run(call, check=True, capture_output=True)
-        serve_gateway(tls=f'tls = {{certificate = "{cert}", key = "{key}"}}')
+        serve_gateway(more=f'tls = {{certificate = "{cert}", key = "{key}"}}')
 
 
 def main() -> None:

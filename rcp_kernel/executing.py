@@ -258,5 +258,7 @@ def _own(session: Session, command: Command) -> bool:
 
 
 def _forget_finished(commands: dict[str, Command]) -> None:
-    for id_ in [id_ for id_, command in commands.items() if command.final][:128]:
+    # The newest one has not even been accepted yet, so it has no status.
+    known = [id_ for id_, command in commands.items() if command.history and command.final]
+    for id_ in known[:128]:
         del commands[id_]

@@ -100,3 +100,16 @@ async def test_feedback_for_a_client_that_is_away_is_the_newest_alone(world: Wor
         )
     assert [reply.body for reply, _ in session.missed] == [99_000]
     assert session.missed_bytes == session.missed[0][1]
+
+
+async def test_commands_that_a_session_has_given_are_forgotten_once_they_are_over(
+    world: World,
+) -> None:
+    client = world.client()
+    client.send(type="execute", path="/action/go", body=1)
+    for n in range(600):
+        reply = await client.ask(type="execute", path="/service/echo", body=str(n))
+        assert reply["status"] == "completed", reply
+    commands = client.connection.session.commands
+    assert len(commands) <= 257
+    assert next(iter(commands.values())).path == "/tenant/alpha/action/go"
