@@ -22,9 +22,9 @@ _FLAGS = (
 )
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def anyio_backend() -> str:
-    """Keep one event loop, so that the browser lives as long as the tests."""
+    """Keep one event loop for a file, so that the browser lives as long as its tests."""
     return "asyncio"
 
 
@@ -41,7 +41,7 @@ def chromium() -> str:
     return found
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 async def browser(chromium: str) -> AsyncGenerator[Browser]:
     """Run a headless browser with a profile of its own."""
     async with async_playwright() as playwright:

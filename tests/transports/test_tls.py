@@ -109,7 +109,11 @@ async def expelled(wire: Any) -> None:
 # -- TLS -------------------------------------------------------------------------------------------
 
 
-async def test_every_transport_speaks_tls(ca: Authority) -> None:
+async def test_every_transport_speaks_tls(
+    ca: Authority, anyio_backend: tuple[str, dict[str, bool]]
+) -> None:
+    loop = type(asyncio.get_running_loop()).__module__
+    assert loop.startswith("uvloop") is anyio_backend[1]["use_uvloop"]
     async with secured(ca) as gateway, calling(gateway, ca, key=KEY) as http:
         assert gateway.url.startswith("https://127.0.0.1:")
         assert (await http.get(POSE)).json()["body"]["position"]["x"] == 1.0

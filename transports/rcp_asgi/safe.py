@@ -21,8 +21,10 @@ def check_open(config: AsgiConfig, gateway: GatewayConfig) -> None:
     Proxies(config.proxies)
     if config.tls is not None:
         Tls(config.tls)
-    # A plugin of `[plugins]` may prove identities: known when it is there, by `check_door`.
-    _check(config, closed=gateway.closed, served=gateway.serves or bool(gateway.plugins))
+    # A plugin or a token in the store may prove identities: known when they are there, by
+    # `check_door`.
+    elsewhere = bool(gateway.plugins) or gateway.store.path is not None
+    _check(config, closed=gateway.closed, served=gateway.serves or elsewhere)
 
 
 def check_door(config: AsgiConfig, door: Door) -> None:
