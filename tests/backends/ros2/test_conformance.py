@@ -15,6 +15,7 @@ from rcp_kernel.testing import BackendSuite, Goal, eventually
 
 DOMAIN = fresh_domain()
 PEER = Peer(DOMAIN)
+_QUIET = 4  # times in a row that the peer must tell the same
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -49,9 +50,13 @@ class TestRos2(BackendSuite):
         yield PEER
 
     async def truth(self, name: str) -> Any:
-        await asyncio.sleep(0.05)  # a command is on its way: nothing tells when it has arrived
         key = {"param/speed_limit": "max_speed", "actuator/cmd_vel": "twist"}
-        return PEER.truth()[key.get(name, name.partition("/")[2])]
+        found = [PEER.truth()[key.get(name, name.partition("/")[2])]]
+        # A command is on its way, and nothing tells when it has arrived: not before it is quiet.
+        while len(found) < _QUIET or any(one != found[-1] for one in found[-_QUIET:]):
+            await asyncio.sleep(0.05)
+            found.append(PEER.truth()[key.get(name, name.partition("/")[2])])
+        return found[-1]
 
     async def confirms(self, name: str, result: Any) -> bool:
         if name == "service/reset":
