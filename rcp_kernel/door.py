@@ -207,11 +207,12 @@ class Door:
 
     def follow(self, command: Command, answer: Answer) -> Callable[[], None]:
         """Have `answer` called with each further reply of a command; return what ends that."""
-        command.followers.append(answer)
+        held = self._gateway.recording.follower(answer)
+        command.followers.append(held)
 
         def stop() -> None:
-            if answer in command.followers:
-                command.followers.remove(answer)
+            if held in command.followers:
+                command.followers.remove(held)
 
         return stop
 

@@ -96,7 +96,7 @@ class Gateway:
         self.audit = Audit(self.store, loop, config.audit, lambda: self.rules.roles)
         self.keeping = Keeping(self.audit, self.store, loop, config.audit)
         self.recording = Recording(self)
-        history = History(self.store)
+        history = self.history = History(self.store)
         self.commands = Commands(self.admission.confirm, Recorded(self.recording, history))
         self.rules = Rules(config.roles, self.conditions)
         self.commands.remember(history.load())

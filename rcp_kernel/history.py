@@ -25,6 +25,8 @@ class History:
 
     def __init__(self, store: Store) -> None:
         self._store = store
+        self.cut_off: list[Command] = []
+        """Those that the end of the earlier run cut off."""
 
     def save(self, command: Command) -> None:
         """Note the command's present state."""
@@ -49,6 +51,7 @@ class History:
             if not command.final:
                 _cut_off(command)
                 self.save(command)
+                self.cut_off.append(command)
         return sorted(found, key=lambda command: command.created)
 
 

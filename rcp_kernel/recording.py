@@ -218,6 +218,10 @@ class Recording:
             limit = min(limit, entry.resource.timeout or limit)
         return self._until(answer, limit)
 
+    def follower(self, answer: Answer) -> Answer:
+        """Return what holds the replies back that a further follower of a command gets."""
+        return self._until(answer, self._gateway.limits.deadline)
+
     def _until(self, answer: Answer, limit: float) -> Answer:
         gateway = self._gateway
         if not gateway.store.keeps:

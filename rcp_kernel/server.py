@@ -147,6 +147,8 @@ async def running(prepared: Prepared, recent: Recent | None = None) -> AsyncGene
 def _keep_record(stack: AsyncExitStack, gateway: Gateway) -> None:
     audit = gateway.audit
     audit.start(name=gateway.config.name, version=gateway_version())
+    for command in gateway.history.cut_off:
+        gateway.recording.ended(command)
     gateway.keeping.start()
     gateway.returning.start()
 

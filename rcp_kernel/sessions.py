@@ -348,10 +348,11 @@ class Sessions:
             session.expiry = None
         cut, session.cut = session.cut or now(), None
         said = {reply.command for reply, _ in session.missed if reply.final}
+        tell = self._gateway.recording.follower(session.deliver)
         for command in session.commands.values():
             ended = command.finished
             if command.id not in said and (ended is None or ended > cut - _RECENT):
-                connection.send(command.reply())
+                tell(command.reply())
         if session.overflowed:
             lost = session.overflowed
             gap = Gap(f"{lost} replies were lost while the client was away")

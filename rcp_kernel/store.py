@@ -147,12 +147,13 @@ class DiskStore(Store):
     def put(self, table: str, key: str, value: Any | None) -> None:
         """Keep a value, or delete it."""
         data = None
-        if value is not None:
-            try:
+        try:
+            key.encode()  # what SQLite would not take must not keep the rest of its batch out
+            if value is not None:
                 data = _encoded(value)
-            except Exception:  # what it tells of goes on, whether it can be written down or not
-                log.exception("store_failed", table=table, key=key)
-                return
+        except Exception:  # what it tells of goes on, whether it can be written down or not
+            log.exception("store_failed", table=table, key=key)
+            return
         self._gathered.puts[table, key] = data
         self._gather()
 

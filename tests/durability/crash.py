@@ -125,6 +125,14 @@ class Client:
         principal = server.door.authenticate("operator-operator")
         self.connection = server.door.connect(principal, Encoding.JSON, self._flush)
 
+    def greet(self, hello: dict[str, Any]) -> None:
+        """Come back to a session, or begin one, with a subscription in it."""
+        for envelope in (
+            {"type": "hello", "id": "hello", "body": hello},
+            {"type": "subscribe", "id": "label", "path": "/param/label"},
+        ):
+            self.connection.receive(json.dumps(envelope).encode())
+
     def send(self, count: int) -> None:
         for id_, envelope in itertools.islice(self._work, count):
             self._sent.write([id_, envelope])
@@ -134,8 +142,9 @@ class Client:
         ended = 0
         for data in self.connection.mailbox.collect():
             reply = json.loads(data)
-            self._told.write(reply)
-            ended += reply["status"] in FINAL
+            if reply["type"] != "update":
+                self._told.write(reply)
+            ended += reply["type"] in ("write", "execute") and reply["status"] in FINAL
         self.send(ended)
 
 
@@ -157,7 +166,7 @@ def keyed(envelope: dict[str, Any], mark: str) -> dict[str, Any]:
     return {**envelope, "body": mark, "idempotency_key": mark}
 
 
-def live(folder: Path, life: int, again: list[Sent], ready: int) -> None:
+def live(folder: Path, life: int, again: list[Sent], hello: dict[str, Any], ready: int) -> None:
     """Be a gateway until killed."""
     configure("error", "json")
 
@@ -168,7 +177,10 @@ def live(folder: Path, life: int, again: list[Sent], ready: int) -> None:
             repeats = iter([(f"again-{mark}", envelope) for mark, envelope in again])
             Client(server, told, sent, repeats).send(len(again))
             for number in range(3):
-                Client(server, told, sent, load(life, number)).send(IN_FLIGHT)
+                client = Client(server, told, sent, load(life, number))
+                if number == 0:
+                    client.greet(hello)
+                client.send(IN_FLIGHT)
             await asyncio.Event().wait()
 
     asyncio.run(serve())
@@ -186,6 +198,8 @@ class Inspector:
         self.keys: list[Sent] = []
         self._ran: Counter[str] = Counter()
         self._looked = 0
+        self.hello: dict[str, Any] = {}
+        """How a client comes back to its session."""
 
     def inspect(self, life: int) -> None:
         """Look at everything after a kill; raises AssertionError with what is wrong."""
@@ -203,7 +217,10 @@ class Inspector:
             assert not verdict.findings, verdict.findings
         self._read(store)
         for reply in lines(self._folder / f"told-{life}"):
-            self._check(reply, before)
+            if reply["type"] in ("hello", "subscribe", "notice"):
+                self._greeted(reply)
+            else:
+                self._check(reply, before)
         for id_, envelope in lines(self._folder / f"sent-{life}"):
             if "idempotency_key" in envelope and not id_.startswith("again-"):
                 self.keys.append((id_, envelope))
@@ -226,7 +243,8 @@ class Inspector:
         if reply["type"] == "execute" and "command" in reply:
             assert ("execute", reply["command"]) in self._records, reply
             if status in FINAL and not id_.startswith("again-"):
-                assert self._records["command", reply["command"]]["outcome"] == "ok", reply
+                expected = reply["error"]["code"] if "error" in reply else "ok"
+                assert self._records["command", reply["command"]]["outcome"] == expected, reply
         elif id_[0] == "d":
             assert reply["error"]["code"] == "forbidden", reply
             assert ("denial", id_) in self._records, reply
@@ -249,6 +267,21 @@ class Inspector:
             self.counts["not begun"] += 1
         self._outcomes[mark] = outcome
 
+    def _greeted(self, reply: dict[str, Any]) -> None:
+        if reply["type"] == "notice":
+            assert (reply["code"], reply.get("reason")) == ("gap", "restart"), reply
+            self.counts["subscriptions restored"] += 1
+        elif reply["type"] == "hello" and reply["status"] == "completed":
+            body = reply["body"]
+            if self.hello:
+                assert body["session"] == self.hello["session"], reply
+                self.counts["sessions resumed"] += 1
+            self.hello = {name: body[name] for name in ("session", "resume_token")}
+        elif reply["type"] == "hello":
+            assert reply["error"]["code"] == "gap", reply
+            self.counts["sessions lost"] += 1
+            self.hello = {}
+
     def again(self) -> list[Sent]:
         """Choose keys to send again: the latest, and some of any age."""
         older = random.sample(self.keys, min(10, len(self.keys)))
@@ -265,7 +298,7 @@ def main(folder: Path, lives: int, seed: int) -> None:
         if pid == 0:
             random.seed(seed + life)
             try:
-                live(folder, life, inspector.again(), ready)
+                live(folder, life, inspector.again(), inspector.hello, ready)
             finally:
                 os._exit(1)
         os.close(ready)

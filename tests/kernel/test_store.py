@@ -107,3 +107,28 @@ async def test_without_a_path_nothing_is_kept_and_everything_is_settled() -> Non
     store.put("things", "a", 1)
     await settled(store)
     assert store.load("things") == {}
+
+
+async def test_a_full_disk_is_waited_out(store: DiskStore, monkeypatch: pytest.MonkeyPatch) -> None:
+    failed = asyncio.Event()
+    told = store._failed
+    monkeypatch.setattr(store, "_failed", lambda reason: (told(reason), failed.set()))
+    connect, limited = store._connect, True
+
+    def small() -> sqlite3.Connection:
+        base = connect()
+        base.execute("PRAGMA max_page_count = 20" if limited else "PRAGMA max_page_count = 9999")
+        return base
+
+    monkeypatch.setattr(store, "_connect", small)
+    store.put("things", "a", 1)
+    async with asyncio.timeout(BOUND):
+        for number in range(40):
+            store.append((number + 1, b"hash", b"x" * 4096))
+        await failed.wait()
+        assert store.trouble is not None
+        assert "full" in store.trouble
+        limited = False  # somebody made room
+        await settled(store)
+    assert store.trouble is None
+    assert len(store.rows(100)) == 40
