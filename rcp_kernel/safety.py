@@ -11,10 +11,9 @@ from collections.abc import Callable, Generator
 from contextlib import contextmanager
 from typing import Any, Protocol
 
-import structlog
-
 from rcp_kernel.clock import now, parse_time
 from rcp_kernel.errors import BadRequest, EstopActive, StaleCommand
+from rcp_kernel.insist import insist
 from rcp_kernel.latches import Latch
 from rcp_kernel.model import Kind
 from rcp_kernel.registry import Entry
@@ -32,9 +31,6 @@ __all__ = [
     "safe_value",
 ]
 
-log = structlog.get_logger("rcp.safety")
-_STOP_TIMEOUT = 1.0  # s for one attempt to stop
-_STOP_RETRY = 0.05  # s between attempts
 ANSWER = 1.0  # s that a write's window is longer until the robot has answered it
 MOVING = frozenset((Kind.ACTUATOR, Kind.ACTION))
 
@@ -86,14 +82,12 @@ def check_age(entry: Entry, request: Request) -> None:
 
 async def halt(robot: Stoppable) -> None:
     """Call `Backend.halt` until the robot confirms it; cancelled, it gives up."""
-    while (backend := robot.backend) is not None:
-        try:
-            await asyncio.wait_for(backend.halt(), _STOP_TIMEOUT)
-        except Exception as error:
-            log.warning("halt_failed", backend=robot.name, error=repr(error))
-            await asyncio.sleep(_STOP_RETRY)
-        else:
-            return
+
+    async def once() -> None:
+        if (backend := robot.backend) is not None:
+            await backend.halt()
+
+    await insist(once, "halt_failed", backend=robot.name)
 
 
 class Deadman:
@@ -233,19 +227,17 @@ class Deadman:
 
     async def _stop(self, entry: Entry) -> None:
         safe = safe_value(entry)
-        while True:
+
+        async def once() -> None:
             backend = entry.owner.backend
-            try:
-                if backend is not None:
-                    self.sending(entry, safe)
-                    await asyncio.wait_for(backend.write(entry.name, safe), _STOP_TIMEOUT)
-                    self.at_rest(entry, safe)
-                    entry.publish(safe, None)
-                    return
-            except Exception as error:
-                log.warning("deadman_stop_failed", path=entry.path, error=repr(error))
-            # A robot whose link is down may still be driving: it is told when the link is back.
-            await asyncio.sleep(_STOP_RETRY)
+            if backend is None:  # it may still be driving: it is told when the link is back
+                raise entry.owner.unavailable()
+            self.sending(entry, safe)
+            await backend.write(entry.name, safe)
+
+        await insist(once, "deadman_stop_failed", path=entry.path)
+        self.at_rest(entry, safe)
+        entry.publish(safe, None)
 
     def close(self) -> None:
         """Forget all windows; the backends are halted by whoever closes them."""

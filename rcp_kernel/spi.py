@@ -151,7 +151,8 @@ class Backend(Protocol):
     async def halt(self) -> None:
         """Bring everything that moves to rest, at once; return when the robot confirmed it.
 
-        Called by the e-stop and before the backend closes; called again until it returns.
+        Called by the e-stop and before the backend closes; again until one call returns, also
+        beside one that has not answered yet: what was sent to the robot may have got lost.
         """
         ...
 

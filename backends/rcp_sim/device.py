@@ -24,6 +24,7 @@ from rcp_sim.waiting import Waiting
 __all__ = ["Device"]
 
 _PARTING = 0.05  # s
+_ANSWER = 1.0  # s after which a request that got no answer is given up
 TaskState = Literal["started", "completed", "cancelled", "failed"]
 
 
@@ -101,6 +102,8 @@ class Device:
             self._need_link()
         if stop:
             if self.faults.lose_stop():
+                given_up = self.uptime + _ANSWER
+                await self.waiting.until(lambda: self.uptime >= given_up)
                 raise DeviceTimeout("the stop went missing on its way to the rover")
         elif self.faults.refused(name):
             raise DeviceRejected(

@@ -25,6 +25,12 @@ class MotionTests(BackendTests):
         if self.moving():
             await self.comes_to_rest("two halts")
 
+    async def test_halts_side_by_side_bring_it_to_rest(self, robot: Robot) -> None:
+        await self.set_in_motion()
+        async with asyncio.timeout(self.cancel_within):
+            await asyncio.gather(robot.backend.halt(), robot.backend.halt())
+        await self.comes_to_rest("two halts at once")
+
     async def test_an_estop_brings_it_to_rest_and_ends_its_commands(self, robot: Robot) -> None:
         command = await self.set_in_motion()
         stop = await robot.client.request("execute", "/system/estop")

@@ -125,11 +125,10 @@ async def test_lost_stops_leave_the_rover_driving(rig: Any) -> None:
     await rig.drive(0.5)
     rig.tick(1)
     await rig.fault(fault="stop_lost", count=2)
-    with pytest.raises(DeviceTimeout, match="went missing"):
-        await rig.drive(0.0)
-    with pytest.raises(DeviceTimeout, match="went missing"):
-        await rig.backend.halt()
-    rig.tick(1)
+    for stop in (rig.drive(0.0), rig.backend.halt()):
+        unanswered = await rig.begin(stop)
+        with pytest.raises(DeviceTimeout, match="went missing"):
+            await rig.turn(unanswered, seconds=2)
     assert rig.sim.rover.v == 0.5
     await rig.drive(0.0)
     rig.tick(1)

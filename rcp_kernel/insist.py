@@ -1,0 +1,64 @@
+"""Have a stop taken: sent again and again until one is acknowledged, never waiting for a lost one."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Coroutine
+from typing import Any
+
+import structlog
+
+__all__ = ["insist"]
+
+log = structlog.get_logger("rcp.safety")
+_AGAIN = 0.05  # s to the second one, and after each that failed
+_SLOWER = 2.0  # times as long to the next, for as long as none is answered
+_SLOWEST = 1.0  # s between two at most
+_ABREAST = 8  # unanswered ones, of which the oldest is given up for the next
+_TOLD = 1.0  # s between two log records, at least
+
+
+async def insist(stop: Callable[[], Coroutine[Any, Any, None]], event: str, **facts: str) -> None:
+    """Call `stop` until one call of it returns; cancelled, it gives up.
+
+    A call that is not answered goes on beside the next ones, for it may only be slow. Failures
+    are logged as `event` with `facts`.
+    """
+    loop = asyncio.get_running_loop()
+    calls: list[asyncio.Task[None]] = []
+    pause, told = _AGAIN, -_TOLD
+    try:
+        while True:
+            calls.append(loop.create_task(stop()))
+            failure = await _answered(calls, loop.time() + pause)
+            if failure is None and not calls:
+                return
+            if failure is not None and loop.time() - told >= _TOLD:
+                told = loop.time()
+                log.warning(event, error=repr(failure), **facts)
+            pause = min(pause * _SLOWER, _SLOWEST) if calls else _AGAIN
+            if len(calls) >= _ABREAST:
+                calls.pop(0).cancel()
+    finally:
+        for call in calls:
+            call.cancel()
+
+
+async def _answered(calls: list[asyncio.Task[None]], until: float) -> BaseException | None:
+    """Wait for an answer, and empty `calls` on a good one; return the last failure till then."""
+    loop, failure = asyncio.get_running_loop(), None
+    while (left := until - loop.time()) > 0:
+        if not calls:
+            await asyncio.sleep(left)
+            break
+        done, _ = await asyncio.wait(calls, timeout=left, return_when=asyncio.FIRST_COMPLETED)
+        for call in done:
+            calls.remove(call)
+            error = asyncio.CancelledError() if call.cancelled() else call.exception()
+            if error is None:
+                for other in calls:
+                    other.cancel()
+                calls.clear()
+                return None
+            failure = error
+    return failure
