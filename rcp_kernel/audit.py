@@ -26,7 +26,7 @@ from rcp_kernel.store import Store
 from rcp_kernel.values import Encoding, dump, parse
 from rcp_kernel.wire import Request
 
-__all__ = ["FULL", "PATH", "Audit", "bounded", "value_of"]
+__all__ = ["FULL", "PATH", "Audit", "bounded", "decoded", "value_of"]
 
 PATH = "/system/audit"
 _LOOK = Operation.READ | Operation.SUBSCRIBE
@@ -79,7 +79,8 @@ class Audit:
         refusal = what == "denial"
         if refusal or waiting > _MOST:
             key = f"{facts.get('transport')}" if principal is None else f"={principal.name}"
-            full = waiting > (FULL if refusal else _MOST)
+            broken = refusal and self._store.trouble is not None
+            full = broken or waiting > (FULL if refusal else _MOST)
             if not self._flood.passes(key, who, path, outcome, full=full):
                 return False
         self._write(what, {**who, "path": path, **facts, "outcome": outcome})
@@ -106,7 +107,8 @@ class Audit:
 
     def past(self, last: int) -> list[dict[str, Any]]:
         """Return the last records of earlier runs. Blocks: for the start only."""
-        return [msgspec.json.decode(data) for _, _, data in self._store.rows(last)]
+        found = [decoded(data) for _, _, data in self._store.rows(last)]
+        return [record for record in found if record is not None]
 
     def start(self, **facts: Any) -> None:
         """Record that a gateway began, and the head that the one before it left behind."""
@@ -174,6 +176,14 @@ def _who(
     if session is not None:
         facts |= {"session": session.id[:8], "transport": session.transport}
     return facts
+
+
+def decoded(data: bytes) -> dict[str, Any] | None:
+    """Return a record as it is stored; None if somebody made something else of it."""
+    try:
+        return msgspec.json.decode(data, type=dict[str, Any])
+    except (msgspec.DecodeError, UnicodeDecodeError):
+        return None
 
 
 def bounded(value: Any) -> Any:

@@ -10,14 +10,14 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 import click
-import msgspec
 
+from rcp_kernel.audit import decoded
 from rcp_kernel.audit_chain import Head, Row, Verdict, parse_head, verify, written
 from rcp_kernel.audit_keeping import anchor_of
 from rcp_kernel.clock import parse_time
 from rcp_kernel.config import load
 from rcp_kernel.errors import BadRequest, ConfigError
-from rcp_kernel.store import head_beside, open_read_only
+from rcp_kernel.store_file import FAULTS, ROWS, head_beside, open_read_only
 
 __all__ = ["audit", "examined"]
 
@@ -90,12 +90,12 @@ def examined(path: Path, heads: tuple[Head, ...] = ()) -> Verdict:
         try:
             known = heads if beside is None else (*heads, beside)
             return verify(_rows(base), anchor_of(base), known)
-        except sqlite3.Error as error:
+        except FAULTS as error:
             raise ConfigError(f"the store '{path}' cannot be read: {error}") from None
 
 
 def _rows(base: sqlite3.Connection) -> Iterator[Row]:
-    yield from base.execute("SELECT seq, hash, record FROM audit ORDER BY seq")
+    yield from base.execute(f"{ROWS} ORDER BY seq")
 
 
 @audit.command()
@@ -122,19 +122,15 @@ def export(
     except ConfigError as error:
         _fail(str(error))
     with closing(base):
-        for seq, _, data in _rows(base):
-            record = _decoded(data)
-            if record is None:
-                click.echo(f"rcpd: record {seq} cannot be read: verify", err=True)
-            elif _wanted(record, since, until, tenant, what):
-                click.echo(data)
-
-
-def _decoded(data: bytes) -> dict[str, Any] | None:
-    try:
-        return msgspec.json.decode(data, type=dict[str, Any])
-    except (msgspec.DecodeError, UnicodeDecodeError):
-        return None
+        try:
+            for seq, _, data in _rows(base):
+                record = decoded(data)
+                if record is None:
+                    click.echo(f"rcpd: record {seq} cannot be read: verify", err=True)
+                elif _wanted(record, since, until, tenant, what):
+                    click.echo(data)
+        except FAULTS as error:
+            _fail(f"the store '{path}' cannot be read any further: {error}")
 
 
 def _wanted(

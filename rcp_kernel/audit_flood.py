@@ -1,4 +1,7 @@
-"""A flood of refusals is counted and told in one record, so that it cannot fill the disk."""
+"""A flood of refusals is counted and summed up, so that it cannot fill the disk.
+
+A sum is of one tenant: what somebody was refused in one is nothing that another should read of.
+"""
 
 from __future__ import annotations
 
@@ -11,19 +14,43 @@ __all__ = ["Flood"]
 
 _LONGEST = 60.0  # s that one summary covers at most
 _SHOWN = 20  # paths that a summary names
+_TENANTS = 20  # that have sums of their own; further ones go into that of no tenant
+
+
+class _Sum:
+    """Refusals in one tenant that have no records of their own."""
+
+    __slots__ = ("codes", "paths", "who")
+
+    def __init__(self, who: dict[str, Any]) -> None:
+        self.who = who
+        self.codes: Counter[str] = Counter()
+        self.paths: Counter[str] = Counter()
+
+    def add(self, path: str | None, code: str) -> None:
+        self.codes[code] += 1
+        if path is not None and (path in self.paths or len(self.paths) < _SHOWN):
+            self.paths[path] += 1
 
 
 class _Window:
     """Refusals of one principal in the running window."""
 
-    __slots__ = ("codes", "count", "length", "paths", "who")
+    __slots__ = ("count", "length", "sums")
 
-    def __init__(self, length: float, who: dict[str, Any]) -> None:
+    def __init__(self, length: float) -> None:
         self.length = length
-        self.who = who
         self.count = 0
-        self.codes: Counter[str] = Counter()
-        self.paths: Counter[str] = Counter()
+        self.sums: dict[str | None, _Sum] = {}
+
+    def sum_of(self, who: dict[str, Any]) -> _Sum:
+        tenant = who.get("tenant")
+        if tenant not in self.sums and len(self.sums) >= _TENANTS:
+            who, tenant = {**who, "tenant": None}, None
+        found = self.sums.get(tenant)
+        if found is None:
+            found = self.sums[tenant] = _Sum(who)
+        return found
 
 
 class Flood:
@@ -44,40 +71,37 @@ class Flood:
         """Tell whether this one has a record of its own; else it is counted, as all are if `full`."""
         window = self._windows.get(key)
         if window is None:
-            window = self._open(key, 1.0, who)
+            window = self._open(key, 1.0)
         window.count += 1
         # A window that follows a flood counts all: it lasts longer the longer the flood does.
         if window.length == 1.0 and window.count <= self.bound and not full:
             return True
-        window.codes[code] += 1
-        if path is not None and (path in window.paths or len(window.paths) < _SHOWN):
-            window.paths[path] += 1
+        window.sum_of(who).add(path, code)
         return False
 
-    def _open(self, key: str, length: float, who: dict[str, Any]) -> _Window:
-        window = self._windows[key] = _Window(length, who)
+    def _open(self, key: str, length: float) -> _Window:
+        window = self._windows[key] = _Window(length)
         self._timers[key] = self._loop.call_later(length, self._close, key)
         return window
 
     def _close(self, key: str) -> None:
         window = self._windows.pop(key)
         del self._timers[key]
-        if not window.codes:
-            return
         self._sum_up(window)
-        if window.count > self.bound * window.length:
-            self._open(key, min(window.length * 2, _LONGEST), window.who)
+        if window.sums and window.count > self.bound * window.length:
+            self._open(key, min(window.length * 2, _LONGEST))
 
     def _sum_up(self, window: _Window) -> None:
-        self._tell(
-            {
-                **window.who,
-                "count": sum(window.codes.values()),
-                "seconds": window.length,
-                "codes": dict(window.codes),
-                "paths": dict(window.paths),
-            }
-        )
+        for found in window.sums.values():
+            self._tell(
+                {
+                    **found.who,
+                    "count": found.codes.total(),
+                    "seconds": window.length,
+                    "codes": dict(found.codes),
+                    "paths": dict(found.paths),
+                }
+            )
 
     def close(self) -> None:
         """Sum up what was counted so far."""
@@ -86,5 +110,4 @@ class Flood:
         self._timers.clear()
         windows, self._windows = self._windows, {}
         for window in windows.values():
-            if window.codes:
-                self._sum_up(window)
+            self._sum_up(window)

@@ -13,6 +13,7 @@ from rcp_kernel.audit_chain import Head
 from rcp_kernel.clock import now, parse_time
 from rcp_kernel.config import AuditConfig
 from rcp_kernel.store import Store
+from rcp_kernel.store_file import ROWS
 
 __all__ = ["Keeping", "anchor_of"]
 
@@ -55,9 +56,8 @@ class Keeping:
         gone = min(gone, first + _AT_ONCE - 1, last)
         if gone < first:
             return None
-        return base.execute(
-            "SELECT seq, hash FROM audit WHERE seq <= ? ORDER BY seq DESC LIMIT 1", (gone,)
-        ).fetchone()
+        row = base.execute(f"{ROWS} WHERE seq <= ? ORDER BY seq DESC LIMIT 1", (gone,)).fetchone()
+        return row[:2]
 
     def _too_old(self, base: sqlite3.Connection, first: int, last: int) -> int:
         days = self.config.keep_days
@@ -119,5 +119,8 @@ def anchor_of(base: sqlite3.Connection) -> Head | None:
     row = base.execute("SELECT value FROM kept WHERE place = 'audit' AND key = 'anchor'").fetchone()
     if row is None:
         return None
-    kept: Any = msgspec.msgpack.decode(row[0])
-    return kept["seq"], kept["hash"]
+    try:
+        kept: Any = msgspec.msgpack.decode(row[0])
+        return int(kept["seq"]), bytes(kept["hash"])
+    except (msgspec.DecodeError, ValueError, TypeError, KeyError):  # the gap says that it is gone
+        return None

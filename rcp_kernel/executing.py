@@ -72,7 +72,8 @@ class Executing:
         if entry.path == "/system/estop":
             return self._estop(session, request, answer, entry, value)
         if (service := gateway.services.get(entry.path)) is not None:
-            return self._serve(service, session, request, entry, value)
+            self._serve(service, session, request, entry, value, answer)
+            return None
         known = gateway.keys.find(session, request, entry.path)
         if isinstance(known, Command):
             self._follow(session, request, known, answer, started)
@@ -149,9 +150,24 @@ class Executing:
         return None
 
     def _serve(
+        self,
+        service: Service,
+        session: Session,
+        request: Request,
+        entry: Entry,
+        value: Any,
+        answer: Answer,
+    ) -> None:
+        """Do what the gateway does itself, at once; the answer leaves when that is kept."""
+        started = perf_counter()
+        reply = self._served(service, session, request, entry, value)
+        self._gateway.conclude(session, reply, started)
+        self._gateway.recording.held(answer, request)(reply)
+
+    def _served(
         self, service: Service, session: Session, request: Request, entry: Entry, value: Any
     ) -> Reply:
-        """Answer what the gateway does itself, at once; a repeat under the same key does nothing."""
+        """Return the answer of a service; a repeat under the same key does nothing."""
         known = self._gateway.keys.find(session, request, entry.path)
         if isinstance(known, asyncio.Future):
             again = copy(known.result())

@@ -49,10 +49,7 @@ class Latches:
         self._store = store
         self.changed: Callable[[], None] = lambda: None
         """Called after every change."""
-        self._held = {
-            key: Latch(kept["by"], kept["reason"], kept["since"], kept["freed"])
-            for key, kept in store.load(_TABLE).items()
-        }
+        self._held = {key: _read(kept) for key, kept in store.load(_TABLE, unreadable={}).items()}
 
     def of(self, robot: str, tenant: str) -> Latch | None:
         """Return what holds a robot, the narrowest first."""
@@ -106,6 +103,13 @@ class Latches:
             kept = {"by": latch.by, "reason": latch.reason, "since": latch.since, "freed": freed}
         self._store.put(_TABLE, key, kept)
         self.changed()
+
+
+def _read(kept: Any) -> Latch:
+    try:
+        return Latch(kept["by"], kept["reason"], int(kept["since"]), kept["freed"])
+    except (KeyError, TypeError, ValueError):  # somebody had latched it: that is what matters
+        return Latch("the gateway", "what the store holds of this e-stop cannot be read")
 
 
 def _wide(key: str) -> bool:

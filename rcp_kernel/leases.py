@@ -14,9 +14,11 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+import structlog
+
 from rcp_kernel.acl import reach
 from rcp_kernel.clock import iso, now
-from rcp_kernel.errors import BadRequest, LeaseHeld, LeaseLost, LeaseRequired
+from rcp_kernel.errors import BadRequest, LeaseHeld, LeaseLost, LeaseRequired, RcpError
 from rcp_kernel.model import Kind, Operation, Pattern
 from rcp_kernel.registry import Entry
 from rcp_kernel.scope import Scope
@@ -27,6 +29,7 @@ if TYPE_CHECKING:
 
 __all__ = ["COMMANDING", "Lease", "Leases"]
 
+log = structlog.get_logger("rcp.store")
 COMMANDING = Operation.WRITE | Operation.EXECUTE
 _TABLE = "leases"
 _LOSERS = 1000  # holders whose losses are remembered
@@ -118,7 +121,11 @@ class Leases:
 
     def _restore(self) -> None:
         for id_, kept in self._gateway.store.load(_TABLE).items():
-            lease = Lease(id_, Scope(kept.pop("scope")), **kept)
+            try:
+                lease = Lease(id_, Scope(kept.pop("scope")), **kept)
+            except (RcpError, TypeError, KeyError, AttributeError) as error:
+                log.warning("store_row_unreadable", table=_TABLE, key=id_, error=str(error))
+                continue
             self.held[id_] = lease
             if lease.left:
                 self._set_timer(lease)

@@ -71,6 +71,7 @@ class _Held:
         if reply is None:
             return
         if self.anyway:
+            reply.message = f"{reply.message or ''} It is not on record yet.".lstrip()
             self.release()
             return
         self.reply = None
@@ -91,10 +92,10 @@ class Recording:
     def check(self) -> None:
         """Refuse what would have to go on record while that cannot be written.
 
-        :raises QueueFull: too many records wait.
+        :raises QueueFull: the store has trouble, or too many records wait.
         """
         store = self._gateway.store
-        if store.waiting > FULL:
+        if store.trouble is not None or store.waiting > FULL:
             raise QueueFull(
                 f"the record cannot be written ({store.trouble or 'the disk is slow'}); commands "
                 "and writes are refused until it can",

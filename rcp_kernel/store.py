@@ -13,31 +13,31 @@ import queue
 import sqlite3
 import threading
 from collections import deque
-from collections.abc import Callable, Iterator
-from contextlib import closing, suppress
+from collections.abc import Callable
+from contextlib import ExitStack, closing, suppress
 from pathlib import Path
 from typing import Any
 
 import msgspec
 import structlog
 
-from rcp_kernel.audit_chain import Head, Row, parse_head
-from rcp_kernel.errors import ConfigError
+from rcp_kernel.audit_chain import Head, Row
+from rcp_kernel.store_file import (
+    ROWS,
+    beside,
+    create,
+    head_beside,
+    lock,
+    opened,
+    prove,
+    store_errors,
+)
 from rcp_kernel.values import Encoding, dump
 
-__all__ = ["DiskStore", "Store", "head_beside", "open_read_only"]
+__all__ = ["DiskStore", "Store"]
 
 log = structlog.get_logger("rcp.store")
-_SCHEMA = """
-CREATE TABLE IF NOT EXISTS kept (
-    place TEXT NOT NULL, key TEXT NOT NULL, value BLOB NOT NULL, PRIMARY KEY (place, key)
-) WITHOUT ROWID;
-CREATE TABLE IF NOT EXISTS audit (
-    seq INTEGER PRIMARY KEY, hash BLOB NOT NULL, record BLOB NOT NULL
-);
-"""
 _RETRY = 0.5  # s between attempts of a store that cannot write
-_BUSY = 1.0  # s to wait for somebody else's lock on the database
 
 
 class Store:
@@ -57,8 +57,11 @@ class Store:
     def put(self, table: str, key: str, value: Any | None) -> None:
         """Keep a value that msgpack takes under a key; None deletes. Returns at once."""
 
-    def load(self, table: str) -> dict[str, Any]:
-        """Return what earlier runs kept in a table. Blocks: for the start only."""
+    def load(self, table: str, *, unreadable: Any = None) -> dict[str, Any]:
+        """Return what earlier runs kept in a table. Blocks: for the start only.
+
+        A row that cannot be read counts as `unreadable`; it is left out if that is None.
+        """
         return {}
 
     def append(self, row: Row) -> None:
@@ -126,21 +129,23 @@ class DiskStore(Store):
         self._waiters: deque[tuple[int, Callable[[], object]]] = deque()
         self._queue: queue.SimpleQueue[_Batch | None] = queue.SimpleQueue()
         self._closing = threading.Event()
-        try:
+        with store_errors(path), ExitStack() as opening:
             path.parent.mkdir(parents=True, exist_ok=True)
-            self._lock = _lock(path)
+            self._lock = lock(path)
+            opening.callback(self._lock.close)
             if not path.exists():
-                _create(path)
+                create(path)
             self.left = head_beside(path)
-            self._beside = os.open(_beside(path), os.O_CREAT | os.O_WRONLY, 0o600)
-            self._connect().close()
-        except (OSError, sqlite3.Error) as error:
-            raise ConfigError(f"[store] path = '{path}' cannot be opened: {error}") from None
+            self._beside = os.open(beside(path), os.O_CREAT | os.O_WRONLY, 0o600)
+            opening.callback(os.close, self._beside)
+            with closing(self._connect()) as base:
+                prove(base)
+            opening.pop_all()
         self._thread = threading.Thread(target=self._write, name="rcp-store", daemon=True)
         self._thread.start()
 
     def _connect(self) -> sqlite3.Connection:
-        return _opened(self.path)
+        return opened(self.path)
 
     # -- the event loop's side -----------------------------------------------------------------
 
@@ -217,19 +222,23 @@ class DiskStore(Store):
             log.error("store_failed", path=str(self.path), error=reason)
         self.trouble = reason
 
-    def load(self, table: str) -> dict[str, Any]:
-        """Return what earlier runs kept in a table; a row that cannot be read is left out."""
-        with closing(self._connect()) as base:
+    def load(self, table: str, *, unreadable: Any = None) -> dict[str, Any]:
+        """Return what earlier runs kept in a table.
+
+        :raises ConfigError: the database cannot be read.
+        """
+        with store_errors(self.path), closing(self._connect()) as base:
             rows = base.execute("SELECT key, value FROM kept WHERE place = ?", (table,)).fetchall()
-        return dict(_readable(table, rows))
+        found = {key: _decoded(table, key, data, unreadable) for key, data in rows}
+        return {key: value for key, value in found.items() if value is not None}
 
     def rows(self, last: int) -> list[Row]:
-        """Return the audit's last rows, oldest first."""
-        with closing(self._connect()) as base:
-            found = base.execute(
-                "SELECT seq, hash, record FROM audit ORDER BY seq DESC LIMIT ?", (last,)
-            ).fetchall()
-        return found[::-1]
+        """Return the audit's last rows, oldest first.
+
+        :raises ConfigError: the database cannot be read.
+        """
+        with store_errors(self.path), closing(self._connect()) as base:
+            return base.execute(f"{ROWS} ORDER BY seq DESC LIMIT ?", (last,)).fetchall()[::-1]
 
     def close(self) -> None:
         """Write what is left within a bound, then stop."""
@@ -253,7 +262,7 @@ class DiskStore(Store):
                     _commit(base, batch)
                     self._write_beside(batch)
                     found = [_looked(base, work) for work, _ in batch.looks]
-                except sqlite3.Error as error:
+                except Exception as error:  # whatever it was: nothing may end what keeps the record
                     self._tell(self._failed, str(error))
                     if base is not None:
                         base.close()
@@ -310,67 +319,6 @@ def _looked(base: sqlite3.Connection, work: Callable[[sqlite3.Connection], Any])
         return None
 
 
-def _beside(path: Path) -> Path:
-    return path.with_name(path.name + ".head")
-
-
-def head_beside(path: Path) -> Head | None:
-    """Return the head of the audit that the last writer left beside a database."""
-    try:
-        return parse_head(_beside(path).read_text(encoding="ascii"))
-    except (OSError, ValueError):
-        return None
-
-
-def _opened(path: Path) -> sqlite3.Connection:
-    base = sqlite3.connect(path, timeout=_BUSY)
-    base.execute("PRAGMA journal_mode=WAL")
-    base.execute("PRAGMA synchronous=NORMAL")
-    base.executescript(_SCHEMA)
-    return base
-
-
-def _create(path: Path) -> None:
-    """Make the database all at once: whoever looks finds it whole or not at all."""
-    fresh = path.with_name(path.name + ".new")
-    for suffix in ("", "-journal", "-wal", "-shm"):  # of a start that was cut off
-        fresh.with_name(fresh.name + suffix).unlink(missing_ok=True)
-    _claim(fresh)
-    _opened(fresh).close()
-    fresh.replace(path)
-
-
-def _claim(path: Path) -> None:
-    """Have a file whose content is nobody else's to read."""
-    os.close(os.open(path, os.O_CREAT | os.O_WRONLY, 0o600))
-
-
-def _lock(path: Path) -> sqlite3.Connection:
-    """Keep a second gateway from the same store; the system lets go when the process ends."""
-    place = path.with_name(path.name + ".lock")
-    _claim(place)
-    held = sqlite3.connect(place, timeout=0, isolation_level=None)
-    try:
-        held.execute("BEGIN EXCLUSIVE")
-    except sqlite3.Error:
-        held.close()
-        raise sqlite3.OperationalError("another gateway is using it") from None
-    return held
-
-
-def open_read_only(path: Path) -> sqlite3.Connection:
-    """Open a store to look at, also while its gateway runs.
-
-    :raises ConfigError: it is not there, or not a store.
-    """
-    try:
-        base = sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro", uri=True, timeout=_BUSY)
-        base.execute("SELECT 1 FROM audit LIMIT 1")
-    except sqlite3.Error as error:
-        raise ConfigError(f"the store '{path}' cannot be read: {error}") from None
-    return base
-
-
 def _encoded(value: Any) -> bytes:
     try:
         return msgspec.msgpack.encode(value)
@@ -378,9 +326,9 @@ def _encoded(value: Any) -> bytes:
         return msgspec.msgpack.encode(msgspec.json.decode(dump(value, Encoding.JSON)))
 
 
-def _readable(table: str, rows: list[tuple[str, bytes]]) -> Iterator[tuple[str, Any]]:
-    for key, data in rows:
-        try:
-            yield key, msgspec.msgpack.decode(data)
-        except (msgspec.DecodeError, TypeError) as error:
-            log.warning("store_row_unreadable", table=table, key=key, error=str(error))
+def _decoded(table: str, key: str, data: bytes, unreadable: Any) -> Any:
+    try:
+        return msgspec.msgpack.decode(data)
+    except (msgspec.DecodeError, TypeError, ValueError) as error:
+        log.warning("store_row_unreadable", table=table, key=key, error=str(error))
+        return unreadable

@@ -15,7 +15,7 @@ import random
 import signal
 import sys
 from collections import Counter
-from collections.abc import AsyncGenerator, Iterator
+from collections.abc import AsyncGenerator, Generator, Iterator
 from contextlib import asynccontextmanager, closing, suppress
 from pathlib import Path
 from types import SimpleNamespace
@@ -29,7 +29,7 @@ from rcp_kernel.log import Recent, configure
 from rcp_kernel.model import Resource
 from rcp_kernel.server import Prepared, Server, running
 from rcp_kernel.spi import BackendKind, BaseBackend, Host, Progress
-from rcp_kernel.store import open_read_only
+from rcp_kernel.store_file import open_read_only
 from rcp_kernel.values import Encoding
 
 CONFIG = """
@@ -43,15 +43,32 @@ sse = false
 use = "robot"
 tenant = "alpha"
 
+[[backends]]
+use = "robot"
+name = "leased"
+tenant = "beta"
+
+[[backends]]
+use = "robot"
+name = "stopped"
+tenant = "gamma"
+
 [[keys]]
 name = "operator"
 role = "operator"
 key = "operator-operator"
 
+[[keys]]
+name = "admin"
+role = "admin"
+key = "admin-admin-admin"
+
 [store]
 path = "{path}"
 """
 IN_FLIGHT = 6  # requests of each client
+SCOPES = 24  # that leases are taken on
+TTL = 1.0  # s of a lease
 AGAIN = 60  # keys sent again in each life
 FINAL = ("completed", "failed", "rejected", "cancelled")
 Sent = tuple[str, dict[str, Any]]
@@ -89,6 +106,9 @@ class Robot(BaseBackend):
             Resource(name="param/label", description="A text.", value=str),
             Resource(name="service/run", description="Runs.", input=str, output=str),
         )
+        if host.tenant == "beta":
+            for number in range(SCOPES):
+                host.declare(Resource(name=f"service/s{number}", description="Is leased."))
 
     async def write(self, name: str, value: Any) -> Any:
         self._ran.write(value)
@@ -114,7 +134,7 @@ def prepared(folder: Path) -> Prepared:
         is_missing=lambda _group, _name: None,
     )
     config = parse(CONFIG.format(path=folder / "store.db"), "crash")
-    return Prepared(config, plugins, (NoOptions(),), {}, {})
+    return Prepared(config, plugins, tuple(NoOptions() for _ in config.backends), {}, {})
 
 
 class Client:
@@ -148,6 +168,46 @@ class Client:
         self.send(ended)
 
 
+class Guard:
+    """Looks at leases and latches, then changes them, one request after the other."""
+
+    def __init__(self, server: Server, journal: Journal, life: int) -> None:
+        self._journal = journal
+        self._steps = self._plan(life)
+        principal = server.door.authenticate("admin-admin-admin")
+        self.connection = server.door.connect(principal, Encoding.JSON, self._flush)
+        self._next(None)
+
+    def _plan(self, life: int) -> Generator[dict[str, Any], dict[str, Any]]:
+        yield {"type": "read", "path": "/system/estop"}
+        yield {"type": "read", "path": "/system/leases"}
+        for number in itertools.count():
+            scope = f"/tenant/beta/service/s{random.randrange(SCOPES)}"
+            if number < 2:
+                told = yield leasing(do="acquire", scope=scope, ttl=TTL)
+                if told["status"] == "completed" and random.random() < 0.3:
+                    yield leasing(do="release", lease=told["body"]["lease"])
+            stop = {"scope": "/tenant/gamma", "reset": random.random() < 0.5}
+            body = {**stop, "reason": f"{life}-{number}"}
+            yield {"type": "execute", "path": "/system/estop", "body": body}
+
+    def _next(self, told: Any) -> None:
+        envelope = self._steps.send(told)
+        self._journal.write({"sent": envelope})
+        self.connection.receive(json.dumps({"id": "g", **envelope}).encode())
+
+    def _flush(self) -> None:
+        for data in self.connection.mailbox.collect():
+            reply = json.loads(data)
+            if reply.get("status") in FINAL:
+                self._journal.write({"told": reply})
+                asyncio.get_running_loop().call_soon(self._next, reply)
+
+
+def leasing(**body: Any) -> dict[str, Any]:
+    return {"type": "execute", "path": "/system/leases", "body": body}
+
+
 def load(life: int, client: int) -> Iterator[Sent]:
     """Make requests of every kind; each one's mark is its id, its key and its value."""
     for number in itertools.count():
@@ -176,6 +236,7 @@ def live(folder: Path, life: int, again: list[Sent], hello: dict[str, Any], read
             told, sent = Journal(folder / f"told-{life}"), Journal(folder / f"sent-{life}")
             repeats = iter([(f"again-{mark}", envelope) for mark, envelope in again])
             Client(server, told, sent, repeats).send(len(again))
+            Guard(server, Journal(folder / f"guard-{life}"), life)
             for number in range(3):
                 client = Client(server, told, sent, load(life, number))
                 if number == 0:
@@ -200,6 +261,8 @@ class Inspector:
         self._looked = 0
         self.hello: dict[str, Any] = {}
         """How a client comes back to its session."""
+        self._latched: bool | None = None
+        self._leases: dict[str, dict[str, Any]] = {}
 
     def inspect(self, life: int) -> None:
         """Look at everything after a kill; raises AssertionError with what is wrong."""
@@ -221,6 +284,13 @@ class Inspector:
                 self._greeted(reply)
             else:
                 self._check(reply, before)
+        sent: dict[str, Any] = {}
+        for fact in lines(self._folder / f"guard-{life}"):
+            if "sent" in fact:
+                sent = fact["sent"]
+                self._begun(sent)
+            else:
+                self._guarded(sent, fact["told"])
         for id_, envelope in lines(self._folder / f"sent-{life}"):
             if "idempotency_key" in envelope and not id_.startswith("again-"):
                 self.keys.append((id_, envelope))
@@ -234,6 +304,10 @@ class Inspector:
                 record = json.loads(data)
                 self._seen = record["seq"]
                 name = record.get("command") or record.get("id")
+                if record["what"] == "estop":
+                    name = record["reason"]
+                elif record["what"] == "lease":
+                    name = f"{record['did']} {record['lease']}"
                 if name is not None:
                     self._records[record["what"], name] = record
 
@@ -266,6 +340,44 @@ class Inspector:
             assert error == "internal", reply
             self.counts["not begun"] += 1
         self._outcomes[mark] = outcome
+
+    def _begun(self, sent: dict[str, Any]) -> None:
+        """Until it is answered, what a request does may have come about or not."""
+        body = sent.get("body", {})
+        if sent["path"] == "/system/estop" and body:
+            self._latched = None
+        elif body.get("do") == "release":
+            self._leases.pop(body["lease"], None)
+
+    def _guarded(self, sent: dict[str, Any], reply: dict[str, Any]) -> None:
+        body = sent.get("body")
+        if sent["path"] == "/system/estop":
+            assert reply["status"] == "completed", reply
+            latched = "/tenant/gamma" in reply["body"]["scopes"]
+            if body is not None:
+                assert latched != body["reset"], reply
+                assert ("estop", body["reason"]) in self._records, reply
+            elif self._latched is not None:
+                assert latched == self._latched, reply
+                self.counts["latches back" if latched else "resets back"] += 1
+            self._latched = latched
+        elif body is None:
+            held = {lease["lease"]: lease for lease in reply["body"]}
+            for id_, lease in self._leases.items():
+                if lease["expires"] > reply["timestamp"]:
+                    found = held[id_]  # a renewal that nobody was told of may have made it longer
+                    assert found | {"expires": lease["expires"]} == lease, (lease, reply)
+                    assert found["expires"] >= lease["expires"], (lease, reply)
+                    self.counts["leases back"] += 1
+            self._leases = held
+        elif reply["status"] == "completed":
+            did, lease = body["do"], reply["body"]
+            assert ("lease", f"{did} {lease['lease']}") in self._records, reply
+            if did == "acquire":
+                self._leases[lease["lease"]] = lease
+        else:
+            assert reply["error"]["code"] == "lease_held", reply
+            self.counts["leases in the way"] += 1
 
     def _greeted(self, reply: dict[str, Any]) -> None:
         if reply["type"] == "notice":

@@ -171,6 +171,40 @@ async def test_a_flood_of_refusals_becomes_one_record_a_window(world: World) -> 
     assert len(await records(world, what="denial")) == 10
 
 
+async def test_a_flood_in_two_tenants_is_summed_up_for_each_of_them() -> None:
+    async with world_of(TENANTS) as world:
+        bea = world.client("admin-of-beta-viewer-of-alpha")
+        paths = (LIMIT, "/tenant/beta/sensor/level")  # not hers to write; nothing to write at all
+        for _ in range(12):
+            for path in paths:
+                await bea.ask(type="write", path=path, body=1)
+        world.server.gateway.audit._flood._close("=bea")
+        sums = await records(world, what="denials")
+        assert [(s["tenant"], s["roles"], s["paths"]) for s in sums] == [
+            ("alpha", ["viewer"], {paths[0]: 7}),
+            ("beta", ["admin"], {paths[1]: 7}),
+        ]
+
+
+async def test_an_acknowledged_lease_is_kept(tmp_path: Path) -> None:
+    path = tmp_path / "store.db"
+    ask = {"type": "execute", "path": "/system/leases"}
+    body = {"do": "acquire", "scope": "/tenant/alpha/param"}
+    async with world_of(kept_in(path)) as world:
+        await settled(world.server.gateway.store)
+        client = world.client()
+        with closing(sqlite3.connect(path)) as other:
+            other.execute("BEGIN IMMEDIATE")
+            asked = client.send(**ask, body=body)
+            await client.ask(type="ping")
+            assert not [m for m in client.inbox if m["id"] == asked]
+            other.rollback()
+        assert (await client.final(asked))["body"]["scope"] == "/tenant/alpha/param"
+        with closing(sqlite3.connect(path)) as other:
+            [held] = other.execute("SELECT key FROM kept WHERE place = 'leases'").fetchall()
+        assert (await client.ask(**ask, body={**body, "do": "release"}))["body"]["lease"] == held[0]
+
+
 async def test_everybody_sees_the_records_of_their_tenants_alone() -> None:
     async with world_of(TENANTS) as world:
         ada, bea = (
@@ -362,6 +396,15 @@ async def test_a_store_that_cannot_be_written_makes_the_gateway_degraded(
             assert status["record"]["state"] == "degraded"
             assert status["record"]["waiting"] == 1
             assert "locked" in status["record"]["detail"]
+            client = world.client()
+            for envelope in ({"type": "write", "path": LIMIT}, {"type": "execute", "path": GO}):
+                refused = await client.ask(**envelope, body=1.0)
+                assert refused["error"]["code"] == "queue_full"
+                assert "locked" in refused["error"]["message"]
+            assert world.robot.writes == []
+            stop = await client.ask(type="execute", path="/system/estop")
+            assert (stop["status"], world.robot.halts) == ("completed", 1)
+            assert "not on record yet" in stop["message"]
             other.rollback()
         await settled(store)
         assert (await admin.ask(type="status"))["body"]["state"] == "ok"

@@ -11,9 +11,10 @@ from pathlib import Path
 
 import pytest
 
-from kernel.world import BOUND, settled
+from kernel.world import BOUND, kept_in, settled, world_of
 from rcp_kernel.errors import ConfigError
 from rcp_kernel.store import DiskStore, Store
+from rcp_kernel.store_file import opened
 
 pytestmark = pytest.mark.anyio
 
@@ -87,8 +88,76 @@ async def test_a_locked_store_is_retried_and_loses_nothing(
 
 
 async def test_a_second_gateway_on_the_same_store_is_refused(store: DiskStore) -> None:
-    with pytest.raises(ConfigError, match="another gateway is using it"):
-        DiskStore(store.path, asyncio.get_running_loop())
+    for _ in range(2):
+        with pytest.raises(ConfigError, match=r"another gateway is using it\. Stop the other"):
+            DiskStore(store.path, asyncio.get_running_loop())
+
+
+def whole(path: Path) -> Path:
+    """Make a store with something in it."""
+    made = DiskStore(path, asyncio.get_running_loop())
+    for number in range(100):
+        made.put("things", f"{number}", "x" * 100)
+    made.close()
+    return path
+
+
+async def test_no_start_with_what_is_not_a_store_or_not_a_whole_one(tmp_path: Path) -> None:
+    foreign = tmp_path / "foreign.db"
+    foreign.write_bytes(b"not a database" * 1000)
+    cut = whole(tmp_path / "cut.db")
+    cut.write_bytes(cut.read_bytes()[:-4096])
+    spoilt = whole(tmp_path / "spoilt.db")
+    data = bytearray(spoilt.read_bytes())
+    data[4096 + 3 : 4096 + 5] = b"\xff\xff"  # the number of cells of a page
+    spoilt.write_bytes(data)
+    for path in (foreign, cut, spoilt):
+        with pytest.raises(ConfigError, match=f"{path.name}.*Bring back a copy of it"):
+            DiskStore(path, asyncio.get_running_loop())
+
+
+async def test_no_start_where_nothing_can_be_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path, pragma = whole(tmp_path / "store.db"), "query_only = 1"
+
+    def limited(_store: DiskStore) -> sqlite3.Connection:
+        base = opened(path)
+        base.execute(f"PRAGMA {pragma}")
+        return base
+
+    monkeypatch.setattr(DiskStore, "_connect", limited)
+    with pytest.raises(ConfigError, match=r"readonly database\. Give the gateway's user a folder"):
+        DiskStore(path, asyncio.get_running_loop())
+    (tmp_path / "file").touch()
+    with pytest.raises(ConfigError, match="Give the gateway's user a folder"):
+        DiskStore(tmp_path / "file" / "store.db", asyncio.get_running_loop())
+
+
+async def test_no_start_while_another_program_holds_the_store(tmp_path: Path) -> None:
+    path = whole(tmp_path / "store.db")
+    with closing(sqlite3.connect(path)) as other:
+        other.execute("BEGIN IMMEDIATE")
+        with pytest.raises(ConfigError, match="Close the program that holds it open"):
+            DiskStore(path, asyncio.get_running_loop())
+        other.rollback()
+
+
+async def test_an_estop_whose_row_was_spoilt_is_still_latched(tmp_path: Path) -> None:
+    path = tmp_path / "store.db"
+    async with world_of(kept_in(path)) as world:
+        await world.client().ask(type="execute", path="/system/estop")
+        await world.client().ask(
+            type="execute", path="/system/leases", body={"do": "acquire", "scope": "/param"}
+        )
+    for value in (b"\xc1", b"\x01", "text", b"\x81\xa2by\x01"):
+        with closing(sqlite3.connect(path)) as base, base:
+            base.execute("UPDATE kept SET value = ? WHERE place IN ('latches', 'leases')", (value,))
+        async with world_of(kept_in(path)) as world:
+            client = world.client()
+            moved = await client.ask(type="execute", path="/tenant/alpha/action/go", body=1)
+            assert moved["error"]["code"] == "estop_active"
+            assert (await client.ask(type="read", path="/system/leases"))["body"] == []
 
 
 async def test_a_store_is_for_its_owner_alone(store: DiskStore) -> None:
