@@ -8,22 +8,17 @@ connection, and is remembered after its end.
 from __future__ import annotations
 
 import asyncio
-import secrets
 from collections import deque
-from collections.abc import Awaitable, Callable, Iterable
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable
 from typing import TYPE_CHECKING, Any, Protocol
 
-import structlog
-
-from rcp_kernel.clock import iso, now
+from rcp_kernel.clock import now
+from rcp_kernel.command import Command, Record, outcome_of, status_of
 from rcp_kernel.errors import (
-    AdapterUnavailable,
     AlreadyRunning,
     Cancelled,
     DeadlineExceeded,
     DeviceRejected,
-    InternalError,
     QueueFull,
     RcpError,
     Refused,
@@ -33,42 +28,16 @@ from rcp_kernel.metrics import Histogram
 from rcp_kernel.model import Kind
 from rcp_kernel.registry import Entry
 from rcp_kernel.spi import Backend
-from rcp_kernel.values import to_plain
-from rcp_kernel.wire import FINAL, NO_BODY, Reply, Status, error_body
+from rcp_kernel.wire import FINAL, NO_BODY, error_body
 
 if TYPE_CHECKING:
     from rcp_kernel.sessions import Session
 
-__all__ = ["Command", "Commands", "Keeper", "Record"]
+__all__ = ["Commands", "Keeper"]
 
-log = structlog.get_logger("rcp.commands")
 _QUEUE = 16  # commands that wait for one path
 _HISTORY = 64  # replies kept of one command; first and last are always among them
 _CANCEL_GRACE = 5.0  # s a backend has to bring a cancelled command to rest
-
-Follower = Callable[[Reply], None]
-
-
-@dataclass(slots=True)
-class Record:
-    """What is remembered of one step of a command."""
-
-    status: Status
-    time: int
-    body: Any = field(default_factory=lambda: NO_BODY)
-    progress: float | None = None
-    message: str | None = None
-    error: dict[str, Any] | None = None
-
-    def plain(self) -> dict[str, Any]:
-        """Write the step as plain data."""
-        out: dict[str, Any] = {"status": self.status, "timestamp": iso(self.time)}
-        if self.body is not NO_BODY:
-            out["body"] = to_plain(self.body)
-        for key in ("progress", "message", "error"):
-            if (value := getattr(self, key)) is not None:
-                out[key] = value
-        return out
 
 
 class Keeper(Protocol):
@@ -81,90 +50,6 @@ class Keeper(Protocol):
     def forget(self, command: Command) -> None:
         """Let go of a command that is not remembered any more; must not block."""
         ...
-
-
-@dataclass(slots=True, eq=False)
-class Command:
-    """One execute, from request to its one final status."""
-
-    id: str
-    path: str
-    principal: str
-    tenant: str | None
-    proof: str = "none"
-    """How the principal proved itself."""
-    request_id: str | None = None
-    custom: dict[str, Any] | None = None
-    input: Any = None
-    created: int = field(default_factory=now)
-    finished: int | None = None
-    history: list[Record] = field(default_factory=list[Record])
-    session: str | None = None
-    asker: Session | None = None
-    """In whose name it runs; None once it has ended."""
-    ready: Callable[[], Awaitable[None]] | None = None
-    """Awaited before the robot is told."""
-    entry: Entry | None = None
-    task: asyncio.Task[Any] | None = None
-    followers: list[Follower] = field(default_factory=list[Follower])
-    cancelling: str | None = None
-    """Why a cancel was asked for."""
-    expired: bool = False
-    timer: asyncio.TimerHandle | None = None
-    """Ends the command at its deadline."""
-
-    @property
-    def status(self) -> Status:
-        """The present status."""
-        return self.history[-1].status
-
-    @property
-    def final(self) -> bool:
-        """Whether the command has ended."""
-        return self.status in FINAL
-
-    def reply(self, record: Record | None = None) -> Reply:
-        """Write a step (the latest if not given) as a reply envelope."""
-        record = record or self.history[-1]
-        return Reply(
-            type="execute",
-            id=self.request_id,
-            path=self.path,
-            status=record.status,
-            body=record.body,
-            message=record.message,
-            error=record.error,
-            command=self.id,
-            progress=record.progress,
-            timestamp=iso(record.time),
-            custom=self.custom,
-        )
-
-    def plain(self) -> dict[str, Any]:
-        """Write the command with its history as plain data, for lists and `/system/commands`."""
-        last = self.history[-1]
-        out: dict[str, Any] = {
-            "command": self.id,
-            "path": self.path,
-            "status": last.status,
-            "principal": self.principal,
-            "created": iso(self.created),
-            "updated": iso(last.time),
-        }
-        facts = {"id": self.request_id, "finished": self.finished and iso(self.finished)}
-        facts |= {"progress": self.progress, "message": last.message, "error": last.error}
-        out |= {key: value for key, value in facts.items() if value is not None}
-        if last.body is not NO_BODY:
-            out["body"] = to_plain(last.body)
-        if self.input is not None:
-            out["input"] = to_plain(self.input)
-        out["history"] = [record.plain() for record in self.history]
-        return out | (self.custom or {})
-
-    @property
-    def progress(self) -> float | None:
-        """The last fraction that the backend reported, 0…1."""
-        return next((r.progress for r in reversed(self.history) if r.progress is not None), None)
 
 
 class Commands:
@@ -362,7 +247,7 @@ class Commands:
 
     def _ended(self, command: Command, task: asyncio.Task[Any]) -> None:
         if not command.final:
-            self._end(command, _outcome(command, task))
+            self._end(command, outcome_of(command, task))
         elif not task.cancelled():
             task.exception()  # looked at, so that asyncio does not report it as lost
         if self._active.get(command.path) is command:
@@ -384,7 +269,7 @@ class Commands:
             outcome.path = outcome.path or command.path
             if outcome.origin is None and command.entry is not None:
                 outcome.origin = command.entry.owner.name
-            status: Any = _status(command, outcome)
+            status: Any = status_of(command, outcome)
             record = Record(status, now(), message=outcome.message, error=error_body(outcome))
         else:
             body = NO_BODY if outcome is None else outcome
@@ -432,32 +317,3 @@ class Commands:
             self.cancel(command, "the gateway is closing")
         if tasks:
             await asyncio.wait(tasks, timeout=_CANCEL_GRACE)
-
-
-def _outcome(command: Command, task: asyncio.Task[Any]) -> Any:
-    if task.cancelled():
-        reason = command.cancelling or "the backend gave it up"
-        return Cancelled(f"{command.path} was cancelled: {reason}", path=command.path)
-    error = task.exception()
-    if error is None:
-        return task.result()
-    if isinstance(error, RcpError):
-        return error
-    if isinstance(error, (ConnectionError, TimeoutError)):
-        return AdapterUnavailable(f"the link to the robot failed: {error or type(error).__name__}")
-    trace = secrets.token_hex(8)
-    log.error(
-        "command_crashed", command=command.id, path=command.path, trace_id=trace, exc_info=error
-    )
-    failure = InternalError("the backend failed; the gateway's log has the reason")
-    failure.trace_id = trace
-    return failure
-
-
-def _status(command: Command, error: RcpError) -> Status:
-    """A refusal by the robot before anything was seen to move is `rejected`, later it is `failed`."""
-    if isinstance(error, Cancelled):
-        return "cancelled"
-    moved = any(record.status == "in_progress" for record in command.history)
-    refused = isinstance(error, (DeviceRejected, Refused))
-    return "rejected" if refused and not moved else "failed"

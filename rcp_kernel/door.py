@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import msgspec
 
 from rcp_kernel.acl import Rights
-from rcp_kernel.commands import Command
+from rcp_kernel.command import Command
 from rcp_kernel.config import Limits
 from rcp_kernel.connections import Connection, Hello
 from rcp_kernel.discovery import Query

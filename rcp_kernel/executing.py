@@ -13,7 +13,7 @@ import msgspec
 
 from rcp_kernel.acl import reach
 from rcp_kernel.clock import iso, now
-from rcp_kernel.commands import Command
+from rcp_kernel.command import Command
 from rcp_kernel.errors import UnknownPath
 from rcp_kernel.model import Kind, Operation
 from rcp_kernel.registry import Entry

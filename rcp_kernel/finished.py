@@ -10,7 +10,7 @@ from rcp_kernel.values import Encoding, dump
 from rcp_kernel.wire import NO_BODY
 
 if TYPE_CHECKING:
-    from rcp_kernel.commands import Command
+    from rcp_kernel.command import Command
 
 __all__ = ["Finished"]
 

@@ -7,7 +7,7 @@ from typing import Any
 import structlog
 
 from rcp_kernel.clock import now
-from rcp_kernel.commands import Command, Record
+from rcp_kernel.command import Command, Record
 from rcp_kernel.errors import InternalError
 from rcp_kernel.returning import hashed
 from rcp_kernel.store import Store

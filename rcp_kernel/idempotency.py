@@ -16,7 +16,7 @@ import msgspec
 import structlog
 
 from rcp_kernel.clock import now
-from rcp_kernel.commands import Command, Record
+from rcp_kernel.command import Command, Record
 from rcp_kernel.errors import DuplicateRequest, InternalError
 from rcp_kernel.model import tenant_of
 from rcp_kernel.sessions import Session

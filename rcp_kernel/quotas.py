@@ -18,7 +18,7 @@ from rcp_kernel.meter import NONE, SWEEP, Account, Meter, Owner
 from rcp_kernel.waiting import shed, waiting_bytes
 
 if TYPE_CHECKING:
-    from rcp_kernel.commands import Command
+    from rcp_kernel.command import Command
     from rcp_kernel.gateway import Gateway
     from rcp_kernel.sessions import Session
 

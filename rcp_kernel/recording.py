@@ -19,7 +19,8 @@ from rcp_kernel.sessions import Answer, Session
 from rcp_kernel.wire import NO_BODY, Reply, Request, failure
 
 if TYPE_CHECKING:
-    from rcp_kernel.commands import Command, Keeper
+    from rcp_kernel.command import Command
+    from rcp_kernel.commands import Keeper
     from rcp_kernel.gateway import Gateway
 
 __all__ = ["ACTS", "DENIALS", "Recording"]

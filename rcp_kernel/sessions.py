@@ -29,7 +29,7 @@ from rcp_kernel.wire import (
 )
 
 if TYPE_CHECKING:
-    from rcp_kernel.commands import Command
+    from rcp_kernel.command import Command
     from rcp_kernel.connections import Connection, Hello
     from rcp_kernel.gateway import Gateway
     from rcp_kernel.meter import Meter
