@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
 from rcp_kernel.errors import RcpError
-from rcp_kernel.streams import SHARED, Feed
+from rcp_kernel.feeds import SHARED, Feed
 from rcp_kernel.values import Encoding
 
 if TYPE_CHECKING:

@@ -20,11 +20,12 @@ import structlog
 from rcp_kernel.chorus import ChorusFeed, feeds_of, join, part
 from rcp_kernel.clock import iso, now
 from rcp_kernel.errors import RcpError
+from rcp_kernel.feeds import Feed
 from rcp_kernel.mailbox import Mailbox, Ticker
 from rcp_kernel.registry import Entry, Listener, Registry
 from rcp_kernel.samples import Sample
 from rcp_kernel.spi import BaseBackend
-from rcp_kernel.streams import Feed, Subscription
+from rcp_kernel.streams import Subscription
 from rcp_kernel.wire import encode_frame
 
 __all__ = ["Hub", "notice"]

@@ -17,8 +17,8 @@ import structlog
 from rcp_kernel.values import Encoding
 
 if TYPE_CHECKING:
+    from rcp_kernel.feeds import Feed
     from rcp_kernel.samples import Sample
-    from rcp_kernel.streams import Feed
 
 __all__ = ["Framing", "Mailbox", "Ticker", "Wrap"]
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from rcp_kernel.feeds import Feed
 from rcp_kernel.hub import Hub, notice
 from rcp_kernel.model import Operation
 from rcp_kernel.registry import Entry
-from rcp_kernel.streams import Feed
 
 if TYPE_CHECKING:
     from rcp_kernel.sessions import Session

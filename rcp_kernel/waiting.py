@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING
 from rcp_kernel.errors import RcpError
 
 if TYPE_CHECKING:
+    from rcp_kernel.feeds import Feed
     from rcp_kernel.meter import Account
     from rcp_kernel.sessions import Session
-    from rcp_kernel.streams import Feed
 
 __all__ = ["shed", "waiting_bytes"]
 

@@ -12,9 +12,9 @@ from rcp_kernel.clock import iso, now
 from rcp_kernel.connections import Connection, Hello
 from rcp_kernel.door import Door
 from rcp_kernel.errors import Gap, RcpError
+from rcp_kernel.feeds import Feed
 from rcp_kernel.mailbox import Wrap
 from rcp_kernel.samples import Sample
-from rcp_kernel.streams import Feed
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import Reply, Request, encode_frame
 from rcp_sse.config import SseConfig
