@@ -288,12 +288,15 @@ class AlreadyRunning(Refused):
 
 
 class QueueFull(Refused):
-    """A bounded queue has no room."""
+    """A bounded queue has no room; `retry_after` says when to look again."""
 
     code = "queue_full"
     http = 503
     retryable = True
     default_remedy = "Wait for earlier requests to finish, then send it again."
+
+    def __init__(self, message: str, *, retry_after: float = 1.0, **more: Any) -> None:
+        super().__init__(message, retry_after=retry_after, **more)
 
 
 class RateLimited(Refused):

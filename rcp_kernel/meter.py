@@ -8,8 +8,11 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Literal
 
+import msgspec
+
 from rcp_kernel.config_limits import Quota
 from rcp_kernel.errors import QueueFull, RateLimited, RcpError
+from rcp_kernel.values import value_type
 from rcp_kernel.wire import Request
 
 if TYPE_CHECKING:
@@ -19,13 +22,35 @@ __all__ = ["NONE", "SWEEP", "Account", "Meter", "Owner", "free"]
 
 SWEEP = 0.25  # s between looks at what waits
 _ESTOP = "/system/estop"
+_LEASES = "/system/leases"
+_RELEASE = 2048  # bytes of a release at most
 NONE = Quota()
 Owner = Literal["tenant", "principal"]
 
 
+class _Asked(msgspec.Struct, frozen=True):
+    """What of a lease request tells whether it lets go."""
+
+    do: str
+
+
+_ASKED = value_type(_Asked)
+
+
 def free(request: Request) -> bool:
-    """Tell whether a request stops something: such are never limited and cost nothing."""
-    return request.type == "cancel" or (request.type == "execute" and request.path == _ESTOP)
+    """Tell whether a request stops something or lets go: such are never limited and cost nothing."""
+    if request.type != "execute":
+        return request.type == "cancel"
+    return request.path == _ESTOP or (request.path == _LEASES and _releases(request))
+
+
+def _releases(request: Request) -> bool:
+    if len(bytes(request.body)) > _RELEASE:
+        return False
+    try:
+        return request.decode_body(_ASKED, "release").do == "release"
+    except RcpError:
+        return False
 
 
 class Account:

@@ -183,7 +183,7 @@ class Accounts:
         self._charged.clear()
         for command in self._gateway.commands.running.values():
             if command.asker is not None:
-                self.attach(command.asker)
+                self.move(command.asker)
                 self.charge(command.asker, command)
 
     # -- what waits for slow clients -----------------------------------------------------------

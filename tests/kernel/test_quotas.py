@@ -7,6 +7,7 @@ from collections.abc import AsyncGenerator
 from time import perf_counter
 from typing import Any
 
+import msgspec
 import pytest
 
 from kernel.world import BOUND, CONFIG, Client, World, prepared, world_of
@@ -15,6 +16,8 @@ from rcp_kernel.config_limits import Quota
 from rcp_kernel.errors import ConfigError, QueueFull, RateLimited
 from rcp_kernel.meter import Account, Meter
 from rcp_kernel.reload import apply
+from rcp_kernel.values import Encoding, dump
+from rcp_kernel.wire import Request
 
 pytestmark = pytest.mark.anyio
 LEVEL = "/tenant/alpha/sensor/level"
@@ -108,6 +111,26 @@ async def test_what_stops_something_is_never_limited_and_costs_nothing(slow: Wor
     assert [r["status"] for r in replies] == ["completed"] * 3 + ["rejected"]
     stop = await client.ask(type="execute", path="/system/estop", body={})
     assert stop["status"] == "completed"
+
+
+@pytest.mark.parametrize("encoding", list(Encoding))
+async def test_a_lease_is_let_go_of_at_any_time_and_taken_at_the_pace_of_the_quota(
+    slow: World, encoding: Encoding
+) -> None:
+    door = slow.server.door
+    session = door.session(door.authenticate(ANN))
+
+    async def lease(do: str) -> Any:
+        asked = {"do": do, "scope": "/tenant/alpha", "ttl": 5, "reason": "to release"}
+        body = msgspec.Raw(dump(asked, encoding))
+        request = Request(type="execute", path="/system/leases", body=body, encoding=encoding)
+        return (await door.ask(session, request)).error
+
+    assert [await lease("acquire") for _ in range(3)] == [None] * 3
+    refused = await lease("acquire")
+    assert (refused["code"], refused["retry_after"] > 0) == ("rate_limited", True)
+    assert await lease("release") is None
+    assert (await lease("renew"))["code"] == "rate_limited"
 
 
 async def test_the_first_hello_is_free_so_that_whoever_has_to_stop_a_robot_gets_in(
@@ -210,6 +233,8 @@ async def test_sessions_of_a_tenant_are_counted_over_all_its_principals() -> Non
         with pytest.raises(QueueFull) as caught:
             world.client(ANN)
         assert caught.value.details == {"quota": "tenant", "what": "sessions", "limit": 2}
+        assert caught.value.retry_after
+        assert "End sessions that are not needed" in caught.value.remedy
         for _ in range(5):
             world.client(BOB)
         first.connection.close()
@@ -250,6 +275,8 @@ async def test_subscriptions_are_given_back_however_they_end() -> None:
             refused = await two.ask(type="subscribe", path=LEVEL)
             assert refused["error"]["code"] == "queue_full", refused
             assert refused["error"]["details"]["what"] == "subscriptions"
+            assert refused["error"]["retry_after"]
+            assert refused["error"]["remedy"]
 
         await one.ask(type="subscribe", id="a", path=LEVEL)
         await two.ask(type="subscribe", id="b", path=LEVEL, body={"count": 1})
@@ -275,6 +302,8 @@ async def test_commands_are_counted_until_they_end() -> None:
         await client.until(lambda m: m.get("status") == "in_progress")
         refused = await other.ask(type="execute", path="/action/cut_in", body=1)
         assert refused["error"]["code"] == "queue_full"
+        assert refused["error"]["retry_after"]
+        assert refused["error"]["remedy"]
         stop = await other.ask(type="execute", path="/system/estop", body={})
         assert stop["status"] == "completed"
         assert (await client.final(running))["status"] != "completed"
