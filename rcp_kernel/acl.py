@@ -9,6 +9,7 @@ not decide.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable
 from typing import TYPE_CHECKING, Annotated, Literal, NamedTuple
 from weakref import WeakSet
@@ -33,6 +34,8 @@ _ALL = (
 )
 _MAX_KNOWN = 200_000  # paths whose masks are kept, of all sets of roles together
 _MAX_COMPILED = 1000  # sets of roles whose rights are kept at hand
+_NAMED = re.compile(r"/tenant/[\w./-]+")
+_RESOURCE = 4  # slashes of the path of a resource at least; what is shorter is a scope
 _PERHAPS = 8  # bits by which operations are shifted that hang on a condition
 
 
@@ -181,6 +184,14 @@ class Rights:
             mask = self.weigh(path)
             self.remember(path, mask)
         return mask
+
+    def hides(self, text: str) -> bool:
+        """Tell whether a text names a path, of a resource or of none, that is hidden."""
+        for found in _NAMED.findall(text):
+            path = found.rstrip(".")
+            if path.count("/") >= _RESOURCE and not (self.masks.get(path) or self.weigh(path)):
+                return True
+        return False
 
     def remember(self, path: str, mask: int) -> None:
         """Keep the mask of an existing path."""

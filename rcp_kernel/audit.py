@@ -132,9 +132,15 @@ class Audit:
     # -- who sees what -------------------------------------------------------------------------
 
     def shows(self, session: Session, record: dict[str, Any]) -> bool:
-        """Tell whether a record is of a tenant whose audit a session may see."""
+        """Tell whether a record is of a tenant whose audit a session may see, on paths it may."""
         reach = self._reach_of(session)
-        return "*" in reach or record.get("tenant") in reach
+        if "*" not in reach and record.get("tenant") not in reach:
+            return False
+        if {record.get("outcome"), *record.get("codes", ())} <= {"unknown_path", None}:
+            return True  # tells what was asked for, not what there is
+        told = [record.get("path"), record.get("message"), *record.get("paths", ())]
+        hides = session.rights.hides
+        return not any(hides(text) for text in told if isinstance(text, str))
 
     def _reach_of(self, session: Session) -> tuple[str, ...]:
         roles = self._roles()

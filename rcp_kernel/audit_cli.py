@@ -95,7 +95,11 @@ def examined(path: Path, heads: tuple[Head, ...] = ()) -> Verdict:
 
 
 def _rows(base: sqlite3.Connection) -> Iterator[Row]:
-    yield from base.execute(f"{ROWS} ORDER BY seq")
+    for seq, digest, data in base.execute(f"{ROWS} ORDER BY seq"):
+        # A spoilt file may hold any type in any column.
+        if not (isinstance(seq, int) and isinstance(digest, bytes) and isinstance(data, bytes)):
+            raise sqlite3.DatabaseError("a row of the record has not the form of one")
+        yield seq, digest, data
 
 
 @audit.command()

@@ -58,8 +58,8 @@ class Commands:
     def __init__(self, confirm: Callable[[Session, Entry, Any], Backend], keeper: Keeper) -> None:
         self.running: dict[str, Command] = {}
         self.finished = Finished(keeper.forget)
-        self.counts: dict[tuple[str | None, str], int] = {}
-        """Ended commands by tenant and final status."""
+        self.counts: dict[tuple[str, str], int] = {}
+        """Ended commands by path and final status."""
         self.seconds = Histogram()
         self.keeper = keeper
         self.confirm = confirm
@@ -291,7 +291,7 @@ class Commands:
         if record.status in FINAL:
             self.running.pop(command.id, None)
             self.finished.add(command)
-            key = command.tenant, record.status
+            key = command.path, record.status
             self.counts[key] = self.counts.get(key, 0) + 1
             self.seconds.observe((record.time - command.created) / 1e9)
         if record.status != "in_progress":

@@ -245,9 +245,9 @@ class Door:
         """Tell whether every backend is ready, and each one's state."""
         return self._status.ready()
 
-    def metrics(self) -> bytes:
-        """Return the Prometheus exposition."""
-        return self._status.metrics.text()
+    def metrics(self, session: Session) -> bytes:
+        """Return the Prometheus exposition, without the paths that are hidden from a session."""
+        return self._status.exposition(session.rights)
 
 
 def _place(mount: Mount) -> tuple[str, str, str]:

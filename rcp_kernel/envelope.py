@@ -219,6 +219,9 @@ class Envelope:
         plain = msgspec.to_builtins(self.table)
         keys = ("bounds", "rate", "fence", "modes")
         facts = {key: plain[key] for key in keys if plain[key]}
+        place = self.place
+        if place and place.sensor and not rights.mask(place.sensor) & Operation.READ:
+            facts["fence"].pop("of")
         if self.when is not None and all(self._may_read(rights, ref) for ref in self.when.refs):
             facts["when"] = self.when.text
         if self.fault is not None:

@@ -226,7 +226,12 @@ class Leases:
         priority = session.rights.priority(scope.tenant)
         for rival in self.rivals(session, scope):
             if not take or priority <= rival.priority:
-                raise _refusal(rival, scope.text)
+                raise _refusal(rival, scope.text, of=self._told(session, rival, scope))
+
+    def _told(self, session: Session, rival: Lease, scope: Scope) -> str:
+        """Name the scope of a rival's lease, or the one asked for if the other's is hidden."""
+        mask, entries = session.rights.mask, rival.scope.entries(self._gateway.registry)
+        return rival.scope.text if any(mask(entry.path) for entry in entries) else scope.text
 
     def rivals(self, session: Session, scope: Scope) -> list[Lease]:
         """List the leases of others that share something with a scope."""
@@ -439,10 +444,11 @@ class Leases:
             timer.cancel()
 
 
-def _refusal(lease: Lease, path: str) -> LeaseHeld:
+def _refusal(lease: Lease, path: str, *, of: str | None = None) -> LeaseHeld:
+    scope = of or lease.scope.text
     return LeaseHeld(
-        f"{lease.holder} holds the lease on {lease.scope.text} until {iso(lease.expires)}",
+        f"{lease.holder} holds the lease on {scope} until {iso(lease.expires)}",
         path=path,
         retry_after=round(lease.left, 3),
-        details=lease.facts(),
+        details=lease.facts() | {"scope": scope},
     )

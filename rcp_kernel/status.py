@@ -18,6 +18,7 @@ from rcp_kernel.gateway import Gateway
 from rcp_kernel.log import Recent
 from rcp_kernel.metrics import Histogram, Metrics, counter, gauge, histogram
 from rcp_kernel.model import tenant_of
+from rcp_kernel.registry import Entry
 from rcp_kernel.sessions import Session
 from rcp_kernel.streams import Subscription
 from rcp_kernel.supervisor import WIRE_STATE, Slot
@@ -48,6 +49,8 @@ class StatusReport:
         self._process = psutil.Process()
         self._process.cpu_percent()
         self._started = now()
+        self._reader: Rights | None = None
+        """For whom the exposition is being written; None is for all to see."""
         self._lag = Histogram()
         self._lag_last = 0.0
         self._timer: asyncio.TimerHandle | None = None
@@ -107,9 +110,9 @@ class StatusReport:
             "sessions": len(sessions),
             "subscriptions": sum(len(session.subscriptions) for session in sessions),
             "resources": sum(1 for path in entries if rights is None or rights.mask(path)),
-            "commands": self._commands(tenants),
+            "commands": self._commands(rights),
             "queues": self._queues(tenants),
-            "warnings": [r for r in self._recent.records if self.concerns(r, tenants)],
+            "warnings": [r for r in self._recent.records if self.concerns(r, rights)],
         }
         if every:
             report["process"] = self._process_facts()
@@ -121,9 +124,19 @@ class StatusReport:
             }
         return report
 
-    def concerns(self, record: dict[str, Any], tenants: tuple[str, ...]) -> bool:
-        """Tell whether a log record is for those who act in some tenants."""
-        return "*" in tenants or self.tenant_of(record) in tenants
+    def concerns(self, record: dict[str, Any], rights: Rights | None) -> bool:
+        """Tell whether a log record is of somebody's tenants, and names nothing that is hidden."""
+        if rights is None:
+            return True
+        if "*" not in rights.tenants and self.tenant_of(record) not in rights.tenants:
+            return False
+        facts = record["facts"]
+        texts = [record["message"], *(text for text in facts.values() if isinstance(text, str))]
+        if any(map(rights.hides, texts)):
+            return False
+        slot = next((s for s in self._slots if s.name == facts.get("backend")), None)
+        hidden = [] if slot is None else _hidden(slot, rights)
+        return not any(e.name in text for e in hidden for text in texts)
 
     def tenant_of(self, record: dict[str, Any]) -> str | None:
         """Return the tenant that a log record is about; None: it is the gateway's own."""
@@ -138,14 +151,14 @@ class StatusReport:
         known = self._gateway.sessions.known.values()
         return [s for s in known if "*" in tenants or s.tenant in tenants]
 
-    def _commands(self, tenants: tuple[str, ...]) -> dict[str, int]:
+    def _commands(self, rights: Rights | None) -> dict[str, int]:
         commands = self._gateway.commands
         running = [
-            c.status for c in commands.running.values() if "*" in tenants or c.tenant in tenants
+            c.status for c in commands.running.values() if rights is None or rights.mask(c.path)
         ]
         ended: dict[str, int] = {}
-        for (tenant, status), count in commands.counts.items():
-            if "*" in tenants or tenant in tenants:
+        for (path, status), count in commands.counts.items():
+            if rights is None or rights.mask(path):
                 ended[status] = ended.get(status, 0) + count
         queued = running.count("pending")
         return {
@@ -183,6 +196,14 @@ class StatusReport:
         }
 
     # -- Prometheus ----------------------------------------------------------------------------
+
+    def exposition(self, rights: Rights) -> bytes:
+        """Write the exposition for somebody."""
+        self._reader = rights
+        try:
+            return self.metrics.text()
+        finally:
+            self._reader = None
 
     def _families(self) -> Iterable[Metric]:
         gateway = self._gateway
@@ -244,9 +265,12 @@ class StatusReport:
             [
                 ([entry.path], entry.age)
                 for entry in gateway.registry.entries.values()
-                if entry.deadline is not None and entry.age is not None
+                if entry.deadline is not None and entry.age is not None and self._told(entry)
             ],
         )
+
+    def _told(self, entry: Entry) -> bool:
+        return self._reader is None or bool(self._reader.mask(entry.path))
 
     def _gauges(self) -> Iterable[Metric]:
         gateway = self._gateway
@@ -282,16 +306,20 @@ def _robot(slot: Slot, rights: Rights | None) -> dict[str, Any]:
     facts = slot.plain()
     if rights is None:
         return facts
-    hidden = [e for e in slot.entries.values() if not rights.mask(e.path)]
+    hidden = _hidden(slot, rights)
     facts["resources"] -= len(hidden)
     for key in ("detail", "last_error"):
         text = facts[key]
-        if text is not None and any(e.path in text or e.name in text for e in hidden):
+        if text is not None and (rights.hides(text) or any(e.name in text for e in hidden)):
             facts[key] = "see the log of the gateway"
     return facts
 
 
-def _by_status(counts: dict[tuple[str | None, str], int]) -> list[tuple[list[str], float]]:
+def _hidden(slot: Slot, rights: Rights) -> list[Entry]:
+    return [e for e in slot.entries.values() if not rights.mask(e.path)]
+
+
+def _by_status(counts: dict[tuple[str, str], int]) -> list[tuple[list[str], float]]:
     sums: dict[str, int] = {}
     for (_, status), count in counts.items():
         sums[status] = sums.get(status, 0) + count

@@ -118,11 +118,11 @@ class System(BaseBackend):
     def _publish_record(self, record: dict[str, Any]) -> None:
         self.entries[_LOG].publish(record | {"tenant": self._status.tenant_of(record)}, None)
 
-    @staticmethod
-    def _shows(session: Session, record: LogRecord) -> bool:
-        """Tell whether a log record is of a tenant of the session, or the session sees all."""
-        tenants = session.rights.tenants
-        return "*" in tenants or record.tenant in tenants
+    def _shows(self, session: Session, record: LogRecord) -> bool:
+        """Tell whether a log record is of a session's tenants, and of what it may see there."""
+        return self._status.concerns(
+            {"message": record.message, "facts": record.facts}, session.rights
+        )
 
     @asynccontextmanager
     async def watch(self, name: str, rate: float | None) -> AsyncGenerator[None]:

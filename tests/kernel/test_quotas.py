@@ -428,7 +428,7 @@ async def test_refusals_are_counted_for_the_operator(slow: World) -> None:
     client = slow.client(ANN)
     for _ in range(5):
         await client.ask(type="ping")
-    text = slow.server.door.metrics().decode()
+    text = slow.server.door.metrics(slow.client().connection.session).decode()
     assert 'rcp_quota_refused_total{quota="tenant",tenant="alpha",what="requests"} 2.0' in text
 
 
