@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 import structlog
 
-from rcp_kernel.hub import notice
 from rcp_kernel.model import Kind
+from rcp_kernel.notices import notice
 from rcp_kernel.registry import Entry
 
 if TYPE_CHECKING:

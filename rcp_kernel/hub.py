@@ -1,48 +1,29 @@
-"""The hub keeps subscriptions linked to the tree as both change, and sources running while wanted.
+"""The hub keeps subscriptions linked to the tree as both change.
 
-It links feeds to entries, replays what a client missed, tells of stale values, and enters and
-leaves `Backend.watch` with the rate that the most demanding subscriber wants.
+It links feeds to entries, and replays what a client missed.
 """
 
 from __future__ import annotations
 
 import asyncio
-import heapq
-import itertools
 import time
 from collections.abc import Callable
-from contextlib import AsyncExitStack
-from dataclasses import dataclass
 from typing import Any
 
-import structlog
-
 from rcp_kernel.chorus import ChorusFeed, feeds_of, join, part
-from rcp_kernel.clock import iso, now
-from rcp_kernel.errors import RcpError
 from rcp_kernel.feeds import Feed
 from rcp_kernel.mailbox import Mailbox, Ticker
+from rcp_kernel.notices import notice
 from rcp_kernel.registry import Entry, Listener, Registry
 from rcp_kernel.samples import Sample
-from rcp_kernel.spi import BaseBackend
+from rcp_kernel.silence import Silence
 from rcp_kernel.streams import Subscription
-from rcp_kernel.wire import encode_frame
+from rcp_kernel.timers import Timers
+from rcp_kernel.watches import Keeper, Watches, keeper_of
 
-__all__ = ["Hub", "notice"]
+__all__ = ["Hub"]
 
-log = structlog.get_logger("rcp.streams")
-_SWEEP = 0.1  # s between looks for values that went stale
-_WATCH_RETRY = 1.0  # s until a watch that failed is entered again
 _LONGEST = 86_400.0 * 365  # s: no timer reaches further
-
-
-def notice(mailbox: Mailbox | None, code: str, **facts: Any) -> None:
-    """Tell a client something it did not ask for; without a connection nobody is told."""
-    if mailbox is None:
-        return
-    kept = {key: value for key, value in facts.items() if value is not None}
-    fields = {"type": "notice", "code": code, **kept, "timestamp": iso(now())}
-    mailbox.push(encode_frame(fields, b"", mailbox.encoding))
 
 
 class Hub:
@@ -54,40 +35,16 @@ class Hub:
         self.ticker = Ticker(loop)
         self.subscriptions: set[Subscription] = set()
         self.dropped: dict[str, int] = {"conflated": 0, "overrun": 0, "gap": 0}
-        self._watches: dict[str, _Watch] = {}
-        self._timed: dict[str, bool] = {}
-        """Paths whose silence somebody is to be told of, with whether they are known stale."""
-        self._due: list[tuple[float, int, Callable[[], None]]] = []
-        self._count = itertools.count()
-        self._alarm: asyncio.TimerHandle | None = None
-        self._sweep: asyncio.TimerHandle | None = None
-        self._tasks: set[asyncio.Task[None]] = set()
-        self._closed = False
+        self._timers = Timers(loop)
+        self.later = self._timers.later
+        self.silence = Silence(registry, loop)
+        self.watches = Watches(registry, loop, self.later)
         registry.on_added.append(self._added)
         registry.on_removed.append(self._removed)
 
     def soon(self, function: Callable[..., object], *args: Any) -> None:
         """Call a function in the coming loop turn."""
         self.loop.call_soon(function, *args)
-
-    def later(self, delay: float, function: Callable[[], None]) -> None:
-        """Call a function after `delay` seconds; one timer serves all."""
-        due = self.loop.time() + delay
-        heapq.heappush(self._due, (due, next(self._count), function))
-        if self._alarm is None or due < self._alarm.when():
-            if self._alarm is not None:
-                self._alarm.cancel()
-            self._alarm = self.loop.call_at(due, self._ring)
-
-    def _ring(self) -> None:
-        self._alarm = None
-        moment = self.loop.time() + 0.0005
-        try:
-            while self._due and self._due[0][0] <= moment:
-                heapq.heappop(self._due)[2]()
-        finally:  # one that raises must not silence the others
-            if self._due and self._alarm is None:
-                self._alarm = self.loop.call_at(self._due[0][0], self._ring)
 
     # -- subscriptions -------------------------------------------------------------------------
 
@@ -113,8 +70,8 @@ class Hub:
             feed.prime(sample)
         elif feed.admit(sample):
             feed.replay((sample,))
-        if self._timed.get(feed.entry.path):
-            self._tell_stale(feed)
+        if self.silence.known(feed.entry):
+            self.silence.tell(feed)
 
     def remove(self, subscription: Subscription) -> None:
         """End a subscription; what it has queued is forgotten."""
@@ -172,10 +129,10 @@ class Hub:
     def _keep(self, feed: Feed) -> None:
         """Have the history of a path kept for a client that is away."""
         entry = feed.entry
-        entry.listeners.append(_keeper(feed))
+        entry.listeners.append(keeper_of(feed))
         if len(entry.listeners) == 1:
             entry.size_ring()
-        self._retune(entry)
+        self.watches.retune(entry)
 
     def _relink(self, feed: Feed) -> None:
         entry = feed.entry
@@ -187,13 +144,8 @@ class Hub:
             entry.size_ring()
         feed.heard = time.monotonic()
         if entry.deadline is not None or feed.subscription.options.qos.deadline is not None:
-            self._time(entry)
-        self._retune(entry)
-
-    def _time(self, entry: Entry) -> None:
-        self._timed.setdefault(entry.path, entry.latest is not None and entry.stale)
-        if self._sweep is None:
-            self._sweep = self.loop.call_later(_SWEEP, self._look_for_stale)
+            self.silence.follow(entry)
+        self.watches.retune(entry)
 
     def unlink(self, feed: Feed) -> None:
         """Offer a feed nothing more."""
@@ -202,9 +154,9 @@ class Hub:
 
     def _left(self, entry: Entry) -> None:
         if not entry.listeners:
-            self._timed.pop(entry.path, None)
+            self.silence.forget(entry)
             entry.size_ring()
-        self._retune(entry)
+        self.watches.retune(entry)
 
     @staticmethod
     def _cut(feed: Feed) -> bool:
@@ -230,7 +182,7 @@ class Hub:
     @staticmethod
     def keep(entry: Entry) -> None:
         """Have the whole history of a path kept although nobody may be listening."""
-        entry.listeners.append(_Keeper(0.0))
+        entry.listeners.append(Keeper(0.0))
         entry.size_ring()
 
     def listen(self, entry: Entry, listener: Listener) -> None:
@@ -239,7 +191,7 @@ class Hub:
             entry.listeners.append(listener)
             if len(entry.listeners) == 1:
                 entry.size_ring()
-        self._retune(entry)
+        self.watches.retune(entry)
 
     def unlisten(self, entry: Entry, listener: Listener) -> None:
         """Offer a listener nothing more."""
@@ -312,7 +264,7 @@ class Hub:
         feed.leave()
 
     def _unkeep(self, feed: Feed) -> None:
-        entry, keeper = feed.entry, _keeper(feed)
+        entry, keeper = feed.entry, keeper_of(feed)
         if keeper in entry.listeners:
             entry.listeners.remove(keeper)
             self._left(entry)
@@ -321,11 +273,7 @@ class Hub:
         """Have an entry published at `rate` Hz at least, whoever listens; 0.0: no more."""
         if entry.sustained != rate:
             entry.sustained = rate
-            self._retune(entry)
-
-    def watches(self, entry: Entry) -> bool:
-        """Tell whether the source of an entry is kept running."""
-        return entry.path in self._watches
+            self.watches.retune(entry)
 
     # -- the tree changes ----------------------------------------------------------------------
 
@@ -349,8 +297,8 @@ class Hub:
                 self.join(subscription, entry)
         if entry.listeners:
             if entry.deadline is not None:
-                self._time(entry)
-            self._retune(entry)
+                self.silence.follow(entry)
+            self.watches.retune(entry)
 
     def _removed(self, entry: Entry) -> None:
         for feed in list(feeds_of(entry)):
@@ -359,166 +307,13 @@ class Hub:
                 notice(
                     subscription.mailbox, "resource_removed", id=subscription.id, path=entry.path
                 )
-        self._timed.pop(entry.path, None)
+        self.silence.forget(entry)
         entry.listeners = []
         entry.sustained = 0.0
-        self._retune(entry)
-
-    # -- sources -------------------------------------------------------------------------------
-
-    def _retune(self, entry: Entry) -> None:
-        backend = entry.owner.backend
-        if backend is None or getattr(type(backend), "watch", None) is BaseBackend.watch:
-            wanted: float | None = 0.0
-        else:
-            wanted = _wanted_rate(entry)
-        watch = self._watches.get(entry.path)
-        if watch is None:
-            if wanted == 0.0:
-                return
-            watch = self._watches[entry.path] = _Watch(entry)
-            task = self.loop.create_task(watch.run(), name=f"watch {entry.path}")
-            self._tasks.add(task)
-            task.add_done_callback(self._tasks.discard)
-            task.add_done_callback(lambda _: self._watch_ended(entry.path, watch))
-        watch.want(entry, wanted)
-        if wanted == 0.0:
-            del self._watches[entry.path]
-
-    def _watch_ended(self, path: str, watch: _Watch) -> None:
-        """Enter a watch again that ended although it is wanted, after a while."""
-        if not self._closed and self._watches.get(path) is watch:
-            self.later(_WATCH_RETRY, lambda: self._rewatch(path, watch))
-
-    def _rewatch(self, path: str, watch: _Watch) -> None:
-        if self._watches.get(path) is watch:
-            del self._watches[path]
-            if (entry := self.registry.entries.get(path)) is not None:
-                self._retune(entry)
-
-    def backend_changed(self, entries: list[Entry]) -> None:
-        """Watch again what a backend that came back has to publish; leave what it cannot any more."""
-        for entry in entries:
-            if (watch := self._watches.pop(entry.path, None)) is not None:
-                watch.want(entry, 0.0)
-            self._retune(entry)
-
-    # -- silence -------------------------------------------------------------------------------
-
-    def _look_for_stale(self) -> None:
-        self._sweep = None
-        moment = time.monotonic()
-        for path, known in list(self._timed.items()):
-            entry = self.registry.entries[path]
-            stale = entry.latest is not None and entry.stale
-            if stale is not known:
-                self._timed[path] = stale
-            for feed in feeds_of(entry):
-                if stale and not known:
-                    self._tell_stale(feed)
-                self._check_deadline(feed, moment)
-        if self._timed:
-            self._sweep = self.loop.call_later(_SWEEP, self._look_for_stale)
-
-    def _tell_stale(self, feed: Feed) -> None:
-        age = feed.entry.age
-        notice(
-            feed.mailbox,
-            "stale",
-            id=feed.subscription.id,
-            path=feed.entry.path,
-            seq=feed.entry.seq,
-            age=round(age, 3) if age is not None else None,
-            message=f"{feed.entry.path} has sent nothing new within its deadline",
-        )
-
-    def _check_deadline(self, feed: Feed, moment: float) -> None:
-        limit = feed.subscription.options.qos.deadline
-        if limit is None:
-            return
-        age = feed.entry.age
-        late = moment - feed.heard > limit and (age is None or age > limit)
-        if late and not feed.missed:
-            notice(
-                feed.mailbox,
-                "deadline_missed",
-                id=feed.subscription.id,
-                path=feed.entry.path,
-                message=f"no update of {feed.entry.path} for {limit} s",
-            )
-        feed.missed = late
+        self.watches.retune(entry)
 
     async def close(self) -> None:
         """Leave every watch and stop the timers."""
-        self._closed = True
-        for timer in (self._alarm, self._sweep):
-            if timer is not None:
-                timer.cancel()
-        for task in list(self._tasks):
-            task.cancel()
-        await asyncio.gather(*self._tasks, return_exceptions=True)
-
-
-@dataclass(frozen=True, slots=True)
-class _Keeper:
-    """Stands in for a feed whose client is away, so that history goes on being kept."""
-
-    rate: float | None
-    """What the client wants of the source, as it did while it was here."""
-
-    def offer(self, sample: Sample) -> None:
-        """Do nothing: the entry's ring has the sample."""
-
-
-def _keeper(feed: Feed) -> _Keeper:
-    return _Keeper(feed.subscription.options.rate)
-
-
-def _wanted_rate(entry: Entry) -> float | None:
-    """The most that anybody wants in Hz; None for everything, 0.0 for nothing at all."""
-    best = entry.sustained
-    for listener in entry.listeners:
-        if isinstance(listener, _Keeper):
-            rate = listener.rate
-        else:
-            rate = listener.subscription.options.rate if isinstance(listener, Feed) else None
-        if rate is None:
-            return None
-        best = max(best, rate)
-    return best
-
-
-class _Watch:
-    """One source kept running: enters the next `watch` before it leaves the last."""
-
-    def __init__(self, entry: Entry) -> None:
-        self._entry = entry
-        self._rate: float | None = 0.0
-        self._changed = asyncio.Event()
-
-    def want(self, entry: Entry, rate: float | None) -> None:
-        if rate != self._rate:
-            self._entry = entry
-            self._rate = rate
-            self._changed.set()
-
-    async def run(self) -> None:
-        current = AsyncExitStack()
-        try:
-            while True:
-                await self._changed.wait()
-                self._changed.clear()
-                rate, backend = self._rate, self._entry.owner.backend
-                if rate == 0.0 or backend is None:
-                    return
-                following = AsyncExitStack()
-                await following.enter_async_context(backend.watch(self._entry.name, rate))
-                await current.aclose()
-                current = following
-        except RcpError as error:
-            self._entry.owner.fault(f"cannot watch {self._entry.path}: {error.message}")
-        except Exception:
-            log.exception("watch_failed", path=self._entry.path, backend=self._entry.owner.name)
-            self._entry.owner.fault(f"watching {self._entry.path} failed; see the log")
-        finally:
-            await current.aclose()
+        self._timers.close()
+        self.silence.close()
+        await self.watches.close()

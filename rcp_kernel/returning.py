@@ -15,8 +15,8 @@ import structlog
 
 from rcp_kernel.clock import now
 from rcp_kernel.filters import Options
-from rcp_kernel.hub import notice
 from rcp_kernel.identity import Principal
+from rcp_kernel.notices import notice
 
 if TYPE_CHECKING:
     from rcp_kernel.gateway import Gateway

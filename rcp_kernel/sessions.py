@@ -15,8 +15,9 @@ from typing import TYPE_CHECKING, Any, Protocol
 from rcp_kernel.acl import Rights
 from rcp_kernel.clock import iso, now
 from rcp_kernel.errors import Gap, TokenExpired, Unauthenticated
-from rcp_kernel.hub import Hub, notice
+from rcp_kernel.hub import Hub
 from rcp_kernel.identity import Principal
+from rcp_kernel.notices import notice
 from rcp_kernel.returning import Kept, hashed
 from rcp_kernel.streams import Subscription
 from rcp_kernel.values import Encoding

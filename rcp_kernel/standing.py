@@ -5,8 +5,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from rcp_kernel.feeds import Feed
-from rcp_kernel.hub import Hub, notice
+from rcp_kernel.hub import Hub
 from rcp_kernel.model import Operation
+from rcp_kernel.notices import notice
 from rcp_kernel.registry import Entry
 
 if TYPE_CHECKING:

@@ -22,8 +22,8 @@ from rcp_kernel.errors import (
     UnsupportedOperation,
 )
 from rcp_kernel.filters import Change, Options, check_fields, parse_where, seconds
-from rcp_kernel.hub import notice
 from rcp_kernel.model import Operation, Pattern
+from rcp_kernel.notices import notice
 from rcp_kernel.registry import Entry
 from rcp_kernel.sessions import Answer, Session
 from rcp_kernel.streams import Subscription

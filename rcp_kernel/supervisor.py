@@ -228,7 +228,7 @@ class Slot:
         level = log.warning if state in ("degraded", "down", "failed", "unavailable") else log.info
         level("backend_state", backend=self.name, state=state, detail=detail)
         if not self._gateway.closing:
-            self._gateway.hub.backend_changed(list(self.entries.values()))
+            self._gateway.hub.watches.backend_changed(list(self.entries.values()))
 
     def retire(self) -> None:
         """Let nothing move any more: the configuration has this backend no longer."""
