@@ -187,12 +187,12 @@ class World:
 
     def __init__(self, server: Server, robots: list[Robot]) -> None:
         self.server = server
-        self._robots = robots
+        self.robots = robots
 
     @property
     def robot(self) -> Robot:
         """The robot's present life."""
-        return self._robots[-1]
+        return self.robots[-1]
 
     def client(self, token: str | None = "operator-operator") -> Client:
         """Connect a client."""
