@@ -50,7 +50,7 @@ from rcp_kernel.meter import free
 from rcp_kernel.metrics import Histogram
 from rcp_kernel.model import Operation, Pattern, operation_names, parse_path
 from rcp_kernel.peer import UNKNOWN, Peer, Serial
-from rcp_kernel.pending import Pending, crash
+from rcp_kernel.pending import Pace, Pending, crash
 from rcp_kernel.quotas import Accounts
 from rcp_kernel.reading import Reading
 from rcp_kernel.recording import ACTS, DENIALS, Recorded, Recording
@@ -120,6 +120,7 @@ class Gateway:
         self.sieves: dict[str, Callable[[Session, Any], bool]] = {}
         """Resources of whose samples everybody sees their own only, by path."""
         self.estop: EstopLane | None = None
+        self._pace = Pace(loop)
         self.services: dict[str, Service] = {}
         """What else of the gateway's own branch can be executed, by path."""
         self.latches = Latches(self.store)
@@ -316,7 +317,8 @@ class Gateway:
             self.conclude(session, reply, started)
             answer(reply)
 
-        session.inflight[key] = Pending(self.loop, work, timeout, settle, path)
+        pace = None if urgent else self._pace
+        session.inflight[key] = Pending(self.loop, work, timeout, settle, path, pace)
 
     def claim(self, session: Session, request: Request) -> str:
         """Reserve a place among the session's unanswered requests.

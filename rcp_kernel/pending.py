@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import secrets
+from collections import deque
 from collections.abc import Callable, Coroutine
 from typing import Any
 
@@ -17,9 +18,10 @@ from rcp_kernel.errors import (
     RcpError,
 )
 
-__all__ = ["Pending", "blame", "crash"]
+__all__ = ["Pace", "Pending", "blame", "crash"]
 
 log = structlog.get_logger("rcp.gateway")
+_TURN = 16  # requests that begin in one turn of the loop
 
 Settle = Callable[[Any, RcpError | None], None]
 
@@ -43,10 +45,39 @@ def blame(error: Exception, origin: str, path: str) -> RcpError:
     return told
 
 
+class Pace:
+    """Begins only so much in one turn of the loop, so that a flood never holds up an e-stop."""
+
+    __slots__ = ("_left", "_loop", "_waiting")
+
+    def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
+        self._loop = loop
+        self._left = _TURN
+        self._waiting: deque[Callable[[], None]] = deque()
+
+    def begin(self, start: Callable[[], None]) -> None:
+        """Call `start` now, or in one of the coming turns: in order."""
+        if self._left == _TURN:
+            self._loop.call_soon(self._turn)
+        if self._left and not self._waiting:
+            self._left -= 1
+            start()
+        else:
+            self._waiting.append(start)
+
+    def _turn(self) -> None:
+        waiting = self._waiting
+        self._left = _TURN - min(_TURN, len(waiting))
+        for _ in range(_TURN - self._left):
+            waiting.popleft()()
+        if self._left < _TURN:
+            self._loop.call_soon(self._turn)
+
+
 class Pending:
     """One coroutine with a deadline; `settle(result, error)` is called exactly once."""
 
-    __slots__ = ("_settle", "_task", "_timeout", "_timer", "path")
+    __slots__ = ("_loop", "_settle", "_task", "_timeout", "_timer", "_work", "path")
 
     def __init__(
         self,
@@ -55,13 +86,30 @@ class Pending:
         timeout: float,
         settle: Settle,
         path: str | None,
+        pace: Pace | None = None,
     ) -> None:
         self.path = path
+        self._loop = loop
+        self._work = work
         self._timeout = timeout
         self._settle: Settle | None = settle
-        self._task = loop.create_task(work)
+        self._task: asyncio.Task[Any] | None = None
         self._timer = loop.call_later(timeout, self._expire)
+        if pace is None:
+            self._start()
+        else:
+            pace.begin(self._start)
+
+    def _start(self) -> None:
+        if self._settle is None:
+            self._work.close()
+            return
+        self._task = self._loop.create_task(self._work)
         self._task.add_done_callback(self._done)
+
+    def _stop(self) -> None:
+        if self._task is not None:
+            self._task.cancel()
 
     def _finish(self, result: Any, error: RcpError | None) -> None:
         settle, self._settle = self._settle, None
@@ -77,12 +125,12 @@ class Pending:
                 path=self.path,
             ),
         )
-        self._task.cancel()
+        self._stop()
 
     def cancel(self, error: RcpError) -> None:
         """Answer with an error now and stop the work."""
         self._finish(None, error)
-        self._task.cancel()
+        self._stop()
 
     def _done(self, task: asyncio.Task[Any]) -> None:
         if task.cancelled():

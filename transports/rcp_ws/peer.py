@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections import deque
 from collections.abc import Callable
+from time import perf_counter
 from typing import Any
 
 from rcp_kernel import peer
@@ -27,6 +28,7 @@ _NOBODY = Principal("nobody", ())
 _PATIENCE = 10.0  # s for a client to prove itself in `hello`
 _POLICY = 1008
 _SEGMENT = b"segment"  # only a message with this word in it can be one
+_TURN = 0.0005  # s of the loop's time for what one client sent at once; then others have theirs
 _LOOK_EVERY = 32  # replies between looks whether the client takes them
 
 
@@ -34,12 +36,14 @@ class Peer:
     """Feeds the connection with messages, and the socket with what the mailbox holds."""
 
     __slots__ = (
+        "_began",
         "_config",
         "_encoding",
         "_held",
         "_inbox",
         "_incoming",
         "_limit",
+        "_loop",
         "_mailbox",
         "_outgoing",
         "_patience",
@@ -63,6 +67,7 @@ class Peer:
         self._socket = socket
         self._encoding = encoding
         self._limit = door.limits.message
+        self._loop = door.loop
         principal, tenant = who
         self.connection = door.connect(principal or _NOBODY, encoding, self.flush, tenant, end)
         self.connection.on_hello = self._hello
@@ -75,6 +80,8 @@ class Peer:
         self._inbox: deque[bytes] = deque()
         """Messages read before the client was found not to take its replies."""
         self._held = False
+        self._began = 0.0
+        """When the first of the messages that came together was taken; 0 between such."""
         self._incoming = Incoming(
             config, self._limit, whole=self._whole, again=self._again, failed=self._fail
         )
@@ -96,6 +103,8 @@ class Peer:
             return
         # Not marked for the coming tick: `settled` sends the answers to all that was read at once.
         self._mailbox.dirty = True
+        if not self._began:
+            self._began = perf_counter()
         if _SEGMENT in data and self._segment(data):
             return
         self._receive(data)
@@ -103,10 +112,14 @@ class Peer:
             self.flush()
             if len(self._mailbox.control) >= self._config.backlog:
                 self._hold()
+        if perf_counter() - self._began > _TURN and not self._held:
+            self._hold()
+            self._loop.call_soon(self._next_turn)
 
     def settled(self) -> None:
         """Send what there is to say to the messages that came together."""
         mailbox, socket = self._mailbox, self._socket
+        self._began = 0.0
         mailbox.dirty = False
         control = mailbox.control
         more = mailbox.pending or mailbox.feedback
@@ -139,6 +152,13 @@ class Peer:
         """Read nothing more until the client has taken what it asked for."""
         self._held = True
         self._socket.pause_reading()
+
+    def _next_turn(self) -> None:
+        """Go on with what came together and took too long, so that an e-stop came in between."""
+        if self._held and not self.gone.is_set():
+            if len(self._mailbox.control) < self._config.backlog:
+                self._release()
+            self.settled()
 
     def _release(self) -> None:
         self._held = False
