@@ -142,13 +142,12 @@ class Leases:
         """
         if not self._active or entry.tenant is None:
             return
-        path, holder = entry.path, session.holder
+        path, holders = entry.path, session.holders
         lease = self.over(path)
-        if lease is not None and lease.key == holder:
+        if lease is not None and lease.key in holders:
             return
-        if lost := self._lost.get(holder):
-            loss = next((one for one in lost.values() if one.scope.covers(path)), None)
-            if loss is not None:
+        for loss in self._losses(holders):
+            if loss.scope.covers(path):
                 details = {"lease": loss.lease, "scope": loss.scope.text, "by": loss.by}
                 details["reason"] = loss.reason
                 raise LeaseLost(loss.told, path=path, details=details)
@@ -209,7 +208,8 @@ class Leases:
             )
             self.held[lease.id] = lease
         lease.priority = priority
-        self._forgive(session.holder, scope)
+        for key in session.holders:
+            self._forgive(key, scope)
         self._extend(session, lease, ttl)
         self._note("acquire", lease, session, take=take, reason=reason)
         return lease
@@ -242,7 +242,7 @@ class Leases:
 
     def own(self, session: Session, scope: Scope) -> Lease | None:
         """Return the session's lease on exactly this scope."""
-        mine = (one for one in self.held.values() if one.key == session.holder)
+        mine = [one for key in session.holders for one in self.held.values() if one.key == key]
         return next((one for one in mine if one.scope.text == scope.text), None)
 
     def find(self, session: Session, id_: str | None, scope: Scope | None) -> Lease:
@@ -253,11 +253,11 @@ class Leases:
         """
         if id_ is not None:
             lease = self.held.get(id_)
-            if lease is not None and lease.key == session.holder:
+            if lease is not None and lease.key in session.holders:
                 return lease
         elif scope is not None and (lease := self.own(session, scope)) is not None:
             return lease
-        for loss in self._lost.get(session.holder, {}).values():
+        for loss in self._losses(session.holders):
             if loss.lease == id_ or (scope is not None and loss.scope.text == scope.text):
                 raise LeaseLost(loss.told, details={"by": loss.by, "reason": loss.reason})
         what = id_ if scope is None else scope.text
@@ -282,9 +282,10 @@ class Leases:
 
     def forgive(self, session: Session, id_: str | None, scope: Scope | None) -> None:
         """Let a session that gives up what it has lost go on without a lease."""
-        for loss in list(self._lost.get(session.holder, {}).values()):
-            if loss.lease == id_ or (scope is not None and loss.scope.overlaps(scope)):
-                self._forgive(session.holder, loss.scope)
+        for key in session.holders:
+            for loss in self._losses((key,)):
+                if loss.lease == id_ or (scope is not None and loss.scope.overlaps(scope)):
+                    self._forgive(key, loss.scope)
         self._refresh()
 
     def hand_over(self, session: Session, lease: Lease, heir: Session) -> None:
@@ -351,7 +352,7 @@ class Leases:
             command
             for command in self._gateway.commands.running.values()
             if command.asker is not None
-            and command.asker.holder == lease.key
+            and lease.key in command.asker.holders
             and lease.scope.covers(command.path)
         ]
 
@@ -399,6 +400,11 @@ class Leases:
         if len(self._lost) > _LOSERS:
             self._lost.popitem(last=False)
         self._refresh()
+
+    def _losses(self, holders: Iterable[str]) -> list[_Loss]:
+        if not self._lost:
+            return []
+        return [loss for key in holders for loss in self._lost.get(key, {}).values()]
 
     def _forgive(self, key: str, scope: Scope) -> None:
         lost = self._lost.get(key, {})

@@ -65,7 +65,6 @@ class Session:
         "encoding",
         "expiry",
         "greeted",
-        "holder",
         "id",
         "inflight",
         "meter",
@@ -77,6 +76,7 @@ class Session:
         "read_key",
         "rights",
         "secret",
+        "shared",
         "subscriptions",
         "tenant",
         "transport",
@@ -93,8 +93,8 @@ class Session:
     ) -> None:
         self.id = "s-" + secrets.token_hex(16)
         self.secret = secrets.token_urlsafe(24)
-        self.holder = f"{principal.proof}:{principal.name}" if shared else self.id
-        """Whose leases are this session's: its own, or those of a principal without connections."""
+        self.shared = shared
+        """All requests of a principal without a connection share it (HTTP)."""
         self.principal = principal
         self.rights = rights
         self.tenant = tenant
@@ -120,6 +120,17 @@ class Session:
         self.news: deque[tuple[str, dict[str, Any]]] = deque(maxlen=_NEWS)
         """Notices for the client's return."""
         self.overflowed = 0
+
+    @property
+    def holder(self) -> str:
+        """As whom the session acquires leases: itself, or its principal if it is shared."""
+        return self.holders[0]
+
+    @property
+    def holders(self) -> tuple[str, ...]:
+        """Whose leases are the session's: its own, and those of its principal as a whole."""
+        whole = f"{self.principal.proof}:{self.principal.name}"
+        return (whole,) if self.shared else (self.id, whole)
 
     @property
     def stateless(self) -> bool:

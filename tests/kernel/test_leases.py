@@ -318,7 +318,7 @@ async def test_a_lease_ends_with_its_session(world: World) -> None:
     assert code(await drive(other)) == "completed"
 
 
-async def test_requests_without_a_session_share_their_principals_leases(world: World) -> None:
+async def test_what_a_request_without_a_session_acquires_is_its_principals(world: World) -> None:
     door = world.server.door
     http = door.session(door.authenticate("operator-operator"))
     body = b'{"do":"acquire","scope":"/tenant/alpha"}'
@@ -327,11 +327,16 @@ async def test_requests_without_a_session_share_their_principals_leases(world: W
     held = await door.ask(http, request)
     assert held.status == "completed"
     assert held.body.session is None
-    assert code(await drive(world.client())) == "lease_held"
+    assert code(await drive(world.client(ADMIN))) == "lease_held"
+    mine = world.client()
+    assert code(await drive(mine)) == "completed"
     again = door.renamed("other").session(door.authenticate("operator-operator"))
     write = Request(type="write", path=DRIVE, encoding=Encoding.JSON)
     write.body = type(write.body)(b'{"linear":{"x":1.0}}')
     assert (await door.ask(again, write)).status == "completed"
+    assert code(await lease(mine, "release")) == "completed"
+    assert code(await lease(mine)) == "completed"
+    assert (await door.ask(again, write)).status == "rejected"
 
 
 async def test_who_looks_sees_the_leases_of_robots_that_it_sees(world: World) -> None:
@@ -367,7 +372,7 @@ async def test_a_lease_outlives_the_gateway_that_gave_it(tmp_path: Path) -> None
         before = (await door.ask(http, request)).body
         await settled(world.server.gateway.store)
     async with world_of(text) as world:
-        client = world.client()
+        client = world.client(ADMIN)
         assert code(await drive(client)) == "lease_held"
         listed = (await client.ask(type="read", path="/system/leases"))["body"]
         assert [one["lease"] for one in listed] == [before.lease]
