@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from rcp_client.command import CommandHandle, Feedback
     from rcp_client.credentials import token_path
     from rcp_client.errors import ConnectionLost
+    from rcp_client.lease import Lease
     from rcp_client.messages import Notice, Reply, ResourceInfo, Update
     from rcp_client.subscription import Subscription
 
@@ -28,6 +29,7 @@ __all__ = [
     "CommandHandle",
     "ConnectionLost",
     "Feedback",
+    "Lease",
     "Notice",
     "Reply",
     "ResourceInfo",
@@ -43,6 +45,7 @@ _HOMES = {
     "CommandHandle": "command",
     "ConnectionLost": "errors",
     "Feedback": "command",
+    "Lease": "lease",
     "Notice": "messages",
     "Reply": "messages",
     "ResourceInfo": "messages",

@@ -15,10 +15,12 @@ from anyio.from_thread import BlockingPortal, start_blocking_portal
 
 from rcp_client.client import Client, connect
 from rcp_client.command import CommandHandle, Feedback
+from rcp_client.lease import Lease
 from rcp_client.messages import Notice, Reply, ResourceInfo, Update
 from rcp_client.subscription import Subscription
+from rcp_kernel.errors import LeaseLost
 
-__all__ = ["BlockingCommand", "BlockingSubscription", "Robot"]
+__all__ = ["BlockingCommand", "BlockingLease", "BlockingSubscription", "Robot"]
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -102,6 +104,14 @@ class Robot:
         """See `Client.estop`."""
         return self._do(self._client.estop, **options)
 
+    def lease(self, scope: str, **options: Any) -> BlockingLease:
+        """See `Client.lease`; use it by `with`."""
+        return BlockingLease(self._do, self._client.lease(scope, **options))
+
+    def leases(self) -> list[dict[str, Any]]:
+        """See `Client.leases`."""
+        return self._do(self._client.leases)
+
     def subscribe(self, patterns: str | Iterable[str], **options: Any) -> BlockingSubscription:
         """See `Client.subscribe`; iterate over it, or use it by `with`."""
 
@@ -158,6 +168,45 @@ class BlockingCommand:
     def cancel(self) -> Reply:
         """Have the robot told to stop it."""
         return self._do(self._handle.cancel)
+
+
+class BlockingLease:
+    """Exclusive control while a `with` block runs; it cannot cut the block short.
+
+    Leaving the block raises `LeaseLost` if it was lost; `check` tells before. The gateway refuses
+    what the block commands meanwhile.
+    """
+
+    def __init__(self, do: Callable[..., Any], lease: Lease) -> None:
+        self._do = do
+        self._lease = lease
+
+    def __enter__(self) -> Self:
+        self._do(self._lease.open)
+        return self
+
+    def __exit__(self, type_: type[BaseException] | None, *_: object) -> None:
+        self._do(self._lease.close)
+        if type_ is None:
+            self._lease.check()
+
+    @property
+    def facts(self) -> dict[str, Any]:
+        """See `Lease.facts`."""
+        return self._lease.facts
+
+    @property
+    def lost(self) -> LeaseLost | None:
+        """Why it is gone, once it is."""
+        return self._lease.lost
+
+    def check(self) -> None:
+        """See `Lease.check`."""
+        self._lease.check()
+
+    def hand_over(self, to: str) -> dict[str, Any]:
+        """See `Lease.hand_over`."""
+        return self._do(self._lease.hand_over, to)
 
 
 class BlockingSubscription:

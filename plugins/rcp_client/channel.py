@@ -12,7 +12,7 @@ import logging
 import random
 import secrets
 import time
-from collections.abc import Coroutine
+from collections.abc import Callable, Coroutine
 from typing import TYPE_CHECKING, Any
 
 from rcp_client.calls import Call, Calls, Repeat
@@ -45,6 +45,8 @@ class Channel:
     def __init__(self, settings: Settings) -> None:
         self.settings = settings
         self.calls = Calls()
+        self.listeners: list[Callable[[Notice], None]] = []
+        """Told of every notice."""
         self.subscriptions: dict[str, Subscription] = {}
         self.session: str | None = None
         self.greeting: dict[str, Any] = {}
@@ -313,6 +315,8 @@ class Channel:
         for id_, subscription in list(self.subscriptions.items()):
             if notice.id in (None, id_):
                 subscription.note(notice)
+        for listener in list(self.listeners):
+            listener(notice)
         safely(self.settings.on_notice, notice)
 
     def _on_lost(self, link: Link) -> None:

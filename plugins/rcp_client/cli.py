@@ -203,12 +203,70 @@ def cancel(ctx: click.Context, **arguments: Any) -> int:
 @rcpctl.command(context_settings=_CONTEXT)
 @_common
 @click.option("--reset", is_flag=True, help="Release the stop; takes a role that may.")
-@click.option("--scope", metavar="SCOPE", help="/tenant/<tenant> or a backend [all you may see].")
+@click.option("--scope", metavar="SCOPE", help="A tenant, a robot, or a backend [all you may see].")
 @click.option("--reason", metavar="TEXT", help="Why, for the record and for others.")
 @click.pass_context
 def estop(ctx: click.Context, **arguments: Any) -> int:
     """Stop every robot now; commands are refused until somebody resets the stop."""
     return _run(ctx, "estop", **arguments)
+
+
+@rcpctl.group(context_settings=_CONTEXT)
+@_common
+def lease() -> None:
+    """Be alone in command of a part of the tree: a tenant, a robot, or a sub-tree like /actuator."""
+
+
+@lease.command(name="list", context_settings=_CONTEXT)
+@_common
+@click.pass_context
+def lease_list(ctx: click.Context, **arguments: Any) -> int:
+    """List who holds what."""
+    return _run(ctx, "lease list", **arguments)
+
+
+def _acquiring(function: F) -> F:
+    options = (
+        click.argument("scope"),
+        click.option(
+            "--ttl",
+            type=click.FloatRange(0, min_open=True),
+            metavar="SECONDS",
+            help="How long it lasts unless it is renewed [the gateway's].",
+        ),
+        click.option("--take", is_flag=True, help="Take it from holders of a lower priority."),
+        click.option("--reason", metavar="TEXT", help="Why; needed to take it, and told to them."),
+    )
+    for option in reversed(options):
+        function = option(function)
+    return function
+
+
+@lease.command(name="acquire", context_settings=_CONTEXT)
+@_common
+@_acquiring
+@click.pass_context
+def lease_acquire(ctx: click.Context, **arguments: Any) -> int:
+    """Acquire SCOPE for your principal, in all its sessions, until it lapses or is released."""
+    return _run(ctx, "lease acquire", **arguments)
+
+
+@lease.command(name="release", context_settings=_CONTEXT)
+@_common
+@click.argument("scope")
+@click.pass_context
+def lease_release(ctx: click.Context, **arguments: Any) -> int:
+    """Give up what was acquired; what runs goes on."""
+    return _run(ctx, "lease release", **arguments)
+
+
+@lease.command(name="hold", context_settings=_CONTEXT)
+@_common
+@_acquiring
+@click.pass_context
+def lease_hold(ctx: click.Context, **arguments: Any) -> int:
+    """Acquire SCOPE and keep it until Ctrl-C, or until somebody takes it."""
+    return _run(ctx, "lease hold", **arguments)
 
 
 @rcpctl.command(context_settings=_CONTEXT)

@@ -17,6 +17,7 @@ from rcp_client.calls import Repeat
 from rcp_client.channel import Channel
 from rcp_client.command import CommandHandle, Feedback
 from rcp_client.credentials import find_token
+from rcp_client.lease import Lease
 from rcp_client.messages import Notice, Reply, ResourceInfo
 from rcp_client.settings import MARGIN, Settings
 from rcp_client.subscription import Subscription
@@ -264,6 +265,27 @@ class Client:
         body = _kept({"reset": reset or None, "scope": scope, "reason": reason})
         envelope: dict[str, Any] = {"type": "execute", "path": "/system/estop", "body": body}
         return (await self.channel.ask(envelope, _repeat(envelope))).body
+
+    def lease(
+        self,
+        scope: str,
+        *,
+        ttl: float | None = None,
+        take: bool = False,
+        reason: str | None = None,
+    ) -> Lease:
+        """Make a lease; `async with` acquires, renews and releases it.
+
+        `scope` is a tenant, a robot or a sub-tree (docs/protocol.md, Leases). `take` takes it over
+        from holders of a lower priority, who are told the `reason`. Losing it cancels the block,
+        which then raises `LeaseLost`.
+        """
+        asked = {"scope": scope, "ttl": ttl, "take": take or None, "reason": reason}
+        return Lease(self.channel, _kept(asked))
+
+    async def leases(self) -> list[dict[str, Any]]:
+        """List the leases on robots that this principal may see."""
+        return await self.read("/system/leases")
 
     # -- streams -------------------------------------------------------------------------------
 

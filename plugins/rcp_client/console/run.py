@@ -9,7 +9,7 @@ from typing import Any
 import click
 
 from rcp_client.client import Client, connect
-from rcp_client.console import show
+from rcp_client.console import show, whole
 from rcp_client.console.execute import execute
 from rcp_client.console.output import Output, exit_code
 from rcp_client.console.value import fetch, meant
@@ -181,6 +181,49 @@ async def _estop(client: Client, out: Output, args: Arguments) -> int:
     return 0
 
 
+async def _lease_list(client: Client, out: Output, _: Arguments) -> int:
+    listed = await client.leases()
+    if out.json:
+        for lease in listed:
+            out.document(lease)
+    elif listed:
+        show.leases(out, listed)
+    else:
+        out.aside("No leases.")
+    return 0
+
+
+async def _lease_acquire(client: Client, out: Output, args: Arguments) -> int:
+    names = ("ttl", "take", "reason")
+    asked = {name: args[name] for name in names if args[name]}
+    return await _lease_whole(client, out, {"do": "acquire", "scope": args["scope"], **asked})
+
+
+async def _lease_release(client: Client, out: Output, args: Arguments) -> int:
+    return await _lease_whole(client, out, {"do": "release", "scope": args["scope"]})
+
+
+async def _lease_whole(client: Client, out: Output, body: dict[str, Any]) -> int:
+    if not body["scope"].startswith("/tenant/"):
+        body["scope"] = f"/tenant/{client.greeting.get('tenant')}{body['scope']}"
+    envelope = {"type": "execute", "path": "/system/leases", "body": body}
+    facts = (await whole.request(client, envelope)).body
+    if out.json or body["do"] == "acquire":
+        show.lease(out, facts)
+    else:
+        out.line(f"{facts['scope']} is free.")
+    return 0
+
+
+async def _lease_hold(client: Client, out: Output, args: Arguments) -> int:
+    lease = client.lease(args["scope"], ttl=args["ttl"], take=args["take"], reason=args["reason"])
+    async with lease:
+        show.lease(out, lease.facts)
+        out.aside("Held until Ctrl-C.")
+        await asyncio.Event().wait()
+    return 0
+
+
 async def _codegen(client: Client, out: Output, args: Arguments) -> int:
     from rcp_client.codegen import generate
 
@@ -202,5 +245,9 @@ _COMMANDS: dict[str, Callable[[Client, Output, Arguments], Awaitable[int]]] = {
     "commands": _commands,
     "cancel": _cancel,
     "estop": _estop,
+    "lease list": _lease_list,
+    "lease acquire": _lease_acquire,
+    "lease release": _lease_release,
+    "lease hold": _lease_hold,
     "codegen": _codegen,
 }

@@ -152,6 +152,30 @@ def commands(out: Output, listed: list[dict[str, Any]]) -> None:
     out.table(("COMMAND", "STATUS", "DONE", "CREATED", "BY", "PATH", "MESSAGE"), rows)
 
 
+def leases(out: Output, listed: list[dict[str, Any]]) -> None:
+    """Show leases as a table."""
+    rows = [
+        (
+            lease["scope"],
+            lease["holder"],
+            lease.get("session") or "",
+            lease["priority"],
+            lease["expires"][:19],
+            lease.get("reason") or "",
+        )
+        for lease in listed
+    ]
+    out.table(("SCOPE", "HOLDER", "SESSION", "PRIORITY", "UNTIL", "REASON"), rows)
+
+
+def lease(out: Output, facts: dict[str, Any]) -> None:
+    """Show one lease."""
+    if out.json:
+        out.document(facts)
+    else:
+        out.line(f"{facts['scope']} is {facts['holder']}'s until {facts['expires'][:19]}Z.")
+
+
 def estop(out: Output, state: dict[str, Any]) -> None:
     """Show which robots are stopped."""
     robots = state.get("robots") or {}

@@ -244,6 +244,37 @@ def test_the_estop_takes_anybody_to_make_and_some_to_release(run: Run) -> None:
     assert shown == "E-stop released; nothing moves until a new command.\n"
 
 
+def test_a_lease_is_acquired_for_all_that_the_principal_runs(run: Run) -> None:
+    held = document(run("lease", "acquire", "/tenant/alpha", "--ttl", "60", "--reason", "a demo"))
+    assert (held["holder"], held["session"]) == ("operator", None)
+    assert document(run("lease", "list"))["reason"] == "a demo"
+    assert run("write", "/param/speed_limit", "1.0").returncode == 0
+    refused = run("write", "/param/speed_limit", "1.0", RCP_TOKEN=ADMIN)
+    assert refused.returncode == 3
+    assert "operator holds the lease" in refused.stderr
+    shown = run("lease", "release", "/tenant/alpha", "--text").stdout
+    assert shown == "/tenant/alpha is free.\n"
+    assert run("lease", "list", "--text").stderr == "No leases.\n"
+
+
+def test_a_lease_is_held_until_somebody_takes_it(url: str, run: Run) -> None:
+    with subprocess.Popen(
+        [BIN / "rcpctl", "lease", "hold", "/actuator", "--json"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env={**os.environ, "RCP_URL": url, "RCP_TOKEN": OPERATOR},
+    ) as holder:
+        assert holder.stdout is not None
+        assert holder.stderr is not None
+        assert json.loads(holder.stdout.readline())["holder"] == "operator"
+        taken = run("lease", "acquire", "/actuator", "--take", "--reason", "mine", RCP_TOKEN=ADMIN)
+        assert taken.returncode == 0
+        assert holder.wait(BOUND) == 3
+        assert "mine (by admin)" in holder.stderr.read()
+    assert run("lease", "release", "/actuator", RCP_TOKEN=ADMIN).returncode == 0
+
+
 # -- the ends of a run ---------------------------------------------------------------------------
 
 

@@ -1,0 +1,48 @@
+"""Requests in the name of the whole principal, not of a session: single requests over HTTP."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import urllib.error
+import urllib.request
+from typing import Any
+
+import msgspec
+
+from rcp_client.client import Client
+from rcp_client.errors import ConnectionLost, error_of
+from rcp_client.messages import Reply
+
+__all__ = ["request"]
+
+
+async def request(client: Client, envelope: dict[str, Any]) -> Reply:
+    """Send one request outside of the client's session and return its final reply.
+
+    :raises RcpError: it tells of an error, or none came.
+    """
+    reply = await asyncio.to_thread(_post, client, envelope)
+    error = error_of(reply)
+    if error is not None:
+        raise error
+    return reply
+
+
+def _post(client: Client, envelope: dict[str, Any]) -> Reply:
+    settings = client.settings
+    headers = {"Content-Type": "application/json", "Accept": "application/json"}
+    if settings.token is not None:
+        headers["Authorization"] = f"Bearer {settings.token}"
+    url = settings.address.url.rstrip("/") + "/rcp/v1/messages"
+    asked = urllib.request.Request(url, json.dumps(envelope).encode(), headers)  # noqa: S310
+    try:
+        with urllib.request.urlopen(  # noqa: S310 - the address of the client's own connection
+            asked, timeout=settings.deadline, context=settings.ssl
+        ) as answer:
+            data = answer.read()
+    except urllib.error.HTTPError as refusal:
+        data = refusal.read()
+    except OSError as error:
+        raise ConnectionLost(f"cannot reach {settings.address.url}: {error}") from error
+    return msgspec.json.decode(data, type=Reply)
