@@ -330,7 +330,7 @@ class Sessions:
         tenant = gateway.tenant_for(principal, tenant)
         session = Session(principal, gateway.rules.rights(principal), tenant, kept.transport)
         if hello.session is not None and not _proves(hello.session, kept):
-            session.id = session.holder = hello.session
+            session.id = hello.session
         session.secret = proof or session.secret
         session.created, session.cut = kept.created, kept.cut or gateway.returning.ended
         name = hashed(session.id)
