@@ -63,19 +63,21 @@ def test_the_rcpctl_calls_of_the_readme_succeed(live: Demo) -> None:
 
 @pytest.mark.parametrize("page", [ROOT / "README.md", DOCS / "client.md"], ids=lambda p: p.name)
 def test_the_python_of_a_page_runs(page: Path, live: Demo, tmp_path: Path) -> None:
-    (code,) = re.findall(_PYTHON, page.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
-    program = tmp_path / "program.py"
-    program.write_text(code, encoding="utf-8")
-    done = subprocess.run(
-        [sys.executable, str(program)],
-        check=False,
-        capture_output=True,
-        text=True,
-        timeout=30,
-        env=live.environment | {"RCP_URL": live.url},
-    )
-    assert done.returncode == 0, done.stderr
-    assert len(done.stdout.splitlines()) == 4
+    printed: list[str] = []
+    for code in re.findall(_PYTHON, page.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL):
+        program = tmp_path / "program.py"
+        program.write_text(code, encoding="utf-8")
+        done = subprocess.run(
+            [sys.executable, str(program)],
+            check=False,
+            capture_output=True,
+            text=True,
+            timeout=30,
+            env=live.environment | {"RCP_URL": live.url},
+        )
+        assert done.returncode == 0, done.stderr
+        printed += done.stdout.splitlines()
+    assert len(printed) == 4
 
 
 def test_every_command_of_rcpctl_is_told() -> None:
