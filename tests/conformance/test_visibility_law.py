@@ -227,12 +227,15 @@ def matching(model: Model, pattern: str) -> list[str]:
 PATTERNS = ("/**", "/tenant/*/sensor/**", "/sensor/**", "/*/arm/*", "/tenant/beta/**")
 
 
-@settings(
+LAW = settings(
     max_examples=60,
     deadline=None,
     phases=[Phase.explicit, Phase.reuse, Phase.generate],
     suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
 )
+
+
+@LAW
 @given(
     tree=trees,
     named=st.fixed_dictionaries({"r0": roles, "r1": roles}),
@@ -330,6 +333,75 @@ async def subscribed(bench: Bench, model: Model, pattern: str) -> list[Any]:
     rest = [m for m in client.inbox if m["type"] == "update" and "/tenant/" in m["path"]]
     assert not rest
     return heard
+
+
+@LAW
+@given(
+    steps=st.lists(
+        st.tuples(trees, st.fixed_dictionaries({"r0": roles, "r1": roles}), held),
+        min_size=2,
+        max_size=4,
+    ),
+    pattern=st.sampled_from(["/**", "/tenant/*/sensor/**", "/tenant/beta/**"]),
+)
+@pytest.mark.parametrize("bench", ["memory", "websocket", "sse"], indirect=True)
+async def test_an_open_subscription_follows_rules_and_tree_and_tells_of_nothing_else(
+    bench: Bench, steps: list[Any], pattern: str
+) -> None:
+    client = bench.client
+    id_ = None
+    before: set[str] = set()
+    for number, (tree, named, held) in enumerate(steps):
+        model = Model(tree, named, held)
+        client.inbox.clear()
+        bench.gateway.reconfigure(configured(named, held))
+        for tenant, garden in bench.gardens.items():
+            garden.grow(tree[tenant])
+        if id_ is None:
+            id_ = (await client.request("subscribe", pattern))["body"]["subscription"]
+        standing = heard_of(model, pattern)
+        if number:  # the rules came first, and met the tree of the step before
+            before |= heard_of(Model(steps[number - 1][0], named, held), pattern)
+        bench.shown += len(standing)
+        bench.hidden += len(model.paths) - len(model.visible())
+        heard = await published(bench, model, id_, standing, number + 2.0)
+        mine = [m for m in (*heard, *client.inbox) if m.get("id") == id_]
+        said = [m for m in mine if "/tenant/" in str(m.get("path"))]
+        assert not [m for m in said if m["path"] not in standing | before]
+        # What was on its way may come late, but nothing of now that is not allowed now.
+        fresh = [m for m in said if m["type"] == "update" and m["body"] == number + 2.0]
+        assert all("subscribe" in model.now(m["path"]) for m in fresh)
+        text = json.dumps(said)
+        known = {path.rpartition("/")[2] for path in before}
+        assert not [name for name in model.secrets() - known if name in text]
+        before |= standing
+    await client.request("unsubscribe", body={"subscription": id_})
+
+
+def heard_of(model: Model, pattern: str) -> set[str]:
+    """List what a subscription of a pattern is told of, whatever the conditions."""
+    found = matching(model, pattern)
+    return {p for p in found if "subscribe" in model.possible(p) & model.offers(p)}
+
+
+async def published(
+    bench: Bench, model: Model, id_: str, standing: set[str], value: float
+) -> list[Any]:
+    """Publish on every path, and wait for what is to be heard."""
+    for garden in bench.gardens.values():
+        garden.host.publish("sensor/truth", 1)
+        for name in sorted(garden.declared):
+            if not name.startswith(("action", "service")):
+                garden.host.publish(name, value)
+    return [
+        await bench.client.until(
+            lambda m, p=path: (
+                _of(m, id_, "update", p) and m["body"] == (1 if p.endswith("truth") else value)
+            )
+        )
+        for path in sorted(standing)
+        if "subscribe" in model.now(path)
+    ]
 
 
 def _of(message: Any, id_: str, type_: str, path: str) -> bool:
