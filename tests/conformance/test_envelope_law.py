@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import itertools
 import math
-from collections.abc import AsyncGenerator, AsyncIterator
+from collections.abc import AsyncGenerator, AsyncIterator, Awaitable, Callable
 from contextlib import AsyncExitStack, asynccontextmanager
 from typing import Any
 
@@ -196,7 +196,23 @@ edges = st.sampled_from(
     ]
 )
 junk = st.sampled_from(
-    ["-Infinity", "1", "-2", "9007199254740993", "go", "", None, True, [], {}, [1], 2**63, -(2**63)]
+    [
+        "-Infinity",
+        "1",
+        "-2",
+        "9007199254740993",
+        "go",
+        "",
+        None,
+        True,
+        [],
+        {},
+        [1],
+        2**53 + 1,
+        -(2**53) - 1,
+        2**63,
+        -(2**63),
+    ]
 )
 
 
@@ -241,6 +257,7 @@ ways = st.fixed_dictionaries(
         "refused": st.sampled_from([False, False, True]),
         "batched": st.booleans(),
         "rest": st.sampled_from([*[False] * 8, True]),
+        "back": st.sampled_from([*[False] * 8, True]),
     }
 )
 steps = st.lists(
@@ -258,6 +275,7 @@ class Bench:
         self.model = Model(clock.now)
         self.checked = 0
         self.clients: dict[tuple[str, Encoding], Client] = {}
+        self.connect: Callable[[str, Encoding], Awaitable[Client]]
         self.refused = 0
 
     def envelope(self, command: Any, way: dict[str, Any]) -> list[dict[str, Any]]:
@@ -291,6 +309,11 @@ class Bench:
             assert reply.get("error", {}).get("code") != "internal"
             self.refused += reply.get("error", {}).get("code") == "out_of_range"
 
+    async def come_back(self, who: str, encoding: Encoding) -> None:
+        """Cut a client's connection and open another."""
+        await self.clients[who, encoding].close()
+        self.clients[who, encoding] = await self.connect(who, encoding)
+
     def check(self) -> None:
         for name, value, when in self.robot.seen[self.checked :]:
             self.model.check(name, value, when)
@@ -311,8 +334,9 @@ async def running(wire: str, monkeypatch: pytest.MonkeyPatch) -> AsyncGenerator[
     kind = BackendKind("recorder", msgspec.Struct, opened)
     async with serve(parse(CONFIG, "test"), kind) as served, AsyncExitStack() as stack:
         bench = Bench(made[-1], clock)
-        for token, encoding in itertools.product((AGENT, OPERATOR), Encoding):
-            server = served.server
+
+        async def connect(who: str, encoding: Encoding) -> Client:
+            server, token = served.server, AGENT if who == "agent" else OPERATOR
             if wire == "memory":
                 client: Client = MemoryClient(server.door, token, encoding)
             elif wire == "http":
@@ -320,7 +344,11 @@ async def running(wire: str, monkeypatch: pytest.MonkeyPatch) -> AsyncGenerator[
             else:
                 client = await WebSocketClient.connected(server, token, encoding)
             stack.push_async_callback(client.close)
-            bench.clients[token.partition("-")[0], encoding] = client
+            return client
+
+        bench.connect = connect
+        for who, encoding in itertools.product(("agent", "operator"), Encoding):
+            bench.clients[who, encoding] = await connect(who, encoding)
         yield bench
 
 
@@ -369,5 +397,7 @@ async def play(bench: Bench, sequence: list[Any]) -> None:
             await asyncio.gather(*under_way)
             under_way.clear()
             bench.clock.now += pause
+            if way["back"]:
+                await bench.come_back(way["who"], way["encoding"])
     await asyncio.gather(*under_way)
     bench.check()
