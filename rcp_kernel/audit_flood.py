@@ -36,10 +36,12 @@ class _Sum:
 class _Window:
     """Refusals of one principal in the running window."""
 
-    __slots__ = ("count", "length", "sums")
+    __slots__ = ("count", "key", "length", "sums", "timer")
 
-    def __init__(self, length: float) -> None:
+    def __init__(self, key: str, length: float) -> None:
+        self.key = key
         self.length = length
+        self.timer: asyncio.TimerHandle | None = None
         self.count = 0
         self.sums: dict[str | None, _Sum] = {}
 
@@ -63,7 +65,6 @@ class Flood:
         self.bound = bound
         self._tell = tell
         self._windows: dict[str, _Window] = {}
-        self._timers: dict[str, asyncio.TimerHandle] = {}
 
     def passes(
         self, key: str, who: dict[str, Any], path: str | None, code: str, *, full: bool = False
@@ -80,15 +81,18 @@ class Flood:
         return False
 
     def _open(self, key: str, length: float) -> _Window:
-        window = self._windows[key] = _Window(length)
-        self._timers[key] = self._loop.call_later(length, self._close, key)
+        window = self._windows[key] = _Window(key, length)
+        window.timer = self._loop.call_later(length, self._close, window)
         return window
 
-    def _close(self, key: str) -> None:
-        window = self._windows.pop(key)
-        del self._timers[key]
+    def _close(self, window: _Window) -> None:
+        key = window.key
+        if self._windows.get(key) is not window:
+            return
+        del self._windows[key]
         self._sum_up(window)
-        if window.sums and window.count > self.bound * window.length:
+        # Telling may itself be refused and have opened the next one.
+        if key not in self._windows and window.sums and window.count > self.bound * window.length:
             self._open(key, min(window.length * 2, _LONGEST))
 
     def _sum_up(self, window: _Window) -> None:
@@ -105,9 +109,8 @@ class Flood:
 
     def close(self) -> None:
         """Sum up what was counted so far."""
-        for timer in self._timers.values():
-            timer.cancel()
-        self._timers.clear()
         windows, self._windows = self._windows, {}
         for window in windows.values():
+            if window.timer is not None:
+                window.timer.cancel()
             self._sum_up(window)

@@ -103,6 +103,7 @@ class Gateway:
         self.accounts, self.sessions = Accounts(self), Sessions(self)
         self.standing = Standing(self.hub)
         self.deadman = Deadman(loop)
+        self.deadman.note = self.recording.dead_man
         self.envelopes = Envelopes(self)
         self.discovery = Discovery(self.registry, self.envelopes)
         self.closing = False

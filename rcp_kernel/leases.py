@@ -9,16 +9,16 @@ from __future__ import annotations
 
 import asyncio
 import secrets
-from collections import OrderedDict
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import structlog
 
 from rcp_kernel.acl import reach
 from rcp_kernel.clock import iso, now
-from rcp_kernel.errors import BadRequest, LeaseHeld, LeaseLost, LeaseRequired, RcpError
+from rcp_kernel.errors import BadRequest, LeaseLost, LeaseRequired, RcpError
+from rcp_kernel.lease import Lease, refusal
+from rcp_kernel.losses import Loss, Losses
 from rcp_kernel.model import Kind, Operation, Pattern
 from rcp_kernel.registry import Entry
 from rcp_kernel.scope import Scope
@@ -27,63 +27,11 @@ from rcp_kernel.sessions import Session
 if TYPE_CHECKING:
     from rcp_kernel.gateway import Gateway
 
-__all__ = ["COMMANDING", "Lease", "Leases"]
+__all__ = ["COMMANDING", "Leases"]
 
 log = structlog.get_logger("rcp.store")
 COMMANDING = Operation.WRITE | Operation.EXECUTE
 _TABLE = "leases"
-_LOSERS = 1000  # holders whose losses are remembered
-_LOSSES = 100  # of one of them
-
-
-@dataclass(slots=True, eq=False)
-class Lease:
-    """One lease, as it is now."""
-
-    id: str
-    scope: Scope
-    key: str
-    """Whose it is: `Session.holder`."""
-    holder: str
-    """The principal's name."""
-    session: str | None
-    """The beginning of the session's id; None for a holder without connections."""
-    priority: int
-    since: int
-    expires: int
-    reason: str | None = None
-
-    @property
-    def left(self) -> float:
-        """Seconds until it lapses."""
-        return max(0.0, (self.expires - now()) / 1e9)
-
-    def facts(self) -> dict[str, Any]:
-        """Say whose it is, for whoever is refused because of it."""
-        return {
-            "scope": self.scope.text,
-            "holder": self.holder,
-            "since": iso(self.since),
-            "expires": iso(self.expires),
-            "priority": self.priority,
-        }
-
-    def kept(self) -> dict[str, Any]:
-        """Write it for the store."""
-        fields = (f for f in self.__slots__ if f not in ("id", "scope"))
-        return {"scope": self.scope.text, **{name: getattr(self, name) for name in fields}}
-
-
-@dataclass(slots=True, frozen=True)
-class _Loss:
-    lease: str
-    scope: Scope
-    by: str
-    reason: str
-
-    @property
-    def told(self) -> str:
-        return f"the lease on {self.scope.text} is gone: {self.reason} (by {self.by})"
 
 
 class Leases:
@@ -95,8 +43,7 @@ class Leases:
         """By id."""
         self.changed: Callable[[], None] = lambda: None
         """Called after every change."""
-        self._lost: OrderedDict[str, dict[str, _Loss]] = OrderedDict()
-        """What each holder has lost and not asked for again, by lease."""
+        self._lost = Losses()
         self._timers: dict[str, asyncio.TimerHandle] = {}
         self._over: dict[str, Lease | None] = {}
         """The lease over each path that somebody asked about; forgotten with every change."""
@@ -146,13 +93,13 @@ class Leases:
         lease = self.over(path)
         if lease is not None and lease.key in holders:
             return
-        for loss in self._losses(holders):
+        for loss in self._lost.of(holders):
             if loss.scope.covers(path):
                 details = {"lease": loss.lease, "scope": loss.scope.text, "by": loss.by}
                 details["reason"] = loss.reason
                 raise LeaseLost(loss.told, path=path, details=details)
         if lease is not None:
-            raise _refusal(lease, path)
+            raise refusal(lease, path)
         if self._requires(path):
             raise LeaseRequired(f"{path} is commanded only under a lease", path=path)
 
@@ -209,7 +156,7 @@ class Leases:
             self.held[lease.id] = lease
         lease.priority = priority
         for key in session.holders:
-            self._forgive(key, scope)
+            self._lost.forgive(key, scope)
         self._extend(session, lease, ttl)
         self._note("acquire", lease, session, take=take, reason=reason)
         return lease
@@ -226,7 +173,7 @@ class Leases:
         priority = session.rights.priority(scope.tenant)
         for rival in self.rivals(session, scope):
             if not take or priority <= rival.priority:
-                raise _refusal(rival, scope.text, of=self._told(session, rival, scope))
+                raise refusal(rival, scope.text, of=self._told(session, rival, scope))
 
     def _told(self, session: Session, rival: Lease, scope: Scope) -> str:
         """Name the scope of a rival's lease, or the one asked for if the other's is hidden."""
@@ -257,7 +204,7 @@ class Leases:
                 return lease
         elif scope is not None and (lease := self.own(session, scope)) is not None:
             return lease
-        for loss in self._losses(session.holders):
+        for loss in self._lost.of(session.holders):
             if loss.lease == id_ or (scope is not None and loss.scope.text == scope.text):
                 raise LeaseLost(loss.told, details={"by": loss.by, "reason": loss.reason})
         what = id_ if scope is None else scope.text
@@ -283,9 +230,9 @@ class Leases:
     def forgive(self, session: Session, id_: str | None, scope: Scope | None) -> None:
         """Let a session that gives up what it has lost go on without a lease."""
         for key in session.holders:
-            for loss in self._losses((key,)):
+            for loss in self._lost.of((key,)):
                 if loss.lease == id_ or (scope is not None and loss.scope.overlaps(scope)):
-                    self._forgive(key, loss.scope)
+                    self._lost.forgive(key, loss.scope)
         self._refresh()
 
     def hand_over(self, session: Session, lease: Lease, heir: Session) -> None:
@@ -302,7 +249,7 @@ class Leases:
         if heir.principal.expires is not None:
             lease.expires = min(lease.expires, heir.principal.expires)
             self._set_timer(lease)
-        self._forgive(lease.key, lease.scope)
+        self._lost.forgive(lease.key, lease.scope)
         self._keep(lease)
         facts = {"lease": lease.id, "scope": lease.scope.text, "by": session.principal.name}
         heir.tell("lease_given", **facts, to=lease.holder, expires=iso(lease.expires))
@@ -321,8 +268,9 @@ class Leases:
             return
         running = self._commands(lease)
         self._remove(lease)
-        loss = _Loss(lease.id, lease.scope, by, reason)
-        self._remember(lease.key, loss)
+        loss = Loss(lease.id, lease.scope, by, reason)
+        self._lost.add(lease.key, loss)
+        self._refresh()
         for command in running:
             if not self._held_still(lease, command.path):
                 self._gateway.commands.withdraw(command, LeaseLost(loss.told, path=command.path))
@@ -391,28 +339,6 @@ class Leases:
 
     # -- bookkeeping ---------------------------------------------------------------------------
 
-    def _remember(self, key: str, loss: _Loss) -> None:
-        lost = self._lost.setdefault(key, {})
-        lost[loss.lease] = loss
-        self._lost.move_to_end(key)
-        if len(lost) > _LOSSES:
-            del lost[next(iter(lost))]
-        if len(self._lost) > _LOSERS:
-            self._lost.popitem(last=False)
-        self._refresh()
-
-    def _losses(self, holders: Iterable[str]) -> list[_Loss]:
-        if not self._lost:
-            return []
-        return [loss for key in holders for loss in self._lost.get(key, {}).values()]
-
-    def _forgive(self, key: str, scope: Scope) -> None:
-        lost = self._lost.get(key, {})
-        for loss in [one for one in lost.values() if one.scope.overlaps(scope)]:
-            del lost[loss.lease]
-        if not lost:
-            self._lost.pop(key, None)
-
     def _set_timer(self, lease: Lease) -> None:
         if (timer := self._timers.pop(lease.id, None)) is not None:
             timer.cancel()
@@ -448,13 +374,3 @@ class Leases:
         """Let no lease lapse any more; what is held is found again by the next run."""
         for timer in self._timers.values():
             timer.cancel()
-
-
-def _refusal(lease: Lease, path: str, *, of: str | None = None) -> LeaseHeld:
-    scope = of or lease.scope.text
-    return LeaseHeld(
-        f"{lease.holder} holds the lease on {scope} until {iso(lease.expires)}",
-        path=path,
-        retry_after=round(lease.left, 3),
-        details=lease.facts() | {"scope": scope},
-    )

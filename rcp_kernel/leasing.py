@@ -10,7 +10,7 @@ from msgspec import Meta
 from rcp_kernel.clock import iso
 from rcp_kernel.errors import BadRequest, Forbidden, LeaseLost, OutOfRange, UnknownPath
 from rcp_kernel.gateway import Gateway
-from rcp_kernel.leases import Lease
+from rcp_kernel.lease import Lease
 from rcp_kernel.scope import Scope
 from rcp_kernel.sessions import Session
 from rcp_kernel.types import Time

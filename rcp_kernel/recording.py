@@ -15,6 +15,7 @@ from rcp_kernel.errors import DeadlineExceeded, QueueFull, RcpError
 from rcp_kernel.identity import Principal
 from rcp_kernel.peer import Peer
 from rcp_kernel.registry import Entry
+from rcp_kernel.safety import safe_value
 from rcp_kernel.sessions import Answer, Session
 from rcp_kernel.wire import NO_BODY, Reply, Request, failure
 
@@ -168,6 +169,17 @@ class Recording:
             held(reply)
 
         return done
+
+    def dead_man(self, entry: Entry, outcome: str) -> None:
+        """Record that a command lapsed, or that the robot took the safe value."""
+        self._gateway.audit.note(
+            "deadman",
+            principal=None,
+            tenant=entry.tenant,
+            path=entry.path,
+            outcome=outcome,
+            value=None if outcome == "lapsed" else bounded(safe_value(entry)),
+        )
 
     def started(self, session: Session, request: Request, command: Command) -> None:
         """Record that a command was accepted."""

@@ -103,6 +103,8 @@ class Deadman:
         """Cancelled writes that have not ended yet: nothing may overtake them."""
         self.lapsed = 0
         """How many commands have lapsed."""
+        self.note: Callable[[Entry, str], None] = _nobody
+        """Told for the record when a command lapses, and when a safe value was taken."""
         self.sending: Callable[[Entry, Any], None] = _nobody
         """Told when a safe value is on its way."""
         self.at_rest: Callable[[Entry, Any], None] = _nobody
@@ -224,6 +226,7 @@ class Deadman:
         del self._timers[entry.path]
         self.lapsed += 1
         self._start(entry)
+        self.note(entry, "lapsed")
 
     async def _stop(self, entry: Entry) -> None:
         safe = safe_value(entry)
@@ -238,6 +241,7 @@ class Deadman:
         await insist(once, "deadman_stop_failed", path=entry.path)
         self.at_rest(entry, safe)
         entry.publish(safe, None)
+        self.note(entry, "ok")
 
     def close(self) -> None:
         """Forget all windows; the backends are halted by whoever closes them."""

@@ -14,6 +14,7 @@ from click.testing import CliRunner
 
 from kernel.world import Client, World, kept_in, settled, world_of
 from rcp_kernel.audit_cli import audit, examined
+from rcp_kernel.audit_flood import Flood
 
 pytestmark = pytest.mark.anyio
 LIMIT = "/tenant/alpha/param/limit"
@@ -162,7 +163,7 @@ async def test_a_flood_of_refusals_becomes_one_record_a_window(world: World) -> 
     for _ in range(50):
         await client.ask(type="write", path=LIMIT, body=1)
     assert len(await records(world, what="denial")) == 10
-    flood._close("=anonymous")
+    flood._close(flood._windows["=anonymous"])
     [summary] = await records(world, what="denials")
     assert (summary["count"], summary["codes"]) == (40, {"forbidden": 40})
     assert summary["paths"] == {LIMIT: 40}
@@ -178,7 +179,8 @@ async def test_a_flood_in_two_tenants_is_summed_up_for_each_of_them() -> None:
         for _ in range(12):
             for path in paths:
                 await bea.ask(type="write", path=path, body=1)
-        world.server.gateway.audit._flood._close("=bea")
+        flood = world.server.gateway.audit._flood
+        flood._close(flood._windows["=bea"])
         sums = await records(world, what="denials")
         assert [(s["tenant"], s["roles"], s["paths"]) for s in sums] == [
             ("alpha", ["viewer"], {paths[0]: 7}),
@@ -422,3 +424,41 @@ async def test_a_record_that_was_cut_off_between_two_runs_is_missed(tmp_path: Pa
     assert examined(path).findings == [
         (2, "missing: records 2…3 had been there before this gateway began")
     ]
+
+
+async def test_a_lapsed_command_and_the_stop_that_follows_are_on_record(world: World) -> None:
+    client = world.client()
+    drive = "/tenant/alpha/actuator/drive"
+    body = {"linear": {"x": 1.0}}
+    await client.ask(type="write", path=drive, body=body, valid_for=0.02)
+    id_ = client.send(type="subscribe", path=drive)
+    await client.until(
+        lambda m: m.get("id") == id_ and m["type"] == "update" and m["body"]["linear"]["x"] == 0
+    )
+    lapsed, stopped = await records(world, what="deadman")
+    assert (lapsed["outcome"], stopped["outcome"]) == ("lapsed", "ok")
+    assert lapsed["path"] == stopped["path"] == drive
+    assert stopped["value"]["linear"]["x"] == 0
+    assert stopped["tenant"] == "alpha"
+
+
+async def test_a_flood_that_is_told_of_while_its_window_closes_has_one_window() -> None:
+    loop, told = asyncio.get_running_loop(), asyncio.Event()
+
+    def tell(_facts: dict[str, Any]) -> None:
+        flood.passes("=who", {}, "/path", "forbidden", full=True)
+        told.set()
+
+    flood = Flood(loop, 0, tell)
+    flood.passes("=who", {}, "/path", "forbidden")
+    [first] = flood._windows.values()
+    flood._close(first)
+    [second] = flood._windows.values()
+    assert told.is_set()
+    assert second is not first
+    flood._close(first)
+    assert list(flood._windows.values()) == [second]
+    flood.close()
+    [third] = flood._windows.values()
+    assert third.timer is not None
+    third.timer.cancel()

@@ -139,8 +139,8 @@ def test_a_flood_that_lasts_is_summed_up_in_ever_longer_windows() -> None:
         for length in (1, 2, 4, 8, 16, 32, 60, 60):
             for _ in range(length * 4):
                 passed += flood.passes("x", {"principal": "x"}, "/p", "forbidden")
-            flood._timers["x"].cancel()
-            flood._close("x")
+            flood._windows["x"].timer.cancel()
+            flood._close(flood._windows["x"])
         assert passed == 3
         flood.close()
         assert sum(t["count"] for t in told) == 4 * 183 - 3
