@@ -41,7 +41,7 @@ format: $(TEST)
 
 bench: $(TEST)
 	@$(PIP) -c constraints.txt -e '.[test,bench]'
-	$(BIN)/python benchmarks/scale.py $(ARGS)
+	$(BIN)/python benchmarks $(ARGS)
 
 constraints: $(TEST)
 	$(BIN)/python .ci/constraints.py

@@ -18,6 +18,7 @@ ALL = (
     "startup",
     "tls",
     "guarded",
+    "beside_rosbridge",
 )
 
 wanted = sys.argv[1:] or ALL

@@ -13,10 +13,11 @@ from typing import TYPE_CHECKING, Any
 
 from rcp_kernel.errors import RcpError
 from rcp_kernel.feeds import SHARED, Feed
+from rcp_kernel.mailbox import BUDGET
 from rcp_kernel.values import Encoding
 
 if TYPE_CHECKING:
-    from rcp_kernel.mailbox import Framing, Mailbox, Wrap
+    from rcp_kernel.mailbox import Framing, Mailbox, Ticker, Wrap
     from rcp_kernel.registry import Entry
     from rcp_kernel.samples import Sample
     from rcp_kernel.streams import Subscription
@@ -60,30 +61,88 @@ class Chorus:
     by all of an encoding, the frames by those whose updates have the same head.
     """
 
-    __slots__ = ("_frames", "_made", "_tails", "depth", "end", "marked", "members", "ring")
+    __slots__ = (
+        "_frames",
+        "_made",
+        "_sung",
+        "_tails",
+        "_ticker",
+        "depth",
+        "dirty",
+        "end",
+        "marked",
+        "members",
+        "ring",
+    )
 
-    def __init__(self, depth: int) -> None:
+    def __init__(self, depth: int, ticker: Ticker) -> None:
         self.depth = depth
+        self._ticker = ticker
         self.members: list[ChorusFeed] = []
         self.ring: deque[Sample] = deque(maxlen=depth)
         self.end = 0
         """How many samples were offered ever."""
+        self.dirty = False
+        """Whether the coming tick will send the members what they have not got."""
         self.marked = False
-        """Whether every member is waiting to be collected."""
+        """Whether every member whose transport collects by itself waits for that."""
+        self._sung = 0
+        """What `end` was at the last tick."""
         self._made = 0
         """What `end` was when the following were made."""
         self._tails: dict[Any, _Tails] = {}
         self._frames: dict[Any, Batch] = {}
 
     def offer(self, sample: Sample) -> None:
-        """Take a sample in; the first one of a loop turn has every member collected."""
+        """Take a sample in; the first one of a loop turn has the coming tick send them."""
         self.ring.append(sample)
         self.end += 1
+        if not self.dirty:
+            self.dirty = True
+            self._ticker.mark(self)
         if not self.marked:
             self.marked = True
             for member in self.members:
-                if not member.marked:
+                mailbox = member.mailbox
+                if not member.marked and mailbox is not None and mailbox.direct is None:
                     member.mark()
+
+    def on_flush(self) -> None:
+        """Send every member what it has not got, at once where nothing else waits for it."""
+        start, self._sung = self._sung, self.end
+        end, whole = self.end, self.end - start <= len(self.ring)
+        share = framing = None
+        parts: list[bytes] = []
+        count = last = 0
+        fits = False
+        for member in list(self.members):
+            mailbox = member.mailbox
+            if mailbox is None or member.marked or member.place == end:
+                continue
+            direct = mailbox.direct
+            if (
+                direct is None
+                or not whole
+                or member.place != start
+                or member.dropped
+                or mailbox.control
+                or mailbox.pending
+                or mailbox.dirty
+                or mailbox.feedback
+            ):
+                member.mark()
+                continue
+            if member.share is not share or mailbox.framing is not framing or share is None:
+                framing = mailbox.framing
+                assert framing is not None
+                parts, count, size = self.batch(start, member, framing)
+                share, last, fits = member.share, self.ring[-1].seq, size <= BUDGET
+            if fits and direct(parts):
+                member.place = end
+                member.sent = last
+                mailbox.updates += count
+            else:
+                member.mark()
 
     def batch(self, start: int, feed: ChorusFeed, framing: Framing) -> Batch:
         """Return the bytes of all samples since `start`, their number and their length.
@@ -201,7 +260,7 @@ def join(feed: ChorusFeed, entry: Entry) -> None:
             chorus = listener
             break
     else:
-        chorus = Chorus(feed.depth)
+        chorus = Chorus(feed.depth, feed.subscription.hub.ticker)
         entry.listeners.append(chorus)
     feed.chorus = chorus
     feed.place = chorus.end

@@ -10,7 +10,7 @@ from __future__ import annotations
 import asyncio
 from collections import deque
 from collections.abc import Callable
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, Protocol
 
 import structlog
 
@@ -20,9 +20,10 @@ if TYPE_CHECKING:
     from rcp_kernel.feeds import Feed
     from rcp_kernel.samples import Sample
 
-__all__ = ["Framing", "Mailbox", "Ticker", "Wrap"]
+__all__ = ["BUDGET", "Framing", "Mailbox", "Ticker", "Wrap"]
 
 log = structlog.get_logger("rcp.streams")
+BUDGET = 262_144  # bytes that a mailbox gives away at once
 
 Framing = Callable[[int, bool], bytes]
 """Make the head of a transport's frame, for a message of so many bytes, text or not."""
@@ -31,26 +32,51 @@ Wrap = Callable[[bytes, "Feed | None", "Sample | None"], bytes]
 """Frame one message for its transport: an update with its feed and sample, or a control message."""
 
 
-class Ticker:
-    """One call per loop turn for all mailboxes that have something to send."""
+class Dirty(Protocol):
+    """What can be flushed by a tick."""
 
-    __slots__ = ("_dirty", "_loop")
+    dirty: bool
+    """Whether a tick will; it sets this to False before it does."""
+
+    @property
+    def on_flush(self) -> Callable[[], None] | None:
+        """Called by the tick."""
+        ...
+
+
+class Ticker:
+    """One call per loop turn for all that have something to send."""
+
+    __slots__ = ("_dirty", "_held", "_loop")
 
     def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
         self._loop = loop
-        self._dirty: list[Mailbox] = []
+        self._dirty: list[Dirty] = []
+        self._held = False
 
-    def mark(self, mailbox: Mailbox) -> None:
-        """Flush the mailbox in the coming tick; it must not be marked already."""
-        if not self._dirty:
+    def mark(self, one: Dirty) -> None:
+        """Flush a mailbox or chorus in the coming tick; it must not be marked already."""
+        if not self._dirty and not self._held:
             self._loop.call_soon(self._tick)
-        self._dirty.append(mailbox)
+        self._dirty.append(one)
+
+    def gather(self, function: Callable[..., object], *args: Any) -> None:
+        """Call a function, and tick at its end: what it has published goes out without a turn more."""
+        if self._held or self._dirty:  # a tick will come that takes it along
+            function(*args)
+            return
+        self._held = True
+        try:
+            function(*args)
+        finally:
+            self._held = False
+            self._tick()
 
     def _tick(self) -> None:
         dirty, self._dirty = self._dirty, []
-        for mailbox in dirty:
-            mailbox.dirty = False
-            flush = mailbox.on_flush
+        for one in dirty:
+            one.dirty = False
+            flush = one.on_flush
             if flush is not None:
                 try:
                     flush()
@@ -65,6 +91,7 @@ class Mailbox:
         "_ticker",
         "alone",
         "control",
+        "direct",
         "dirty",
         "encoding",
         "feedback",
@@ -87,6 +114,9 @@ class Mailbox:
         self.framing: Framing | None = None
         """Set by a transport that sends whole messages in frames: `collect` then returns bytes
         ready for the socket, a long message in two parts, and like receivers share frames."""
+        self.direct: Callable[[list[bytes]], bool] | None = None
+        """Set by a transport that, with `framing`, sends frames at once while nothing else waits;
+        False says that its socket does not take them now."""
         self.alone = False
         """Set by a transport that wraps each message in what is its client's own: there is nothing
         to share."""
@@ -118,7 +148,7 @@ class Mailbox:
 
     def close(self) -> None:
         """Forget everything; the transport is gone."""
-        self.on_flush = None
+        self.on_flush = self.direct = None
         self.control.clear()
         self.feedback.clear()
         self.pending.clear()
@@ -130,7 +160,7 @@ class Mailbox:
 
     def collect(
         self,
-        budget: int = 262_144,
+        budget: int = BUDGET,
         *,
         wrap: Wrap | None = None,
         big: int | None = None,

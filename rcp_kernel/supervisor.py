@@ -129,7 +129,7 @@ class Slot:
 
     def publish_batch(self, batch: Sequence[Publication]) -> None:
         """Hand values over from any thread."""
-        self._gateway.loop.call_soon_threadsafe(self._publish_all, batch)
+        self.call_soon(self._publish_all, batch)
 
     def _publish_all(self, batch: Sequence[Publication]) -> None:
         for item in batch:
@@ -137,7 +137,8 @@ class Slot:
 
     def call_soon(self, function: Callable[..., object], *args: Any) -> None:
         """Run a function on the event loop, from any thread."""
-        self._gateway.loop.call_soon_threadsafe(function, *args)
+        gather = self._gateway.hub.ticker.gather
+        self._gateway.loop.call_soon_threadsafe(gather, function, *args)
 
     def report(self, detail: str | None, *, down: bool = False) -> None:
         """Change the state of an open backend."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 from typing import Any
 
@@ -33,13 +34,16 @@ class Socket:
 
     def take(self) -> list[Any]:
         """Collect what waits, and cut it where the frames say."""
-        data = b"".join(self.connection.mailbox.collect())
-        out: list[Any] = []
-        while data:
-            size = int(data[:4])
-            out.append(json.loads(data[4 : 4 + size]))
-            data = data[4 + size :]
-        return out
+        return _cut(b"".join(self.connection.mailbox.collect()))
+
+
+def _cut(data: bytes) -> list[Any]:
+    out: list[Any] = []
+    while data:
+        size = int(data[:4])
+        out.append(json.loads(data[4 : 4 + size]))
+        data = data[4 + size :]
+    return out
 
 
 def publish(world: World, *values: float) -> None:
@@ -94,3 +98,76 @@ async def test_a_bad_value_is_left_out_for_all(world: World) -> None:
     sockets = [Socket(world, 8) for _ in range(2)]
     publish(world, 1.0, float("nan"), 2.0)
     assert [[m["body"] for m in socket.take()] for socket in sockets] == [[1.0, 2.0]] * 2
+
+
+class Direct(Socket):
+    """A transport that takes frames at once, unless its socket is full."""
+
+    def __init__(self, world: World, depth: int) -> None:
+        super().__init__(world, depth)
+        self.got: list[bytes] = []
+        self.full = False
+        self.connection.mailbox.direct = self.pass_on
+
+    def pass_on(self, parts: list[bytes]) -> bool:
+        if not self.full:
+            self.got += parts
+        return not self.full
+
+    def bodies(self) -> list[float]:
+        """Take apart what was passed on."""
+        data, self.got = b"".join(self.got), []
+        return [message["body"] for message in _cut(data)]
+
+
+async def turn() -> None:
+    """Let a tick pass."""
+    for _ in range(2):
+        await asyncio.sleep(0)
+
+
+async def test_who_takes_frames_at_once_need_not_collect_them(world: World) -> None:
+    sockets = [Direct(world, 8) for _ in range(3)]
+    publish(world, 1.0, 2.0)
+    await turn()
+    publish(world, 3.0)
+    await turn()
+    assert [socket.bodies() for socket in sockets] == [[1.0, 2.0, 3.0]] * 3
+    assert [socket.take() for socket in sockets] == [[], [], []]
+
+
+async def test_a_full_socket_is_passed_nothing_before_it_has_collected(world: World) -> None:
+    full, other = Direct(world, 4), Direct(world, 4)
+    full.full = True
+    publish(world, 1.0)
+    await turn()
+    full.full = False
+    publish(world, 2.0)
+    await turn()
+    assert full.got == []
+    assert [m["body"] for m in full.take()] == [1.0, 2.0]
+    publish(world, 3.0)
+    await turn()
+    assert full.bodies() == [3.0]
+    assert other.bodies() == [1.0, 2.0, 3.0]
+
+
+async def test_replies_that_wait_go_out_before_what_is_published_later(world: World) -> None:
+    socket = Direct(world, 4)
+    socket.connection.receive(b'{"type":"ping","id":"p"}')
+    publish(world, 1.0)
+    await turn()
+    assert socket.got == []
+    assert [m["type"] for m in socket.take()] == ["ping", "update"]
+
+
+async def test_what_a_backend_publishes_in_one_call_goes_out_at_its_end(world: World) -> None:
+    socket = Direct(world, 8)
+    found: asyncio.Future[list[float]] = asyncio.get_running_loop().create_future()
+
+    def both() -> None:
+        asyncio.get_running_loop().call_soon(lambda: found.set_result(socket.bodies()))
+        publish(world, 1.0, 2.0)
+
+    world.robot.host.call_soon(both)
+    assert await found == [1.0, 2.0]

@@ -270,6 +270,16 @@ class Socket(WSListener):
         """Return the head of a frame around a whole message of `size` bytes."""
         return (heads.TEXT if text else heads.BINARY)[size]
 
+    def pass_on(self, parts: list[bytes]) -> bool:
+        """Send what is framed already if there is room for it; tell whether there was."""
+        if not (self.open and self.writable):
+            return False
+        if len(parts) == 1:
+            self._raw.write(parts[0])
+        else:
+            self.write_frames(parts)
+        return True
+
     def write_frames(self, parts: list[bytes]) -> None:
         """Send what is framed already, in as few writes as there are long parts."""
         if not self.open:

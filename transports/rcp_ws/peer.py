@@ -92,7 +92,13 @@ class Peer:
 
     def opened(self) -> None:
         """Take notice that the handshake is done, and what was agreed in it."""
-        self._plain = not self._socket.compresses
+        self._agree()
+
+    def _agree(self) -> None:
+        socket, mailbox = self._socket, self._mailbox
+        self._plain = self._outgoing.size is None and not socket.compresses
+        mailbox.framing = socket.head if self._plain else None
+        mailbox.direct = socket.pass_on if self._plain else None
 
     # -- in ------------------------------------------------------------------------------------
 
@@ -221,9 +227,7 @@ class Peer:
         wanted = hello.segment_size
         agreed = None if wanted is None else min(wanted, self._config.segment_size)
         self._outgoing.size = agreed
-        self._plain = agreed is None and not self._socket.compresses
-        if agreed is not None:
-            self._mailbox.framing = None
+        self._agree()
         return {"limits": {"segment_size": agreed, "segments": self._config.segments}}
 
     # -- out -----------------------------------------------------------------------------------
@@ -239,10 +243,8 @@ class Peer:
         elif socket.compresses:
             if messages := mailbox.collect():
                 socket.write(messages)
-        else:
-            mailbox.framing = socket.head
-            if parts := mailbox.collect():
-                socket.write_frames(parts)
+        elif parts := mailbox.collect():
+            socket.write_frames(parts)
         if mailbox.pending and socket.writable:
             mailbox.mark()
         if self.connection.expelled:

@@ -60,6 +60,10 @@ class NativeSocket(Protocol):
         """Return the head of a frame around a whole message of `size` bytes."""
         ...
 
+    def pass_on(self, parts: list[bytes]) -> bool:
+        """Send what is framed already if there is room for it; tell whether there was."""
+        ...
+
     def write_frames(self, parts: list[bytes]) -> None:
         """Send what is framed already."""
         ...

@@ -1,0 +1,169 @@
+"""The ROS 2 backend beside a bare server of the same work. Run: python benchmarks/beside_rosbridge.py
+
+python benchmarks/beside_rosbridge.py [NAME…] runs only the cases so named. The servers run on one core, publisher
+and clients on the other; figures are per CPU-second of the server. rosbridge_suite is not on PyPI:
+to measure it, start it with a sourced ROS 2 and point `ros2/publisher.py` and `ros2/client.py
+rosbridge ws://…:9090` at it.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import random
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+from contextlib import ExitStack, closing
+from pathlib import Path
+from typing import NamedTuple
+
+import psutil
+
+HERE = Path(__file__).parent / "ros2"
+SECONDS = 4.0
+ROUNDS = int(os.environ.get("ROUNDS", "3"))
+SERVER, OTHERS = [0], [1]
+
+
+class Case(NamedTuple):
+    name: str
+    type: str
+    rate: float
+    clients: int
+    size: int = 0
+    encoding: str = "json"
+    floor: str = "json"
+    service: bool = False
+
+
+ODOM, IMAGE, CLOUD = "nav_msgs/msg/Odometry", "sensor_msgs/msg/Image", "sensor_msgs/msg/PointCloud2"
+CASES = (
+    Case("odom-1", ODOM, 1000, 1),
+    Case("odom-10", ODOM, 1000, 10),
+    Case("odom-50", ODOM, 1000, 50),
+    Case("odom-100hz-50", ODOM, 100, 50),
+    Case("scan-10", "sensor_msgs/msg/LaserScan", 100, 10),
+    Case("images-json", IMAGE, 30, 10),
+    Case("images-binary", IMAGE, 30, 10, 0, "msgpack", "binary"),
+    Case("images-native", IMAGE, 30, 10, 0, "native", "binary"),
+    Case("clouds-json", CLOUD, 10, 1, 1_000_000),
+    Case("clouds-binary", CLOUD, 10, 1, 1_000_000, "msgpack", "binary"),
+    Case("service", "", 0, 1, service=True),
+)
+CONFIG = """
+log = {{level = "error"}}
+[transports.asgi]
+port = {port}
+[anonymous]
+role = "operator"
+[[backends]]
+use = "ros2"
+tenant = "t"
+[backends.map]
+"/sensor/value" = {{ topic = "/value"{more} }}
+"/service/reset" = {{ service = "/reset", type = "std_srvs/srv/Trigger" }}
+"""
+
+
+def free_port() -> int:
+    with closing(socket.socket()) as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]
+
+
+def environment() -> dict[str, str]:
+    own = {
+        "ROS_DOMAIN_ID": str(random.randint(1, 100)),
+        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+        "HOME": os.environ.get("HOME", tempfile.gettempdir()),
+        "ROS_LOG_DIR": tempfile.gettempdir(),
+    }
+    return {**os.environ, **own}
+
+
+def open_port(port: int) -> None:
+    end = time.monotonic() + 20
+    while time.monotonic() < end:
+        with closing(socket.socket()) as probe:
+            if probe.connect_ex(("127.0.0.1", port)) == 0:
+                return
+        time.sleep(0.05)
+    sys.exit(f"no server on port {port}")
+
+
+def run(case: Case, server: str) -> dict[str, float]:
+    """Run one case against `gateway` or `floor`; return what arrived and what it cost."""
+    port, env = free_port(), environment()
+    with ExitStack() as stack:
+
+        def start(cores: list[int], *command: str) -> subprocess.Popen[bytes]:
+            process = subprocess.Popen(
+                command, env=env, stdin=subprocess.PIPE, stdout=subprocess.PIPE
+            )
+            psutil.Process(process.pid).cpu_affinity(cores)
+            stack.callback(process.wait)
+            stack.callback(process.kill)
+            return process
+
+        what = ["--service", "/reset"] if case.service else [case.type, "/value", str(case.rate)]
+        size = ["--size", str(case.size)] if case.size else []
+        start(OTHERS, sys.executable, str(HERE / "publisher.py"), *what, *size)
+        asked = [sys.executable, str(HERE / "client.py")]
+        if server == "floor":
+            follow = ["--service", "/reset"] if case.service else [case.type, "/value", case.floor]
+            served = start(SERVER, sys.executable, str(HERE / "floor.py"), str(port), *follow)
+            encoding = "msgpack" if case.floor == "binary" else "json"
+            asked += ["bare", f"ws://127.0.0.1:{port}", "--encoding", encoding]
+        else:
+            path = stack.enter_context(tempfile.NamedTemporaryFile("w", suffix=".toml"))
+            more = f', type = "{case.type}"' if case.type else ', type = "std_msgs/msg/Bool"'
+            path.write(CONFIG.format(port=port, more=more))
+            path.flush()
+            served = start(SERVER, "rcpd", "serve", path.name)
+            asked += ["rcp", f"ws://127.0.0.1:{port}/rcp/v1/ws", "--encoding", case.encoding]
+            asked += ["--topic", "/tenant/t/sensor/value"]
+        open_port(port)
+        if case.service:
+            name = "/reset" if server == "floor" else "/tenant/t/service/reset"
+            asked += ["--service", name]
+            time.sleep(3.0)  # for discovery
+        asked += ["--clients", str(case.clients), "--seconds", str(SECONDS), "--settle", "3"]
+        client = start(OTHERS, *asked)
+        info = psutil.Process(served.pid)
+        assert client.stdout
+        client.stdout.readline()
+        before = info.cpu_times()
+        result = json.loads(client.stdout.readline())
+        after = info.cpu_times()
+    cpu = after.user + after.system - before.user - before.system
+    return {**result, "cpu": cpu, "per_cpu": result["frames"] / max(cpu, 0.001)}
+
+
+def show(case: Case, name: str, found: dict[str, float]) -> None:
+    offered = case.rate * case.clients * found["seconds"]
+    share = f"delivered {found['frames'] / offered:6.1%}" if offered else f"{found['frames']} calls"
+    print(
+        f"  {name:8} {found['per_cpu'] / 1000:8.1f} k/CPU-s  cpu {found['cpu'] / found['seconds']:5.1%}"
+        f"  {share}  {found['bytes'] / max(1, found['frames']):.0f} B  p50 {found['p50_ms']:7.2f} ms  p99 {found['p99_ms']:7.2f} ms",
+        flush=True,
+    )
+
+
+def beside(case: Case) -> None:
+    print(case.name, flush=True)
+    ratios = []
+    for _ in range(ROUNDS):
+        floor, ours = run(case, "floor"), run(case, "gateway")
+        show(case, "floor", floor)
+        show(case, "gateway", ours)
+        ratios.append(ours["per_cpu"] / max(floor["per_cpu"], 0.001))
+    print(f"  ratio {sorted(ratios)[len(ratios) // 2]:.2f} of the floor (median)")
+
+
+if __name__ == "__main__":
+    known = {case.name: case for case in CASES}
+    for name in sys.argv[1:] or known:
+        beside(known[name])

@@ -1,0 +1,156 @@
+"""N clients in one process: what arrives, and how old it is by the message's `header.stamp`.
+
+python client.py rcp       ws://127.0.0.1:8080/rcp/v1/ws  --topic /sensor/odom [--encoding json|msgpack|native]
+python client.py rosbridge ws://127.0.0.1:9090            --topic /odom [--type nav_msgs/msg/Odometry]
+                                                          [--encoding json|cbor-raw]
+python client.py bare      ws://127.0.0.1:9999            (floor.py)
+
+With `--service PATH` it calls a service of std_srvs/Trigger over and over instead. Prints a line when it
+counts, then its result as JSON.
+"""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import json
+import re
+import struct
+import time
+
+import cbor2
+import msgspec
+import uvloop
+from picows import WSListener, WSMsgType, ws_connect
+
+SEC = re.compile(rb'"sec": ?(\d+), ?"nanosec": ?(\d+)')
+SUBPROTOCOL = {"json": "rcp.v1.json", "msgpack": "rcp.v1.msgpack", "native": "rcp.v1.msgpack"}
+
+
+class State:
+    counting = False
+    frames = 0
+    bytes = 0
+    ready = 0
+    lost = 0
+    ages: list[int]
+
+
+State.ages = []
+
+
+def stamp_of(data: bytes, encoding: str) -> int:
+    """Find the source's time, ns: texts by pattern, binary ones by decoding them."""
+    if encoding == "json":
+        found = SEC.search(data)
+        return int(found[1]) * 10**9 + int(found[2]) if found else 0
+    if encoding == "cbor-raw":
+        message = cbor2.loads(data)["msg"]["bytes"]
+        second, nano = struct.unpack_from("<iI", message, 4)
+        return second * 10**9 + nano
+    message = msgspec.msgpack.decode(data)
+    if encoding == "native":
+        second, nano = struct.unpack_from("<iI", message["body"], 4)
+        return second * 10**9 + nano
+    body = message["msg"] if "msg" in message else message["body"]
+    stamp = body["header"]["stamp"]
+    return stamp["sec"] * 10**9 + stamp["nanosec"]
+
+
+class Subscriber(WSListener):
+    def on_ws_connected(self, transport) -> None:
+        if ARGS.protocol == "rcp":
+            body = {"qos": {"depth": ARGS.depth}}
+            if ARGS.encoding == "native":
+                body["encoding"] = "native"
+            ask = {"type": "subscribe", "id": "s", "path": ARGS.topic, "body": body}
+            if ARGS.encoding == "json":
+                transport.send(WSMsgType.TEXT, json.dumps(ask).encode())
+            else:
+                transport.send(WSMsgType.BINARY, msgspec.msgpack.encode(ask))
+        elif ARGS.protocol == "rosbridge":
+            ask = {"op": "subscribe", "topic": ARGS.topic, "queue_length": ARGS.depth}
+            if ARGS.type:
+                ask["type"] = ARGS.type
+            if ARGS.encoding != "json":
+                ask["compression"] = ARGS.encoding
+            transport.send(WSMsgType.TEXT, json.dumps(ask).encode())
+        State.ready += 1
+
+    def on_ws_frame(self, transport, frame) -> None:
+        if not State.counting or frame.payload_size < 100:
+            return
+        State.frames += 1
+        State.bytes += frame.payload_size
+        # The age of every seventh: a client that decodes all would be what is measured.
+        if State.frames % 7 == 0:
+            now = time.time_ns()
+            State.ages.append(now - stamp_of(frame.get_payload_as_bytes(), ARGS.encoding))
+
+
+class Caller(WSListener):
+    """One call after another; the next one is sent when the answer is there."""
+
+    def on_ws_connected(self, transport) -> None:
+        self.count = 0
+        self.ask(transport)
+        State.ready += 1
+
+    def ask(self, transport) -> None:
+        self.count += 1
+        self.sent = time.time_ns()
+        if ARGS.protocol == "rosbridge":
+            call = {"op": "call_service", "id": f"c{self.count}", "service": ARGS.service}
+        else:
+            call = {"type": "execute", "id": f"c{self.count}", "path": ARGS.service}
+        transport.send(WSMsgType.TEXT, json.dumps(call).encode())
+
+    def on_ws_frame(self, transport, frame) -> None:
+        data = frame.get_payload_as_bytes()
+        if b'"accepted"' in data or b'"in_progress"' in data:
+            return
+        assert b'"success":true' in data.replace(b": ", b":"), data
+        if State.counting:
+            State.frames += 1
+            State.ages.append(time.time_ns() - self.sent)
+        self.ask(transport)
+
+
+async def main() -> None:
+    headers = {}
+    if ARGS.protocol == "rcp":
+        headers["Sec-WebSocket-Protocol"] = SUBPROTOCOL[ARGS.encoding]
+    listener = Caller if ARGS.service else Subscriber
+    for _ in range(ARGS.clients):
+        await ws_connect(listener, ARGS.url, extra_headers=headers, max_frame_size=1 << 26)
+    await asyncio.sleep(ARGS.settle)
+    print("counting", flush=True)
+    State.counting = True
+    started = time.monotonic()
+    await asyncio.sleep(ARGS.seconds)
+    took = time.monotonic() - started
+    State.counting = False
+    ages = sorted(State.ages) or [0]
+    result = {
+        "frames": State.frames,
+        "bytes": State.bytes,
+        "seconds": took,
+        "p50_ms": ages[len(ages) // 2] / 1e6,
+        "p99_ms": ages[int(len(ages) * 0.99)] / 1e6,
+    }
+    print(json.dumps(result), flush=True)
+
+
+parser = argparse.ArgumentParser(description=__doc__)
+parser.add_argument("protocol", choices=["rcp", "rosbridge", "bare"])
+parser.add_argument("url")
+parser.add_argument("--topic")
+parser.add_argument("--type")
+parser.add_argument("--service")
+parser.add_argument("--encoding", default="json", choices=["json", "msgpack", "native", "cbor-raw"])
+parser.add_argument("--clients", type=int, default=1)
+parser.add_argument("--depth", type=int, default=16)
+parser.add_argument("--seconds", type=float, default=4.0)
+parser.add_argument("--settle", type=float, default=1.5)
+ARGS = parser.parse_args()
+uvloop.run(main())
