@@ -92,7 +92,7 @@ class Door:
     @property
     def serves(self) -> bool:
         """Whether anybody can prove to be somebody who may do anything."""
-        return self._gateway.config.serves or self._gateway.authenticates
+        return self._gateway.config.serves or self._gateway.identities.authenticates
 
     def mount(self, mount: Mount) -> None:
         """Offer a part of the HTTP tree to the listener.
@@ -115,7 +115,7 @@ class Door:
         :raises Unauthenticated: the token is not known, or nobody is served without one.
         """
         try:
-            return self._gateway.authenticate(token, peer)
+            return self._gateway.identities.authenticate(token, peer)
         except Unauthenticated as error:
             self._gateway.recording.stranger(self.name, peer, error)
             raise

@@ -61,7 +61,9 @@ class Estop:
     def state(self, session: Session) -> EstopState:
         """Return what a session may see of the latches."""
         robots = {s.name: s.latch.plain() for s in self._visible(session) if s.latch is not None}
-        mine = {tenant_key(t) for t in self._gateway.tenants_of(session.principal)} | {GATEWAY}
+        mine = {tenant_key(t) for t in self._gateway.identities.tenants_of(session.principal)} | {
+            GATEWAY
+        }
         wide = {key: latch.plain() for key, latch in self._wide().items() if key in mine}
         return EstopState(bool(robots or wide), robots, wide)
 
@@ -160,7 +162,7 @@ class Estop:
     ) -> tuple[dict[str, str | None], list[Slot]]:
         """Return the keys of the latches that a scope means, with their tenants, and the robots."""
         visible = self._visible(session)
-        tenants = self._gateway.tenants_of(session.principal)
+        tenants = self._gateway.identities.tenants_of(session.principal)
         keys: dict[str, str | None] = {}
         if scope is None:
             robots = visible

@@ -7,9 +7,7 @@ becomes the one final reply of that request.
 from __future__ import annotations
 
 import asyncio
-import secrets
 from collections.abc import Callable
-from contextlib import suppress
 from time import perf_counter
 from typing import Any
 
@@ -20,7 +18,6 @@ from rcp_kernel.admission import Admission
 from rcp_kernel.audit import Audit
 from rcp_kernel.audit_keeping import Keeping
 from rcp_kernel.batching import Batching
-from rcp_kernel.certificates import Certificates
 from rcp_kernel.clock import iso, now
 from rcp_kernel.commands import Commands
 from rcp_kernel.conditions import Conditions
@@ -29,13 +26,8 @@ from rcp_kernel.discovery import Discovery
 from rcp_kernel.envelopes import Envelopes
 from rcp_kernel.errors import (
     AdapterUnavailable,
-    BadRequest,
-    DuplicateRequest,
-    Forbidden,
     QueueFull,
     RcpError,
-    Unauthenticated,
-    UnknownPath,
     UnsupportedOperation,
 )
 from rcp_kernel.executing import EstopLane, Executing, Service
@@ -43,18 +35,21 @@ from rcp_kernel.filters import Options
 from rcp_kernel.history import History
 from rcp_kernel.hub import Hub
 from rcp_kernel.idempotency import Keys
-from rcp_kernel.identity import Keyring, Principal, fingerprint
+from rcp_kernel.identities import Identities
+from rcp_kernel.identity import Principal
+from rcp_kernel.inflight import InFlight
 from rcp_kernel.latches import Latches
 from rcp_kernel.leases import Leases
 from rcp_kernel.meter import free
 from rcp_kernel.metrics import Histogram
-from rcp_kernel.model import Operation, Pattern, operation_names, parse_path
-from rcp_kernel.peer import UNKNOWN, Peer, Serial
-from rcp_kernel.pending import Pace, Pending, crash
+from rcp_kernel.model import Operation, Pattern
+from rcp_kernel.peer import Serial
+from rcp_kernel.pending import crash
 from rcp_kernel.quotas import Accounts
 from rcp_kernel.reading import Reading
 from rcp_kernel.recording import ACTS, DENIALS, Recorded, Recording
 from rcp_kernel.registry import Entry, Registry
+from rcp_kernel.resolving import Resolver
 from rcp_kernel.returning import Returning
 from rcp_kernel.safety import Deadman
 from rcp_kernel.samples import READ_PIECE
@@ -110,9 +105,10 @@ class Gateway:
         self.counts: dict[tuple[str, str, str], int] = {}
         """Requests by transport, type and code."""
         self.seconds = Histogram()
-        self._authenticator = authenticator
-        self._keyring = _keyring(config)
-        self._certificates = Certificates(config.certificates)
+        self.identities = Identities(config, authenticator)
+        resolver, inflight = Resolver(self.registry), InFlight(self)
+        self.resolve, self.check = resolver.resolve, resolver.check
+        self.later, self.claim = inflight.later, inflight.claim
         self.keys = Keys(self.store, loop)
         self.keys.load(self.commands.find)
         self.returning = Returning(self)
@@ -121,7 +117,6 @@ class Gateway:
         self.sieves: dict[str, Callable[[Session, Any], bool]] = {}
         """Resources of whose samples everybody sees their own only, by path."""
         self.estop: EstopLane | None = None
-        self._pace = Pace(loop)
         self.services: dict[str, Service] = {}
         """What else of the gateway's own branch can be executed, by path."""
         self.latches = Latches(self.store)
@@ -148,85 +143,6 @@ class Gateway:
         for wrap in reversed(interceptors or []):
             self.handle = wrap(self.handle)
 
-    # -- who -----------------------------------------------------------------------------------
-
-    def anonymous(self) -> Principal:
-        """Return the principal of those who prove nothing.
-
-        :raises Unauthenticated: the configuration gives them no role.
-        """
-        grants = self.config.anonymous.grants
-        if not any(roles for _, roles in grants):
-            raise Unauthenticated("this gateway serves nobody without a token")
-        return Principal("anonymous", grants)
-
-    def renewed(self, principal: Principal) -> Principal | None:
-        """Return what a principal's proof is worth under the present configuration."""
-        if principal.anonymous:
-            with suppress(Unauthenticated):
-                return self.anonymous()
-            return None
-        if principal.proof == "certificate":
-            return self._certificates.renewed(principal)
-        return self._keyring.renewed(principal) if principal.proof == "key" else principal
-
-    @property
-    def authenticates(self) -> bool:
-        """Whether a plugin proves identities."""
-        return self._authenticator is not None
-
-    def authenticate(self, token: str | None, peer: Peer = UNKNOWN) -> Principal:
-        """Return whom a bearer token proves, else the peer's certificate, else who is anonymous.
-
-        A token never falls back on the certificate, and must not contradict it.
-
-        :raises Unauthenticated: the token is not known, or the certificate is somebody else's.
-        """
-        certified = None
-        if peer.certificate is not None:
-            certified = self._certificates.find(peer.certificate)
-        if token is None:
-            return certified or self.anonymous()
-        principal = self._by_token(token)
-        if certified is not None and certified.name != principal.name:
-            raise Unauthenticated(
-                f"the token is that of '{principal.name}', the certificate that of "
-                f"'{certified.name}'",
-                remedy="Send the token of the certificate's owner, or none.",
-            )
-        return principal
-
-    def revoke(self, serials: frozenset[Serial]) -> None:
-        """Have client certificates count for nothing, in open sessions too."""
-        if serials != self._certificates.revoked:
-            self._certificates.revoked = serials
-            self.sessions.review()
-        self.leases.review()
-
-    def _by_token(self, token: str) -> Principal:
-        if self._authenticator is not None:
-            principal = self._authenticator(token)
-            if principal is not None:
-                return principal
-        return self._keyring.find(token)
-
-    def tenants_of(self, principal: Principal) -> list[str]:
-        """List the tenants that a principal acts in."""
-        known = self.config.tenant_names
-        return [t for t in known if "*" in principal.tenants or t in principal.tenants]
-
-    def tenant_for(self, principal: Principal, wanted: str | None) -> str | None:
-        """Return the tenant that relative paths mean.
-
-        :raises Forbidden: the principal does not act in the wanted one.
-        """
-        tenants = self.tenants_of(principal)
-        if wanted is None:
-            return tenants[0] if tenants else None
-        if wanted not in tenants:
-            raise Forbidden(f"{principal.name} does not act in the tenant '{wanted[:64]}'")
-        return wanted
-
     def check_sessions(self, count: int) -> None:
         """Refuse one session too many.
 
@@ -234,6 +150,12 @@ class Gateway:
         """
         if count >= self.limits.sessions:
             raise QueueFull("the gateway holds as many sessions as it can already")
+
+    def revoke(self, serials: frozenset[Serial]) -> None:
+        """Have client certificates count for nothing, in open sessions too."""
+        if self.identities.revoke(serials):
+            self.sessions.review()
+        self.leases.review()
 
     # -- admit ---------------------------------------------------------------------------------
 
@@ -278,124 +200,6 @@ class Gateway:
         """Count one request by its outcome."""
         key = (transport, type_, code)
         self.counts[key] = self.counts.get(key, 0) + 1
-
-    def later(
-        self,
-        session: Session,
-        request: Request,
-        answer: Answer,
-        work: Any,
-        make: Callable[[Any], Reply],
-        timeout: float,
-        path: str | None,
-        *,
-        urgent: bool = False,
-    ) -> None:
-        """Answer a request when `work` is done, or its deadline passes.
-
-        An urgent one (the e-stop) is past every limit.
-
-        :raises DuplicateRequest: the request's id is in flight in this session.
-        :raises QueueFull: too many requests are in flight.
-        """
-        started = perf_counter()
-        try:
-            key = f"\0{secrets.token_hex(8)}" if urgent else self.claim(session, request)
-        except RcpError:
-            work.close()
-            raise
-
-        def settle(result: Any, error: RcpError | None) -> None:
-            session.inflight.pop(key, None)
-            try:
-                reply = make(result) if error is None else None
-            except Exception as trouble:
-                reply, error = None, crash(trouble, path=path)
-            if reply is None:
-                assert error is not None
-                reply = failure(error, request.type, request.id, path)
-            reply.custom = request.custom
-            self.conclude(session, reply, started)
-            answer(reply)
-
-        pace = None if urgent else self._pace
-        session.inflight[key] = Pending(self.loop, work, timeout, settle, path, pace)
-
-    def claim(self, session: Session, request: Request) -> str:
-        """Reserve a place among the session's unanswered requests.
-
-        :raises DuplicateRequest: the id is in use.
-        :raises QueueFull: there is no place left.
-        """
-        inflight = session.inflight
-        if len(inflight) >= self.limits.in_flight:
-            raise QueueFull(f"{len(inflight)} requests of this session are unanswered already")
-        if request.id is None or session.stateless:
-            key = f"\0{secrets.token_hex(8)}"
-        else:
-            key = request.id
-            if key in inflight:
-                raise DuplicateRequest(f"a request with the id '{key}' is still in flight")
-        inflight[key] = None
-        return key
-
-    # -- resolve and check ---------------------------------------------------------------------
-
-    def resolve(
-        self, session: Session, path: str | None, operation: Operation, *, anyway: bool = False
-    ) -> Entry:
-        """Find the entry of a path and make sure that the session may do `operation` with it.
-
-        `anyway`: conditions of the rules need not hold.
-
-        :raises InvalidPath, UnknownPath, Forbidden, UnsupportedOperation: as they say.
-        """
-        if path is None:
-            raise BadRequest("the envelope has no `path`", remedy="Name the path of a resource.")
-        # A hidden path must cost what one costs that does not exist: the rights come first.
-        full = path if path.startswith(_WHOLE) else parse_path(path, session.tenant)
-        rights = session.rights
-        known = rights.masks.get(full)
-        mask = known or rights.weigh(full)
-        entry = self.registry.entries.get(full)
-        if entry is None or not mask:
-            parse_path(full, None)
-            raise UnknownPath(f"there is no resource {full}", path=full)
-        if not known:
-            rights.remember(full, mask)
-        if not entry.operations & operation:
-            offered = operation_names(entry.operations)
-            wanted = operation_names(operation)[0]
-            raise UnsupportedOperation(
-                f"{entry.path} does not offer `{wanted}`; it offers {', '.join(offered)}",
-                path=entry.path,
-                details={"allowed": offered},
-            )
-        if not mask & operation and not (anyway and rights.depends(entry, operation)):
-            self.check(session, entry, operation)
-        return entry
-
-    def check(self, session: Session, entry: Entry, operation: Operation) -> None:
-        """Refuse an operation that the rules do not allow as things are.
-
-        :raises Forbidden: they do not.
-        """
-        rights = session.rights
-        if rights.permits(entry, operation):
-            return
-        wanted = operation_names(operation)[0]
-        text = f"{session.principal.name} may not {wanted} {entry.path}"
-        if not rights.depends(entry, operation):
-            raise Forbidden(text, path=entry.path)
-        hindrance = rights.hindrance(entry, operation)
-        if hindrance is None or not rights.shows(hindrance, entry):
-            raise Forbidden(f"{text} at present", path=entry.path, remedy="Try again later.")
-        raise Forbidden(
-            f"{text} at present: the rule hangs on the condition `{hindrance.text}`",
-            path=entry.path,
-            remedy="Bring about what the condition asks for, or have the rule changed.",
-            details={"condition": hindrance.text},
-        )
 
     def deadline(self, request: Request, entry: Entry) -> float:
         """Return the seconds a read or write may take."""
@@ -504,8 +308,7 @@ class Gateway:
         self.config = config
         self.limits = config.limits
         self.rules = Rules(config.roles, self.conditions)
-        self._keyring = _keyring(config)
-        self._certificates = Certificates(config.certificates, self._certificates)
+        self.identities.configure(config)
         self.keeping.config = config.audit
         self.envelopes.configure(config.envelopes)
         self.sessions.review()
@@ -539,11 +342,3 @@ def _full(path: str | None, tenant: str | None) -> str | None:
         return Pattern(path, tenant).text
     except RcpError:
         return path
-
-
-def _keyring(config: GatewayConfig) -> Keyring:
-    found: dict[str, Principal] = {}
-    for key in config.keys:
-        digest = key.sha256 or fingerprint(key.key or "")
-        found[digest] = Principal(key.name, key.grants, "key", digest)
-    return Keyring(found)

@@ -138,7 +138,7 @@ class Leasing:
             s
             for s in others
             if to in (s.id[:8], s.principal.name)
-            and scope.tenant in self._gateway.tenants_of(s.principal)
+            and scope.tenant in self._gateway.identities.tenants_of(s.principal)
             and self._leases.commands_in(s, scope)
         ]
         present = [s for s in able if not s.stateless] or able

@@ -162,7 +162,7 @@ class Returning:
         principal = kept.principal
         if principal.expires is not None and principal.expires <= now():
             return None
-        return self._gateway.renewed(principal)
+        return self._gateway.identities.renewed(principal)
 
     def _expire(self, name: str) -> None:
         kept = self._kept.pop(name, None)

@@ -199,7 +199,7 @@ class Sessions:
         :raises QueueFull: there are too many sessions.
         """
         gateway = self._gateway
-        chosen = gateway.tenant_for(principal, tenant)
+        chosen = gateway.identities.tenant_for(principal, tenant)
         if len(self.known) >= gateway.limits.sessions:
             self._make_room()
         gateway.check_sessions(len(self.known))
@@ -228,7 +228,7 @@ class Sessions:
         session = self._stateless.get(key)
         if session is None:
             gateway = self._gateway
-            chosen = gateway.tenant_for(principal, tenant)
+            chosen = gateway.identities.tenant_for(principal, tenant)
             rights = gateway.rules.rights(principal)
             session = Session(principal, rights, chosen, transport, shared=True)
             gateway.accounts.attach(session)
@@ -247,12 +247,12 @@ class Sessions:
         session = connection.session
         returning = self._returning(hello)
         if hello.token is not None and not (returning and _proves(hello.token, returning)):
-            principal = gateway.authenticate(hello.token, connection.peer)
+            principal = gateway.identities.authenticate(hello.token, connection.peer)
             if principal != session.principal:
                 self._replace(connection, self.open(principal, session.transport, hello.tenant))
         session = connection.session
         if hello.tenant is not None:
-            tenant = gateway.tenant_for(session.principal, hello.tenant)
+            tenant = gateway.identities.tenant_for(session.principal, hello.tenant)
             gateway.accounts.change_tenant(session, tenant)
         if hello.session is not None and returning is not connection.session:
             self._resume(connection, hello, returning)
@@ -274,7 +274,7 @@ class Sessions:
             "principal": session.principal.name,
             "roles": list(session.principal.roles),
             "tenant": session.tenant,
-            "tenants": gateway.tenants_of(session.principal),
+            "tenants": gateway.identities.tenants_of(session.principal),
             "heartbeat": limits.heartbeat,
             "limits": agreed,
             **facts,
@@ -326,8 +326,8 @@ class Sessions:
         principal = gateway.returning.take(kept)
         if principal is None:
             raise _gone()
-        tenant = kept.tenant if kept.tenant in gateway.tenants_of(principal) else None
-        tenant = gateway.tenant_for(principal, tenant)
+        tenant = kept.tenant if kept.tenant in gateway.identities.tenants_of(principal) else None
+        tenant = gateway.identities.tenant_for(principal, tenant)
         session = Session(principal, gateway.rules.rights(principal), tenant, kept.transport)
         if hello.session is not None and not _proves(hello.session, kept):
             session.id = hello.session
@@ -384,13 +384,13 @@ class Sessions:
         gateway = self._gateway
         askers = [c.asker for c in gateway.commands.running.values() if c.asker is not None]
         for session in (*self._stateless.values(), *askers):  # for what is under way in their name
-            principal = gateway.renewed(session.principal)
+            principal = gateway.identities.renewed(session.principal)
             rights = Rights((), {}) if principal is None else gateway.rules.rights(principal)
             session.rights = rights
         self._stateless.clear()
         gateway.accounts.recount()
         for session in list(self.known.values()):
-            principal = gateway.renewed(session.principal)
+            principal = gateway.identities.renewed(session.principal)
             if principal is None:
                 self._expel(session)
                 continue
