@@ -322,6 +322,17 @@ async def test_commands_that_run_are_counted_under_the_quota_that_a_reload_bring
         assert refused["error"]["code"] == "queue_full"
 
 
+async def test_a_session_whose_command_runs_is_given_back_when_its_quota_goes() -> None:
+    async with world_of(at_home("[tenants.alpha.quota]\nsessions = 4\n")) as world:
+        client = world.client(ANN)
+        client.send(type="execute", path="/action/go", body=1)
+        await client.until(lambda m: m.get("status") == "in_progress")
+        [account] = world.server.gateway.accounts.of("tenant")
+        assert account.connected == 1
+        await apply(world.server, prepared(parse(at_home(""), "test"), []))
+        assert account.connected == 0
+
+
 # -- what waits ------------------------------------------------------------------------------------
 
 
