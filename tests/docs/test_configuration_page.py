@@ -105,7 +105,8 @@ def test_a_role_and_its_rules_are_told() -> None:
 def house() -> Plugins:
     """Load every transport and backend of the house."""
     text = "".join(
-        f'[[backends]]\nuse = "{name}"\ntenant = "t"\nname = "{name}"\n' for name in ("sim", "ros2")
+        f'[[backends]]\nuse = "{name}"\ntenant = "t"\nname = "{name}"\n'
+        for name in ("sim", "ros2", "can")
     )
     return Plugins(parse(text, "test"))
 

@@ -1,0 +1,43 @@
+"""CAN buses: motor drives of several makes, devices by DBC or EDS, and the frames themselves.
+
+Importing this costs nothing; python-can is imported when a backend is opened.
+"""
+
+from __future__ import annotations
+
+from collections.abc import AsyncGenerator, Iterable
+from contextlib import asynccontextmanager
+
+from rcp_can.config import CanConfig
+from rcp_kernel.errors import ConfigError
+from rcp_kernel.hookspecs import hookimpl
+from rcp_kernel.spi import Backend, BackendKind, Host
+
+__all__ = ["CanConfig", "open_can", "rcp_backends"]
+
+
+@asynccontextmanager
+async def open_can(config: CanConfig, host: Host) -> AsyncGenerator[Backend]:
+    """Open the buses and find what sits on them.
+
+    :raises ConfigError: python-can is missing, or the configuration cannot be.
+    :raises NotReady: a bus does not open.
+    """
+    try:
+        import can  # noqa: F401
+        import canopen  # noqa: F401
+        import cantools  # noqa: F401
+    except ImportError as error:
+        raise ConfigError(
+            f"{error.name} is not installed: pip install 'rcp-gateway[can]'"
+        ) from error
+    from rcp_can.backend import open_buses
+
+    async with open_buses(config, host) as backend:
+        yield backend
+
+
+@hookimpl
+def rcp_backends() -> Iterable[BackendKind]:
+    """Offer CAN buses."""
+    return [BackendKind("can", CanConfig, open_can, "Motor drives and devices on CAN buses.")]

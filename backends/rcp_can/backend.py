@@ -1,0 +1,107 @@
+"""The backend: buses that run, and parts that the calls go to by name."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncGenerator
+from contextlib import AbstractAsyncContextManager, asynccontextmanager
+from typing import Any
+
+import anyio
+
+from rcp_can.binding import Part
+from rcp_can.bus import Bus
+from rcp_can.config import CanConfig
+from rcp_can.health import Health
+from rcp_can.raw import BusPart
+from rcp_kernel.errors import ConfigError, UnknownPath
+from rcp_kernel.spi import BaseBackend, Host, Progress
+
+__all__ = ["CanBackend", "open_buses"]
+
+
+class CanBackend(BaseBackend):
+    """Several buses, and all that sits on them."""
+
+    def __init__(self, host: Host, buses: dict[str, Bus]) -> None:
+        self.buses = buses
+        self._host = host
+        self._parts: list[Part] = []
+        self._owner: dict[str, Part] = {}
+
+    def add(self, part: Part) -> None:
+        """Declare what a part has.
+
+        :raises ConfigError: another part has that name.
+        """
+        found = part.resources()
+        for resource in found:
+            if resource.name in self._owner:
+                raise ConfigError(f"{resource.name} would stand for two things: rename one")
+            self._owner[resource.name] = part
+        self._parts.append(part)
+        self._host.declare(*found)
+
+    def _part(self, name: str) -> Part:
+        if name not in self._owner:
+            raise UnknownPath(f"there is no '{name}'")
+        return self._owner[name]
+
+    async def read(self, name: str) -> Any:
+        """Return the present value."""
+        return await self._part(name).read(name)
+
+    async def write(self, name: str, value: Any) -> Any:
+        """Bring a value into force."""
+        return await self._part(name).write(name, value)
+
+    async def execute(self, name: str, value: Any, progress: Progress) -> Any:
+        """Run an action or service."""
+        return await self._part(name).execute(name, value, progress)
+
+    def watch(self, name: str, rate: float | None) -> AbstractAsyncContextManager[object]:
+        """Publish while somebody looks."""
+        return self._watch(name)
+
+    @asynccontextmanager
+    async def _watch(self, name: str) -> AsyncGenerator[None]:
+        with self._part(name).watch(name):
+            yield
+
+    async def halt(self) -> None:
+        """Quick stop for all that moves; returns when every drive confirmed it."""
+        await asyncio.gather(*(part.halt() for part in self._parts))
+
+
+@asynccontextmanager
+async def open_buses(config: CanConfig, host: Host) -> AsyncGenerator[CanBackend]:
+    """Open every bus and what is configured on it; leaving lets go of all.
+
+    :raises ConfigError: the configuration cannot be.
+    :raises NotReady: a bus does not open.
+    """
+    health = Health(host)
+    buses = {name: Bus(name, bus, host, health) for name, bus in config.buses.items()}
+    backend = CanBackend(host, buses)
+    logs = [BusPart(bus, host) for bus in buses.values()]
+    for part in logs:
+        backend.add(part)
+    try:
+        async with anyio.create_task_group() as tasks:
+            ready = [asyncio.Event() for _ in buses]
+            for bus, event in zip(buses.values(), ready, strict=True):
+                tasks.start_soon(bus.run, event)
+                tasks.start_soon(bus.count)
+            for event in ready:
+                await event.wait()
+            try:
+                yield backend
+            finally:
+                for part in logs:
+                    await part.close()
+                tasks.cancel_scope.cancel()
+    except ExceptionGroup as group:
+        first, *more = group.exceptions
+        if more:
+            raise
+        raise first from None

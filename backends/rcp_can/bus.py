@@ -1,0 +1,279 @@
+"""A bus that survives its interface: it opens, restarts after bus-off, counts and routes frames."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Callable, Hashable
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+
+from rcp_can import messages as m
+from rcp_can.condition import read_error
+from rcp_can.config import BusConfig
+from rcp_can.health import Health
+from rcp_can.load import seconds_on_the_bus
+from rcp_can.opening import open_interface
+from rcp_can.wire import Wire
+from rcp_kernel.errors import AdapterUnavailable
+from rcp_kernel.spi import Host
+
+if TYPE_CHECKING:
+    import can
+
+__all__ = ["Bus", "Listener", "Route"]
+
+_LONGEST = 5.0  # s between two attempts to restart
+_WELL = 10.0  # s after which the waiting time begins anew
+_ROUTES = 4096  # identifiers whose listeners are remembered
+_ECHOING = frozenset(("udp_multicast",))  # interfaces that hand us our own frames
+
+
+class Route(NamedTuple):
+    """Which identifiers somebody wants: those with `id & mask == value`."""
+
+    value: int
+    mask: int = 0x7FF
+    extended: bool = False
+
+
+class Listener(Protocol):
+    """Whoever takes frames."""
+
+    def __call__(self, message: can.Message) -> None:
+        """Take one frame, on the event loop.
+
+        :raises ValueError: it is not what its sender may send; counted.
+        """
+        ...
+
+
+class Bus:
+    """One CAN bus of the configuration."""
+
+    def __init__(self, name: str, config: BusConfig, host: Host, health: Health) -> None:
+        self.name, self.config = name, config
+        self.state: m.Condition = "down"
+        self.restarts = self.error_frames = self.malformed = 0
+        self.on_state: list[Callable[[m.Condition, m.Condition], None]] = []
+        """Told of each change, the old state first."""
+        self.taps: list[Callable[[can.Message], None]] = []
+        """Given every frame, error frames and our own included."""
+        self._host, self._health = host, health
+        self._prefix = f"can/{name}"
+        self._wire: Wire | None = None
+        self._lost = asyncio.Event()
+        self._reason = ""
+        self._routes: list[tuple[Route, Listener]] = []
+        self._known: dict[int, tuple[Listener, ...]] = {}
+        self._after_batch: list[Callable[[], None]] = []
+        self._busy = 0.0
+        self._past = {"rx": 0, "tx": 0, "dropped": 0, "expired": 0, "failed": 0}
+        self._message: Any = None
+        self._counters: tuple[int | None, int | None] = (None, None)
+
+    def listen(self, listener: Listener, *routes: Route) -> None:
+        """Have a listener called with the frames of some identifiers."""
+        self._routes += [(route, listener) for route in routes]
+        self._known.clear()
+
+    def after_batch(self, function: Callable[[], None]) -> None:
+        """Have a function called after each batch of frames."""
+        self._after_batch.append(function)
+
+    @property
+    def up(self) -> bool:
+        """Whether frames can be sent."""
+        return self._wire is not None and self.state != "bus_off"
+
+    def send(
+        self,
+        identifier: int,
+        data: bytes = b"",
+        *,
+        extended: bool = False,
+        remote: bool = False,
+        length: int | None = None,
+        fd: bool = False,
+        switched: bool = False,
+        lifetime: float | None = None,
+        urgent: bool = False,
+    ) -> None:
+        """Queue one frame.
+
+        :raises AdapterUnavailable: the bus is down, or off.
+        :raises QueueFull: too many frames wait already.
+        """
+        wire = self._wire
+        if wire is None or self.state == "bus_off":
+            raise AdapterUnavailable(f"CAN bus '{self.name}' is {self.state}: {self._reason}")
+        message = self._message(
+            arbitration_id=identifier,
+            data=None if remote else data,
+            dlc=length,
+            is_extended_id=extended,
+            is_remote_frame=remote,
+            is_fd=fd,
+            bitrate_switch=switched,
+            is_rx=False,
+        )
+        wire.send(message, lifetime=lifetime, urgent=urgent)
+        self._busy += self._duration(message)
+        for tap in self.taps:
+            tap(message)
+
+    async def run(self, ready: asyncio.Event) -> None:
+        """Keep the bus open until cancelled; `ready` is set when it is open for the first time.
+
+        :raises NotReady: the interface does not open at the first attempt.
+        :raises ConfigError: it never will.
+        """
+        import can
+
+        self._message = can.Message
+        pause = self.config.restart
+        first = True
+        while True:
+            try:
+                bus = await open_interface(self.name, self.config)
+            except Exception as error:
+                if first:
+                    raise
+                self._reason = str(error)
+            else:
+                opened = time.monotonic()
+                await self._live(bus, ready, restarted=not first)
+                first = False
+                if time.monotonic() - opened > _WELL:
+                    pause = self.config.restart
+            await asyncio.sleep(pause)
+            pause = min(2 * pause, _LONGEST)
+
+    async def _live(self, bus: can.BusABC, ready: asyncio.Event, *, restarted: bool) -> None:
+        self._lost.clear()
+        wire = Wire(
+            bus,
+            name=self.name,
+            queue=self.config.queue,
+            echoes=self.config.interface in _ECHOING,
+            received=self._take,
+            lost=self._lose,
+        )
+        self._wire = wire
+        self._reason = ""
+        self.restarts += restarted
+        self._turn("error_active", "restarted" if restarted else "open")
+        ready.set()
+        try:
+            await self._lost.wait()
+        finally:
+            self._wire = None
+            for key in self._past:
+                self._past[key] += getattr(wire, key)
+            await asyncio.shield(wire.close())
+
+    def _lose(self, reason: str) -> None:
+        self._reason = reason
+        self._turn("down", reason)
+        self._lost.set()
+
+    def _turn(self, state: m.Condition, text: str) -> None:
+        was, self.state = self.state, state
+        tx, rx = self._counters
+        value = m.BusState(state=state, detail=text, tx_errors=tx, rx_errors=rx)
+        self._host.publish(f"sensor/{self._prefix}/state", value)
+        if was == state:
+            return
+        event = m.BusEvent(was=was, now=state, text=text)
+        self._host.publish(f"event/{self._prefix}/state", event)
+        bad = state in ("bus_off", "down")
+        self._health.say(self._prefix, f"CAN bus '{self.name}' is {state}: {text}" if bad else None)
+        for told in self.on_state:
+            told(was, state)
+
+    # What is received
+
+    def _take(self, batch: list[can.Message]) -> None:
+        known, taps = self._known, self.taps
+        for message in batch:
+            self._busy += self._duration(message)
+            for tap in taps:
+                tap(message)
+            if message.is_error_frame:
+                self._error(message)
+                continue
+            key = message.arbitration_id | (message.is_extended_id << 31)
+            listeners = known.get(key)
+            if listeners is None:
+                listeners = self._find(message.arbitration_id, key)
+            for listener in listeners:
+                try:
+                    listener(message)
+                except ValueError:
+                    self.malformed += 1
+        for function in self._after_batch:
+            function()
+
+    def _find(self, identifier: int, key: int) -> tuple[Listener, ...]:
+        extended = key >> 31
+        found: dict[Hashable, Listener] = {
+            id(listener): listener
+            for route, listener in self._routes
+            if route.extended == extended and identifier & route.mask == route.value
+        }
+        if len(self._known) >= _ROUTES:
+            self._known.clear()
+        self._known[key] = tuple(found.values())
+        return self._known[key]
+
+    def _error(self, message: can.Message) -> None:
+        self.error_frames += 1
+        state, tx, rx, detail = read_error(message.arbitration_id, bytes(message.data))
+        if tx is not None:
+            self._counters = tx, rx
+        if state == "bus_off":
+            self._reason = "the controller has gone off the bus"
+            self._turn("bus_off", self._reason)
+            self._lost.set()
+        elif state is not None and self._wire is not None and state != self.state:
+            self._turn(state, detail)  # type: ignore[arg-type]
+
+    def _duration(self, message: can.Message) -> float:
+        bitrate = self.config.bitrate
+        if bitrate is None:
+            return 0.0
+        return seconds_on_the_bus(
+            len(message.data),
+            extended=message.is_extended_id,
+            fd=message.is_fd,
+            switched=message.bitrate_switch,
+            bitrate=bitrate,
+            data_bitrate=self.config.data_bitrate or bitrate,
+        )
+
+    # Statistics
+
+    async def count(self) -> None:
+        """Publish statistics at their period until cancelled."""
+        moment, rx, tx = time.monotonic(), 0, 0
+        while True:
+            await asyncio.sleep(self.config.statistics)
+            now = time.monotonic()
+            value = self.statistics(now - moment, rx, tx)
+            moment, rx, tx, self._busy = now, value.rx, value.tx, 0.0
+            self._host.publish(f"sensor/{self._prefix}/statistics", value)
+
+    def statistics(self, period: float = 0.0, rx: int = 0, tx: int = 0) -> m.Statistics:
+        """Sum up; rates are those since `rx` and `tx` were counted, `period` seconds ago."""
+        wire = self._wire
+        total = {key: n + (getattr(wire, key) if wire else 0) for key, n in self._past.items()}
+        known = self.config.bitrate is not None and period
+        return m.Statistics(
+            load=self._busy / period if known else None,
+            rx_rate=(total["rx"] - rx) / period if period else 0.0,
+            tx_rate=(total["tx"] - tx) / period if period else 0.0,
+            **total,
+            error_frames=self.error_frames,
+            malformed=self.malformed,
+            queued=wire.waiting if wire else 0,
+            restarts=self.restarts,
+        )

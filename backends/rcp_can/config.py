@@ -1,0 +1,63 @@
+"""The configuration of one CAN backend: its buses, and what sits on them."""
+
+from __future__ import annotations
+
+import re
+from typing import Annotated, Any
+
+from msgspec import Meta, Struct
+
+__all__ = ["BusConfig", "BusName", "CanConfig", "Name", "Seconds"]
+
+Name = Annotated[str, Meta(pattern=r"^[A-Za-z0-9_-]+(/[A-Za-z0-9_-]+)*$", max_length=64)]
+BusName = Annotated[str, Meta(pattern=r"^[A-Za-z0-9_-]+$", max_length=32)]
+Seconds = Annotated[float, Meta(gt=0, extra_json_schema={"unit": "s"})]
+Bitrate = Annotated[int, Meta(ge=1000, le=20_000_000, extra_json_schema={"unit": "bit/s"})]
+IdRange = Annotated[str, Meta(pattern=r"^0x[0-9A-Fa-f]{1,8}(-0x[0-9A-Fa-f]{1,8})?$")]
+
+
+class BusConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """One bus, by an interface of python-can."""
+
+    interface: str = "socketcan"
+    channel: str | int | None = "can0"
+    bitrate: Bitrate | None = None
+    """Given to interfaces that set it; without it the load is not known."""
+    fd: bool = False
+    data_bitrate: Bitrate | None = None
+    """Of the data phase of CAN FD."""
+    options: dict[str, Any] = {}
+    """Further arguments of the interface, as python-can documents them."""
+    restart: Seconds = 0.5
+    """Between bus-off or loss and the first attempt to restart; doubles up to 5 s."""
+    queue: Annotated[int, Meta(ge=1, le=65_536)] = 512
+    """Frames that may wait to be sent."""
+    statistics: Seconds = 1.0
+    """Period of `sensor/can/<bus>/statistics`."""
+    frames: tuple[IdRange, ...] = ()
+    """Identifiers that `event/can/<bus>/frame` shows, `"0x100"` or `"0x100-0x1FF"`; all if empty."""
+    raw_send: bool = False
+    """Offer `actuator/can/<bus>/frame`, by which any frame can be sent."""
+    log_directory: str | None = None
+    """Offer recording, into this directory."""
+    simulate: bool = False
+    """Run a simulated drive for every motor of this bus, on the `virtual` interface."""
+
+    def __post_init__(self) -> None:
+        if self.simulate and self.interface != "virtual":
+            raise ValueError('`simulate` needs `interface = "virtual"`')
+
+    @property
+    def ranges(self) -> list[tuple[int, int]]:
+        """The identifiers of `frames` as closed ranges."""
+        found: list[tuple[int, int]] = []
+        for text in self.frames:
+            first, *last = (int(part, 16) for part in re.split("-", text))
+            found.append((first, last[0] if last else first))
+        return found
+
+
+class CanConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Buses and what sits on them."""
+
+    buses: Annotated[dict[BusName, BusConfig], Meta(min_length=1)]

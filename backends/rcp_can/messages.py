@@ -1,0 +1,92 @@
+"""The values of the bus: frames, its state and statistics, its happenings and logs."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from msgspec import Meta, Struct
+
+__all__ = [
+    "BusEvent",
+    "BusState",
+    "Condition",
+    "Frame",
+    "LogFile",
+    "StartLog",
+    "Statistics",
+]
+
+Count = Annotated[int, Meta(ge=0, extra_json_schema={"unit": "1"})]
+Hertz = Annotated[float, Meta(ge=0, extra_json_schema={"unit": "Hz"})]
+Load = Annotated[float, Meta(ge=0, extra_json_schema={"unit": "1"})]
+Identifier = Annotated[int, Meta(ge=0, le=0x1FFFFFFF, extra_json_schema={"unit": "1"})]
+Condition = Literal["error_active", "error_warning", "error_passive", "bus_off", "down"]
+Format = Literal["candump", "asc", "blf"]
+
+
+class Frame(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """One frame as it is on the bus."""
+
+    id: Identifier
+    data: Annotated[bytes, Meta(max_length=64)] = b""
+    extended: bool = False
+    """A 29-bit identifier."""
+    remote: bool = False
+    fd: bool = False
+    bitrate_switch: bool = False
+    error: bool = False
+
+
+class BusState(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """How the controller stands with its bus."""
+
+    state: Condition
+    detail: str = ""
+    tx_errors: Count | None = None
+    """The controller's transmit error counter, where the adapter tells it."""
+    rx_errors: Count | None = None
+
+
+class Statistics(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """What went over the bus; counts since the backend was opened, rates of the last period."""
+
+    load: Load | None
+    """Part of the time that the bus was busy; None without a bit rate."""
+    rx_rate: Hertz
+    tx_rate: Hertz
+    rx: Count
+    tx: Count
+    error_frames: Count
+    dropped: Count
+    """Received, and lost because the gateway was too slow."""
+    expired: Count
+    """Queued, and not sent because they had become too old."""
+    failed: Count
+    """Refused by the interface."""
+    malformed: Count
+    """Received from a motor or device, and not what it may send."""
+    queued: Count
+    """Waiting to be sent."""
+    restarts: Count
+
+
+class BusEvent(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """A change of the bus: bus-off, lost, restarted, warnings."""
+
+    was: Condition
+    now: Condition
+    text: str
+
+
+class StartLog(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """What to record."""
+
+    format: Format = "candump"
+
+
+class LogFile(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """A recording."""
+
+    file: str
+    """Its name in the bus's `log_directory`."""
+    frames: Count

@@ -1,0 +1,62 @@
+"""Open an interface of python-can, in a thread, and say in words why it does not."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import TYPE_CHECKING, Any
+
+from rcp_can.config import BusConfig
+from rcp_kernel.errors import ConfigError, NotReady
+
+if TYPE_CHECKING:
+    import can
+
+__all__ = ["open_interface"]
+
+
+async def open_interface(name: str, config: BusConfig) -> can.BusABC:
+    """Return the open bus.
+
+    :raises ConfigError: there is no such interface, or it does not take these arguments.
+    :raises NotReady: it is not there now.
+    """
+    return await asyncio.get_running_loop().run_in_executor(None, _open, name, config)
+
+
+def _open(name: str, config: BusConfig) -> can.BusABC:
+    import can
+
+    known = sorted(can.VALID_INTERFACES)
+    if config.interface not in known:
+        raise ConfigError(
+            f"buses.{name}.interface: python-can has no {config.interface!r}; "
+            f"it has {', '.join(known)}"
+        )
+    try:
+        return can.Bus(config.channel, config.interface, ignore_config=True, **_arguments(config))
+    except can.CanInterfaceNotImplementedError as error:
+        raise ConfigError(
+            f"buses.{name}: {config.interface} does not work here: {error}"
+        ) from error
+    except (TypeError, ValueError) as error:
+        raise ConfigError(f"buses.{name}: {config.interface} refuses this: {error}") from error
+    except Exception as error:
+        raise NotReady(
+            f"CAN bus '{name}' ({config.interface} {config.channel}): {error}"
+        ) from error
+
+
+def _arguments(config: BusConfig) -> dict[str, Any]:
+    found: dict[str, Any] = dict(config.options)
+    if config.bitrate is not None and config.interface not in ("virtual", "udp_multicast"):
+        found.setdefault("bitrate", config.bitrate)
+    if config.data_bitrate is not None and config.fd:
+        found.setdefault("data_bitrate", config.data_bitrate)
+    if config.interface == "virtual":
+        import can
+
+        protocol = can.CanProtocol.CAN_FD if config.fd else can.CanProtocol.CAN_20
+        found.setdefault("protocol", protocol)
+    elif config.fd or config.interface == "udp_multicast":
+        found.setdefault("fd", config.fd)
+    return found

@@ -1,0 +1,177 @@
+"""One opened python-can bus with its two threads: one reads, one writes, neither waits for us.
+
+What is read is handed to the event loop in batches: while the loop is busy, frames gather.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+import time
+from collections import Counter, deque
+from collections.abc import Callable
+from contextlib import suppress
+from typing import TYPE_CHECKING, Any
+
+from rcp_kernel.errors import AdapterUnavailable, QueueFull
+
+if TYPE_CHECKING:
+    import can
+
+__all__ = ["Wire"]
+
+_RECV = 0.1  # s a reader waits at most, so that it sees the end
+_SEND = 0.2  # s that one frame may need until the interface has taken it
+_INBOX = 16_384  # frames that wait for a busy event loop; older ones are lost, and counted
+_FAILURES = 8  # failed sends in a row, after which the interface counts as lost
+_ECHOES = 1024  # sent frames whose own echo is still awaited
+
+
+class Wire:
+    """An open bus; lives until it is closed or `lost` is called with the reason, once."""
+
+    def __init__(
+        self,
+        bus: can.BusABC,
+        *,
+        name: str,
+        queue: int,
+        echoes: bool,
+        received: Callable[[list[can.Message]], None],
+        lost: Callable[[str], None],
+    ) -> None:
+        self.rx = self.tx = self.dropped = self.expired = self.failed = 0
+        self._bus, self._limit = bus, queue
+        self._received, self._lost = received, lost
+        self._loop = asyncio.get_running_loop()
+        self._inbox: deque[can.Message] = deque()
+        self._outbox: deque[tuple[can.Message, float]] = deque()
+        self._echoes: Counter[tuple[int, bytes]] | None = Counter() if echoes else None
+        self._wake = threading.Event()
+        self._waiting = False
+        self._closing = False
+        self._threads = [
+            threading.Thread(target=target, name=f"can {what} {name}", daemon=True)
+            for target, what in ((self._read, "reader"), (self._write, "writer"))
+        ]
+        for thread in self._threads:
+            thread.start()
+
+    @property
+    def waiting(self) -> int:
+        """How many frames wait to be sent."""
+        return len(self._outbox)
+
+    def send(self, message: can.Message, *, lifetime: float | None, urgent: bool) -> None:
+        """Queue a frame; `lifetime` is how long (s) it is worth sending, urgent ones go first.
+
+        :raises QueueFull: too many wait already; an urgent one takes the place of the last.
+        :raises AdapterUnavailable: the wire is closed.
+        """
+        if self._closing:
+            raise AdapterUnavailable("the CAN interface is closed")
+        expires = time.monotonic() + lifetime if lifetime is not None else 0.0
+        if urgent:
+            if len(self._outbox) >= self._limit:
+                self._outbox.pop()
+                self.expired += 1
+            self._outbox.appendleft((message, expires))
+        elif len(self._outbox) >= self._limit:
+            raise QueueFull(
+                f"{self._limit} frames wait to be sent already: the bus takes none",
+                remedy="See sensor/can/<bus>/state; is another node there to acknowledge?",
+            )
+        else:
+            self._outbox.append((message, expires))
+        self._wake.set()
+
+    async def close(self) -> None:
+        """Send what is queued, as far as it goes, and let go of the bus."""
+        self._closing = True
+        self._wake.set()
+        await asyncio.get_running_loop().run_in_executor(None, self._end)
+
+    def _end(self) -> None:
+        for thread in reversed(self._threads):
+            thread.join(2.0)
+        with suppress(Exception):  # an interface that is gone cannot be closed well
+            self._bus.shutdown()
+
+    # The threads
+
+    def _read(self) -> None:
+        recv, inbox = self._bus.recv, self._inbox
+        while not self._closing:
+            try:
+                message = recv(_RECV)
+            except Exception as error:
+                self._tell(f"reading failed: {error}")
+                return
+            if message is None or self._is_echo(message):
+                continue
+            self.rx += 1
+            if len(inbox) >= _INBOX:
+                inbox.popleft()
+                self.dropped += 1
+            inbox.append(message)
+            if not self._waiting:
+                self._waiting = True
+                self._soon(self._hand_over)
+
+    def _hand_over(self) -> None:
+        self._waiting = False
+        inbox = self._inbox
+        batch = [inbox.popleft() for _ in range(len(inbox))]
+        if batch and not self._closing:
+            self._received(batch)
+
+    def _write(self) -> None:
+        failures = 0
+        while True:
+            self._wake.wait()
+            self._wake.clear()
+            while self._outbox:
+                message, expires = self._outbox.popleft()
+                if expires and time.monotonic() > expires:
+                    self.expired += 1
+                    continue
+                try:
+                    self._note(message)
+                    self._bus.send(message, timeout=_SEND)
+                    self.tx, failures = self.tx + 1, 0
+                except Exception as error:
+                    self.failed += 1
+                    failures += 1
+                    if self._closing:
+                        return
+                    if failures >= _FAILURES:
+                        self._tell(f"sending failed: {error}")
+                        return
+            if self._closing:
+                return
+
+    def _note(self, message: can.Message) -> None:
+        if self._echoes is not None and len(self._echoes) < _ECHOES:
+            self._echoes[message.arbitration_id, bytes(message.data)] += 1
+
+    def _is_echo(self, message: can.Message) -> bool:
+        echoes = self._echoes
+        if not echoes:
+            return False
+        key = message.arbitration_id, bytes(message.data)
+        left = echoes.get(key, 0)
+        if left > 1:
+            echoes[key] = left - 1
+        elif left:
+            del echoes[key]
+        return left > 0
+
+    def _tell(self, reason: str) -> None:
+        if not self._closing:
+            self._soon(self._lost, reason)
+
+    def _soon(self, function: Callable[..., object], *args: Any) -> None:
+        try:
+            self._loop.call_soon_threadsafe(function, *args)
+        except RuntimeError:  # the loop has ended, and with it everybody who would listen
+            self._closing = True

@@ -1,0 +1,156 @@
+"""A CAN backend on the bench: a host that records, and a second node on the virtual bus."""
+
+from __future__ import annotations
+
+import asyncio
+import itertools
+from collections.abc import AsyncGenerator, Awaitable, Callable, Sequence
+from contextlib import asynccontextmanager
+from typing import Any, Self
+
+import anyio
+import can
+import msgspec
+
+from rcp_can import CanConfig, open_can
+from rcp_kernel.model import Resource
+from rcp_kernel.spi import Publication
+from rcp_kernel.values import to_plain, value_type
+
+_NUMBERS = itertools.count()
+
+
+def channel() -> str:
+    """Return the name of a virtual bus that nobody has used."""
+    return f"test-{next(_NUMBERS)}"
+
+
+class RecordingHost:
+    """Keeps what a backend declares, publishes and reports; checks every value on the way."""
+
+    def __init__(self) -> None:
+        self.tenant = "alpha"
+        self.robot: str | None = None
+        self.resources: dict[str, Resource] = {}
+        self.samples: dict[str, list[Any]] = {}
+        self.reports: list[str | None] = []
+        self.published = anyio.Event()
+
+    def declare(self, *declared: Resource) -> None:
+        for resource in declared:
+            for type_ in (resource.value, resource.input, resource.output, resource.feedback):
+                if type_ is not None:
+                    assert value_type(type_).schema
+            self.resources[resource.name] = resource
+
+    def withdraw(self, *names: str) -> None:
+        for name in names:
+            self.resources.pop(name, None)
+
+    def publish(self, name: str, value: Any, timestamp: int | None = None) -> None:
+        value = value.decode() if hasattr(value, "decode") else value
+        value_type(self.resources[name].value).check(value)
+        self.samples.setdefault(name, []).append(value)
+        self._tell()
+
+    def publish_batch(self, batch: Sequence[Publication]) -> None:
+        for item in batch:
+            self.publish(item.name, item.value, item.timestamp)
+
+    def call_soon(self, function: Callable[..., object], *args: Any) -> None:
+        asyncio.get_running_loop().call_soon_threadsafe(function, *args)
+
+    def report(self, detail: str | None, *, down: bool = False) -> None:
+        self.reports.append(detail)
+        self._tell()
+
+    def _tell(self) -> None:
+        self.published.set()
+        self.published = anyio.Event()
+
+    def last(self, name: str) -> Any:
+        return self.samples[name][-1]
+
+    def events(self, name: str) -> list[Any]:
+        return self.samples.get(name, [])
+
+    async def until(self, holds: Callable[[], object], seconds: float = 5) -> None:
+        with anyio.fail_after(seconds):
+            while not holds():
+                await self.published.wait()
+
+    async def published_as(self, name: str, seconds: float = 5, **facts: Any) -> Any:
+        """Wait until the newest value has these facts, and return it."""
+
+        def holds() -> bool:
+            return name in self.samples and all(
+                getattr(self.last(name), key) == value for key, value in facts.items()
+            )
+
+        await self.until(holds, seconds)
+        return self.last(name)
+
+
+class Rig:
+    """An open backend and a host that saw everything."""
+
+    def __init__(self, backend: Any, host: RecordingHost) -> None:
+        self.backend, self.host = backend, host
+        self.feedback: list[tuple[Any, float | None]] = []
+
+    def progress(self, feedback: Any = None, *, fraction: float | None = None) -> None:
+        self.feedback.append((feedback, fraction))
+
+    def typed(self, name: str, plain: Any) -> Any:
+        """Decode what a client would send."""
+        resource = self.host.resources[name]
+        wanted = resource.value if resource.value is not None else resource.input
+        return plain if wanted is None else value_type(wanted).convert(plain)
+
+    async def write(self, name: str, plain: Any) -> Any:
+        return await self.backend.write(name, self.typed(name, plain))
+
+    def execute(self, name: str, plain: Any = None) -> Awaitable[Any]:
+        value = None if plain is None else self.typed(name, plain)
+        return self.backend.execute(name, value, self.progress)
+
+    async def ran(self, name: str, plain: Any = None, seconds: float = 10) -> Any:
+        with anyio.fail_after(seconds):
+            return to_plain(await self.execute(name, plain))
+
+
+@asynccontextmanager
+async def opened(config: dict[str, Any]) -> AsyncGenerator[Rig]:
+    """Open a backend by its table."""
+    host = RecordingHost()
+    async with open_can(msgspec.convert(config, CanConfig), host) as backend:
+        yield Rig(backend, host)
+
+
+class Node:
+    """Another node on a virtual bus: sends what it is told to, keeps what it hears."""
+
+    def __init__(self, channel: str, *, fd: bool = False) -> None:
+        protocol = can.CanProtocol.CAN_FD if fd else can.CanProtocol.CAN_20
+        self.bus = can.Bus(channel, "virtual", protocol=protocol, ignore_config=True)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.bus.shutdown()
+
+    def send(self, identifier: int, data: bytes = b"", **more: Any) -> None:
+        more.setdefault("is_extended_id", identifier > 0x7FF)
+        self.bus.send(can.Message(arbitration_id=identifier, data=data, **more))
+
+    def bus_off(self) -> None:
+        self.send(0x40, bytes(8), is_error_frame=True, is_extended_id=False)
+
+    async def hears(self, wanted: Callable[[can.Message], object], seconds: float = 5) -> Any:
+        """Wait for the first frame that is wanted."""
+        with anyio.fail_after(seconds):
+            while True:
+                message = await anyio.to_thread.run_sync(self.bus.recv, 0.05)
+                if message is not None and wanted(message):
+                    return message
