@@ -29,9 +29,10 @@ _LOOK = 1.0  # s between looks after a running goal's server
 _REST = 4.0  # s for a cancelled goal to come to rest
 _LATE = 2.0  # s that a cancel waits for the acceptance of its goal
 _MATCH = 2.0  # s for a client to find a server that the graph lists
+_RACE = 0.1  # s for the result of a goal that has ended just before its cancel came
 _PAUSE = 0.02  # s between looks whether it has
 _UNKNOWN, _SUCCEEDED, _CANCELED, _ABORTED = 0, 4, 5, 6  # action_msgs/msg/GoalStatus
-_REFUSED = 1  # action_msgs/srv/CancelGoal: ERROR_REJECTED
+_ACCEPTED, _REFUSED = 0, 1  # action_msgs/srv/CancelGoal
 
 
 class Run(Binding):
@@ -144,6 +145,12 @@ class Run(Binding):
             self.shared.pulses.want(f"action {self.mapping.target}", ())
             self.client.destroy()
             self.client = None
+
+
+def _is_refused(answer: Any) -> bool:
+    """Tell whether a server goes on in spite of a cancel; rclpy's says so by canceling nothing."""
+    nothing = answer.return_code == _ACCEPTED and not answer.goals_canceling
+    return nothing or answer.return_code == _REFUSED
 
 
 class Goal:
@@ -280,7 +287,7 @@ class Goal:
         await self._ros.call(self._ask_cancel, handle, answer)
         end = time.monotonic() + _REST
         await answer.wait(_REST)
-        if answer.done and answer.result().return_code == _REFUSED and not self._result.done:
+        if answer.done and _is_refused(answer.result()) and not await self._result.wait(_RACE):
             raise DeviceRejected(f"the server of {self._name} refuses to cancel; the goal goes on")
         if not await self._result.wait(max(0.0, end - time.monotonic())):
             raise DeviceTimeout(
@@ -297,10 +304,12 @@ class Goal:
     def _send_goal(self) -> None:
         from unique_identifier_msgs.msg import UUID
 
+        id_ = uuid.uuid4().bytes
+        self._run.shared.sent(id_)
         future = self._run.client.send_goal_async(
             self._message,
             feedback_callback=hearing(self._fed_back),
-            goal_uuid=UUID(uuid=list(uuid.uuid4().bytes)),
+            goal_uuid=UUID(uuid=list(id_)),
         )
         future.add_done_callback(hearing(self._admitted))
         self._accepted.follow(future)

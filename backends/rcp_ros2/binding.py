@@ -22,6 +22,7 @@ from rcp_ros2.topics import Feeds, Tap
 __all__ = ["Absent", "Binding", "Construct", "Offer", "Shared", "common"]
 
 _DEPTH = 200  # messages of a construct that may wait: they come in bursts
+_GOALS = 1000  # of the gateway's own whose ids are remembered
 _PAUSE = 0.05  # s between looks at something that is about to come
 
 
@@ -44,6 +45,8 @@ class Shared:
         """Called in the ROS thread at each look at the graph."""
         self.look_again: Callable[[], None] = lambda: None
         """Has the paths made that a construct has found since the last look; on the event loop."""
+        self.sent_goals: dict[bytes, None] = {}
+        """The ids of goals that the gateway sent, the newest last."""
         self._settled = time.monotonic() + config.grace
 
     @property
@@ -64,6 +67,12 @@ class Shared:
         if detail is not None or self._reported:
             self._reported = detail is not None
             self.host.report(detail)
+
+    def sent(self, goal: bytes) -> None:
+        """Remember the id of a goal as one of the gateway's own."""
+        self.sent_goals[goal] = None
+        if len(self.sent_goals) > _GOALS:
+            del self.sent_goals[next(iter(self.sent_goals))]
 
     def complain(self, key: str, detail: str | None) -> None:
         """Note what is wrong, from the ROS thread; only changes are worth a wake-up."""

@@ -5,28 +5,32 @@ from __future__ import annotations
 import asyncio
 import time
 from collections.abc import Set as AbstractSet
+from functools import partial
 from typing import Any
 
 import msgspec
 import structlog
 
 from rcp_kernel.errors import AdapterUnavailable, ConfigError, PluginError, RcpError
-from rcp_kernel.model import Resource, kind_of
+from rcp_kernel.model import Kind, Resource, kind_of
 from rcp_ros2.actions import Run
 from rcp_ros2.binding import Absent, Binding, Construct, Offer, Shared
+from rcp_ros2.calls import Calls, calls_of
 from rcp_ros2.clock import Clock
 from rcp_ros2.config import Mapping
 from rcp_ros2.definitions import TF_MESSAGE, is_made
 from rcp_ros2.diagnostics import ARRAY, Diagnostics
+from rcp_ros2.goals import Goals, goals_of
 from rcp_ros2.graph import Graph
 from rcp_ros2.idl import MissingType, load
 from rcp_ros2.learning import learn
 from rcp_ros2.lifecycle import Lifecycles
 from rcp_ros2.log import Log
-from rcp_ros2.names import absolute, allows, is_internal, resource_name
+from rcp_ros2.names import absolute, allows, is_internal, is_internal_parameter, resource_name
 from rcp_ros2.parameters import Events, NodeParameters, Setting
 from rcp_ros2.sensors import Commanded, Observed
 from rcp_ros2.services import Called
+from rcp_ros2.together import Together
 from rcp_ros2.transforms import Transforms
 from rcp_ros2.view import GraphView
 
@@ -59,7 +63,11 @@ class Catalog:
         self._nodes: dict[str, NodeParameters] = {}
         self._events = Events(shared)
         clock = Clock(shared)
+        self._actions: dict[str, str] = {}
+        self._services: dict[str, str] = {}
         self._constructs: tuple[Construct, ...] = (
+            Goals(shared, self._actions),
+            Calls(shared, self._services),
             Lifecycles(shared, self._exposes),
             Diagnostics(shared, self._exposes),
             clock,
@@ -97,6 +105,8 @@ class Catalog:
         for name, mapping in found.items():
             if name not in self._mapped:
                 self._want(name, mapping, graph, mapped=False)
+        self._note(self._actions, "action", found)
+        self._note(self._services, "service", found)
         brought = {
             name: offer
             for construct in self._constructs
@@ -114,6 +124,12 @@ class Catalog:
         self._report(graph)
         if self._is_complete():
             self.complete.set()
+
+    def _note(self, into: dict[str, str], noun: str, found: dict[str, Mapping]) -> None:
+        into.clear()
+        into.update(
+            (name, mapping.target) for name, mapping in found.items() if mapping.noun == noun
+        )
 
     def _is_complete(self) -> bool:
         if self._building or not all(name in self.bindings for name in self._mapped):
@@ -223,13 +239,19 @@ class Catalog:
         self._place(name, binding)
 
     def _make(self, name: str, mapping: Mapping, type_: str) -> Binding:
+        kind = kind_of(name)
         match mapping.noun:
+            case "service" if kind is Kind.EVENT:
+                return calls_of(self._shared, name, mapping, type_)
+            case "action" if kind is Kind.SENSOR:
+                return goals_of(self._shared, name, mapping)
             case "topic":
                 cls = load(type_)
-                made = Commanded if kind_of(name) == "actuator" else Observed
-                if made is Commanded and is_made(cls):
+                if kind is not Kind.ACTUATOR:
+                    return Observed.of(self._shared, name, mapping, cls)
+                if is_made(cls):
                     raise MissingType(type_, "known by its text alone it can only be listened to")
-                return made(self._shared, name, mapping, cls)
+                return Commanded(self._shared, name, mapping, cls)
             case "service":
                 return Called(self._shared, name, mapping, load(type_, "srv"))
             case _:
@@ -237,13 +259,20 @@ class Catalog:
 
     async def _bind_parameter(self, name: str, mapping: Mapping) -> Binding:
         node = await self._node(mapping.target)
-        assert mapping.parameter is not None
-        found = await node.describe([mapping.parameter])
-        if not found:
+        wanted = [mapping.parameter] if mapping.parameter else list(mapping.parameters)
+        every = wanted == ["*"]
+        found = await node.describe(await node.names() if every else wanted)
+        missing = set() if every else set(wanted) - {one.name for one in found}
+        if missing or not found:
             raise AdapterUnavailable(
-                f"{node.node} has no parameter '{mapping.parameter}', or no value for it yet",
+                f"{node.node} has no parameter '{', '.join(sorted(missing))}', or no value for it "
+                "yet",
                 remedy="Check the name with `ros2 param list`.",
             )
+        self._events.follow(mapping.target, partial(self._changed, mapping.target))
+        if mapping.parameters:
+            settable = [one for one in found if not one.read_only]
+            return Together(self._shared, name, mapping, node, settable)
         return Setting(self._shared, name, mapping, node, found[0], self._events)
 
     async def _node(self, name: str) -> NodeParameters:
@@ -266,13 +295,32 @@ class Catalog:
             self._later[key] = time.monotonic() + _AGAIN
             log.warning("ros_parameters_unknown", node=name, detail=error.message)
             return
+        self._events.follow(name, partial(self._changed, name))
         for described in found:
             path = prefix + resource_name("param", described.name).removeprefix("param/")
-            if path not in self._mapped:
+            old = self.bindings.get(path)
+            same = isinstance(old, Setting) and old.described == described
+            if path not in self._mapped and not same:
                 mapping = Mapping(node=name, parameter=described.name)
                 binding = Setting(self._shared, path, mapping, node, described, self._events)
                 self._place(path, binding)
         self._types[key] = "parameters"
+
+    def _changed(self, node: str, kinds: dict[str, int]) -> None:
+        """Ask a node anew that has declared parameters, or changed the kind of one."""
+        settings = [b for b in self.bindings.values() if isinstance(b, Setting)]
+        known = {b.described.name: b for b in settings if b.mapping.node == node}
+        for name, kind in kinds.items():
+            setting = known.get(name)
+            if is_internal_parameter(name) or (setting and setting.described.kind == kind):
+                continue
+            if setting is not None and setting.resource.name in self._mapped:
+                self._types.pop(setting.resource.name, None)
+                continue
+            if setting is not None and kind == 0:
+                self._remove(setting.resource.name, setting)
+            self._types.pop(f"node {node}", None)
+        self.update(self._shared.graph)
 
     def _absent(self, name: str, mapping: Mapping, why: str, remedy: str) -> Absent:
         resource = Resource(
@@ -316,10 +364,13 @@ class Catalog:
 
     def _remove(self, name: str, binding: Binding) -> None:
         binding.close()
-        del self.bindings[name], self._gone[name]
+        del self.bindings[name]
+        self._gone.pop(name, None)
         self._types.pop(name, None)
-        if binding.mapping.node is not None:
-            self._types.pop(f"node {binding.mapping.node}", None)
+        node = binding.mapping.node
+        if node is not None and node not in self._shared.graph.nodes:
+            self._types.pop(f"node {node}", None)
+            self._events.leave(node)
         self._shared.outbox.forget(name)
         self._shared.host.withdraw(name)
 

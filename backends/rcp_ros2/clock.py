@@ -81,7 +81,7 @@ class Clock:
         }
 
     def _sensor(self) -> Binding:
-        return Observed(self._shared, _SENSOR, self._mapping, load(_TYPE))
+        return Observed.of(self._shared, _SENSOR, self._mapping, load(_TYPE))
 
 
 class Jumps(Binding):

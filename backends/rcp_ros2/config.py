@@ -37,8 +37,10 @@ class Mapping(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     service: RosName | None = None
     action: RosName | None = None
     node: RosName | None = None
-    """With `parameter`: the node that has it."""
+    """With `parameter` or `parameters`: the node that has them."""
     parameter: str | None = None
+    parameters: tuple[str, ...] = ()
+    """Of a service that sets them together, all or none; `*` is every one the node has."""
     type: TypeName | None = None
     """`nav_msgs/msg/Odometry`; without it the graph tells, once somebody offers the topic."""
     field: FieldPath | None = None
@@ -64,13 +66,14 @@ class Mapping(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Refuse a write that no node would hear."""
 
     def __post_init__(self) -> None:
-        given = [k for k in ("topic", "service", "action", "parameter") if getattr(self, k)]
-        if len(given) != 1:
+        words = ("topic", "service", "action", "parameter", "parameters")
+        if len([word for word in words if getattr(self, word)]) != 1:
             raise ValueError(
-                "say exactly one of `topic`, `service`, `action`, or `node` with `parameter`"
+                "say exactly one of `topic`, `service`, `action`, or `node` with `parameter` or "
+                "`parameters`"
             )
-        if (self.node is None) != (self.parameter is None):
-            raise ValueError("`node` and `parameter` go together")
+        if (self.node is None) != (self.parameter is None and not self.parameters):
+            raise ValueError("`node` goes together with `parameter` or `parameters`")
 
     @property
     def target(self) -> str:
@@ -118,12 +121,12 @@ class Transforms(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
 
 
 _FITS = {
-    Kind.SENSOR: "topic",
-    Kind.EVENT: "topic",
-    Kind.ACTUATOR: "topic",
-    Kind.SERVICE: "service",
-    Kind.ACTION: "action",
-    Kind.PARAM: "node",
+    Kind.SENSOR: ("topic", "action"),
+    Kind.EVENT: ("topic", "service"),
+    Kind.ACTUATOR: ("topic",),
+    Kind.SERVICE: ("service",),
+    Kind.ACTION: ("action",),
+    Kind.PARAM: ("node",),
 }
 
 
@@ -169,7 +172,8 @@ class Ros2Config(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
                 kind = kind_of(path.removeprefix("/"))
             except RcpError as error:
                 raise ValueError(f"{error.message}: {error.remedy}") from None
-            if mapping.noun != _FITS[kind]:
+            together = kind is Kind.SERVICE and bool(mapping.parameters)
+            if not together and (mapping.parameters or mapping.noun not in _FITS[kind]):
                 raise ValueError(f"{path!r} is a {kind} and cannot be a {mapping.noun}")
             if mapping.field is not None and kind not in (Kind.SENSOR, Kind.EVENT):
                 raise ValueError(f"{path!r}: `field` is for sensors and events")

@@ -13,9 +13,13 @@ from typing import Any
 
 from rcp_ros2.ros import Ros, guarded
 
-__all__ = ["Graph", "GraphWatch"]
+__all__ = ["CALLS", "GOALS", "Graph", "GraphWatch"]
 
 _FAST = 0.1  # s between looks while the graph is being discovered
+CALLS = "/_service_event"
+"""What a service's topic ends with that tells of its calls."""
+GOALS = "/_action/status"
+"""What an action's topic ends with that tells of its goals."""
 _SEND_GOAL = "/_action/send_goal"
 _LIST = "/list_parameters"
 _CHANGE = "/change_state"
@@ -55,8 +59,10 @@ class Graph:
 
 
 def _owner(service: str) -> str:
-    """Return the service itself, or the action or node that it is a part of."""
-    return service.removesuffix(_SEND_GOAL).removesuffix(_LIST).removesuffix(_CHANGE)
+    """Return the service (or topic) itself, or the action or node that it is a part of."""
+    for ending in (_SEND_GOAL, GOALS, CALLS, _LIST, _CHANGE):
+        service = service.removesuffix(ending)
+    return service
 
 
 class GraphWatch:
@@ -102,7 +108,7 @@ class GraphWatch:
         publishers: dict[str, int] = {}
         subscribers: dict[str, int] = {}
         for name in topics:
-            if self._matters(name):
+            if self._matters(name) or self._matters(_owner(name)):
                 publishers[name] = node.count_publishers(name) - (name in own_publishers)
                 subscribers[name] = node.count_subscribers(name) - (name in own_subscriptions)
         actions = {

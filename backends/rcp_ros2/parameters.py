@@ -96,14 +96,11 @@ class NodeParameters:
         return [_described(d) for d in response.descriptors if d.type in _FIELDS]
 
     async def get(self, name: str, kind: int) -> Any:
-        """Return the present value.
-
-        :raises AdapterUnavailable: the node has no such parameter any more.
-        """
+        """Return the present value; None if the node has no such parameter of this kind."""
         response = await self._call(self._srv.GetParameters, "get_parameters", names=[name])
         # With a name among them that is not declared, rclpy answers with an empty list.
         if len(response.values) != 1 or response.values[0].type != kind:
-            raise AdapterUnavailable(f"{self.node} has no parameter '{name}' of the known type")
+            return None
         return plain(response.values[0])
 
     async def set(self, name: str, kind: int, value: Any) -> None:
@@ -111,25 +108,40 @@ class NodeParameters:
 
         :raises DeviceRejected: the node refused, with its reason.
         """
-        from rcl_interfaces.msg import Parameter, ParameterValue
-
-        if kind == 5:
-            value = [bytes((one,)) for one in value]
-        wrapped = ParameterValue(type=kind, **{_FIELDS[kind]: value})
         response = await self._call(
-            self._srv.SetParameters,
-            "set_parameters",
-            parameters=[Parameter(name=name, value=wrapped)],
+            self._srv.SetParameters, "set_parameters", parameters=[_wrapped(name, kind, value)]
         )
-        result = response.results[0] if response.results else None
+        self._check(response.results[0] if response.results else None, f"set '{name}'")
+
+    async def set_together(self, values: dict[str, tuple[int, Any]]) -> None:
+        """Set several parameters, given with their kinds: all of them or none.
+
+        :raises DeviceRejected: the node refused, with its reason.
+        """
+        response = await self._call(
+            self._srv.SetParametersAtomically,
+            "set_parameters_atomically",
+            parameters=[_wrapped(name, kind, value) for name, (kind, value) in values.items()],
+        )
+        self._check(response.result, f"set {', '.join(values)} together")
+
+    def _check(self, result: Any, what: str) -> None:
         if result is None or not result.successful:
             why = result.reason if result is not None and result.reason else "no reason given"
-            raise DeviceRejected(f"{self.node} refused to set '{name}': {why}")
+            raise DeviceRejected(f"{self.node} refused to {what}: {why}")
 
     def close(self) -> None:
         """Let go of the clients."""
         for caller in self._callers.values():
             caller.close()
+
+
+def _wrapped(name: str, kind: int, value: Any) -> Any:
+    from rcl_interfaces.msg import Parameter, ParameterValue
+
+    if kind == 5:
+        value = [bytes((one,)) for one in value]
+    return Parameter(name=name, value=ParameterValue(type=kind, **{_FIELDS[kind]: value}))
 
 
 def plain(value: Any) -> Any:
@@ -167,17 +179,34 @@ class Events:
     def __init__(self, shared: Shared) -> None:
         self._shared = shared
         self._listeners: dict[tuple[str, str], Callable[[Any], None]] = {}
+        self._followers: dict[str, Callable[[dict[str, int]], None]] = {}
         self._subscription: Any = None
+
+    def follow(self, node: str, told: Callable[[dict[str, int]], None]) -> None:
+        """Have a function called, on the event loop, with the kinds of what a node has changed.
+
+        Kind 0 is a parameter that is gone.
+        """
+        self._followers[node] = told
+        self._shared.ros.post(self._open)
+
+    def leave(self, node: str) -> None:
+        """Stop that."""
+        if self._followers.pop(node, None) is not None:
+            self._shared.ros.post(self._close)
+
+    def lost(self, node: str, parameter: str) -> None:
+        """Tell those who follow a node that it does not have a parameter any more."""
+        self._shared.host.call_soon(self._follow, node, {parameter: 0})
 
     def listen(self, node: str, parameter: str, told: Callable[[Any], None]) -> None:
         """Have a function called, on the event loop, with each new ParameterValue."""
         self._listeners[node, parameter] = told
-        if len(self._listeners) == 1:
-            self._shared.ros.post(self._open)
+        self._shared.ros.post(self._open)
 
     def ignore(self, node: str, parameter: str) -> None:
         """Stop that."""
-        if self._listeners.pop((node, parameter), None) is not None and not self._listeners:
+        if self._listeners.pop((node, parameter), None) is not None:
             self._shared.ros.post(self._close)
 
     def _open(self) -> None:
@@ -196,14 +225,24 @@ class Events:
         )
 
     def _close(self) -> None:
-        if self._subscription is not None and not self._listeners:
+        if self._subscription is not None and not self._listeners and not self._followers:
             self._shared.ros.node.destroy_subscription(self._subscription)
             self._subscription = None
 
     def _heard(self, event: Any) -> None:
-        for parameter in (*event.new_parameters, *event.changed_parameters):
+        told = (*event.new_parameters, *event.changed_parameters)
+        if event.node in self._followers:
+            kinds = {p.name: p.value.type for p in told}
+            kinds |= {p.name: 0 for p in event.deleted_parameters}
+            self._shared.host.call_soon(self._follow, event.node, kinds)
+        for parameter in told:
             if (event.node, parameter.name) in self._listeners:
                 self._shared.host.call_soon(self._tell, event.node, parameter.name, parameter.value)
+
+    def _follow(self, node: str, kinds: dict[str, int]) -> None:
+        follower = self._followers.get(node)
+        if follower is not None:
+            follower(kinds)
 
     def _tell(self, node: str, name: str, value: Any) -> None:
         told = self._listeners.get((node, name))
@@ -224,7 +263,7 @@ class Setting(Binding):
         events: Events,
     ) -> None:
         self._node = node
-        self._described = described
+        self.described = described
         self._events = events
         self._first: asyncio.Future[None] | None = None
         text = described.text or f"Parameter {described.name} of {node.node}"
@@ -234,17 +273,25 @@ class Setting(Binding):
         super().__init__(shared, Resource(value=described.type(mapping.unit), **facts), mapping)
 
     async def read(self) -> Any:
-        """Ask the node."""
-        return await self._node.get(self._described.name, self._described.kind)
+        """Ask the node.
+
+        :raises AdapterUnavailable: it has the parameter no more, or is not there.
+        """
+        value = await self._node.get(self.described.name, self.described.kind)
+        if value is None:  # not every node tells that it takes one back
+            name = self.described.name
+            self._events.lost(self._node.node, name)
+            raise AdapterUnavailable(f"{self._node.node} has no parameter '{name}' any more")
+        return value
 
     async def write(self, value: Any) -> Any:
         """Have the node set it; return what stands now."""
-        await self._node.set(self._described.name, self._described.kind, value)
+        await self._node.set(self.described.name, self.described.kind, value)
         return None
 
     def watched(self, rate: float) -> None:
         """Publish each change that the node tells of."""
-        self._events.listen(self._node.node, self._described.name, self._changed)
+        self._events.listen(self._node.node, self.described.name, self._changed)
         if self._first is None:
             self._first = asyncio.ensure_future(self._publish_present())
 
@@ -254,13 +301,13 @@ class Setting(Binding):
 
     def unwatched(self) -> None:
         """Publish no more."""
-        self._events.ignore(self._node.node, self._described.name)
+        self._events.ignore(self._node.node, self.described.name)
         if self._first is not None:
             self._first.cancel()
             self._first = None
 
     def _changed(self, value: Any) -> None:
-        if value.type == self._described.kind:
+        if value.type == self.described.kind:
             self.shared.host.publish(self.resource.name, plain(value))
 
     def close(self) -> None:

@@ -41,26 +41,34 @@ _PAUSE = 0.05  # s between looks whether it has
 class Observed(Binding):
     """A sensor or event: subscribed to while somebody watches, an event always."""
 
-    def __init__(self, shared: Shared, name: str, mapping: Mapping, cls: Any) -> None:
+    def __init__(
+        self, shared: Shared, resource: Resource, mapping: Mapping, cls: Any, codec: Codec
+    ) -> None:
         self.topic = mapping.target
         self._cls = cls
-        self._codec = Codec(cls, mapping.field, mapping.unit)
-        type_name = full_name(cls)
+        self._codec = codec
+        super().__init__(shared, resource, mapping)
+        if resource.live:  # nobody could read the last one otherwise
+            self.watched(math.inf)
+
+    @classmethod
+    def of(cls, shared: Shared, name: str, mapping: Mapping, message: Any) -> Observed:
+        """Make the sensor or event of a topic of a message class, as its mapping wants it."""
+        codec = Codec(message, mapping.field, mapping.unit)
+        type_name = full_name(message)
         part = f"{mapping.field} of {type_name}" if mapping.field else type_name
-        event = name.startswith("event/")
         facts = common(
             name,
             mapping,
-            f"{part} on topic {self.topic}.",
-            topic=self.topic,
+            f"{part} on topic {mapping.target}.",
+            topic=mapping.target,
             type=type_name,
             field=mapping.field,
         )
         facts["timeout"] = (mapping.timeout or shared.config.timeout) + _MARGIN
-        resource = Resource(value=self._codec.type, native=type_name, live=event, **facts)
-        super().__init__(shared, resource, mapping)
-        if event:  # nobody could read the last one otherwise
-            self.watched(math.inf)
+        live = name.startswith("event/")
+        resource = Resource(value=codec.type, native=type_name, live=live, **facts)
+        return cls(shared, resource, mapping, message, codec)
 
     def watched(self, rate: float) -> None:
         """Subscribe, or change the rate."""

@@ -22,7 +22,7 @@ else:
         warnings.simplefilter("ignore")
         import rosidl_parser.definition
         import rosidl_parser.parser  # noqa: F401
-    from backends.ros2.robot import Crew, Peer, Robot, fresh_domain, robot_of
+    from backends.ros2.robot import Crew, Fleet, Peer, Robot, fresh_domain, robot_of
 
     MAP: dict[str, Any] = {
         "/sensor/odom": {"topic": "/odom"},
@@ -77,6 +77,19 @@ else:
         crew.start()
         yield crew
         crew.stop()
+
+    @pytest.fixture(scope="session")
+    def fleet_domain() -> int:
+        """The domain of the fleet that lives as long as the run."""
+        return fresh_domain()
+
+    @pytest.fixture(scope="session")
+    def fleet(fleet_domain: int) -> Iterator[Fleet]:
+        """Two rovers, for as long as the run."""
+        fleet = Fleet(fleet_domain, "/fleet/r1", "/fleet/r2")
+        fleet.start()
+        yield fleet
+        fleet.stop()
 
     @pytest.fixture(scope="module")
     async def module_robot(domain: int, peer: Peer) -> AsyncIterator[Robot]:

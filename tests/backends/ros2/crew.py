@@ -149,6 +149,15 @@ class Crew:
         getattr(self.driver, f"trigger_{transition}")()
 
 
+def serve(crew: object) -> None:
+    """Do what each line of the input says, until it ends."""
+    print("ready", flush=True)  # noqa: T201
+    for line in sys.stdin:
+        order = json.loads(line)
+        answer = getattr(crew, order.pop("do"))(**order)
+        print(json.dumps(answer), flush=True)  # noqa: T201
+
+
 def main() -> None:
     rclpy.init()
     crew = Crew()
@@ -157,11 +166,7 @@ def main() -> None:
         executor.add_node(node)
     spinning = threading.Thread(target=executor.spin, daemon=True)
     spinning.start()
-    print("ready", flush=True)  # noqa: T201
-    for line in sys.stdin:
-        order = json.loads(line)
-        answer = getattr(crew, order.pop("do"))(**order)
-        print(json.dumps(answer), flush=True)  # noqa: T201
+    serve(crew)
     executor.shutdown(timeout_sec=1)
     spinning.join(2)
     for node in crew.nodes:

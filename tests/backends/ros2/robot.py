@@ -8,7 +8,7 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import AsyncIterator, Callable, Sequence
+from collections.abc import AsyncIterator, Awaitable, Callable, Sequence
 from contextlib import asynccontextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -76,6 +76,18 @@ class Robot:
                 await self._changed.wait()
         return found
 
+    async def until_async(
+        self,
+        look: Callable[[], Awaitable[Any]],
+        holds: Callable[[Any], Any],
+        seconds: float = BOUND,
+    ) -> Any:
+        """Do something again until what it returns is right."""
+        async with asyncio.timeout(seconds):
+            while not holds(found := await look()):  # noqa: ASYNC110 - nothing tells of it
+                await asyncio.sleep(0.02)
+        return found
+
     def of(self, name: str) -> list[Any]:
         """Return the values published under a name, decoded."""
         return [
@@ -121,14 +133,15 @@ class Peer:
 
     script = "peer.py"
 
-    def __init__(self, domain: int) -> None:
+    def __init__(self, domain: int, *args: str) -> None:
         self._domain = domain
+        self._args = args
         self._process: subprocess.Popen[str] | None = None
 
     def start(self) -> None:
         """Start it and wait until it offers everything."""
         self._process = subprocess.Popen(
-            [sys.executable, str(Path(__file__).with_name(self.script))],
+            [sys.executable, str(Path(__file__).with_name(self.script)), *self._args],
             env={**os.environ, "ROS_DOMAIN_ID": str(self._domain)},
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
@@ -189,3 +202,9 @@ class Crew(Peer):
     def tell(self, do: str, **order: Any) -> Any:
         """Have it do something; return when it has."""
         return self._ask(json.dumps({"do": do, **order}))
+
+
+class Fleet(Crew):
+    """Rovers, each in a namespace of its own, in one process."""
+
+    script = "rover.py"

@@ -137,7 +137,7 @@ async def test_a_parameter_the_node_refuses_is_a_refusal_with_its_reason(robot: 
 async def test_patterns_expose_what_they_name_and_nothing_else(domain: int, peer: object) -> None:
     expose = ["/odom", "/best_effort_sink", "/reset", "/fibonacci", "/peer"]
     async with robot_of(domain, expose=expose) as robot:
-        await robot.until(lambda: len(robot.resources) >= 9)
+        await robot.until(lambda: len(robot.resources) >= 10)
         assert {name.split("/", 1)[0] + "/" for name in robot.resources} == {
             "sensor/",
             "actuator/",
@@ -150,6 +150,7 @@ async def test_patterns_expose_what_they_name_and_nothing_else(domain: int, peer
             "actuator/best_effort_sink",
             "service/reset",
             "action/fibonacci",
+            "sensor/goals/fibonacci",
         }
         assert "param/peer/max_speed" in robot.resources
         assert await robot.backend.read("param/peer/gear") == 2

@@ -1,0 +1,98 @@
+"""What a service is asked and answers, by whomever: where its node has introspection on."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Any, Literal
+
+import msgspec
+
+from rcp_kernel.model import Resource
+from rcp_ros2.binding import Binding, Offer, Shared, common
+from rcp_ros2.cdr import Codec
+from rcp_ros2.config import Mapping
+from rcp_ros2.graph import CALLS, Graph
+from rcp_ros2.idl import load
+from rcp_ros2.sensors import Observed
+from rcp_ros2.types import outward
+
+__all__ = ["Calls", "calls_of"]
+
+Step = Literal["request_sent", "request_received", "response_sent", "response_received"]
+_STEPS: tuple[Step, ...] = Step.__args__
+"""By their number in service_msgs/msg/ServiceEventInfo."""
+
+
+def _call_type(srv: Any) -> type[msgspec.Struct]:
+    """Return the type of one step of a call; contents are left out where the node leaves them out."""
+    return msgspec.defstruct(
+        f"{srv.__name__}Call",
+        [
+            ("step", Step),
+            ("client", bytes),
+            ("number", int),
+            ("request", outward(srv.Request) | None, None),
+            ("response", outward(srv.Response) | None, None),
+        ],
+        frozen=True,
+    )
+
+
+class _Steps(Codec):
+    """Decodes the event type that rosidl makes for a service."""
+
+    def __init__(self, srv: Any, event: Any) -> None:
+        super().__init__(event)
+        self.type = _call_type(srv)
+
+    def decode(self, data: bytes) -> Any:
+        """Return one step of a call."""
+        event = super().decode(data)
+        info = event.info
+        return self.type(
+            step=_STEPS[info.event_type % len(_STEPS)],
+            client=bytes(info.client_gid),
+            number=info.sequence_number,
+            request=next(iter(event.request), None),
+            response=next(iter(event.response), None),
+        )
+
+    def stamp(self, data: bytes) -> int | None:
+        """Return when it happened, ns since the epoch."""
+        stamp = super().decode(data).info.stamp
+        return stamp.sec * 1_000_000_000 + stamp.nanosec or None
+
+
+class Calls:
+    """Offers the calls of each service that the patterns offer and that tells of them."""
+
+    def __init__(self, shared: Shared, services: dict[str, str]) -> None:
+        self._shared = shared
+        self._services = services
+        """Each service's path, with its name in the graph; kept by the catalog."""
+
+    def find(self, graph: Graph) -> dict[str, Offer]:
+        """Return an event for each service whose introspection is on."""
+        found: dict[str, Offer] = {}
+        for path, service in self._services.items():
+            type_ = graph.services.get(service)
+            if type_ and graph.publishers.get(f"{service}{CALLS}"):
+                name = f"event/calls/{path.partition('/')[2]}"
+                mapping = Mapping(service=service)
+                found[name] = Offer(mapping, partial(calls_of, self._shared, name, mapping, type_))
+        return found
+
+
+def calls_of(shared: Shared, name: str, mapping: Mapping, type_: str) -> Binding:
+    """Make the event of a service's calls; in the ROS thread.
+
+    :raises MissingType: the service's type is not installed.
+    """
+    service = mapping.target
+    event = load(f"{type_}_Event", "srv")
+    text = f"What service {service} is asked and answers, by whomever."
+    facts = common(name, mapping, text, service=service, type=type_)
+    codec = _Steps(load(type_, "srv"), event)
+    resource = Resource(value=codec.type, native=f"{type_}_Event", live=True, **facts)
+    told = msgspec.structs.replace(mapping, service=None, topic=f"{service}{CALLS}")
+    return Observed(shared, resource, told, event, codec)

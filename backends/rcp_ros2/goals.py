@@ -1,0 +1,106 @@
+"""The goals of an action, whoever sent them: as its server tells of them."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Annotated, Any, Literal
+
+import msgspec
+from msgspec import Meta
+
+from rcp_kernel.errors import DeviceTimeout
+from rcp_kernel.model import Resource
+from rcp_ros2.binding import Binding, Offer, Shared, common
+from rcp_ros2.cdr import Codec
+from rcp_ros2.config import Mapping
+from rcp_ros2.graph import GOALS, Graph
+from rcp_ros2.idl import load
+from rcp_ros2.sensors import Observed
+
+__all__ = ["Goals", "goals_of"]
+
+_TYPE = "action_msgs/msg/GoalStatusArray"
+_LATCHED = 1.0  # s
+
+Status = Literal[
+    "unknown", "accepted", "executing", "canceling", "succeeded", "canceled", "aborted"
+]
+_STATUSES: tuple[Status, ...] = Status.__args__
+"""By their number in action_msgs/msg/GoalStatus."""
+
+
+class GoalState(msgspec.Struct, frozen=True):
+    """One goal: who sent it, when it was accepted, and how it stands."""
+
+    id: str
+    sender: Literal["gateway", "other"]
+    accepted: Annotated[float, Meta(extra_json_schema={"unit": "s"})]
+    status: Status
+
+
+class _Statuses(Codec):
+    """Decodes action_msgs/msg/GoalStatusArray to what people call its parts."""
+
+    def __init__(self, shared: Shared) -> None:
+        super().__init__(load(_TYPE))
+        self.type = list[GoalState]
+        self._shared = shared
+
+    def decode(self, data: bytes) -> list[GoalState]:
+        """Return the goals, the newest first."""
+        found = [self._state(one) for one in super().decode(data).status_list]
+        return sorted(found, key=lambda goal: -goal.accepted)
+
+    def _state(self, one: Any) -> GoalState:
+        id_, stamp = bytes(one.goal_info.goal_id.uuid), one.goal_info.stamp
+        status = _STATUSES[one.status] if 0 <= one.status < len(_STATUSES) else "unknown"
+        sender = "gateway" if id_ in self._shared.sent_goals else "other"
+        return GoalState(id_.hex(), sender, stamp.sec + stamp.nanosec / 1e9, status)
+
+
+class Goals:
+    """Offers the goals of each action that the patterns offer."""
+
+    def __init__(self, shared: Shared, actions: dict[str, str]) -> None:
+        self._shared = shared
+        self._actions = actions
+        """Each action's path, with its name in the graph; kept by the catalog."""
+
+    def find(self, graph: Graph) -> dict[str, Offer]:
+        """Return a sensor for each."""
+        found: dict[str, Offer] = {}
+        for path, action in self._actions.items():
+            name = f"sensor/goals/{path.partition('/')[2]}"
+            mapping = Mapping(action=action)
+            found[name] = Offer(mapping, partial(goals_of, self._shared, name, mapping))
+        return found
+
+
+def goals_of(shared: Shared, name: str, mapping: Mapping) -> Binding:
+    """Make the sensor of an action's goals; in the ROS thread."""
+    action = mapping.target
+    text = f"The goals of action {action}, the newest first, whoever sent them."
+    facts = common(name, mapping, text, action=action)
+    codec = _Statuses(shared)
+    resource = Resource(value=codec.type, native=_TYPE, **facts)
+    status = msgspec.structs.replace(mapping, action=None, topic=f"{action}{GOALS}")
+    return _Told(shared, resource, status, load(_TYPE), codec)
+
+
+class _Told(Observed):
+    """The goals; a server that was never sent one says nothing at all."""
+
+    @property
+    def timeout(self) -> float:
+        """Seconds for what is latched to come."""
+        return _LATCHED
+
+    async def read(self) -> Any:
+        """Return the goals.
+
+        :raises AdapterUnavailable: no node serves the action.
+        """
+        try:
+            return await super().read()
+        except DeviceTimeout:
+            return []

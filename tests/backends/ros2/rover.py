@@ -1,0 +1,221 @@
+"""Rovers of a fleet, each in a namespace of its own, and whatever else a graph may bring.
+
+Run as `python rover.py NAMESPACE…`; takes orders as `crew.py` does.
+"""
+
+from __future__ import annotations
+
+import importlib
+import sys
+import threading
+import time
+from typing import Any
+
+import rclpy
+from geometry_msgs.msg import Twist
+from nav_msgs.msg import Odometry
+from rcl_interfaces.msg import SetParametersResult
+from rclpy.action import ActionClient, ActionServer, CancelResponse, GoalResponse
+from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.clock import Clock
+from rclpy.executors import MultiThreadedExecutor
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.service_introspection import ServiceIntrospectionState
+from sensor_msgs.msg import BatteryState, LaserScan
+from std_srvs.srv import SetBool
+from test_msgs.action import NestedMessage
+
+STEP = 0.05  # s
+
+
+class Rover(Node):
+    """One robot; goals of `navigate` count down, and a new one takes the place of the old."""
+
+    def __init__(self, space: str) -> None:
+        super().__init__("rover", namespace=space)
+        group = ReentrantCallbackGroup()
+        self.odom = self.create_publisher(Odometry, "odom", 10)
+        self.scan = self.create_publisher(LaserScan, "scan", 10)
+        self.battery = self.create_publisher(BatteryState, "battery_state", 10)
+        self.driven = Twist()
+        self.create_subscription(Twist, "cmd_vel", self.drive, 10, callback_group=group)
+        self.dock = self.create_service(SetBool, "dock", self.docked, callback_group=group)
+        self.current: Any = None
+        self.server = ActionServer(
+            self,
+            NestedMessage,
+            "navigate",
+            self.navigate,
+            goal_callback=self.admit,
+            handle_accepted_callback=self.begin,
+            cancel_callback=self.may_cancel,
+            callback_group=group,
+        )
+        self.client = ActionClient(self, NestedMessage, "navigate", callback_group=group)
+        self.declare_parameter("low", 1.0)
+        self.declare_parameter("high", 2.0)
+        self.add_on_set_parameters_callback(self.judge)
+        self.create_timer(0.02, self.tick, callback_group=group)
+
+    def judge(self, parameters: list) -> SetParametersResult:
+        new = {p.name: p.value for p in parameters}
+        low, high = (
+            new.get(n, self.get_parameter_or(n, Parameter(n, value=0.0)).value)
+            for n in ("low", "high")
+        )
+        fits = not new.keys() & {"low", "high"} or low < high
+        return SetParametersResult(successful=fits, reason="" if fits else "low is above high")
+
+    def tick(self) -> None:
+        odom = Odometry()
+        odom.header.stamp = self.get_clock().now().to_msg()
+        odom.header.frame_id = f"{self.get_namespace()[1:]}/odom"
+        odom.pose.pose.position.x = float(len(self.get_namespace()))
+        odom.twist.twist.linear.x = self.driven.linear.x
+        self.odom.publish(odom)
+        self.battery.publish(BatteryState(percentage=0.5))
+        self.scan.publish(LaserScan(ranges=[1.0]))
+
+    def drive(self, twist: Twist) -> None:
+        self.driven = twist
+
+    def docked(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
+        response.success, response.message = True, f"docked: {request.data}"
+        return response
+
+    def admit(self, goal: NestedMessage.Goal) -> GoalResponse:
+        far = goal.nested_field.int32_value > 1000
+        return GoalResponse.REJECT if far else GoalResponse.ACCEPT
+
+    def begin(self, goal: Any) -> None:
+        if self.current is not None and self.current.is_active:
+            self.current.abort()
+        self.current = goal
+        goal.execute()
+
+    def may_cancel(self, goal: Any) -> CancelResponse:
+        firm = goal.request.nested_field.bool_value
+        return CancelResponse.REJECT if firm else CancelResponse.ACCEPT
+
+    def navigate(self, goal: Any) -> NestedMessage.Result:
+        result = NestedMessage.Result()
+        for left in range(goal.request.nested_field.int32_value, 0, -1):
+            if not goal.is_active:
+                result.nested_field.string_value = "another goal came"
+                return result
+            if goal.is_cancel_requested:
+                goal.canceled()
+                return result
+            feedback = NestedMessage.Feedback()
+            feedback.nested_field.int32_value = left
+            goal.publish_feedback(feedback)
+            time.sleep(STEP)
+        if goal.is_active:
+            goal.succeed()
+        return result
+
+
+class Fleet:
+    """All the rovers, and what they can be told to do."""
+
+    def __init__(self, executor: MultiThreadedExecutor, spaces: list[str]) -> None:
+        self.executor = executor
+        self.rovers: dict[str, Rover] = {}
+        self.extra = Node("extra")
+        self.executor.add_node(self.extra)
+        self.made: dict[str, Any] = {}
+        for space in spaces:
+            self.add(space)
+
+    def add(self, space: str) -> None:
+        """Have another rover come."""
+        self.rovers[space] = Rover(space)
+        self.executor.add_node(self.rovers[space])
+
+    def drop(self, space: str) -> None:
+        """Have a rover leave."""
+        rover = self.rovers.pop(space)
+        self.executor.remove_node(rover)
+        rover.server.destroy()
+        rover.client.destroy()
+        rover.destroy_node()
+
+    def driven(self, space: str) -> float:
+        """Tell how fast a rover was told to drive."""
+        return self.rovers[space].driven.linear.x
+
+    def go(self, space: str, steps: int) -> None:
+        """Send a goal as somebody else than the gateway."""
+        goal = NestedMessage.Goal()
+        goal.nested_field.int32_value = steps
+        self.rovers[space].client.wait_for_server(5)
+        self.rovers[space].client.send_goal_async(goal)
+
+    def introspect(self, space: str) -> None:
+        """Have the service `dock` tell of its calls."""
+        self.rovers[space].dock.configure_introspection(
+            Clock(), QoSProfile(depth=10), ServiceIntrospectionState.CONTENTS
+        )
+
+    def declare(self, space: str, name: str, value: Any) -> None:
+        """Declare a parameter."""
+        self.rovers[space].declare_parameter(name, value)
+
+    def undeclare(self, space: str, name: str) -> None:
+        """Take a parameter back."""
+        self.rovers[space].undeclare_parameter(name)
+
+    def put(self, space: str, name: str, value: Any) -> None:
+        """Set a parameter from within."""
+        self.rovers[space].set_parameters([Parameter(name, value=value)])
+
+    def parameter(self, space: str, name: str) -> Any:
+        """Tell what a parameter is."""
+        return self.rovers[space].get_parameter(name).value
+
+    def offer(self, topic: str, kind: str, *, latched: bool = False, reliable: bool = True) -> None:
+        """Publish a topic from now on; one of that name is given up before."""
+        self.withdraw(topic)
+        package, name = kind.split("/")
+        cls = getattr(importlib.import_module(f"{package}.msg"), name)
+        qos = QoSProfile(
+            depth=10,
+            durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
+            reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
+        )
+        self.made[topic] = (cls, self.extra.create_publisher(cls, topic, qos))
+
+    def offer_many(self, stem: str, count: int) -> None:
+        """Publish many topics."""
+        for number in range(count):
+            self.offer(f"{stem}{number}", "std_msgs/String")
+
+    def withdraw(self, topic: str) -> None:
+        """Publish a topic no more."""
+        if topic in self.made:
+            self.extra.destroy_publisher(self.made.pop(topic)[1])
+
+    def say(self, topic: str, data: Any, *, times: int = 1, rate: float = 0.0) -> None:
+        """Publish on a topic, so often, at a rate; numbers count up."""
+        cls, publisher = self.made[topic]
+        for number in range(times):
+            value = data + number if isinstance(data, int | float) else data
+            publisher.publish(cls(data=value))
+            if rate:
+                time.sleep(1 / rate)
+
+
+def main() -> None:
+    from crew import serve
+
+    rclpy.init()
+    executor = MultiThreadedExecutor(6)
+    fleet = Fleet(executor, sys.argv[1:])
+    threading.Thread(target=executor.spin, daemon=True).start()
+    serve(fleet)
+
+
+if __name__ == "__main__":
+    main()
