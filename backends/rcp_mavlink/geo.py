@@ -1,0 +1,28 @@
+"""Between geographic coordinates and metres round a point: flat, good for the range of a drone."""
+
+from __future__ import annotations
+
+import math
+
+__all__ = ["METRES_PER_DEGREE", "distance", "offset", "shifted"]
+
+METRES_PER_DEGREE = 111_319.49
+"""Of latitude, on the sphere that ArduPilot uses."""
+
+
+def offset(lat: float, lon: float, origin: tuple[float, float]) -> tuple[float, float]:
+    """Return how many metres north and east of `origin` (deg, deg) a point lies."""
+    north = (lat - origin[0]) * METRES_PER_DEGREE
+    turn = (lon - origin[1] + 180.0) % 360.0 - 180.0
+    return north, turn * METRES_PER_DEGREE * math.cos(math.radians(origin[0]))
+
+
+def shifted(north: float, east: float, origin: tuple[float, float]) -> tuple[float, float]:
+    """Return latitude and longitude (deg) of the point so many metres from `origin`."""
+    lat = origin[0] + north / METRES_PER_DEGREE
+    return lat, origin[1] + east / (METRES_PER_DEGREE * math.cos(math.radians(origin[0])))
+
+
+def distance(a: tuple[float, float], b: tuple[float, float]) -> float:
+    """Return the metres between two points given as latitude and longitude (deg)."""
+    return math.hypot(*offset(a[0], a[1], b))

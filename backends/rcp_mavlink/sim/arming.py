@@ -1,0 +1,46 @@
+"""Whether the motors may start: the checks before arming, with the words of the real one."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from rcp_mavlink.sim.modes import Mode, armable, needs_position
+
+if TYPE_CHECKING:
+    from rcp_mavlink.sim.vehicle import Vehicle
+
+__all__ = ["complaints", "mode_complaint"]
+
+_GYROS, _HOME = 0.2, 0.5  # parts of the time to warm up
+
+
+def complaints(vehicle: Vehicle) -> list[str]:
+    """List what speaks against arming, as the real one words it; nothing: it may."""
+    if not vehicle.params["ARMING_CHECK"]:
+        return []
+    found: list[str] = []
+    warm = vehicle.time / vehicle.options.warmup if vehicle.options.warmup > 0 else 1.0
+    if warm < _GYROS:
+        found.append("Gyros inconsistent")
+    elif warm < _HOME:
+        found.append("AHRS: waiting for home")
+    elif warm < 1 and needs_position(vehicle.flight.mode):
+        found.append("Need Position Estimate")
+    lowest = vehicle.params["BATT_ARM_VOLT"]
+    if lowest and vehicle.battery.voltage < lowest:
+        found.append("Battery 1 below minimum arming voltage")
+    if vehicle.battery_low and vehicle.params["BATT_FS_LOW_ACT"]:
+        found.append("Battery 1 low voltage failsafe")
+    if vehicle.params["FENCE_ENABLE"] and vehicle.fence.breached:
+        found.append("vehicle outside fence")
+    return found
+
+
+def mode_complaint(vehicle: Vehicle) -> str | None:
+    """Say what speaks against arming in the mode it is in."""
+    mode = vehicle.flight.mode
+    if not armable(mode):
+        return f"{mode.name} mode not armable"
+    if mode is Mode.AUTO and not vehicle.flight.mission.flyable:
+        return "Mode requires mission"
+    return None

@@ -1,0 +1,320 @@
+"""COMMAND_LONG and COMMAND_INT: what each does, and with which result it is acknowledged."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+
+from rcp_mavlink.sim.arming import complaints
+from rcp_mavlink.sim.modes import Mode
+from rcp_mavlink.sim.telemetry import MAKERS
+from rcp_mavlink.sim.wire import mav
+
+if TYPE_CHECKING:
+    from rcp_mavlink.sim.peer import Peer
+
+__all__ = ["Asked", "run"]
+
+_OK, _FAILED, _DENIED = (
+    mav.MAV_RESULT_ACCEPTED,
+    mav.MAV_RESULT_FAILED,
+    mav.MAV_RESULT_DENIED,
+)
+_UNSUPPORTED, _INT_ONLY = mav.MAV_RESULT_UNSUPPORTED, mav.MAV_RESULT_UNSUPPORTED
+_CHANGE_MODE = 1
+_NOT_AS_LONG = frozenset({mav.MAV_CMD_DO_REPOSITION})
+_GLOBAL_FRAMES = {0: False, 5: False, 3: True, 6: True}
+
+
+class Asked(msgspec.Struct, frozen=True):
+    """A command as it came, LONG or INT."""
+
+    peer: Any
+    number: int
+    p: tuple[float, float, float, float, float, float, float]
+    """Its parameters; latitude and longitude in degrees."""
+    frame: int
+    whole: bool
+    """Whether it came as COMMAND_INT."""
+
+
+def run(peer: Peer, message: Any) -> int:
+    """Do it; return its MAV_RESULT."""
+    whole = message.get_type() == "COMMAND_INT"
+    if whole:
+        p5, p6, p7, frame = message.x / 1e7, message.y / 1e7, message.z, message.frame
+        if message.command not in _PLACES:
+            p5, p6 = float(message.x), float(message.y)
+    else:
+        p5, p6, p7, frame = message.param5, message.param6, message.param7, 3
+    if not whole and message.command in _NOT_AS_LONG:
+        return _INT_ONLY
+    do = _DOERS.get(message.command)
+    if do is None:
+        return _UNSUPPORTED
+    p = (message.param1, message.param2, message.param3, message.param4, p5, p6, p7)
+    return do(Asked(peer, message.command, p, frame, whole))
+
+
+def _result(done: bool) -> int:  # noqa: FBT001 - what was done, as a result
+    return _OK if done else _FAILED
+
+
+def _arm(c: Asked) -> int:
+    vehicle = c.peer.vehicle
+    return _result(vehicle.arm(c.p[1]) if c.p[0] == 1 else vehicle.disarm(c.p[1]))
+
+
+def _take_off(c: Asked) -> int:
+    vehicle = c.peer.vehicle
+    if not math.isfinite(c.p[6]) or c.p[6] <= 0 or vehicle.flight.mode is not Mode.GUIDED:
+        return _FAILED
+    return _result(vehicle.flight.take_off(c.p[6]))
+
+
+def _mode(number: Mode) -> Callable[[Asked], int]:
+    return lambda c: _result(c.peer.vehicle.set_mode(number))
+
+
+def _set_mode(c: Asked) -> int:
+    if not int(c.p[0]) & mav.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED:
+        return _UNSUPPORTED
+    return _result(c.peer.vehicle.set_mode(int(c.p[1])))
+
+
+def _reposition(c: Asked) -> int:
+    vehicle = c.peer.vehicle
+    relative = _GLOBAL_FRAMES.get(c.frame)
+    lat, lon = c.p[4], c.p[5]
+    if relative is None:
+        return mav.MAV_RESULT_COMMAND_UNSUPPORTED_MAV_FRAME
+    if not (-90 <= lat <= 90 and -180 <= lon <= 180) or (lat == 0 and lon == 0):
+        return _DENIED
+    if vehicle.flight.mode is not Mode.GUIDED:
+        if not int(c.p[1]) & _CHANGE_MODE:
+            return _DENIED
+        if not vehicle.set_mode(Mode.GUIDED):
+            return _FAILED
+    height = c.p[6] if relative else c.p[6] - vehicle.origin[2]
+    if vehicle.params["FENCE_ENABLE"] and vehicle.fence.crossed((lat, lon), height):
+        return _DENIED
+    if c.p[0] > 0:
+        vehicle.pilot.limits.speed = c.p[0]
+    yaw = None if not math.isfinite(c.p[3]) or c.p[3] == 0 else c.p[3]
+    vehicle.flight.aim(vehicle.place_of(lat, lon), -height, yaw=yaw)
+    return _OK
+
+
+def _speed(c: Asked) -> int:
+    if c.p[1] <= 0:
+        return _DENIED
+    limits = c.peer.vehicle.pilot.limits
+    if c.p[0] == 2:
+        limits.up = c.p[1]
+    elif c.p[0] == 3:
+        limits.down = c.p[1]
+    else:
+        limits.speed = c.p[1]
+    return _OK
+
+
+def _yaw(c: Asked) -> int:
+    pilot = c.peer.vehicle.pilot
+    angle = math.radians(c.p[0])
+    if c.p[3]:
+        angle = pilot.yaw + math.copysign(angle, c.p[2] or 1.0)
+    pilot.yaw, pilot.yaw_rate = angle, 0.0
+    return _OK
+
+
+def _home(c: Asked) -> int:
+    vehicle = c.peer.vehicle
+    if not vehicle.position_ok:
+        return _FAILED
+    if c.p[0] != 1 and c.p[4] == c.p[5] == 0:
+        return _DENIED
+    vehicle.set_home(None if c.p[0] == 1 else (c.p[4], c.p[5], c.p[6]))
+    return _OK
+
+
+def _start(c: Asked) -> int:
+    vehicle = c.peer.vehicle
+    if not vehicle.set_mode(Mode.AUTO) or not vehicle.arm():
+        return _FAILED
+    if c.p[0] > 0:
+        vehicle.flight.mission.go_to(int(c.p[0]))
+    vehicle.flight.mission.start()
+    return _result(vehicle.flight.mission.running)
+
+
+def _pause(c: Asked) -> int:
+    mission = c.peer.vehicle.flight.mission
+    if c.peer.vehicle.flight.mode is not Mode.AUTO:
+        return _FAILED
+    mission.pause(paused=c.p[0] == 0)
+    return _OK
+
+
+def _current(c: Asked) -> int:
+    return _result(c.peer.vehicle.flight.mission.go_to(int(c.p[0])))
+
+
+def _terminate(c: Asked) -> int:
+    if c.p[0] < 0.5:
+        return _DENIED
+    vehicle = c.peer.vehicle
+    vehicle.say(0, "Terminating due to GCS request")
+    return _result(vehicle.disarm(21196))
+
+
+def _reboot(c: Asked) -> int:
+    vehicle = c.peer.vehicle
+    if c.p[0] not in (1, 3):
+        return _DENIED if c.p[0] else _FAILED
+    if vehicle.armed:
+        return _FAILED
+    c.peer.later(vehicle.reboot)
+    return _OK
+
+
+def _calibrate(c: Asked) -> int:
+    vehicle = c.peer.vehicle
+    if vehicle.armed:
+        vehicle.say(4, "Disarm to allow calibration")
+        return _FAILED
+    if c.p[0] == 1:
+        vehicle.say(6, "Calibrating gyros")
+    elif c.p[2] == 1:
+        vehicle.say(6, "Calibrating barometer")
+        vehicle.say(6, "Barometer calibration complete")
+    elif c.p[4] not in (1, 2, 4):
+        return _UNSUPPORTED
+    return _OK
+
+
+def _checks(c: Asked) -> int:
+    vehicle = c.peer.vehicle
+    if vehicle.armed:
+        return mav.MAV_RESULT_TEMPORARILY_REJECTED
+    for reason in complaints(vehicle):
+        vehicle.say(2, f"PreArm: {reason}")
+    return _OK
+
+
+def _interval(c: Asked) -> int:
+    return _result(c.peer.streams.every(int(c.p[0]), c.p[1]))
+
+
+def _which_interval(c: Asked) -> int:
+    number = int(c.p[0])
+    c.peer.send(mav.MAVLink_message_interval_message(number, c.peer.streams.interval(number)))
+    return _OK
+
+
+def _request(c: Asked) -> int:
+    maker = MAKERS.get(int(c.p[0]))
+    message = None if maker is None else maker(c.peer.vehicle)
+    if message is None:
+        return _FAILED
+    c.peer.send(message)
+    return _OK
+
+
+def _version(c: Asked) -> int:
+    c.peer.send(MAKERS[mav.MAVLINK_MSG_ID_AUTOPILOT_VERSION](c.peer.vehicle))
+    return _OK
+
+
+def _get_home(c: Asked) -> int:
+    message = MAKERS[mav.MAVLINK_MSG_ID_HOME_POSITION](c.peer.vehicle)
+    if message is None:
+        return _FAILED
+    c.peer.send(message)
+    return _OK
+
+
+def _fence(c: Asked) -> int:
+    if c.p[0] not in (0, 1, 2):
+        return _FAILED
+    c.peer.vehicle.params.set("FENCE_ENABLE", float(c.p[0] == 1))
+    return _OK
+
+
+def _mount(c: Asked) -> int:
+    pitch, roll, yaw = c.p[0], c.p[1], c.p[2]
+    if c.number == mav.MAV_CMD_DO_GIMBAL_MANAGER_PITCHYAW:
+        pitch, roll, yaw = c.p[0], 0.0, c.p[1]
+    params = c.peer.vehicle.params
+    low, high = params["MNT1_PITCH_MIN"], params["MNT1_PITCH_MAX"]
+    if not all(map(math.isfinite, (pitch, roll, yaw))):
+        return _DENIED
+    c.peer.vehicle.gimbal = (roll, min(high, max(low, pitch)), yaw)
+    return _OK
+
+
+def _photo(c: Asked) -> int:
+    vehicle = c.peer.vehicle
+    vehicle.photos += 1
+    lat, lon = (round(v * 1e7) for v in vehicle.geographic())
+    height = vehicle.origin[2] - vehicle.body.d
+    vehicle.broadcast(
+        mav.MAVLink_camera_feedback_message(
+            round(vehicle.time * 1e6),
+            1,
+            0,
+            vehicle.photos,
+            lat,
+            lon,
+            height,
+            -vehicle.body.d,
+            math.degrees(vehicle.body.roll),
+            math.degrees(vehicle.body.pitch),
+            math.degrees(vehicle.body.yaw),
+            50.0,
+            0,
+            vehicle.photos,
+        )
+    )
+    return _OK
+
+
+def _accept(_: Asked) -> int:
+    return _OK
+
+
+_PLACES = frozenset({16, 17, 18, 19, 21, 22, 82, 179, 192, 195, 201})
+_DOERS: dict[int, Callable[[Asked], int]] = {
+    mav.MAV_CMD_COMPONENT_ARM_DISARM: _arm,
+    mav.MAV_CMD_NAV_TAKEOFF: _take_off,
+    mav.MAV_CMD_NAV_LAND: _mode(Mode.LAND),
+    mav.MAV_CMD_NAV_RETURN_TO_LAUNCH: _mode(Mode.RTL),
+    mav.MAV_CMD_NAV_LOITER_UNLIM: _mode(Mode.LOITER),
+    mav.MAV_CMD_DO_SET_MODE: _set_mode,
+    mav.MAV_CMD_DO_REPOSITION: _reposition,
+    mav.MAV_CMD_DO_CHANGE_SPEED: _speed,
+    mav.MAV_CMD_CONDITION_YAW: _yaw,
+    mav.MAV_CMD_DO_SET_HOME: _home,
+    mav.MAV_CMD_MISSION_START: _start,
+    mav.MAV_CMD_DO_PAUSE_CONTINUE: _pause,
+    mav.MAV_CMD_DO_SET_MISSION_CURRENT: _current,
+    mav.MAV_CMD_DO_FLIGHTTERMINATION: _terminate,
+    mav.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN: _reboot,
+    mav.MAV_CMD_PREFLIGHT_CALIBRATION: _calibrate,
+    mav.MAV_CMD_PREFLIGHT_STORAGE: _accept,
+    mav.MAV_CMD_RUN_PREARM_CHECKS: _checks,
+    mav.MAV_CMD_SET_MESSAGE_INTERVAL: _interval,
+    mav.MAV_CMD_GET_MESSAGE_INTERVAL: _which_interval,
+    mav.MAV_CMD_REQUEST_MESSAGE: _request,
+    mav.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES: _version,
+    mav.MAV_CMD_GET_HOME_POSITION: _get_home,
+    mav.MAV_CMD_DO_FENCE_ENABLE: _fence,
+    mav.MAV_CMD_DO_MOUNT_CONTROL: _mount,
+    mav.MAV_CMD_DO_GIMBAL_MANAGER_PITCHYAW: _mount,
+    mav.MAV_CMD_DO_DIGICAM_CONTROL: _photo,
+    mav.MAV_CMD_IMAGE_START_CAPTURE: _photo,
+    mav.MAV_CMD_DO_SET_SERVO: _accept,
+    mav.MAV_CMD_DO_SET_RELAY: _accept,
+}
