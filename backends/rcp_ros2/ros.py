@@ -132,7 +132,7 @@ class Ros:
             except BaseException as error:
                 ticket.fail(error)
 
-        self._submit(run)
+        self.submit(run)
         if not await ticket.wait(_PATIENCE):
             raise DeviceTimeout(
                 f"the ROS 2 side of the gateway did not answer for {_PATIENCE:g} s",
@@ -146,12 +146,16 @@ class Ros:
         Nothing happens once the thread has ended: it has let go of everything.
         """
         with contextlib.suppress(AdapterUnavailable):
-            self._submit(guarded(function, *args))
+            self.submit(guarded(function, *args))
 
-    def _submit(self, run: Callable[[], None]) -> None:
+    def submit(self, run: Callable[..., None], *args: Any) -> None:
+        """Run a function that never raises in the thread.
+
+        :raises AdapterUnavailable: the thread has ended.
+        """
         if self.died is not None or self._executor is None:
             raise AdapterUnavailable(self.died or "ROS 2 is not started")
-        self._executor.create_task(run)
+        self._executor.create_task(run, *args)
 
     # -- the thread ------------------------------------------------------------------------------
 

@@ -20,7 +20,6 @@ import uvloop
 from picows import WSListener, WSMsgType, ws_create_server
 from rclpy.executors import ExternalShutdownException
 from rclpy.experimental.events_executor import EventsExecutor
-from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.task import Future
 
 from rcp_ros2.cdr import Codec
@@ -78,8 +77,7 @@ def follow(node, loop, type_: str, topic: str, encoding: str) -> None:
             woken = True
             loop.call_soon_threadsafe(drain)
 
-    qos = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
-    node.create_subscription(cls, topic, heard, qos, raw=True)
+    node.create_subscription(cls, topic, heard, 10, raw=True)
 
 
 async def main() -> None:
