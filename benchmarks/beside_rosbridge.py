@@ -145,6 +145,7 @@ def run(case: Case, server: str) -> dict[str, float]:
 def show(case: Case, name: str, found: dict[str, float]) -> None:
     offered = case.rate * case.clients * found["seconds"]
     share = f"delivered {found['frames'] / offered:6.1%}" if offered else f"{found['frames']} calls"
+    share += f" ({found['gaps']} gaps)" if found["gaps"] else ""
     print(
         f"  {name:8} {found['per_cpu'] / 1000:8.1f} k/CPU-s  cpu {found['cpu'] / found['seconds']:5.1%}"
         f"  {share}  {found['bytes'] / max(1, found['frames']):.0f} B  p50 {found['p50_ms']:7.2f} ms  p99 {found['p99_ms']:7.2f} ms",

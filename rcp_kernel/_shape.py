@@ -46,6 +46,8 @@ class Shape:
         """Whether a value may hold one of its own type."""
         self._within: list[type] = []
         self._info = mi.type_info(type_)
+        self.blobs = _blobs(self._info)
+        """The fields of a struct that hold bytes."""
         self.outward = self._node(self._info, self._out, outward=True)
         self.inward = self._node(self._info, self._in, outward=False)
 
@@ -81,6 +83,9 @@ class Shape:
                 return _same
             case mi.ListType() | mi.VarTupleType() | mi.SetType() | mi.FrozenSetType():
                 self.grows = True
+                if outward and _is_free_float(info.item_type):
+                    self.has_float = True
+                    return _float_list_node
                 return _list_node(self._node(info.item_type, memo, outward=outward))
             case mi.TupleType():
                 return _tuple_node([self._node(t, memo, outward=outward) for t in info.item_types])
@@ -159,6 +164,19 @@ def children(info: mi.Type, name: str) -> list[mi.Type]:
             return []
 
 
+def _blobs(info: mi.Type) -> tuple[str, ...]:
+    info = _bare(info)
+    if not isinstance(info, mi.StructType):
+        return ()
+    return tuple(f.name for f in info.fields if isinstance(_bare(f.type), mi.BytesType))
+
+
+def _is_free_float(info: mi.Type) -> bool:
+    """Tell whether a type is nothing but a float that may be NaN or infinite."""
+    free = isinstance(info, mi.Metadata) and bool(facts_of(info).get(NONFINITE))
+    return free and isinstance(_bare(info), mi.FloatType)
+
+
 def _bare(info: mi.Type) -> mi.Type:
     while isinstance(info, mi.Metadata):
         info = info.type
@@ -212,6 +230,13 @@ def _float_node(*, free: bool, outward: bool) -> Node:
         return value
 
     return out if outward else into
+
+
+def _float_list_node(value: Any, _pointer: str) -> Any:
+    """Spell a list of readings: the ranges of a laser scan are too many for a call each."""
+    if is_sequence(value):
+        return [_spelled(v) if isinstance(v, float) and not math.isfinite(v) else v for v in value]
+    return value
 
 
 def _int_node(bottom: int, top: int, *, outward: bool) -> Node:

@@ -154,8 +154,10 @@ def _fail(text: str) -> NoReturn:
 
 def _run(config: GatewayConfig, source: str, path: Path | None, demo: Demo | None) -> None:
     from rcp_kernel.log import configure
+    from rcp_kernel.memory import keep_freed_memory
     from rcp_kernel.server import prepare
 
+    keep_freed_memory()
     recent = configure(config.log.level, config.log.format)
     try:
         prepared = prepare(config, source)

@@ -132,7 +132,8 @@ class Sample(Body):
 
     def _splice(self, encoding: Encoding, body: bytes) -> bytes:
         if encoding is Encoding.JSON:
-            return b'"seq":%d,"timestamp":"%b","body":%b}' % (self.seq, self.time.encode(), body)
+            head = b'"seq":%d,"timestamp":"%b","body":' % (self.seq, self.time.encode())
+            return b"".join((head, body, b"}"))
         facts = encode_frame({"seq": self.seq, "timestamp": self.time}, b"", encoding)
         key = b"\xa4body" if encoding is Encoding.MSGPACK else b"\x64body"
         return b"".join((facts[1:], key, body))  # without the map's own head

@@ -82,6 +82,8 @@ class Subscriber(WSListener):
             return
         State.frames += 1
         State.bytes += frame.payload_size
+        if ARGS.protocol == "rcp":
+            State.lost += b"dropped" in bytes(frame.get_payload_as_memoryview()[:256])
         # The age of every seventh: a client that decodes all would be what is measured.
         if State.frames % 7 == 0:
             now = time.time_ns()
@@ -135,6 +137,7 @@ async def main() -> None:
         "frames": State.frames,
         "bytes": State.bytes,
         "seconds": took,
+        "gaps": State.lost,
         "p50_ms": ages[len(ages) // 2] / 1e6,
         "p99_ms": ages[int(len(ages) * 0.99)] / 1e6,
     }

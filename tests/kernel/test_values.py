@@ -156,3 +156,26 @@ def test_a_schema_has_a_stable_id_that_changes_with_it() -> None:
     other = value_type(types.quantity("m/s", ge=0, le=3.0))
     assert one.schema_id == again.schema_id != other.schema_id
     assert one.schema["unit"] == "m/s"
+
+
+class Picture(msgspec.Struct, frozen=True):
+    width: int
+    data: bytes
+    thumb: Annotated[bytes, Meta(max_length=1_000_000)] = b""
+
+
+@given(st.integers(0, 9000), st.binary(min_size=1, max_size=7))
+def test_long_bytes_are_written_as_short_ones_are(size: int, pattern: bytes) -> None:
+    data = (pattern * size)[:size]
+    picture = Picture(3, data, data[:100])
+    type_ = value_type(Picture)
+    assert type_.encode(picture, Encoding.JSON) == msgspec.json.encode(picture)
+    assert type_.decode(type_.encode(picture, Encoding.JSON), Encoding.JSON) == picture
+    assert picture.data == data
+
+
+def test_many_readings_are_spelled_one_by_one() -> None:
+    type_ = value_type(list[types.Real])
+    readings = [1.5, math.inf, -math.inf, math.nan, 2]
+    data = type_.encode(readings, Encoding.JSON)
+    assert json.loads(data) == [1.5, "Infinity", "-Infinity", "NaN", 2]
