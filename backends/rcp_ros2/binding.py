@@ -14,6 +14,7 @@ from rcp_ros2.cdr import Codec
 from rcp_ros2.config import Mapping, Qos, Ros2Config
 from rcp_ros2.graph import Graph
 from rcp_ros2.idl import MissingType, load
+from rcp_ros2.naming import Naming
 from rcp_ros2.outbox import Outbox
 from rcp_ros2.pulse import Pulses
 from rcp_ros2.ros import Ros
@@ -35,6 +36,7 @@ class Shared:
         self.host = host
         self.graph = Graph()
         """The latest look at the graph."""
+        self.naming = Naming(config)
         self.outbox = Outbox(host)
         self._troubles: dict[str, str] = {}
         self._reported = False

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Set as AbstractSet
 from functools import partial
 from typing import Any, Literal
 
@@ -66,18 +67,18 @@ class _Steps(Codec):
 class Calls:
     """Offers the calls of each service that the patterns offer and that tells of them."""
 
-    def __init__(self, shared: Shared, services: dict[str, str]) -> None:
+    def __init__(self, shared: Shared, services: AbstractSet[str]) -> None:
         self._shared = shared
         self._services = services
-        """Each service's path, with its name in the graph; kept by the catalog."""
+        """Kept by the catalog."""
 
     def find(self, graph: Graph) -> dict[str, Offer]:
         """Return an event for each service whose introspection is on."""
         found: dict[str, Offer] = {}
-        for path, service in self._services.items():
+        for service in self._services:
             type_ = graph.services.get(service)
             if type_ and graph.publishers.get(f"{service}{CALLS}"):
-                name = f"event/calls/{path.partition('/')[2]}"
+                name = self._shared.naming.path("event", service, before=("calls",))
                 mapping = Mapping(service=service)
                 found[name] = Offer(mapping, partial(calls_of, self._shared, name, mapping, type_))
         return found

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import asyncio
 import time
+from collections.abc import Iterable
 from collections.abc import Set as AbstractSet
 from functools import partial
 from typing import Any
 
-import msgspec
 import structlog
 
 from rcp_kernel.errors import AdapterUnavailable, ConfigError, PluginError, RcpError
@@ -18,21 +18,22 @@ from rcp_ros2.binding import Absent, Binding, Construct, Offer, Shared
 from rcp_ros2.calls import Calls, calls_of
 from rcp_ros2.clock import Clock
 from rcp_ros2.config import Mapping
-from rcp_ros2.definitions import TF_MESSAGE, is_made
-from rcp_ros2.diagnostics import ARRAY, Diagnostics
+from rcp_ros2.definitions import is_made
+from rcp_ros2.diagnostics import Diagnostics
 from rcp_ros2.goals import Goals, goals_of
 from rcp_ros2.graph import Graph
 from rcp_ros2.idl import MissingType, load
 from rcp_ros2.learning import learn
 from rcp_ros2.lifecycle import Lifecycles
 from rcp_ros2.log import Log
-from rcp_ros2.names import absolute, allows, is_internal, is_internal_parameter, resource_name
+from rcp_ros2.names import is_internal_parameter, resource_name
 from rcp_ros2.parameters import Events, NodeParameters, Setting
 from rcp_ros2.sensors import Commanded, Observed
 from rcp_ros2.services import Called
 from rcp_ros2.together import Together
 from rcp_ros2.transforms import Transforms
 from rcp_ros2.view import GraphView
+from rcp_ros2.wanted import Wanted, type_of
 
 __all__ = ["Catalog"]
 
@@ -53,27 +54,23 @@ class Catalog:
         self.bindings: dict[str, Binding] = {}
         self.rates: dict[str, list[float]] = {}
         """What is watched: each name with the rates that its watchers want."""
-        self._mapped = {
-            path.removeprefix("/"): _absolute(mapping, config.namespace)
-            for path, mapping in config.map.items()
-        }
-        exposed, hidden = allows(config.expose), allows(config.hide)
-        self._exposes = lambda name: exposed(name) and not hidden(name) and not is_internal(name)
-        self._targets = {m.target for m in self._mapped.values()}
+        self._wanted = wanted = Wanted(config, shared.naming)
+        self.matters = wanted.matters
+        self._mapped = wanted.mapped
         self._nodes: dict[str, NodeParameters] = {}
         self._events = Events(shared)
         clock = Clock(shared)
-        self._actions: dict[str, str] = {}
-        self._services: dict[str, str] = {}
+        self._actions: set[str] = set()
+        self._services: set[str] = set()
         self._constructs: tuple[Construct, ...] = (
             Goals(shared, self._actions),
             Calls(shared, self._services),
-            Lifecycles(shared, self._exposes),
-            Diagnostics(shared, self._exposes),
+            Lifecycles(shared, wanted.exposes),
+            Diagnostics(shared, wanted.exposes),
             clock,
             GraphView(shared),
-            Transforms(shared, self._exposes, clock.on_jump),
-            Log(shared, lambda name: exposed(name) and not hidden(name)),
+            Transforms(shared, wanted.exposes, clock.on_jump),
+            Log(shared, wanted.exposes_log),
         )
         shared.look_again = lambda: self.update(shared.graph)
 
@@ -81,6 +78,8 @@ class Catalog:
         """Exposed names that the graph does not have any more, with the time it was noticed."""
         self._types: dict[str, str] = {}
         """The type that each binding was made for."""
+        self._made_of: dict[str, Mapping] = {}
+        """The mapping that each binding was made for."""
         self._later: dict[str, float] = {}
         """When to try again what could not be made."""
         self._building: set[str] = set()
@@ -90,10 +89,6 @@ class Catalog:
         """Set once every mapping has its binding, and what is exposed has stopped growing."""
         self._placed = 0.0
 
-    def matters(self, name: str) -> bool:
-        """Tell whether a topic is mapped or exposed; asked in the ROS thread."""
-        return name in self._targets or name in _NEEDED or self._exposes(name)
-
     # -- what is wanted --------------------------------------------------------------------------
 
     def update(self, graph: Graph) -> None:
@@ -101,12 +96,11 @@ class Catalog:
         self._shared.graph = graph
         for name, mapping in self._mapped.items():
             self._want(name, mapping, graph, mapped=True)
-        found = self._exposed(graph)
+        found = self._wanted.found(graph)
         for name, mapping in found.items():
-            if name not in self._mapped:
-                self._want(name, mapping, graph, mapped=False)
-        self._note(self._actions, "action", found)
-        self._note(self._services, "service", found)
+            self._want(name, mapping, graph, mapped=False)
+        _note(self._actions, "action", found.values())
+        _note(self._services, "service", found.values())
         brought = {
             name: offer
             for construct in self._constructs
@@ -118,62 +112,31 @@ class Catalog:
             if name not in self.bindings and time.monotonic() >= self._later.get(name, 0.0):
                 self._start(name, self._bring(name, offer))
         for node in graph.nodes:
-            if self._exposes(node) and self._is_due(f"node {node}"):
+            if self._wanted.exposes(node) and self._is_due(f"node {node}"):
                 self._start(f"node {node}", self._expose_parameters(node))
         self._sweep(found.keys() | brought.keys(), graph)
         self._report(graph)
         if self._is_complete():
             self.complete.set()
 
-    def _note(self, into: dict[str, str], noun: str, found: dict[str, Mapping]) -> None:
-        into.clear()
-        into.update(
-            (name, mapping.target) for name, mapping in found.items() if mapping.noun == noun
-        )
-
     def _is_complete(self) -> bool:
         if self._building or not all(name in self.bindings for name in self._mapped):
             return False
         quiet = time.monotonic() - self._placed > _QUIET
-        return not self._shared.config.expose or (quiet and bool(self.bindings))
-
-    def _exposed(self, graph: Graph) -> dict[str, Mapping]:
-        found: dict[str, Mapping] = {}
-        for topic in filter(self._exposes, graph.topics):
-            if _is_taken(graph.topics[topic]):
-                continue
-            if graph.publishers.get(topic):
-                found[resource_name("sensor", topic)] = _observed(topic, graph.topics[topic])
-            elif graph.subscribers.get(topic):
-                found[resource_name("actuator", topic)] = Mapping(topic=topic)
-        for service in filter(self._exposes, graph.services):
-            if not _is_taken(graph.services[service]):
-                found[resource_name("service", service)] = Mapping(service=service)
-        for action in filter(self._exposes, graph.actions):
-            found[resource_name("action", action)] = Mapping(action=action)
-        return found
-
-    def _type_of(self, mapping: Mapping, graph: Graph) -> str | None:
-        if mapping.type is not None:
-            return mapping.type
-        match mapping.noun:
-            case "topic":
-                return graph.topics.get(mapping.target)
-            case "service":
-                return graph.services.get(mapping.target)
-            case "action":
-                return graph.actions.get(mapping.target)
-            case _:
-                return "parameter" if mapping.target in graph.nodes else None
+        config = self._shared.config
+        return not (config.expose or config.robots) or (quiet and bool(self.bindings))
 
     def _want(self, name: str, mapping: Mapping, graph: Graph, *, mapped: bool) -> None:
         self._gone.pop(name, None)
-        type_ = self._type_of(mapping, graph)
+        type_ = type_of(mapping, graph)
         if type_ is None:
             if mapped and name not in self.bindings and not self._shared.settling:
                 self._place(name, self._absent(name, mapping, _not_seen(mapping), _START_IT))
             return
-        if self._types.get(name) == type_ or time.monotonic() < self._later.get(name, 0.0):
+        made = self._made_of.get(name)
+        if (
+            self._types.get(name) == type_ and made == mapping
+        ) or time.monotonic() < self._later.get(name, 0.0):
             return
         self._start(name, self._bind(name, mapping, type_))
 
@@ -221,6 +184,7 @@ class Catalog:
             type_ = ""
         self._place(name, binding)
         self._types[name] = type_
+        self._made_of[name] = mapping
 
     async def _made(self, name: str, mapping: Mapping, type_: str) -> Binding:
         ros = self._shared.ros
@@ -285,7 +249,7 @@ class Catalog:
         return key not in self._types and time.monotonic() >= self._later.get(key, 0.0)
 
     async def _expose_parameters(self, name: str) -> None:
-        prefix = resource_name("param", name) + "/"
+        prefix = self._shared.naming.path("param", name) + "/"
         key = f"node {name}"
         try:
             async with self._asking:
@@ -367,6 +331,7 @@ class Catalog:
         del self.bindings[name]
         self._gone.pop(name, None)
         self._types.pop(name, None)
+        self._made_of.pop(name, None)
         node = binding.mapping.node
         if node is not None and node not in self._shared.graph.nodes:
             self._types.pop(f"node {node}", None)
@@ -393,25 +358,12 @@ class Catalog:
             binding.close()
 
 
-_NEEDED = ("/clock",)  # whether it is published is asked for without any mapping
 _START_IT = "Start the node that has it, or name its `type` in the mapping."
 
 
-def _absolute(mapping: Mapping, namespace: str) -> Mapping:
-    key = mapping.noun
-    return msgspec.structs.replace(mapping, **{key: absolute(mapping.target, namespace)})
-
-
-def _observed(topic: str, type_: str) -> Mapping:
-    """Return the mapping of an exposed topic; a robot's description is its text alone."""
-    if topic.endswith("/robot_description") and type_ == "std_msgs/msg/String":
-        return Mapping(topic=topic, field="data", description="The robot's description, as URDF.")
-    return Mapping(topic=topic)
-
-
-def _is_taken(type_: str) -> bool:
-    """Tell whether a construct offers topics and services of this type in its own way."""
-    return type_.startswith("lifecycle_msgs/") or type_ in (ARRAY, TF_MESSAGE)
+def _note(into: set[str], noun: str, found: Iterable[Mapping]) -> None:
+    into.clear()
+    into.update(mapping.target for mapping in found if mapping.noun == noun)
 
 
 def _not_seen(mapping: Mapping) -> str:

@@ -13,7 +13,8 @@ from rcp_ros2.definitions import parse
 __all__ = ["Diagnostics", "Log", "Mapping", "Qos", "Ros2Config", "Transforms"]
 
 RosName = Annotated[str, Meta(pattern=r"^~?/?[A-Za-z0-9_~/]+$", max_length=256)]
-RosPattern = Annotated[str, Meta(pattern=r"^/[A-Za-z0-9_*/]*$", max_length=256)]
+RosPattern = Annotated[str, Meta(pattern=r"^[A-Za-z0-9_*/]+$", max_length=256)]
+RobotPattern = Annotated[str, Meta(pattern=r"^(/[A-Za-z0-9_*]+)+$", max_length=256)]
 TypeName = Annotated[
     str, Meta(pattern=r"^[A-Za-z][A-Za-z0-9_]*(/(msg|srv|action))?/[A-Za-z][A-Za-z0-9_]*$")
 ]
@@ -138,6 +139,12 @@ class Ros2Config(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     node: Annotated[str, Meta(pattern=r"^[A-Za-z][A-Za-z0-9_]*$")] = "rcp_gateway"
     """Name of the gateway's own node."""
     namespace: RosName = "/"
+    """That of the gateway's node; what lies in it has paths without it."""
+    robots: tuple[RobotPattern, ...] = ()
+    """Namespaces each of which is a robot: `/fleet/*`. What lies in one has its paths below the
+    name that `*` stands for, or the last segment: `sensor/<robot>/…`."""
+    nice_names: bool = True
+    """Give well-known topics of well-known types the names that people know."""
     expose: tuple[RosPattern, ...] = ()
     """Names of topics, services, actions and nodes to offer as they come; `*` is one segment of
     a name, `**` any number. Nothing is offered that no pattern and no mapping names."""
@@ -167,6 +174,8 @@ class Ros2Config(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     def __post_init__(self) -> None:
         for name, text in self.types.items():
             parse(name, text)
+        if any("**" in pattern for pattern in self.robots):
+            raise ValueError("`**` in `robots` would not say where a robot's namespace ends")
         for path, mapping in self.map.items():
             try:
                 kind = kind_of(path.removeprefix("/"))

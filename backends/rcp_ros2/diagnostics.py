@@ -15,7 +15,7 @@ from rcp_kernel.model import Resource
 from rcp_ros2.binding import Binding, Offer, Shared, common
 from rcp_ros2.config import Mapping
 from rcp_ros2.graph import Graph
-from rcp_ros2.names import legal, resource_name
+from rcp_ros2.names import legal
 
 __all__ = ["ARRAY", "Diagnostics"]
 
@@ -80,7 +80,7 @@ class _Board:
     def __init__(self, shared: Shared, topic: str) -> None:
         self.shared = shared
         self.topic = topic
-        self.event = resource_name("event", topic)
+        self.event = shared.naming.path("event", topic)
         self.statuses: dict[str, _Status] = {}
         self._paths: set[str] = set()
         self._early: list[DiagnosisChange] | None = []
@@ -126,7 +126,7 @@ class _Board:
     def _new(self, diagnosis: Diagnosis, stamp: int | None) -> _Status:
         name = legal(diagnosis.name, self._paths)
         self._paths.add(name)
-        path = f"{resource_name('sensor', self.topic)}/{name}"
+        path = f"{self.shared.naming.path('sensor', self.topic)}/{name}"
         status = _Status(path, diagnosis, stamp, time.monotonic())
         self.statuses[diagnosis.name] = status
         make = partial(StatusOf, self, status, self._mapping)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Set as AbstractSet
 from functools import partial
 from typing import Annotated, Any, Literal
 
@@ -61,16 +62,16 @@ class _Statuses(Codec):
 class Goals:
     """Offers the goals of each action that the patterns offer."""
 
-    def __init__(self, shared: Shared, actions: dict[str, str]) -> None:
+    def __init__(self, shared: Shared, actions: AbstractSet[str]) -> None:
         self._shared = shared
         self._actions = actions
-        """Each action's path, with its name in the graph; kept by the catalog."""
+        """Kept by the catalog."""
 
     def find(self, graph: Graph) -> dict[str, Offer]:
         """Return a sensor for each."""
         found: dict[str, Offer] = {}
-        for path, action in self._actions.items():
-            name = f"sensor/goals/{path.partition('/')[2]}"
+        for action in self._actions:
+            name = self._shared.naming.path("sensor", action, before=("goals",))
             mapping = Mapping(action=action)
             found[name] = Offer(mapping, partial(goals_of, self._shared, name, mapping))
         return found

@@ -19,7 +19,6 @@ from rcp_ros2.cdr import Codec, Value
 from rcp_ros2.config import Mapping, Qos
 from rcp_ros2.graph import Graph
 from rcp_ros2.idl import load
-from rcp_ros2.names import resource_name
 from rcp_ros2.services import Caller
 from rcp_ros2.topics import Tap
 
@@ -89,7 +88,7 @@ class Lifecycles:
         found: dict[str, Offer] = {}
         for node in filter(self._exposes, graph.lifecycle):
             for kind, made in (("sensor", StateOf), ("service", ChangeOf)):
-                name = resource_name(kind, "lifecycle", node)
+                name = self._shared.naming.path(kind, node, before=("lifecycle",))
                 mapping = Mapping(service=f"{node}/change_state")
                 found[name] = Offer(mapping, partial(made, self._shared, name, node, mapping))
         return found

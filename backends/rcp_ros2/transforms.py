@@ -20,7 +20,7 @@ from rcp_ros2.definitions import TF_MESSAGE
 from rcp_ros2.frames import Extrapolation, Frames, NotConnected, Place, UnknownFrame
 from rcp_ros2.graph import Graph
 from rcp_ros2.idl import load
-from rcp_ros2.names import legal, resource_name
+from rcp_ros2.names import legal
 from rcp_ros2.types import outward
 
 __all__ = ["Transforms"]
@@ -125,7 +125,7 @@ class Tree:
         self._version = self.frames.version
         topic = f"{self.space}/tf"
         mapping = Mapping(topic=topic)
-        name = resource_name("service", self.space, "lookup_transform")
+        name = self.shared.naming.path("service", f"{self.space}/lookup_transform")
         offers = {name: Offer(mapping, partial(LookUp, self, name, mapping))}
         pairs = self._pairs()
         more = len(pairs) > _MOST
@@ -141,15 +141,16 @@ class Tree:
 
     def _path(self, target: str, source: str) -> str:
         segments = self._segment(target), self._segment(source)
-        return resource_name("sensor", self.space, "tf", *segments)
+        return self.shared.naming.path("sensor", f"{self.space}/tf", after=segments)
 
     def _named(self) -> dict[str, tuple[str, str]]:
         """Return the pairs with a name of the configuration that are connected."""
         found: dict[str, tuple[str, str]] = {}
+        robot, _, _ = self.shared.naming.split(f"{self.space}/tf")
         for path, pair in self.shared.config.tf.names.items():
             with contextlib.suppress(UnknownFrame, NotConnected):
                 self.frames.look(*pair)
-                found[path.removeprefix("/")] = pair
+                found[self.shared.naming.below(path.removeprefix("/"), robot)] = pair
         return found
 
     def _segment(self, frame: str) -> str:

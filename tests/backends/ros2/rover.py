@@ -6,6 +6,7 @@ Run as `python rover.py NAMESPACE…`; takes orders as `crew.py` does.
 from __future__ import annotations
 
 import importlib
+import os
 import sys
 import threading
 import time
@@ -103,8 +104,7 @@ class Rover(Node):
         result = NestedMessage.Result()
         for left in range(goal.request.nested_field.int32_value, 0, -1):
             if not goal.is_active:
-                result.nested_field.string_value = "another goal came"
-                return result
+                return result  # another goal came
             if goal.is_cancel_requested:
                 goal.canceled()
                 return result
@@ -120,11 +120,10 @@ class Rover(Node):
 class Fleet:
     """All the rovers, and what they can be told to do."""
 
-    def __init__(self, executor: MultiThreadedExecutor, spaces: list[str]) -> None:
-        self.executor = executor
+    def __init__(self, spaces: list[str]) -> None:
         self.rovers: dict[str, Rover] = {}
+        self.executors: dict[str, tuple[MultiThreadedExecutor, threading.Thread]] = {}
         self.extra = Node("extra")
-        self.executor.add_node(self.extra)
         self.made: dict[str, Any] = {}
         for space in spaces:
             self.add(space)
@@ -132,12 +131,18 @@ class Fleet:
     def add(self, space: str) -> None:
         """Have another rover come."""
         self.rovers[space] = Rover(space)
-        self.executor.add_node(self.rovers[space])
+        executor = MultiThreadedExecutor(4)  # of its own: a node cannot leave one that works
+        executor.add_node(self.rovers[space])
+        thread = threading.Thread(target=executor.spin, daemon=True)
+        thread.start()
+        self.executors[space] = (executor, thread)
 
     def drop(self, space: str) -> None:
         """Have a rover leave."""
         rover = self.rovers.pop(space)
-        self.executor.remove_node(rover)
+        executor, thread = self.executors.pop(space)
+        executor.shutdown(timeout_sec=2)
+        thread.join(2)
         rover.server.destroy()
         rover.client.destroy()
         rover.destroy_node()
@@ -211,10 +216,8 @@ def main() -> None:
     from crew import serve
 
     rclpy.init()
-    executor = MultiThreadedExecutor(6)
-    fleet = Fleet(executor, sys.argv[1:])
-    threading.Thread(target=executor.spin, daemon=True).start()
-    serve(fleet)
+    serve(Fleet(sys.argv[1:]))
+    os._exit(0)  # whatever still spins
 
 
 if __name__ == "__main__":

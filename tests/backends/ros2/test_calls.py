@@ -137,7 +137,7 @@ async def test_a_parameter_the_node_refuses_is_a_refusal_with_its_reason(robot: 
 async def test_patterns_expose_what_they_name_and_nothing_else(domain: int, peer: object) -> None:
     expose = ["/odom", "/best_effort_sink", "/reset", "/fibonacci", "/peer"]
     async with robot_of(domain, expose=expose) as robot:
-        await robot.until(lambda: len(robot.resources) >= 10)
+        await robot.until(lambda: len(robot.resources) >= 12)
         assert {name.split("/", 1)[0] + "/" for name in robot.resources} == {
             "sensor/",
             "actuator/",
@@ -147,6 +147,8 @@ async def test_patterns_expose_what_they_name_and_nothing_else(domain: int, peer
         }
         assert {n for n in robot.resources if not n.startswith("param/")} == {
             "sensor/odom",
+            "sensor/pose",
+            "sensor/velocity",
             "actuator/best_effort_sink",
             "service/reset",
             "action/fibonacci",

@@ -84,7 +84,8 @@ async def test_a_change_by_somebody_else_is_told_at_once(unconfigured: Robot, cr
         assert (await unconfigured.first(SENSOR)).state == "unconfigured"
         crew.tell("lead", transition="configure")
         await unconfigured.until(lambda: unconfigured.of(SENSOR)[-1].state == "inactive")
-    assert not await ros.call(lambda: list(ros.node.subscriptions))
+    left = await ros.call(lambda: [s.topic_name for s in ros.node.subscriptions])
+    assert left == ["/parameter_events"]
 
 
 @pytest.fixture

@@ -1,0 +1,159 @@
+"""Which paths the configuration wants of a graph: those of the map, and those of the patterns."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import msgspec
+
+from rcp_ros2.config import Mapping, Ros2Config
+from rcp_ros2.definitions import TF_MESSAGE
+from rcp_ros2.diagnostics import ARRAY
+from rcp_ros2.graph import Graph
+from rcp_ros2.names import absolute, allows, is_internal
+from rcp_ros2.naming import COMMANDS, Naming, nice
+
+__all__ = ["Wanted", "type_of"]
+
+_NEEDED = ("/clock",)  # whether it is published is asked for without any mapping
+
+
+class _Found(NamedTuple):
+    path: str
+    mapping: Mapping
+    own: str | None
+    """What it is called if its path is another's; None leaves it out."""
+
+
+class Wanted:
+    """What a configuration wants."""
+
+    def __init__(self, config: Ros2Config, naming: Naming) -> None:
+        self._naming = naming
+        self._nice = config.nice_names
+        below = [*config.robots] or [config.namespace]
+        each = tuple(absolute(p, space) for p in config.expose for space in below)
+        not_ = tuple(absolute(p, space) for p in config.hide for space in below)
+        exposed, hidden = allows(each), allows(not_)
+        self.exposes = lambda n: exposed(n) and not hidden(n) and not is_internal(n)
+        """Whether a name is offered as it comes."""
+        self.exposes_log = lambda n: exposed(n) and not hidden(n)
+        self._each: dict[str, Mapping] = {}
+        """What the map gives to each robot."""
+        self.mapped: dict[str, Mapping] = {}
+        """What it gives once, with ROS names in full."""
+        for path, mapping in config.map.items():
+            relative = config.robots and not mapping.target.startswith("/")
+            if relative:
+                self._each[path.removeprefix("/")] = mapping
+            else:
+                self.mapped[path.removeprefix("/")] = _within(mapping, config.namespace)
+        self._targets = {m.target for m in self.mapped.values()}
+        self._rests = {f"/{m.target}" for m in self._each.values()}
+        self._spoken: set[str] = set()
+        """Topics that have been actuators: they stay it when somebody else speaks too."""
+
+    def matters(self, name: str) -> bool:
+        """Tell whether a name is mapped or exposed; asked in the ROS thread."""
+        if name in self._targets or name in _NEEDED or self.exposes(name):
+            return True
+        return bool(self._rests) and self._naming.split(name)[2] in self._rests
+
+    def found(self, graph: Graph) -> dict[str, Mapping]:
+        """Return the paths that the graph brings, apart from those of the map that stand always."""
+        of_robots = self._of_robots(graph)
+        taken = of_robots.keys() | self.mapped.keys()
+        found: dict[str, Mapping] = {}
+        rivals: list[_Found] = []
+        for one in self._exposed(graph):
+            if one.path == one.own:
+                found.setdefault(one.path, one.mapping)
+            else:
+                rivals.append(one)
+        for one in rivals:  # a name that somebody has given goes before one that was made up
+            path = one.path if one.path not in taken and one.path not in found else one.own
+            if path is not None:
+                found.setdefault(path, one.mapping)
+        return {path: m for path, m in found.items() if path not in taken} | of_robots
+
+    def _of_robots(self, graph: Graph) -> dict[str, Mapping]:
+        if not self._each:
+            return {}
+        names = (*graph.topics, *graph.services, *graph.nodes)
+        robots = {robot: space for robot, space, _ in map(self._naming.split, names) if robot}
+        return {
+            self._naming.below(path, robot): _within(mapping, space)
+            for robot, space in sorted(robots.items())
+            for path, mapping in self._each.items()
+        }
+
+    def _exposed(self, graph: Graph) -> Iterator[_Found]:
+        for topic in sorted(filter(self.exposes, graph.topics)):
+            type_ = graph.topics[topic]
+            if not _is_taken(type_):
+                yield from self._topic(topic, type_, graph)
+        for service in sorted(filter(self.exposes, graph.services)):
+            if not _is_taken(graph.services[service]):
+                yield self._plain("service", service, Mapping(service=service))
+        for action in sorted(filter(self.exposes, graph.actions)):
+            yield from self._named("action", action, graph.actions[action], Mapping(action=action))
+
+    def _topic(self, topic: str, type_: str, graph: Graph) -> Iterator[_Found]:
+        published = bool(graph.publishers.get(topic))
+        if published:
+            yield from self._named("sensor", topic, type_, _observed(topic, type_))
+        if not graph.subscribers.get(topic):
+            return
+        if not published or type_ in COMMANDS or topic in self._spoken:
+            self._spoken.add(topic)
+            yield from self._named("actuator", topic, type_, Mapping(topic=topic))
+
+    def _plain(self, branch: str, name: str, mapping: Mapping) -> _Found:
+        own = self._naming.path(branch, name)
+        return _Found(own, mapping, own)
+
+    def _named(self, branch: str, name: str, type_: str, mapping: Mapping) -> Iterator[_Found]:
+        plain = self._plain(branch, name, mapping)
+        whole = True
+        for other, field in nice(branch, name, type_) if self._nice else ():
+            path = self._naming.path(branch, other)
+            if field is None:
+                whole = False
+                yield _Found(path, mapping, plain.path)
+            else:
+                yield _Found(path, msgspec.structs.replace(mapping, field=field), None)
+        if whole:
+            yield plain
+
+
+def type_of(mapping: Mapping, graph: Graph) -> str | None:
+    """Return the type of what a path stands for, as the configuration or else the graph tells it."""
+    if mapping.type is not None:
+        return mapping.type
+    match mapping.noun:
+        case "topic":
+            return graph.topics.get(mapping.target)
+        case "service":
+            return graph.services.get(mapping.target)
+        case "action":
+            return graph.actions.get(mapping.target)
+        case _:
+            return "parameter" if mapping.target in graph.nodes else None
+
+
+def _within(mapping: Mapping, namespace: str) -> Mapping:
+    key = mapping.noun
+    return msgspec.structs.replace(mapping, **{key: absolute(mapping.target, namespace)})
+
+
+def _observed(topic: str, type_: str) -> Mapping:
+    """Return the mapping of an exposed topic; a robot's description is its text alone."""
+    if topic.endswith("/robot_description") and type_ == "std_msgs/msg/String":
+        return Mapping(topic=topic, field="data", description="The robot's description, as URDF.")
+    return Mapping(topic=topic)
+
+
+def _is_taken(type_: str) -> bool:
+    """Tell whether a construct offers topics and services of this type in its own way."""
+    return type_.startswith("lifecycle_msgs/") or type_ in (ARRAY, TF_MESSAGE)
