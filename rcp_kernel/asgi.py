@@ -75,7 +75,7 @@ def peer_of(scope: Scope) -> Peer:
     return UNKNOWN if found is None else found
 
 
-def session_of(door: Door, scope: Scope, tenant: str | None = None) -> Session:
+async def session_of(door: Door, scope: Scope, tenant: str | None = None) -> Session:
     """Return the stateless session of the caller; `X-RCP-Tenant` names one of its tenants.
 
     :raises Unauthenticated: the token is not good, or there has to be one.
@@ -85,8 +85,8 @@ def session_of(door: Door, scope: Scope, tenant: str | None = None) -> Session:
     if tenant is None and named is not None:
         tenant = named.decode("latin-1")
     token = bearer(header(scope, b"authorization"))
-    principal = door.authenticate(token, peer_of(scope))
-    return door.session(principal, tenant)
+    peer = peer_of(scope)
+    return door.session(await door.identify(token, peer), tenant, peer)
 
 
 def status_of(reply: Reply) -> int:

@@ -1,4 +1,4 @@
-"""`rcpd`, the gateway: demo, serve, check, plugins, new, audit, version."""
+"""`rcpd`, the gateway: demo, serve, check, plugins, new, audit, token, version."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ import click
 from rcp_kernel.audit_cli import audit
 from rcp_kernel.config import GatewayConfig, load, parse
 from rcp_kernel.errors import ConfigError, StartupError
+from rcp_kernel.token_cli import token
 
 if TYPE_CHECKING:
     from rcp_kernel.demo import Demo
@@ -31,6 +32,7 @@ def main() -> None:
 
 
 main.add_command(audit)
+main.add_command(token)
 
 
 @main.command()
@@ -81,6 +83,7 @@ def check(config: Path) -> None:
     click.echo(f"  keys          {', '.join(key.name for key in found.keys) or 'none'}")
     named = dict.fromkeys(one.name for one in found.certificates)
     click.echo(f"  certificates  {', '.join(named) or 'none'}")
+    click.echo(f"  issuers       {', '.join(one.issuer for one in found.jwt) or 'none'}")
     strangers = sorted({role for _, roles in found.anonymous.grants for role in roles})
     click.echo(f"  anonymous     {', '.join(strangers) or 'refused'}")
     if prepared.plugins.missing:

@@ -19,11 +19,19 @@ from msgspec import Meta
 from rcp_kernel._plain import is_list, is_map
 from rcp_kernel.acl import BUILTIN_ROLES, Role
 from rcp_kernel.config_envelopes import EnvelopeConfig, check_envelopes
+from rcp_kernel.config_identity import (
+    Anonymous,
+    CertificateConfig,
+    Granting,
+    JwtConfig,
+    KeyConfig,
+    check_grants,
+    check_identity,
+)
 from rcp_kernel.config_limits import Limits, Quota, Quotas
 from rcp_kernel.config_roles import check_pattern, check_roles
 from rcp_kernel.config_safety import Safety
 from rcp_kernel.errors import ConfigError
-from rcp_kernel.identity import Grants, granted
 
 __all__ = [
     "Anonymous",
@@ -32,6 +40,7 @@ __all__ = [
     "CertificateConfig",
     "GatewayConfig",
     "Granting",
+    "JwtConfig",
     "KeyConfig",
     "Limits",
     "LogConfig",
@@ -73,52 +82,6 @@ class BackendConfig(Table, frozen=True):
     """The keys that the plugin's own type decodes."""
 
 
-class Granting(Table, frozen=True):
-    """Base of what gives roles: one `role` in some `tenants`, or `roles` tenant by tenant."""
-
-    role: str | tuple[str, ...] | None = None
-    tenants: tuple[str, ...] = ("*",)
-    roles: dict[str, str | tuple[str, ...]] = {}
-    """By tenant, instead of the other two: `{ alpha = "operator", beta = "viewer" }`."""
-
-    @property
-    def grants(self) -> Grants:
-        """The roles in each tenant."""
-        if self.roles:
-            return tuple((tenant, _several(role)) for tenant, role in self.roles.items())
-        return granted(self.tenants, _several(self.role or ()))
-
-
-def _several(role: str | tuple[str, ...]) -> tuple[str, ...]:
-    return (role,) if isinstance(role, str) else role
-
-
-class KeyConfig(Granting, frozen=True, kw_only=True):
-    """A static API key: the text itself (by `${NAME}`) or its SHA-256 in hex."""
-
-    name: str
-    key: Annotated[str, Meta(min_length=16)] | None = None
-    sha256: Annotated[str, Meta(pattern="^[0-9a-f]{64}$")] | None = None
-
-
-class CertificateConfig(Granting, frozen=True, kw_only=True):
-    """Client certificates and whom they prove; the first table that fits counts."""
-
-    name: str
-    subject: Annotated[str, Meta(min_length=1)] | None = None
-    """The common name, or the whole subject as RFC 4514 text: `CN=arm-3,O=Example`."""
-    san: Annotated[str, Meta(pattern="^(DNS|URI|email):.+$")] | None = None
-    """A subject alternative name; `*` is any text without `.` (DNS), `/` (URI), `@` (email)."""
-    issuer: Annotated[str, Meta(min_length=1)] | None = None
-    """RFC 4514 text; where several CAs sign."""
-
-
-class Anonymous(Granting, frozen=True):
-    """What those may do who prove nothing; `anonymous = false` refuses them."""
-
-    role: str | tuple[str, ...] | None = "viewer"
-
-
 class LogConfig(Table, frozen=True):
     """Logging: a console on a terminal, JSON lines otherwise."""
 
@@ -154,6 +117,7 @@ class GatewayConfig(Table, frozen=True):
     roles: dict[str, Role] = {}
     keys: tuple[KeyConfig, ...] = ()
     certificates: tuple[CertificateConfig, ...] = ()
+    jwt: tuple[JwtConfig, ...] = ()
     anonymous: Anonymous = Anonymous()
     envelopes: tuple[EnvelopeConfig, ...] = ()
     limits: Limits = Limits()
@@ -171,7 +135,15 @@ class GatewayConfig(Table, frozen=True):
     @property
     def serves(self) -> bool:
         """Whether somebody who proves something by this file alone may do anything."""
-        return any(self._allows(given) for given in (*self.keys, *self.certificates))
+        return any(
+            self._allows(given)
+            for given in (
+                *self.keys,
+                *self.certificates,
+                *self.jwt,
+                *(one for issuer in self.jwt for one in issuer.by_claim.values()),
+            )
+        )
 
     def _allows(self, given: Granting) -> bool:
         known = {**BUILTIN_ROLES, **self.roles}
@@ -247,7 +219,7 @@ def _split(table: Any, place: int, source: str) -> dict[str, Any]:
 
 
 class _Secret(str):
-    """A text that came from the environment: errors do not show it."""
+    """A text that came from the environment, or stands where secrets do: errors do not show it."""
 
     __slots__ = ()
 
@@ -275,6 +247,8 @@ def _with_secrets(node: Any, source: str, where: str) -> Any:
 
 
 _UNKNOWN = re.compile(r"unknown field `(?P<key>[^`]*)`(?: - at `\$(?P<at>[^`]*)`)?")
+_DEAR = re.compile(r"(key|keys|sha256|token|secret|password|passphrase)(\[\d*\.*\])?$")
+"""Keys of tables, the kernel's or a plugin's, whose texts are secrets by their name."""
 _AT = re.compile(r"(?P<what>.*?) - at `\$\.?(?P<at>[^`]*)`", re.DOTALL)
 
 
@@ -297,7 +271,7 @@ def _explain(text: str, raw: Any, type_: type[Any]) -> str:
             return text
         if "..." in match["at"]:  # below a key that msgspec does not name
             return f"{match['at']}: {match['what']}"
-        value = _follow(raw, match["at"])
+        value = _Secret() if _DEAR.search(match["at"]) else _follow(raw, match["at"])
         return f"{match['at']} = {_shown(value)}: {match['what']}"
     table = (unknown["at"] or "").lstrip(".")
     allowed = _keys_at(type_, table)
@@ -318,7 +292,7 @@ def _follow(raw: Any, at: str) -> Any:
 
 def _shown(value: Any) -> str:
     if isinstance(value, _Secret):
-        return "a text from the environment"
+        return "a text from the environment" if value else "…"
     return repr(value) if len(repr(value)) <= 60 else type(value).__name__
 
 
@@ -353,37 +327,12 @@ def _check(config: GatewayConfig, source: str) -> None:
                 f"{source}: two [[backends]] are named '{name}': give each a `name` of its own"
             )
     roles = {**BUILTIN_ROLES, **config.roles}
-    for key in config.keys:
-        _check_granting(key, f"{source}: key '{key.name}'", config, roles)
-        if not key.roles and key.role is None:
-            raise ConfigError(f"{source}: key '{key.name}' needs a `role`, or `roles` by tenant")
-    _check_granting(config.anonymous, f"{source}: anonymous", config, roles)
+    found = check_identity(config.keys, config.certificates, config.jwt, source)
+    for given, where in [*found, (config.anonymous, f"{source}: anonymous")]:
+        check_grants(given.grants, where, config.tenant_names, roles)
     for path in config.safety.lease_required:
         check_pattern(path, f"{source}: [safety] lease_required")
     if config.safety.lease_ttl > config.safety.lease_ttl_max:
         raise ConfigError(f"{source}: [safety] lease_ttl is longer than lease_ttl_max")
     check_roles(config.roles, source)
-    for one in config.certificates:
-        where = f"{source}: [[certificates]] '{one.name}'"
-        _check_granting(one, where, config, roles)
-        if not one.roles and one.role is None:
-            raise ConfigError(f"{where} needs a `role`, or `roles` by tenant")
-        if one.subject is None and one.san is None:
-            raise ConfigError(f"{where} needs a `subject` or a `san`: whose it is")
     check_envelopes(config.envelopes, source, roles, config.tenant_names)
-    for key in config.keys:
-        if (key.key is None) == (key.sha256 is None):
-            raise ConfigError(f"{source}: key '{key.name}' needs either `key` or `sha256`")
-
-
-def _check_granting(
-    given: Granting, where: str, config: GatewayConfig, roles: dict[str, Role]
-) -> None:
-    for tenant, held in given.grants:
-        if tenant != "*" and tenant not in config.tenant_names:
-            raise ConfigError(f"{where} names the unknown tenant '{tenant}'")
-        for role in held:
-            if role not in roles:
-                near = difflib.get_close_matches(role, roles, n=1)
-                known = f"did you mean '{near[0]}'?" if near else f"there are {', '.join(roles)}"
-                raise ConfigError(f"{where} has the role '{role}', which is not there; {known}")

@@ -18,7 +18,14 @@ from rcp_kernel.command import Command
 from rcp_kernel.config import Limits
 from rcp_kernel.connections import Connection, Hello
 from rcp_kernel.discovery import Query
-from rcp_kernel.errors import Forbidden, PluginError, Unauthenticated
+from rcp_kernel.errors import (
+    AdapterUnavailable,
+    Forbidden,
+    PluginError,
+    RateLimited,
+    RcpError,
+    Unauthenticated,
+)
 from rcp_kernel.identity import Principal
 from rcp_kernel.model import Pattern
 from rcp_kernel.peer import UNKNOWN, Peer, Serial
@@ -92,7 +99,7 @@ class Door:
     @property
     def serves(self) -> bool:
         """Whether anybody can prove to be somebody who may do anything."""
-        return self._gateway.config.serves or self._gateway.identities.authenticates
+        return self._gateway.config.serves or self._gateway.identities.serves
 
     def mount(self, mount: Mount) -> None:
         """Offer a part of the HTTP tree to the listener.
@@ -109,14 +116,46 @@ class Door:
         if mount in self.mounts:
             self.mounts.remove(mount)
 
-    def authenticate(self, token: str | None, peer: Peer = UNKNOWN) -> Principal:
+    def known(self, token: str | None, peer: Peer = UNKNOWN) -> Principal | None:
         """Return whom a bearer token, or the certificate of `peer`, proves; else who is anonymous.
 
+        None says that it takes a while to know: then await `identify`.
+
         :raises Unauthenticated: the token is not known, or nobody is served without one.
+        :raises TokenExpired: it was good once.
+        :raises RateLimited: `peer` has sent too many that were not good.
         """
         try:
-            return self._gateway.identities.authenticate(token, peer)
-        except Unauthenticated as error:
+            return self._gateway.identities.known(token, peer)
+        except (Unauthenticated, Forbidden, RateLimited) as error:
+            self._gateway.recording.stranger(self.name, peer, error)
+            raise
+
+    def authenticate(self, token: str | None, peer: Peer = UNKNOWN) -> Principal:
+        """Do as `known` does, for who cannot wait.
+
+        :raises AdapterUnavailable: it takes a while to know.
+        """
+        principal = self.known(token, peer)
+        if principal is None:
+            raise AdapterUnavailable(
+                "the keys of the token's issuer are not here yet",
+                remedy="Try again.",
+                retry_after=1,
+            )
+        return principal
+
+    async def identify(self, token: str | None, peer: Peer = UNKNOWN) -> Principal:
+        """Do as `known` does, and wait where it cannot tell.
+
+        :raises AdapterUnavailable: the keys of the token's issuer cannot be fetched.
+        """
+        principal = self.known(token, peer)
+        if principal is not None or token is None:
+            return principal or self._gateway.identities.anonymous()
+        try:
+            return await self._gateway.identities.wait(token, peer)
+        except (Unauthenticated, Forbidden, RateLimited) as error:
             self._gateway.recording.stranger(self.name, peer, error)
             raise
 
@@ -137,7 +176,7 @@ class Door:
         """
         gateway = self._gateway
         try:
-            session = gateway.sessions.open(principal, self.name, tenant)
+            session = gateway.sessions.open(principal, self.name, tenant, peer)
         except Forbidden as error:
             gateway.recording.stranger(self.name, peer, error, principal)
             raise
@@ -151,15 +190,17 @@ class Door:
         """
         return self._gateway.sessions.greet(connection, hello)
 
-    def session(self, principal: Principal, tenant: str | None = None) -> Session:
+    def session(
+        self, principal: Principal, tenant: str | None = None, peer: Peer = UNKNOWN
+    ) -> Session:
         """Return the stateless session of a principal, for single requests.
 
         :raises Forbidden: the principal does not act in `tenant`.
         """
         try:
-            return self._gateway.sessions.stateless(principal, self.name, tenant)
+            return self._gateway.sessions.stateless(principal, self.name, tenant, peer)
         except Forbidden as error:
-            self._gateway.recording.stranger(self.name, UNKNOWN, error, principal)
+            self._gateway.recording.stranger(self.name, peer, error, principal)
             raise
 
     def submit(self, session: Session, request: Request, answer: Answer) -> None:
@@ -216,6 +257,14 @@ class Door:
 
         return stop
 
+    def until_end(self, session: Session, told: Callable[[RcpError], None]) -> Callable[[], None]:
+        """Have `told` called if the session's proof is not good any more; return what ends that.
+
+        For answers that take long without a connection: they end with that error.
+        """
+        session.endings.add(told)
+        return lambda: session.endings.discard(told)
+
     def discover(self, session: Session, pattern: str, query: Query) -> dict[str, Any]:
         """Answer discovery for the resources that a session may see; `pay` first."""
         found = Pattern(pattern, session.tenant)
@@ -235,7 +284,7 @@ class Door:
 
     def revoke(self, serials: frozenset[Serial]) -> None:
         """Take notice which client certificates are not good any more; their sessions end."""
-        self._gateway.revoke(serials)
+        self._gateway.identities.revoke(serials)
 
     def refused(self, type_: str, code: str) -> None:
         """Count a request that the transport had to refuse before it was an envelope."""

@@ -43,7 +43,6 @@ from rcp_kernel.leases import Leases
 from rcp_kernel.meter import free
 from rcp_kernel.metrics import Histogram
 from rcp_kernel.model import Operation, Pattern
-from rcp_kernel.peer import Serial
 from rcp_kernel.pending import crash
 from rcp_kernel.quotas import Accounts
 from rcp_kernel.reading import Reading
@@ -105,7 +104,7 @@ class Gateway:
         self.counts: dict[tuple[str, str, str], int] = {}
         """Requests by transport, type and code."""
         self.seconds = Histogram()
-        self.identities = Identities(config, authenticator)
+        self.identities = Identities(self, authenticator)
         resolver, inflight = Resolver(self.registry), InFlight(self)
         self.resolve, self.check = resolver.resolve, resolver.check
         self.later, self.claim = inflight.later, inflight.claim
@@ -150,12 +149,6 @@ class Gateway:
         """
         if count >= self.limits.sessions:
             raise QueueFull("the gateway holds as many sessions as it can already")
-
-    def revoke(self, serials: frozenset[Serial]) -> None:
-        """Have client certificates count for nothing, in open sessions too."""
-        if self.identities.revoke(serials):
-            self.sessions.review()
-        self.leases.review()
 
     # -- admit ---------------------------------------------------------------------------------
 
@@ -308,7 +301,7 @@ class Gateway:
         self.config = config
         self.limits = config.limits
         self.rules = Rules(config.roles, self.conditions)
-        self.identities.configure(config)
+        self.identities.reconfigure(config)
         self.keeping.config = config.audit
         self.envelopes.configure(config.envelopes)
         self.sessions.review()

@@ -1,4 +1,4 @@
-"""Who asks: principals, and the static keys that prove them."""
+"""Who asks: principals, and the keys that prove them."""
 
 from __future__ import annotations
 
@@ -8,9 +8,12 @@ from collections.abc import Iterable
 
 import msgspec
 
-from rcp_kernel.errors import Unauthenticated
+from rcp_kernel.errors import TokenExpired
 
-__all__ = ["Grants", "Keyring", "Principal", "fingerprint", "granted"]
+__all__ = ["Grants", "Keyring", "Principal", "check_time", "fingerprint", "granted", "same"]
+
+_HOUSE = ("key", "token", "certificate")
+"""Proofs whose names the operator gives, so that alike names mean one person."""
 
 
 Grants = tuple[tuple[str, tuple[str, ...]], ...]
@@ -30,7 +33,7 @@ class Principal(msgspec.Struct, frozen=True):
     grants: Grants
     """The first tenant resolves its relative paths."""
     proof: str = "none"
-    """`none`, `key`, or what an authenticator of a plugin says."""
+    """`none`, `key`, `token`, `certificate`, `jwt <issuer>`, or what a plugin's authenticator says."""
     credential: str | None = None
     """Hash of what proved it; never shown to anybody."""
     expires: int | None = None
@@ -63,25 +66,36 @@ def fingerprint(key: str) -> str:
 
 
 class Keyring:
-    """Static API keys by their hashes."""
+    """Keys and tokens by their hashes."""
 
     def __init__(self, principals: dict[str, Principal]) -> None:
         self._principals = principals
 
-    def renewed(self, principal: Principal) -> Principal | None:
-        """Return what a principal's key proves now, or None if it proves nothing any more."""
-        return self._principals.get(principal.credential or "")
+    def proves(self, digest: str) -> Principal | None:
+        """Return what the secret of a hash proves now, or None if it proves nothing (any more).
 
-    def find(self, key: str) -> Principal:
-        """Return the principal of a key, in a time that does not tell which keys there are.
-
-        :raises Unauthenticated: nobody has this key.
+        What a look-up's time could tell is about a hash, from which no secret can be had.
         """
-        wanted = fingerprint(key)
-        found: Principal | None = None
-        for known, principal in self._principals.items():
-            if hmac.compare_digest(known, wanted):
-                found = principal
-        if found is None:
-            raise Unauthenticated("the token is not known")
+        found = self._principals.get(digest)
+        if found is None or not hmac.compare_digest(found.credential or "", digest):
+            return None
         return found
+
+
+def same(one: Principal, other: Principal) -> bool:
+    """Tell whether two proofs are of one person: names count only within what vouches for them."""
+    return one.name == other.name and _voucher(one) == _voucher(other)
+
+
+def _voucher(principal: Principal) -> str:
+    return "house" if principal.proof in _HOUSE else principal.proof
+
+
+def check_time(principal: Principal, moment: int) -> Principal:
+    """Return a principal whose time is not over.
+
+    :raises TokenExpired: it is.
+    """
+    if principal.expires is not None and principal.expires <= moment:
+        raise TokenExpired("the proof of identity has expired")
+    return principal

@@ -318,7 +318,7 @@ class Leases:
         """End the leases of a session that is no more, unless it is for the next run to find."""
         if self._gateway.closing:
             return
-        for lease in [one for one in self.held.values() if one.key == session.id]:
+        for lease in [one for one in self.held.values() if one.key == session.holder]:
             self.lose(lease, "the gateway", "its session ended")
 
     def review(self) -> None:

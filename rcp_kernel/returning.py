@@ -159,10 +159,7 @@ class Returning:
         """Let a session go that comes back, or has nobody any more; return whose it is now."""
         name = next(name for name, other in self._kept.items() if other is kept)
         self._expire(name)
-        principal = kept.principal
-        if principal.expires is not None and principal.expires <= now():
-            return None
-        return self._gateway.identities.renewed(principal)
+        return self._gateway.identities.renewed(kept.principal)
 
     def _expire(self, name: str) -> None:
         kept = self._kept.pop(name, None)

@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 import asyncio
-import os
 from collections.abc import AsyncGenerator, Sequence
 from contextlib import AsyncExitStack, asynccontextmanager
-from pathlib import Path
 from typing import Any
 
 import msgspec
 import structlog
 
-from rcp_kernel.certificates import Certificates
 from rcp_kernel.config import BackendConfig, GatewayConfig, decode_table
 from rcp_kernel.door import Door
 from rcp_kernel.errors import ConfigError
 from rcp_kernel.gateway import Gateway
+from rcp_kernel.identities import check_proofs, store_file
 from rcp_kernel.log import Recent
 from rcp_kernel.plugins import Missing, Plugins
 from rcp_kernel.safety import MOVING, halt
@@ -70,10 +68,7 @@ def prepare(config: GatewayConfig, source: str) -> Prepared:
     :raises ConfigError: a table does not fit its plugin's type, or names no plugin.
     :raises PluginError: a plugin breaks a rule.
     """
-    try:
-        Certificates(config.certificates)
-    except ConfigError as error:
-        raise ConfigError(f"{source}: {error}") from None
+    check_proofs(config, source)
     plugins = Plugins(config)
     backends: list[Any] = []
     for backend in config.backends:
@@ -115,8 +110,8 @@ async def running(prepared: Prepared, recent: Recent | None = None) -> AsyncGene
     loop = asyncio.get_running_loop()
     async with AsyncExitStack() as stack:
         store = Store()
-        if config.store.path is not None:
-            path = Path(os.path.expanduser(config.store.path))  # noqa: PTH111, ASYNC240 - no I/O
+        path = store_file(config)
+        if path is not None:
             store = DiskStore(path, loop)
             stack.callback(store.close)
         gateway = Gateway(
@@ -134,6 +129,7 @@ async def running(prepared: Prepared, recent: Recent | None = None) -> AsyncGene
         status.start()
         stack.callback(status.stop)
         stack.push_async_callback(gateway.close)
+        await stack.enter_async_context(gateway.identities.running())
         door = Door(gateway, status, "gateway")
         server = Server(gateway, door, status, slots, {})
         await stack.enter_async_context(_backends(server, prepared))

@@ -14,10 +14,12 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 from rcp_kernel.acl import Rights
 from rcp_kernel.clock import iso, now
-from rcp_kernel.errors import Gap, TokenExpired, Unauthenticated
+from rcp_kernel.errors import Gap, RcpError, TokenExpired, Unauthenticated
 from rcp_kernel.hub import Hub
-from rcp_kernel.identity import Principal
+from rcp_kernel.identity import Principal, same
+from rcp_kernel.lapsing import Lapsing
 from rcp_kernel.notices import notice
+from rcp_kernel.peer import UNKNOWN, Peer
 from rcp_kernel.returning import Kept, hashed
 from rcp_kernel.streams import Subscription
 from rcp_kernel.values import Encoding
@@ -26,6 +28,7 @@ from rcp_kernel.wire import (
     Reply,
     Request,
     encode_reply,
+    error_body,
     failure,
 )
 
@@ -63,10 +66,12 @@ class Session:
         "created",
         "cut",
         "encoding",
+        "endings",
         "expiry",
         "greeted",
         "id",
         "inflight",
+        "lapse",
         "meter",
         "missed",
         "missed_bytes",
@@ -120,6 +125,10 @@ class Session:
         self.news: deque[tuple[str, dict[str, Any]]] = deque(maxlen=_NEWS)
         """Notices for the client's return."""
         self.overflowed = 0
+        self.lapse: asyncio.TimerHandle | None = None
+        """The next look at how long the principal's proof holds."""
+        self.endings: set[Callable[[RcpError], None]] = set()
+        """Whom to tell that the proof is not good any more, beside the connection."""
 
     @property
     def holder(self) -> str:
@@ -188,11 +197,18 @@ class Sessions:
         self.updates: dict[str, int] = {}
         """Updates sent over connections that are closed, by transport."""
         self._stateless: dict[tuple[Principal, str | None, str], Session] = {}
+        self._lapsing = Lapsing(gateway.loop, self._expel)
 
     def _hub(self) -> Hub:
         return self._gateway.hub
 
-    def open(self, principal: Principal, transport: str, tenant: str | None = None) -> Session:
+    def open(
+        self,
+        principal: Principal,
+        transport: str,
+        tenant: str | None = None,
+        peer: Peer = UNKNOWN,
+    ) -> Session:
         """Make a session.
 
         :raises Forbidden: the principal does not act in `tenant`.
@@ -206,11 +222,24 @@ class Sessions:
         session = Session(principal, gateway.rules.rights(principal), chosen, transport)
         gateway.accounts.enter(session)
         self.known[session.id] = session
+        self._logged_in(session, peer)
         return session
 
     def everyone(self) -> list[Session]:
         """List the sessions of connections, and those that requests without one share."""
         return [*self.known.values(), *self._stateless.values()]
+
+    def _logged_in(self, session: Session, peer: Peer) -> None:
+        principal = session.principal
+        self._lapsing.watch(session)
+        if not principal.anonymous:
+            self._gateway.audit.note(
+                "login",
+                principal=principal,
+                session=session,
+                transport=session.transport,
+                address=peer.address,
+            )
 
     def _make_room(self) -> None:
         """Drop the session that has waited longest for its client, of the tenant that has most.
@@ -222,7 +251,9 @@ class Sessions:
         if waiting:
             self.drop(min(waiting, key=lambda s: (-held[s.tenant], s.cut or 0)))
 
-    def stateless(self, principal: Principal, transport: str, tenant: str | None) -> Session:
+    def stateless(
+        self, principal: Principal, transport: str, tenant: str | None, peer: Peer = UNKNOWN
+    ) -> Session:
         """Return the session that all HTTP requests of a principal share; it holds nothing."""
         key = (principal, tenant, transport)
         session = self._stateless.get(key)
@@ -233,23 +264,40 @@ class Sessions:
             session = Session(principal, rights, chosen, transport, shared=True)
             gateway.accounts.attach(session)
             if len(self._stateless) >= _STATELESS:
-                del self._stateless[next(iter(self._stateless))]
+                self._lapsing.forget(self._stateless.pop(next(iter(self._stateless))))
             self._stateless[key] = session
+            self._logged_in(session, peer)
         return session
 
-    def greet(self, connection: Connection, hello: Hello) -> dict[str, Any]:
-        """Carry out `hello`: prove who it is, resume or keep the session, agree on limits.
+    def offered(self, hello: Hello) -> str | None:
+        """Return the token of `hello` that is to prove who it is, if there is one.
 
-        :raises Unauthenticated: the token or the resume token is not known.
+        A resume token in its place proves the session alone.
+        """
+        returning = self._returning(hello)
+        if hello.token is None or (returning and _proves(hello.token, returning)):
+            return None
+        return hello.token
+
+    def greet(
+        self, connection: Connection, hello: Hello, principal: Principal | None = None
+    ) -> dict[str, Any]:
+        """Carry out `hello`, whose token proved `principal`: resume or keep the session, agree.
+
+        :raises Unauthenticated: the resume token is not known.
         :raises Gap: the session is not there any more.
         """
         gateway = self._gateway
         session = connection.session
         returning = self._returning(hello)
-        if hello.token is not None and not (returning and _proves(hello.token, returning)):
-            principal = gateway.identities.authenticate(hello.token, connection.peer)
-            if principal != session.principal:
-                self._replace(connection, self.open(principal, session.transport, hello.tenant))
+        if principal is not None and principal != session.principal:
+            if same(principal, session.principal):
+                self._renew(session, principal)
+                self._logged_in(session, connection.peer)
+                gateway.leases.review()
+            else:
+                opened = self.open(principal, session.transport, hello.tenant, connection.peer)
+                self._replace(connection, opened)
         session = connection.session
         if hello.tenant is not None:
             tenant = gateway.identities.tenant_for(session.principal, hello.tenant)
@@ -303,8 +351,9 @@ class Sessions:
             raise _gone()
         offered = (hello.resume_token, hello.token, hello.session)
         proof = next((t for t in offered if t is not None and _proves(t, session)), None)
-        same = session.principal == connection.session.principal
-        if proof is None and (hello.resume_token is not None or not same):
+        present = connection.session.principal
+        known = same(session.principal, present)
+        if proof is None and (hello.resume_token is not None or not known):
             raise Unauthenticated(
                 "the session belongs to somebody else, or the resume token is wrong",
                 remedy="Send the `resume_token` that the first `hello` was answered with.",
@@ -317,6 +366,8 @@ class Sessions:
         have = hello.resume_from
         if isinstance(have, int):
             have = _for_all(session, have)
+        if known and present != session.principal:
+            self._renew(session, present)
         self._replace(connection, session)
         self._attach(session, connection, have)
 
@@ -324,6 +375,9 @@ class Sessions:
         """Make a session again of what is kept of one of an earlier run."""
         gateway = self._gateway
         principal = gateway.returning.take(kept)
+        present = connection.session.principal
+        if same(kept.principal, present):
+            principal = present
         if principal is None:
             raise _gone()
         tenant = kept.tenant if kept.tenant in gateway.identities.tenants_of(principal) else None
@@ -336,6 +390,7 @@ class Sessions:
         name = hashed(session.id)
         session.commands = {c.id: c for c in gateway.commands.every() if c.session == name}
         self.known[session.id] = session
+        self._lapsing.watch(session)
         self._replace(connection, session)
         gateway.accounts.move(session)
         self._attach(session, connection, None)
@@ -382,32 +437,71 @@ class Sessions:
     def review(self) -> None:
         """Bring every session under new rules; end those whose proof is not good any more."""
         gateway = self._gateway
-        askers = [c.asker for c in gateway.commands.running.values() if c.asker is not None]
-        for session in (*self._stateless.values(), *askers):  # for what is under way in their name
-            principal = gateway.identities.renewed(session.principal)
-            rights = Rights((), {}) if principal is None else gateway.rules.rights(principal)
-            session.rights = rights
+        for command in gateway.commands.running.values():  # what is under way in somebody's name
+            if (asker := command.asker) is not None:
+                principal = gateway.identities.renewed(asker.principal)
+                asker.rights = (
+                    Rights((), {}) if principal is None else gateway.rules.rights(principal)
+                )
+        shared = list(self._stateless.items())
         self._stateless.clear()
         gateway.accounts.recount()
+        for (_, tenant, transport), session in shared:
+            if self._reviewed(session):
+                self._stateless[session.principal, tenant, transport] = session
         for session in list(self.known.values()):
-            principal = gateway.identities.renewed(session.principal)
-            if principal is None:
-                self._expel(session)
-                continue
-            session.principal = principal
-            session.rights = gateway.rules.rights(principal)
-            gateway.accounts.move(session)
-            gateway.drop_forbidden(session)
+            self._reviewed(session)
+        gateway.leases.review()
+
+    def _reviewed(self, session: Session) -> bool:
+        principal = self._gateway.identities.renewed(session.principal)
+        if principal is None:
+            self._expel(session)
+            return False
+        self._renew(session, principal)
+        return True
+
+    def _renew(self, session: Session, principal: Principal) -> None:
+        """Have a session go on under what its principal's proof gives now."""
+        gateway = self._gateway
+        session.principal = principal
+        session.rights = gateway.rules.rights(principal)
+        tenants = gateway.identities.tenants_of(principal)
+        if session.tenant not in tenants:
+            session.tenant = tenants[0] if tenants else None
+        gateway.accounts.move(session)
+        gateway.drop_forbidden(session)
+        self._lapsing.watch(session)
 
     def _expel(self, session: Session) -> None:
+        """End a session whose proof is not good any more, and all that it holds."""
+        told = TokenExpired("the proof of this session is not good any more")
         connection = session.connection
         if connection is not None:
-            told = TokenExpired("the proof of this session is not good any more")
+            for id_ in session.subscriptions:
+                notice(
+                    connection.mailbox,
+                    "subscription_ended",
+                    id=id_,
+                    reason=told.code,
+                    error=error_body(told),
+                    message=told.message,
+                )
             connection.send(failure(told, "hello"))
             connection.expelled = True
             connection.mailbox.mark()
+        for ending in list(session.endings):
+            ending(told)
         session.rights = Rights((), {})  # for what is under way to the gateway
-        self.drop(session)
+        self._lapsing.forget(session)
+        if session.id in self.known or not self._elsewhere(session):
+            self.drop(session)
+
+    def _elsewhere(self, session: Session) -> bool:
+        """Take a shared session out; tell whether its principal has another, by a newer proof."""
+        for key in [k for k, shared in self._stateless.items() if shared is session]:
+            del self._stateless[key]
+        return any(same(s.principal, session.principal) for s in self._stateless.values())
 
     def tally(self, connection: Connection) -> None:
         """Add a closing connection's updates to its transport's sum."""
@@ -437,6 +531,7 @@ class Sessions:
         self._gateway.leases.ended(session)
         self._gateway.returning.forget(session)
         self._gateway.accounts.leave(session)
+        self._lapsing.forget(session)
         if session.expiry is not None:
             session.expiry.cancel()
         for subscription in session.subscriptions.values():

@@ -84,7 +84,8 @@ class StatusReport:
         slots = [s for s in self._slots if every or s.tenant in tenants]
         robots = [_robot(slot, rights) for slot in slots]
         states = [robot["state"] for robot in robots]
-        parts = [*self.transports, *self.adapters]
+        adapters = [*self.adapters, *gateway.identities.facts]
+        parts = [*self.transports, *adapters]
         broken = any(part.get("state") == "down" for part in parts)
         broken = broken or gateway.store.trouble is not None
         faults = {
@@ -105,7 +106,7 @@ class StatusReport:
             "started": iso(self._started),
             "backends": robots,
             "transports": self.transports if every else [_part(one) for one in self.transports],
-            "adapters": self.adapters if every else [_part(one) for one in self.adapters],
+            "adapters": adapters if every else [_part(one) for one in self.adapters],
             "envelopes": faults,
             "sessions": len(sessions),
             "subscriptions": sum(len(session.subscriptions) for session in sessions),

@@ -42,27 +42,27 @@ def house(door: Door) -> Asgi:
         """Tell that the process lives."""
         return {"status": "ok"}
 
-    @get("/readyz", sync_to_thread=False)
-    def readyz(request: Asked) -> Response[dict[str, Any]]:
+    @get("/readyz")
+    async def readyz(request: Asked) -> Response[dict[str, Any]]:
         """Tell whether every backend is ready; which ones, to those who may see all tenants."""
         ready, states = door.ready()
         body: dict[str, Any] = {"ready": ready}
-        if _sees_all(door, request):
+        if await _sees_all(door, request):
             body["backends"] = states
         return Response(body, status_code=200 if ready else 503)
 
-    @get("/metrics", sync_to_thread=False)
-    def metrics(request: Asked) -> Response[bytes]:
+    @get("/metrics")
+    async def metrics(request: Asked) -> Response[bytes]:
         """Write the Prometheus exposition: it names every tenant's robots."""
-        if not _sees_all(door, request):
-            _session(door, request)  # 401 for those who did not say who they are
+        if not await _sees_all(door, request):
+            await _session(door, request)  # 401 for those who did not say who they are
             raise Forbidden("metrics are for those who act in every tenant")
         return Response(door.metrics(_session(door, request)), media_type=_METRICS)
 
-    @get(["/openapi.json", "/rcp/v1/openapi.json"], sync_to_thread=False)
-    def openapi(request: Asked) -> dict[str, Any]:
+    @get(["/openapi.json", "/rcp/v1/openapi.json"])
+    async def openapi(request: Asked) -> dict[str, Any]:
         """Describe what the caller may see."""
-        return document(door, _session(door, request))
+        return document(door, await _session(door, request))
 
     @get(["/", "/rcp/v1"], sync_to_thread=False)
     def index(request: Asked) -> Response[str]:
@@ -79,13 +79,13 @@ def house(door: Door) -> Asgi:
     )  # type: ignore[return-value] - an ASGI application under litestar's own names for types
 
 
-def _session(door: Door, request: Asked) -> Session:
-    return session_of(door, cast("Scope", request.scope))
+async def _session(door: Door, request: Asked) -> Session:
+    return await session_of(door, cast("Scope", request.scope))
 
 
-def _sees_all(door: Door, request: Asked) -> bool:
+async def _sees_all(door: Door, request: Asked) -> bool:
     try:
-        return "*" in _session(door, request).rights.tenants
+        return "*" in (await _session(door, request)).rights.tenants
     except RcpError:
         return False
 

@@ -54,7 +54,7 @@ class HttpApp:
             asked = Asked(scope)
             asked.negotiate()
             if asked.method == "GET" and path.startswith(_CONTEXT):
-                session = asked.session(self._door)
+                session = asked.session(self._door) or await asked.waited(self._door)
                 await self._context.read(asked, session, path[len(_CONTEXT) - 1 :], send)
             else:
                 await self._route(asked, path, receive, send)
@@ -76,17 +76,19 @@ class HttpApp:
         handler = handlers.get(asked.method)
         if handler is None:
             raise _not_taken(asked, path, [*handlers])
-        await handler(asked, asked.session(self._door), receive, send)
+        session = asked.session(self._door) or await asked.waited(self._door)
+        await handler(asked, session, receive, send)
 
     async def _on_context(self, asked: Asked, path: str, receive: Receive, send: Send) -> None:
-        if asked.method == "OPTIONS":
-            await self._context.options(asked, asked.session(self._door), path, send)
-        elif asked.method == "PUT":
-            await self._context.write(asked, asked.session(self._door), path, receive, send)
-        elif asked.method == "POST":
-            await self._context.execute(asked, asked.session(self._door), path, receive, send)
-        else:
+        if asked.method not in ("OPTIONS", "PUT", "POST"):
             raise _not_taken(asked, path, ["GET", "PUT", "POST"])
+        session = asked.session(self._door) or await asked.waited(self._door)
+        if asked.method == "OPTIONS":
+            await self._context.options(asked, session, path, send)
+        elif asked.method == "PUT":
+            await self._context.write(asked, session, path, receive, send)
+        else:
+            await self._context.execute(asked, session, path, receive, send)
 
     def _named(self, rest: str) -> dict[str, Handler] | None:
         branch, _, name = rest.removeprefix("/").partition("/")

@@ -15,6 +15,7 @@ from rcp_http.negotiate import accepted, body_encoding
 from rcp_kernel.asgi import Receive, Scope, bearer, peer_of
 from rcp_kernel.door import Door
 from rcp_kernel.errors import BadRequest, DeadlineExceeded, PayloadTooLarge
+from rcp_kernel.identity import Principal
 from rcp_kernel.sessions import Session
 from rcp_kernel.values import Encoding, parse
 from rcp_kernel.wire import Request, decode_request
@@ -85,17 +86,28 @@ class Asked:
         if accept is not None and accept != b"*/*":
             self.encoding, self.octets = accepted(accept)
 
-    def session(self, door: Door) -> Session:
-        """Return the caller's session.
+    def session(self, door: Door) -> Session | None:
+        """Return the caller's session; None if it takes a while to know: await `waited`.
 
         :raises Unauthenticated: the token is not good, or there has to be one.
         :raises Forbidden: the caller does not act in the tenant that it names.
         """
+        principal = door.known(bearer(self.found.get("authorization")), self.peer)
+        return None if principal is None else self._session(door, principal)
+
+    async def waited(self, door: Door) -> Session:
+        """Return the caller's session, however long it takes to know who it is.
+
+        :raises RcpError: as `session` does.
+        """
+        token = bearer(self.found.get("authorization"))
+        return self._session(door, await door.identify(token, self.peer))
+
+    def _session(self, door: Door, principal: Principal) -> Session:
         tenant = self.one("tenant")
         if tenant is None and (named := self.found.get("tenant")) is not None:
             tenant = named.decode("latin-1")
-        token = bearer(self.found.get("authorization"))
-        return door.session(door.authenticate(token, self.peer), tenant)
+        return door.session(principal, tenant, self.peer)
 
     def one(self, name: str) -> str | None:
         """Return a parameter that may be given once.

@@ -37,7 +37,7 @@ class Calls:
         self._context = context
 
     async def _ask(self, asked: Asked, session: Session, request: Request, send: Send) -> None:
-        follower = Follower()
+        follower = Follower(session)
         self._door.submit(session, request, follower)
         await self._answers.reply(send, asked, await follower.final())
 
@@ -142,7 +142,7 @@ class Calls:
             query["schemas"] = flag("schemas", text)
         request = asked.request("discover", asked.one("path"))
         request.body = Raw(msgspec.json.encode(query))
-        follower = Follower()
+        follower = Follower(session)
         self._door.submit(session, request, follower)
         reply = await follower.final()
         if reply.error is not None:

@@ -26,9 +26,10 @@ _OPERATIONS = {"read": ("GET", "HEAD"), "write": ("PUT",), "execute": ("POST",)}
 class Follower:
     """The replies to one request: the latest, and futures for whoever waits for the rest."""
 
-    __slots__ = ("_final", "_first", "latest")
+    __slots__ = ("_final", "_first", "_session", "latest")
 
-    def __init__(self) -> None:
+    def __init__(self, session: Session) -> None:
+        self._session = session
         self.latest: Reply | None = None
         self._first: asyncio.Future[Reply] | None = None
         self._final: asyncio.Future[Reply] | None = None
@@ -41,18 +42,38 @@ class Follower:
                 waiter.set_result(reply)
 
     async def first(self) -> Reply:
-        """Return a reply as soon as there is one."""
+        """Return a reply as soon as there is one.
+
+        :raises TokenExpired: who waits for it is not proved to be anybody any more.
+        """
         if self.latest is None:
             self._first = asyncio.get_running_loop().create_future()
-            return await self._first
+            await self._wait(self._first, None)
+            return self._first.result()
         return self.latest
 
     async def final(self, patience: float | None = None) -> Reply:
-        """Return the final reply, or what there is after `patience` seconds."""
+        """Return the final reply, or what there is after `patience` seconds.
+
+        :raises TokenExpired: as `first` does.
+        """
         if self.latest is None or not self.latest.final:
             self._final = asyncio.get_running_loop().create_future()
-            await asyncio.wait((self._final,), timeout=patience)
+            await self._wait(self._final, patience)
+            if self._final.done():
+                return self._final.result()
         return await self.first()
+
+    async def _wait(self, waiter: asyncio.Future[Reply], patience: float | None) -> None:
+        def lost(error: RcpError) -> None:
+            if not waiter.done():
+                waiter.set_exception(error)
+
+        self._session.endings.add(lost)
+        try:
+            await asyncio.wait((waiter,), timeout=patience)
+        finally:
+            self._session.endings.discard(lost)
 
 
 class Context:
@@ -70,7 +91,7 @@ class Context:
         request = asked.request("read", path)
         if asked.query:
             self._options(asked, request)
-        follower = Follower()
+        follower = Follower(session)
         self._door.submit(session, request, follower)
         reply = follower.latest
         if reply is None or not reply.final:
@@ -107,7 +128,7 @@ class Context:
         await self._take_body(asked, request, receive)
         if not request.body:
             raise BadRequest("the request has no body", remedy="Send the value as the body.")
-        follower = Follower()
+        follower = Follower(session)
         self._door.submit(session, request, follower)
         await self._answers.reply(send, asked, await follower.final())
 
@@ -125,7 +146,7 @@ class Context:
         self, asked: Asked, session: Session, request: Request, send: Send, wait: float | None
     ) -> None:
         """Submit an execute and answer with its first reply, or its last within `wait` seconds."""
-        follower = Follower()
+        follower = Follower(session)
         self._door.submit(session, request, follower)
         reply = await follower.first()
         headers: list[tuple[bytes, bytes]] = []

@@ -13,6 +13,7 @@ from rcp_kernel.connections import Connection, Hello
 from rcp_kernel.door import Door
 from rcp_kernel.errors import Gap, RcpError
 from rcp_kernel.feeds import Feed
+from rcp_kernel.identity import Principal
 from rcp_kernel.mailbox import Wrap
 from rcp_kernel.samples import Sample
 from rcp_kernel.values import Encoding
@@ -49,7 +50,9 @@ class Events:
         """
         query = read_query(scope["query_string"])
         stream = Stream(scope, receive, send, self._config.comment)
-        connection, lost = self._connect(scope, query, stream)
+        token = bearer(header(scope, b"authorization"))
+        principal = await self._door.identify(token, peer_of(scope))
+        connection, lost = self._connect(scope, query, stream, principal)
         try:
             if not connection.session.subscriptions:
                 await self._subscribe(connection, query, path)
@@ -57,7 +60,9 @@ class Events:
         finally:
             self._leave(connection)
 
-    def _connect(self, scope: Scope, query: Query, stream: Stream) -> tuple[Connection, bool]:
+    def _connect(
+        self, scope: Scope, query: Query, stream: Stream, principal: Principal
+    ) -> tuple[Connection, bool]:
         """Open a connection, with the session of the client's last one if it is still there."""
         door = self._door
         tenant = query.get("tenant", [None])[0]
@@ -65,7 +70,6 @@ class Events:
         if tenant is None and named is not None:
             tenant = named.decode("latin-1")
         peer = peer_of(scope)
-        principal = door.authenticate(bearer(header(scope, b"authorization")), peer)
         connection = door.connect(principal, Encoding.JSON, stream.wake, tenant, peer)
         connection.mailbox.alone = True
         sent = header(scope, b"last-event-id")

@@ -6,8 +6,9 @@ from collections import deque
 
 from rcp_kernel.asgi import Receive, Scope, Send, header, session_of
 from rcp_kernel.door import Door
+from rcp_kernel.errors import RcpError
 from rcp_kernel.values import Encoding
-from rcp_kernel.wire import Reply, encode_reply
+from rcp_kernel.wire import Reply, encode_reply, failure
 from rcp_sse.config import SseConfig
 from rcp_sse.events import event
 from rcp_sse.journal import parse_event_id
@@ -30,7 +31,7 @@ class Replies:
         :raises UnknownPath: there is no such command, or not for this caller.
         """
         query = read_query(scope["query_string"])
-        session = session_of(self._door, scope, query.get("tenant", [None])[0])
+        session = await session_of(self._door, scope, query.get("tenant", [None])[0])
         command = self._door.command(session, id_)
         sent = header(scope, b"last-event-id")
         last = parse_event_id(sent.decode("latin-1") if sent else None)
@@ -58,8 +59,14 @@ class Replies:
                 out.append(event(b"reply", data, f"{id_}:{told}".encode()))
             return out
 
+        def lost(error: RcpError) -> None:
+            waiting.append(failure(error, "execute", None, command.path, command=command.id))
+            stream.wake()
+
         stop = self._door.follow(command, follow)
+        keep = self._door.until_end(session, lost)
         try:
             await stream.run(collect)
         finally:
             stop()
+            keep()

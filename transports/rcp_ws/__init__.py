@@ -34,7 +34,7 @@ class _WebSocket:
                 raise UnsupportedOperation(f"the WebSocket is at {_PATH}")
             subprotocol, encoding = choose(scope["subprotocols"])
             socket = scope["extensions"]["rcp.socket"]
-            who = identify(self._door, scope)
+            who = await identify(self._door, scope)
             peer = Peer(self._door, self._config, who, encoding, socket, peer_of(scope))
         except RcpError as error:
             self._door.refused("hello", error.code)

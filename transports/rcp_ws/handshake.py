@@ -29,7 +29,7 @@ def choose(offered: list[str]) -> tuple[str | None, Encoding]:
     return None, Encoding.JSON
 
 
-def identify(door: Door, scope: Scope) -> tuple[Principal | None, str | None]:
+async def identify(door: Door, scope: Scope) -> tuple[Principal | None, str | None]:
     """Return who connects and the tenant it wants; None has to prove itself in `hello` first.
 
     :raises Unauthenticated: the token of the Authorization header is not good.
@@ -37,7 +37,7 @@ def identify(door: Door, scope: Scope) -> tuple[Principal | None, str | None]:
     token = bearer(header(scope, b"authorization"))
     tenant = header(scope, b"x-rcp-tenant")
     try:
-        principal = door.authenticate(token, peer_of(scope))
+        principal = await door.identify(token, peer_of(scope))
     except Unauthenticated:
         if token is not None:
             raise

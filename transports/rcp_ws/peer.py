@@ -71,6 +71,7 @@ class Peer:
         principal, tenant = who
         self.connection = door.connect(principal or _NOBODY, encoding, self.flush, tenant, end)
         self.connection.on_hello = self._hello
+        self.connection.incoming = self._whole
         self._mailbox = self.connection.mailbox
         self._receive: Callable[[bytes], None] = self.connection.receive
         self._patience: asyncio.TimerHandle | None = None
@@ -137,14 +138,11 @@ class Peer:
     def _greeting(self, data: bytes) -> None:
         """Take nothing but `hello` from a client that has not proved who it is."""
         type_, id_ = salvage(data, self._encoding)
-        if type_ != "hello":
+        if type_ != "hello" and not self.connection.holds:
             error = Unauthenticated("this gateway serves nobody without a token")
             self.connection.send(failure(error, type_, id_))
             return
         self.connection.receive(data)
-        if self.connection.session.principal is not _NOBODY:
-            self._receive = self.connection.receive
-            self._end_patience()
 
     def _turn_away(self) -> None:
         self._socket.close(_POLICY, "no proof of identity")
@@ -224,6 +222,9 @@ class Peer:
         self._mailbox.push(segments.request_again(id_, missing, self._encoding))
 
     def _hello(self, hello: Hello) -> dict[str, Any]:
+        if self.connection.session.principal is not _NOBODY:
+            self._receive = self.connection.receive
+            self._end_patience()
         wanted = hello.segment_size
         agreed = None if wanted is None else min(wanted, self._config.segment_size)
         self._outgoing.size = agreed

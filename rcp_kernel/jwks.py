@@ -1,0 +1,236 @@
+"""Public keys of token issuers: read from texts and files, fetched from their servers.
+
+Nothing is trusted further than it has to be: sizes and times are bounded, redirects are not
+followed, and a key counts for the one algorithm that it is of.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import hashlib
+import http.client
+import socket
+import ssl
+import threading
+from collections.abc import Iterable
+from contextlib import suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+from urllib.parse import urlsplit
+
+import msgspec
+
+from rcp_kernel._plain import is_list, is_map
+from rcp_kernel.errors import ConfigError
+
+if TYPE_CHECKING:
+    from cryptography.hazmat.primitives.asymmetric.types import PublicKeyTypes
+
+__all__ = ["PublicKey", "Unreachable", "fetch", "read_document", "read_set", "read_static"]
+
+_LONGEST = 512 * 1024  # bytes of a document
+_PATIENCE = 5.0  # s for a whole fetch
+_MOST = 64  # keys of one issuer
+_RSA_BITS = 2048  # RFC 8725, 3.5
+
+
+class Unreachable(Exception):
+    """What was to be fetched is not to be had, or is not what it should be."""
+
+
+class PublicKey(msgspec.Struct, frozen=True):
+    """A key that verifies."""
+
+    id: str | None
+    algorithm: str
+    """The only one that it is used with."""
+    key: Any
+    """Of `cryptography`."""
+    thumbprint: str
+    """SHA-256 of its DER form."""
+
+
+def read_set(document: Any) -> tuple[PublicKey, ...]:
+    """Read a JWKS or a single JWK; keys that are of no use here are left out.
+
+    :raises ValueError: there is none that is of use.
+    """
+    if not is_map(document):
+        raise ValueError("it is no JSON object")
+    listed: Any = document.get("keys", [document])
+    if not is_list(listed):
+        raise ValueError("`keys` is no list")
+    found = tuple(key for one in listed[:_MOST] if (key := _read_jwk(one)) is not None)
+    if not found:
+        raise ValueError("it has no RSA (2048 bits or more), P-256 or Ed25519 key for signatures")
+    return found
+
+
+def _read_jwk(jwk: Any) -> PublicKey | None:
+    from jwt import PyJWTError
+    from jwt.algorithms import ECAlgorithm, OKPAlgorithm, RSAAlgorithm
+
+    if not is_map(jwk) or jwk.get("use", "sig") != "sig":
+        return None
+    public = {k: v for k, v in jwk.items() if k in ("kty", "crv", "n", "e", "x", "y")}
+    reader = {"RSA": RSAAlgorithm, "EC": ECAlgorithm, "OKP": OKPAlgorithm}.get(str(jwk.get("kty")))
+    if reader is None:
+        return None
+    try:
+        key: Any = reader.from_jwk(public)
+    except (PyJWTError, ValueError, TypeError, KeyError, OverflowError):
+        return None
+    kid: Any = jwk.get("kid")
+    made = _made(key, kid if isinstance(kid, str) else None)
+    return made if made is not None and jwk.get("alg", made.algorithm) == made.algorithm else None
+
+
+def _made(key: PublicKeyTypes, kid: str | None) -> PublicKey | None:
+    from cryptography.hazmat.primitives.asymmetric.ec import SECP256R1, EllipticCurvePublicKey
+    from cryptography.hazmat.primitives.asymmetric.ed448 import Ed448PublicKey
+    from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
+    from cryptography.hazmat.primitives.asymmetric.rsa import RSAPublicKey
+    from cryptography.hazmat.primitives.serialization import Encoding, PublicFormat
+
+    if isinstance(key, RSAPublicKey) and key.key_size >= _RSA_BITS:
+        algorithm = "RS256"
+    elif isinstance(key, EllipticCurvePublicKey) and isinstance(key.curve, SECP256R1):
+        algorithm = "ES256"
+    elif isinstance(key, (Ed25519PublicKey, Ed448PublicKey)):
+        algorithm = "EdDSA"
+    else:
+        return None
+    der = key.public_bytes(Encoding.DER, PublicFormat.SubjectPublicKeyInfo)
+    return PublicKey(kid, algorithm, key, hashlib.sha256(der).hexdigest())
+
+
+def read_static(given: str | Iterable[str], where: str) -> tuple[PublicKey, ...]:
+    """Read keys that a configuration gives: PEM, JWK or JWKS, as texts or paths of files.
+
+    :raises ConfigError: one of them is none; its text is not shown.
+    """
+    found: list[PublicKey] = []
+    for number, text in enumerate((given,) if isinstance(given, str) else given, 1):
+        place = f"{where}: `keys` number {number}"
+        if not text.lstrip().startswith(("-----BEGIN", "{")):
+            place = f"{where}: `keys` '{text[:200]}'"
+            try:
+                text = Path(text).expanduser().read_text(encoding="utf-8")  # noqa: PLW2901
+            except (OSError, ValueError) as error:
+                reason = getattr(error, "strerror", None) or "not a path or not text"
+                raise ConfigError(f"{place} cannot be read: {reason}") from None
+        try:
+            found += _read_text(text)
+        except ValueError as error:
+            raise ConfigError(f"{place} holds no public key: {error}") from None
+    return tuple(found)
+
+
+def _read_text(text: str) -> tuple[PublicKey, ...]:
+    from cryptography.exceptions import UnsupportedAlgorithm
+    from cryptography.hazmat.primitives.serialization import load_pem_public_key
+
+    if text.lstrip().startswith("{"):
+        return read_set(read_document(text.encode()))
+    if "PRIVATE KEY" in text:
+        raise ValueError("it is a private key, which belongs to the issuer alone")
+    begin = "-----BEGIN PUBLIC KEY-----"
+    found: list[PublicKey] = []
+    for block in text.split(begin)[1:]:
+        try:
+            made = _made(load_pem_public_key((begin + block).encode()), None)
+        except (ValueError, UnsupportedAlgorithm):
+            raise ValueError("a PEM block cannot be read") from None
+        if made is None:
+            raise ValueError("it is not RSA (2048 bits or more), P-256 or Ed25519")
+        found.append(made)
+    if not found:
+        raise ValueError("write PEM (BEGIN PUBLIC KEY), JWK or JWKS")
+    return tuple(found)
+
+
+def read_document(data: bytes) -> Any:
+    """Read JSON.
+
+    :raises ValueError: it is none.
+    """
+    try:
+        return msgspec.json.decode(data)
+    except (msgspec.DecodeError, RecursionError):
+        raise ValueError("it is not JSON") from None
+
+
+async def fetch(url: str) -> bytes:
+    """Get a document, from a thread of its own.
+
+    :raises Unreachable: it did not come, in time or size, or with another status than 200.
+    """
+    loop = asyncio.get_running_loop()
+    done: asyncio.Future[bytes] = loop.create_future()
+    call = _Call(url)
+
+    def settle(data: bytes | None, reason: str) -> None:
+        if done.done():
+            return
+        if data is None:
+            done.set_exception(Unreachable(reason))
+        else:
+            done.set_result(data)
+
+    def work() -> None:
+        data, reason = None, ""
+        try:
+            data = call.run()
+        except Unreachable as error:
+            reason = str(error)
+        except (OSError, http.client.HTTPException, ValueError) as error:
+            reason = type(error).__name__
+        with suppress(RuntimeError):  # the loop is gone, and so is whoever asked
+            loop.call_soon_threadsafe(settle, data, reason)
+
+    threading.Thread(target=work, name="rcp-fetch", daemon=True).start()
+    try:
+        async with asyncio.timeout(_PATIENCE):
+            return await done
+    except TimeoutError:
+        raise Unreachable(f"no whole answer within {_PATIENCE:g} s") from None
+    finally:
+        call.stop()
+
+
+class _Call:
+    """One GET, that another thread can stop."""
+
+    def __init__(self, url: str) -> None:
+        parts = urlsplit(url)
+        self._target = (parts.path or "/") + (f"?{parts.query}" if parts.query else "")
+        host = parts.hostname or ""
+        if parts.scheme == "https":
+            context = ssl.create_default_context()
+            self._connection: http.client.HTTPConnection = http.client.HTTPSConnection(
+                host, parts.port, timeout=_PATIENCE, context=context
+            )
+        else:
+            self._connection = http.client.HTTPConnection(host, parts.port, timeout=_PATIENCE)
+
+    def run(self) -> bytes:
+        connection = self._connection
+        headers = {"Accept": "application/json", "User-Agent": "rcp-gateway"}
+        try:
+            connection.request("GET", self._target, headers=headers)
+            response = connection.getresponse()
+            if response.status != 200:
+                raise Unreachable(f"the answer has status {response.status}")
+            data = response.read(_LONGEST + 1)
+        finally:
+            connection.close()
+        if len(data) > _LONGEST:
+            raise Unreachable(f"the answer is longer than {_LONGEST} bytes")
+        return data
+
+    def stop(self) -> None:
+        """Wake a thread that still waits for the server."""
+        held: Any = self._connection.sock
+        if held is not None:
+            with suppress(OSError):
+                held.shutdown(socket.SHUT_RDWR)
