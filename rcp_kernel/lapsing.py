@@ -29,7 +29,8 @@ class Lapsing:
         """Watch a session's present principal, in place of an earlier one."""
         self.forget(session)
         if session.principal.expires is not None:
-            self._look(session, told=False)
+            # Not at once: its connection is only made when there is a session.
+            session.lapse = self._loop.call_later(0.0, self._look, session, False)
 
     def forget(self, session: Session) -> None:
         """Watch a session no more."""

@@ -423,7 +423,7 @@ async def test_a_record_that_was_cut_off_between_two_runs_is_missed(tmp_path: Pa
     async with world_of(kept_in(path)):
         pass  # goes on after the cut, and says what it found
     assert examined(path).findings == [
-        (2, "missing: records 2…3 had been there before this gateway began")
+        (2, "missing: records 2…4 had been there before this gateway began")
     ]
 
 

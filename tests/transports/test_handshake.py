@@ -2,7 +2,10 @@ from __future__ import annotations
 
 import asyncio
 
+import httpx
 import pytest
+from websockets.asyncio.client import connect
+from websockets.exceptions import InvalidStatus
 
 from transports.raw import TEXT, answer, connected, frame, handshake, opened
 from transports.robot import BOUND, Site, site
@@ -75,3 +78,26 @@ async def test_the_subprotocol_is_the_first_that_is_spoken(gateway: Site) -> Non
         assert b"Sec-WebSocket-Protocol: rcp.v1.msgpack\r\n" in raw.head
     async with opened(gateway) as raw:
         assert b"Sec-WebSocket-Protocol" not in raw.head
+
+
+@pytest.mark.parametrize(
+    "query",
+    [
+        "token=hidden-s3cret",
+        "access_token=hidden-s3cret",
+        "KEY=hidden-s3cret",
+        "a=1&%74oken=hidden-s3cret",
+    ],
+)
+async def test_a_secret_in_a_url_is_refused_and_not_repeated(gateway: Site, query: str) -> None:
+    async with httpx.AsyncClient(base_url=gateway.url) as http:
+        for path in ("/rcp/v1/context/sensor/pose", "/rcp/v1/events", "/healthz", "/metrics"):
+            answer = await http.get(f"{path}?{query}")
+            assert answer.status_code == 400, path
+            assert answer.json()["error"]["code"] == "bad_request"
+            assert "Authorization: Bearer" in answer.json()["error"]["remedy"]
+            assert "s3cret" not in answer.text
+    with pytest.raises(InvalidStatus) as refused:
+        await connect(f"{gateway.ws}?{query}")
+    assert refused.value.response.status_code == 400
+    assert b"s3cret" not in refused.value.response.body

@@ -12,9 +12,10 @@ import structlog
 
 from rcp_asgi.cors import allowing, is_preflight, preflight
 from rcp_asgi.origins import Origins
+from rcp_asgi.urls import check_url
 from rcp_kernel.asgi import Receive, Scope, Send, refuse
 from rcp_kernel.door import Asgi, Door, Mount
-from rcp_kernel.errors import Forbidden, InternalError, UnknownPath
+from rcp_kernel.errors import BadRequest, Forbidden, InternalError, UnknownPath
 
 __all__ = ["FrontDoor"]
 
@@ -40,7 +41,8 @@ class FrontDoor:
         """Serve one request or WebSocket."""
         try:
             origin = self._origins.check(scope)
-        except Forbidden as error:
+            check_url(scope)
+        except (Forbidden, BadRequest) as error:
             self._door.refused("request", error.code)
             await _turn_away(scope, receive, send, error)
             return
@@ -92,7 +94,7 @@ class FrontDoor:
 
 
 async def _turn_away(
-    scope: Scope, receive: Receive, send: Send, error: Forbidden | UnknownPath
+    scope: Scope, receive: Receive, send: Send, error: BadRequest | Forbidden | UnknownPath
 ) -> None:
     if scope["type"] == "http":
         await refuse(send, error)

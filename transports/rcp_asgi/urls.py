@@ -1,0 +1,34 @@
+"""No secrets in URLs: they end up in logs, histories and Referer headers on the way."""
+
+from __future__ import annotations
+
+from urllib.parse import parse_qsl
+
+from rcp_kernel.asgi import Scope
+from rcp_kernel.errors import BadRequest
+
+__all__ = ["check_url"]
+
+_SECRETS = frozenset(
+    (
+        *("token", "access_token", "id_token", "refresh_token", "resume_token", "bearer", "jwt"),
+        *("key", "api_key", "apikey", "auth", "authorization", "password", "secret"),
+    )
+)
+
+
+def check_url(scope: Scope) -> None:
+    """Refuse a query that names a secret; its value is neither looked at nor told.
+
+    :raises BadRequest: it does.
+    """
+    query: bytes = scope["query_string"]
+    if not query:
+        return
+    for name, _ in parse_qsl(query.decode("latin-1"), keep_blank_values=True):
+        if name.strip().lower().replace("-", "_") in _SECRETS:
+            raise BadRequest(
+                f"the URL has a parameter `{name.strip()}`, and secrets do not belong in URLs",
+                remedy="Send `Authorization: Bearer <token>`, or `token` in `hello` on the "
+                "WebSocket; and change the secret: it may be in logs.",
+            )
