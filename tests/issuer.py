@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import threading
 import time
 from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager, closing, suppress
@@ -80,8 +81,13 @@ class Issuer:
         return f'[[jwt]]\nissuer = "{self.url}"\naudience = "{AUDIENCE}"\n{source}\n{more}\n'
 
     async def close(self) -> None:
-        """Let nobody wait."""
+        """Let nobody wait, and whoever is on the way come in before the door is shut."""
         self.go.set()
+        for thread in threading.enumerate():
+            if thread.name == "rcp-fetch":
+                await asyncio.to_thread(thread.join, 10)
+        for _ in range(3):
+            await asyncio.sleep(0)
         for writer in self._writers:
             writer.transport.abort()
             with suppress(ConnectionError):
@@ -115,5 +121,5 @@ async def issuing() -> AsyncGenerator[Issuer]:
     try:
         yield issuer
     finally:
-        server.close()
         await issuer.close()
+        server.close()
