@@ -384,9 +384,9 @@ async def test_a_store_that_cannot_be_written_makes_the_gateway_degraded(
 ) -> None:
     async with world_of(kept_in(tmp_path / "store.db")) as world:
         store = world.server.gateway.store
-        await settled(store)
         admin = world.client("admin-admin-admin")
         assert (await admin.ask(type="status"))["body"]["state"] == "ok"
+        await settled(store)  # the login of the admin too
         failed = asyncio.Event()
         told = store._failed  # pyright: ignore[reportAttributeAccessIssue]
         monkeypatch.setattr(store, "_failed", lambda reason: (told(reason), failed.set()))
