@@ -57,7 +57,7 @@ def house(door: Door) -> Asgi:
         if not await _sees_all(door, request):
             await _session(door, request)  # 401 for those who did not say who they are
             raise Forbidden("metrics are for those who act in every tenant")
-        return Response(door.metrics(_session(door, request)), media_type=_METRICS)
+        return Response(door.metrics(await _session(door, request)), media_type=_METRICS)
 
     @get(["/openapi.json", "/rcp/v1/openapi.json"])
     async def openapi(request: Asked) -> dict[str, Any]:
