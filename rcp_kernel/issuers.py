@@ -18,7 +18,7 @@ import structlog
 from rcp_kernel._plain import is_map
 from rcp_kernel.clock import now
 from rcp_kernel.config_identity import JwtConfig, is_private_url
-from rcp_kernel.errors import AdapterUnavailable, ConfigError, Unauthenticated
+from rcp_kernel.errors import AdapterUnavailable, ConfigError, RcpError, Unauthenticated
 from rcp_kernel.identity import Principal
 from rcp_kernel.jwks import PublicKey, Unreachable, fetch, read_document, read_set, read_static
 from rcp_kernel.webtokens import Claims, Read, principal_of, read_token, verify
@@ -179,6 +179,8 @@ class _Verified(msgspec.Struct, frozen=True):
     """Thumbprint of the key that signed it."""
     read: Read
     principal: Principal
+    tables: object
+    """The tables that it was last weighed by."""
 
 
 class Issuers:
@@ -198,6 +200,7 @@ class Issuers:
                 raise ConfigError(f"two [[jwt]] are of the issuer '{config.issuer}'")
             self.issuers[config.issuer] = Issuer(config, old.get(config.issuer))
         self._tenants = tenants
+        self._tables = object()
         self.verified: dict[str, _Verified] = {} if before is None else before.verified
 
     def start(self, changed: Callable[[], None]) -> None:
@@ -219,19 +222,25 @@ class Issuers:
         if issuer is None or all(key.thumbprint != found.key for key in issuer.keys):
             del self.verified[digest]
             return None
+        if found.tables is not self._tables:
+            return self._weighed(digest, issuer.config)
         return found.principal
+
+    def _weighed(self, digest: str, config: JwtConfig) -> Principal | None:
+        """Weigh a verified token by tables that have changed since: its signature still holds."""
+        found = self.verified.pop(digest)
+        taken = (config.audience,) if isinstance(config.audience, str) else config.audience
+        named: Any = found.claims["aud"]
+        meant = any(one in taken for one in ([named] if isinstance(named, str) else named))
+        if not meant or found.read.algorithm not in config.algorithms:
+            return None
+        with suppress(RcpError):  # it is told when the token comes again
+            return self._keep(config, digest, found.claims, found.key, found.read)
+        return None
 
     def renewed(self, principal: Principal) -> Principal | None:
         """Return what a token is worth under the present tables, or None if nothing any more."""
-        digest = principal.credential or ""
-        if self.kept(digest) is None:
-            return None
-        found = self.verified.pop(digest)
-        try:
-            config = self.issuers[found.read.issuer].config
-            return self._keep(config, digest, found.claims, found.key, found.read)
-        except Exception:  # whatever it is refused for now
-            return None
+        return self.kept(principal.credential or "")
 
     def find(self, token: str, digest: str) -> Principal | Issuer:
         """Return whom a token proves, or the issuer whose keys have to be fetched first.
@@ -278,7 +287,7 @@ class Issuers:
         principal = principal_of(config, claims, digest, self._tenants)
         if len(self.verified) >= _KNOWN:
             self._make_room()
-        self.verified[digest] = _Verified(claims, key, read, principal)
+        self.verified[digest] = _Verified(claims, key, read, principal, self._tables)
         return principal
 
     def _make_room(self) -> None:

@@ -11,7 +11,7 @@ import pytest
 from issuer import Issuer, issuing
 from kernel.world import CONFIG, World, prepared, world_of
 from rcp_kernel.config import parse
-from rcp_kernel.errors import TokenExpired
+from rcp_kernel.errors import TokenExpired, Unauthenticated
 from rcp_kernel.reload import apply
 
 pytestmark = pytest.mark.anyio
@@ -146,3 +146,27 @@ async def test_an_issuer_that_leaves_the_configuration_ends_its_sessions(
     await client.ask(type="ping")
     await apply(world.server, prepared(parse(CONFIG, "test"), []))
     assert (await client.final(None))["error"]["code"] == "token_expired"
+
+
+async def test_a_token_that_was_verified_is_weighed_by_the_tables_of_a_reload(
+    issuer: Issuer,
+) -> None:
+    key = issuer.keys["k1"].pem.replace("\n", "\\n")
+
+    def config(role: str) -> str:
+        more = f'role_claim = "role"\n[jwt.by_claim]\noperator = {{ role = "{role}" }}\n'
+        return CONFIG + issuer.table(more, f'keys = "{key}"')
+
+    other = config("viewer").replace('audience = "', 'audience = "other-')
+    async with world_of(config("operator")) as world:
+        identities, good = world.server.gateway.identities, token(issuer, 600)
+        found = identities.known(good)
+        assert found is not None
+        assert found.roles == ("operator",)
+        await apply(world.server, prepared(parse(config("viewer"), "test"), []))
+        found = identities.known(good)
+        assert found is not None
+        assert found.roles == ("viewer",)
+        await apply(world.server, prepared(parse(other, "test"), []))
+        with pytest.raises(Unauthenticated):
+            identities.known(good)
