@@ -18,7 +18,6 @@ from rcp_ros2.binding import Absent, Binding, Construct, Offer, Shared
 from rcp_ros2.calls import Calls, calls_of
 from rcp_ros2.clock import Clock
 from rcp_ros2.config import Mapping
-from rcp_ros2.definitions import is_made
 from rcp_ros2.diagnostics import Diagnostics
 from rcp_ros2.goals import Goals, goals_of
 from rcp_ros2.graph import Graph
@@ -213,8 +212,6 @@ class Catalog:
                 cls = load(type_)
                 if kind is not Kind.ACTUATOR:
                     return Observed.of(self._shared, name, mapping, cls)
-                if is_made(cls):
-                    raise MissingType(type_, "known by its text alone it can only be listened to")
                 return Commanded(self._shared, name, mapping, cls)
             case "service":
                 return Called(self._shared, name, mapping, load(type_, "srv"))

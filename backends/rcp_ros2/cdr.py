@@ -323,10 +323,13 @@ class _Function:
 
 def _declared(type_: Any, name: str) -> Any:
     """Return the declared type of a field of a made type."""
-    return type_.__annotations__[name]
+    return _bare(type_.__annotations__[name])
+
+
+def _bare(type_: Any) -> Any:
+    return type_.__origin__ if hasattr(type_, "__metadata__") else type_
 
 
 def _element_of(type_: Any) -> Any:
     """Return the type of the elements of a list type, bounded or not."""
-    bare = type_.__origin__ if hasattr(type_, "__metadata__") else type_
-    return bare.__args__[0]
+    return _bare(type_).__args__[0]

@@ -49,6 +49,8 @@ class Mapping(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     unit: str | None = None
     """UCUM unit of the numbers of which nothing is known: of a parameter, of a message of one's
     own. ROS's definitions carry none."""
+    frame: str | None = None
+    """The frame of what carries none, for its schema: of a `pose.pose`, of a velocity."""
     qos: Qos = Qos()
     description: str | None = None
     deadline: Seconds | None = None

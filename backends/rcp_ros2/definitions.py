@@ -1,15 +1,16 @@
 """Message types made at run time, of their `.msg` text or of what a node says of them.
 
-Such a type can be listened to and not spoken: there is no code that would turn an object into its
-bytes. What rclpy wants of it is in `support.py`.
+There is no code that would turn an object of such a type into its bytes: what is published is
+encoded by `writer.py`. What rclpy wants of it is in `support.py`.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any, NamedTuple
 
+from rcp_ros2.comments import remember
 from rcp_ros2.idl import WIDTHS, Field, MissingType, Primitive, Ref, Sequence, Text, Type, load
 from rcp_ros2.idl import define as define_class
 from rcp_ros2.support import IDS, forge
@@ -54,9 +55,12 @@ def parse(name: str, text: str) -> dict[str, list[Part]]:
 
     :raises BadText: a line is none of a `.msg` file.
     """
+    return {key: _parsed(key, body) for key, body in _texts(name, text).items()}
+
+
+def _texts(name: str, text: str) -> dict[str, str]:
     first, *rest = _NEXT.split(text)
-    texts = {name: first} | dict(zip(map(_full, rest[::2]), rest[1::2], strict=True))
-    return {key: _parsed(key, body) for key, body in texts.items()}
+    return {name: first} | dict(zip(map(_full, rest[::2]), rest[1::2], strict=True))
 
 
 def define_text(name: str, text: str) -> None:
@@ -64,18 +68,21 @@ def define_text(name: str, text: str) -> None:
 
     :raises BadText: as `parse`.
     """
-    for key, parts in parse(name, text).items():
-        _define(key, parts)
+    for key, body in _texts(name, text).items():
+        _define(key, _parsed(key, body))
+        remember(key, body)
 
 
-def define_described(description: Any) -> None:
-    """Make the types of a type_description_interfaces/msg/TypeDescription.
+def define_described(description: Any, sources: Iterable[Any] = ()) -> None:
+    """Make the types of a type_description_interfaces/msg/TypeDescription, with their texts.
 
     :raises MissingType: one has a field of a kind that the gateway does not know.
     """
     for one in (description.type_description, *description.referenced_type_descriptions):
         parts = [_described(f) for f in one.fields if f.name != _DUMMY]
         _define(one.type_name, parts)
+    for source in sources:
+        remember(source.type_name, source.raw_file_contents)
 
 
 def _define(name: str, parts: list[Part]) -> None:

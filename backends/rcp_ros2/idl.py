@@ -22,6 +22,7 @@ __all__ = [
     "define",
     "fields_of",
     "full_name",
+    "is_defined",
     "load",
 ]
 
@@ -127,6 +128,11 @@ def define(cls: Any) -> None:
     _defined[full_name(cls)] = cls
 
 
+def is_defined(cls: Any) -> bool:
+    """Tell whether a class was given to `define`, and so has no code of ROS's."""
+    return _defined.get(full_name(cls)) is cls
+
+
 def full_name(cls: Any) -> str:
     """Return `pkg/msg/Name` of a generated class."""
     package, where, *_ = cls.__module__.split(".")
@@ -136,7 +142,7 @@ def full_name(cls: Any) -> str:
 @lru_cache(maxsize=4096)
 def fields_of(cls: Any) -> tuple[Field, ...]:
     """Describe the fields of a message class, in their order on the wire."""
-    if full_name(cls) in _defined and _defined[full_name(cls)] is cls:
+    if is_defined(cls):
         return cls.described()
     names = cls.get_fields_and_field_types()
     return tuple(

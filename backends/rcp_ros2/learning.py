@@ -25,7 +25,7 @@ async def learn(shared: Shared, topic: str, type_: str) -> bool:
     for node, digest in await shared.ros.call(_nodes, shared, topic):
         response = await _ask(shared, topic, node, type_, digest)
         if response is not None and response.successful:
-            define_described(response.type_description)
+            define_described(response.type_description, response.type_sources)
             return True
     return False
 
@@ -44,7 +44,7 @@ def _nodes(shared: Shared, topic: str) -> list[tuple[str, str]]:
 async def _ask(shared: Shared, topic: str, node: str, type_: str, digest: str) -> Any:
     srv = await shared.ros.call(load, "type_description_interfaces/srv/GetTypeDescription")
     caller = Caller(shared, srv, f"{node}/get_type_description", presence=("topic", topic))
-    request = srv.Request(type_name=type_, type_hash=digest, include_type_sources=False)
+    request = srv.Request(type_name=type_, type_hash=digest, include_type_sources=True)
     try:
         return await caller.call(request, _PATIENCE)
     except RcpError:  # a node without this service, or one that has gone

@@ -12,13 +12,16 @@ from rcp_kernel.errors import AdapterUnavailable, DeviceTimeout
 from rcp_kernel.model import Resource
 from rcp_ros2.binding import Binding, Shared, common
 from rcp_ros2.cdr import Codec
+from rcp_ros2.comments import comments_of, first_sentence
 from rcp_ros2.config import Mapping
+from rcp_ros2.definitions import is_made
 from rcp_ros2.filler import filler
 from rcp_ros2.idl import full_name
 from rcp_ros2.outlet import Hearing, Outlet
 from rcp_ros2.ros import Ticket
 from rcp_ros2.topics import Tap
-from rcp_ros2.types import example_of, inward
+from rcp_ros2.types import example_of, framed, inward, part_of
+from rcp_ros2.writer import writer
 
 __all__ = ["Commanded", "Observed"]
 
@@ -56,18 +59,19 @@ class Observed(Binding):
         """Make the sensor or event of a topic of a message class, as its mapping wants it."""
         codec = Codec(message, mapping.field, mapping.unit)
         type_name = full_name(message)
-        part = f"{mapping.field} of {type_name}" if mapping.field else type_name
         facts = common(
             name,
             mapping,
-            f"{part} on topic {mapping.target}.",
+            _about(message, mapping),
             topic=mapping.target,
             type=type_name,
             field=mapping.field,
         )
         facts["timeout"] = (mapping.timeout or shared.config.timeout) + _MARGIN
         live = name.startswith("event/")
-        resource = Resource(value=codec.type, native=type_name, live=live, **facts)
+        resource = Resource(
+            value=framed(codec.type, mapping.frame), native=type_name, live=live, **facts
+        )
         return cls(shared, resource, mapping, message, codec)
 
     def watched(self, rate: float) -> None:
@@ -119,13 +123,27 @@ class Observed(Binding):
         return bool(self.shared.graph.publishers.get(self.topic))
 
 
+def _about(message: Any, mapping: Mapping) -> str:
+    type_name, field = full_name(message), mapping.field
+    if field is None:
+        return f"{type_name} on topic {mapping.target}{_said(comments_of(message).whole)}."
+    holder = part_of(message, field)[0]
+    said = _said(comments_of(holder).fields.get(field.rpartition(".")[2], ""))
+    return f"{field} of {type_name} on topic {mapping.target}{said}."
+
+
+def _said(comment: str) -> str:
+    sentence = first_sentence(comment)
+    return f": {sentence[0].lower()}{sentence[1:]}" if sentence else ""
+
+
 class Commanded(Binding):
     """An actuator: what is written is published."""
 
     def __init__(self, shared: Shared, name: str, mapping: Mapping, cls: Any) -> None:
         self.topic = mapping.target
         self._type = inward(cls, mapping.unit)
-        self._fill = filler(cls)
+        self._fill = writer(cls) if is_made(cls) else filler(cls)
         self._outlet = Outlet(shared, self.topic, cls, mapping.qos)
         self._moved = False
         self._written: Any = None
@@ -134,7 +152,7 @@ class Commanded(Binding):
         valid_for = _DEADMAN if mapping.valid_for is None and velocity else mapping.valid_for
         self._safe = self._rest(mapping) if velocity or valid_for or mapping.safe else None
         resource = Resource(
-            value=self._type,
+            value=framed(self._type, mapping.frame),
             valid_for=valid_for or None,
             safe=self._safe,
             native=type_name,
@@ -142,7 +160,7 @@ class Commanded(Binding):
             **common(
                 name,
                 mapping,
-                f"Publishes {type_name} on topic {self.topic}.",
+                f"Publishes {type_name} on topic {self.topic}{_said(comments_of(cls).whole)}.",
                 topic=self.topic,
                 type=type_name,
             ),

@@ -14,10 +14,11 @@ from msgspec import Meta, Struct
 
 from rcp_kernel.errors import ConfigError
 from rcp_kernel.types import NONFINITE
-from rcp_ros2.idl import Primitive, Ref, Sequence, Text, Type, fields_of, full_name
+from rcp_ros2.comments import comments_of
+from rcp_ros2.idl import Primitive, Ref, Sequence, Text, Type, fields_of, full_name, is_defined
 from rcp_ros2.units import unit_of
 
-__all__ = ["example_of", "inward", "is_bytes", "outward", "part_of"]
+__all__ = ["example_of", "framed", "inward", "is_bytes", "outward", "part_of"]
 
 _FLOAT32 = 3.4028234663852886e38
 _INTS: dict[str, tuple[int, int | None]] = {
@@ -76,6 +77,13 @@ def part_of(cls: Any, path: str) -> tuple[Any, Type, str | None]:
     raise AssertionError(path)
 
 
+def framed(type_: Any, frame: str | None) -> Any:
+    """Return a type whose schema names the frame of its values."""
+    if frame is None:
+        return type_
+    return Annotated[type_, Meta(extra_json_schema={"frame_id": frame})]
+
+
 def is_bytes(item: Type) -> bool:
     """Tell whether a sequence of `item` is a string of bytes."""
     return isinstance(item, Primitive) and item.name in ("uint8", "octet")
@@ -96,21 +104,25 @@ def _struct(cls: Any, *, out: bool, unit: str | None) -> type[Struct]:
     if key in _made:
         return _made[key]
     name = full_name(cls)
-    sample = None if out else cls()
+    said = comments_of(cls)
+    sample = None if out or is_defined(cls) else cls()
     fields: list[Any] = []
     for field in fields_of(cls):
         typed = _typed(field.type, out=out, unit=unit_of(name, field.name) or unit)
+        text = said.fields.get(field.name)
+        shown = typed if text is None else Annotated[typed, Meta(description=text)]
         if out:
-            fields.append((field.name, typed))
+            fields.append((field.name, shown))
         else:
-            default = _default(field.type, typed, getattr(sample, field.name))
-            fields.append((field.name, typed, default))
+            value = _zero(field.type) if sample is None else getattr(sample, field.name)
+            fields.append((field.name, shown, _default(field.type, typed, value)))
     # Two units of one message in one schema need two names: Vector3_m_s and Vector3_rad_s.
     suffix = "" if unit is None else "_" + unit.replace("/", "_").replace(".", "_")
     made = msgspec.defstruct(
         cls.__name__ + suffix,
         fields,
         module=".".join(name.split("/")[:2]),
+        namespace={"__doc__": said.whole or None},
         frozen=True,
         gc=False,
         forbid_unknown_fields=True,
@@ -148,6 +160,25 @@ def _number(name: str, *, out: bool, unit: str | None) -> Any:
     if high is None:
         return Annotated[int, Meta(ge=low, extra_json_schema={**extra, "maximum": 2**64 - 1})]
     return Annotated[int, Meta(ge=low, le=high, extra_json_schema=extra)]
+
+
+def _zero(type_: Type) -> Any:
+    """Return what a field of a type without code is where nothing is said."""
+    match type_:
+        case Primitive("octet"):
+            return b"\0"
+        case Primitive("bool"):
+            return False
+        case Primitive("float32" | "float64"):
+            return 0.0
+        case Primitive():
+            return 0
+        case Text():
+            return ""
+        case Ref():
+            return None
+        case Sequence(item, size, _):
+            return [_zero(item)] * (size or 0)
 
 
 def _default(type_: Type, typed: Any, value: Any) -> Any:

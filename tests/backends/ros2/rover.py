@@ -42,6 +42,8 @@ class Rover(Node):
         self.battery = self.create_publisher(BatteryState, "battery_state", 10)
         self.driven = Twist()
         self.create_subscription(Twist, "cmd_vel", self.drive, 10, callback_group=group)
+        self.placed = Odometry()
+        self.create_subscription(Odometry, "set_odom", self.place, 10, callback_group=group)
         self.dock = self.create_service(SetBool, "dock", self.docked, callback_group=group)
         self.current: Any = None
         self.server = ActionServer(
@@ -81,6 +83,9 @@ class Rover(Node):
 
     def drive(self, twist: Twist) -> None:
         self.driven = twist
+
+    def place(self, odom: Odometry) -> None:
+        self.placed = odom
 
     def docked(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         response.success, response.message = True, f"docked: {request.data}"
@@ -150,6 +155,11 @@ class Fleet:
     def driven(self, space: str) -> float:
         """Tell how fast a rover was told to drive."""
         return self.rovers[space].driven.linear.x
+
+    def placed(self, space: str) -> list[Any]:
+        """Tell where a rover was told that it is."""
+        odom = self.rovers[space].placed
+        return [odom.child_frame_id, odom.pose.pose.position.x, list(odom.pose.covariance[:2])]
 
     def go(self, space: str, steps: int) -> None:
         """Send a goal as somebody else than the gateway."""

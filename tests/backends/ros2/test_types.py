@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import asyncio
 import importlib
 from types import SimpleNamespace
 from typing import Any
 
+import msgspec
 import pytest
 
-from backends.ros2.robot import Robot, robot_of
+from backends.ros2.robot import Fleet, Robot, robot_of
 from rcp_kernel.errors import AdapterUnavailable
 from rcp_ros2 import Ros2Config, idl
 from rcp_ros2.definitions import BadText, define_text, is_made, parse
@@ -78,13 +80,23 @@ async def test_a_service_type_that_is_not_installed_stays_an_error_with_a_way_ou
             await robot.execute("service/reset")
 
 
-async def test_a_made_type_is_not_spoken(domain: int, peer: object, bare: None) -> None:
+async def test_a_made_type_is_spoken(fleet_domain: int, fleet: Fleet, bare: None) -> None:
     types = {"nav_msgs/msg/Odometry": ODOMETRY}
-    mapping = {"topic": "/set_odom", "type": "nav_msgs/msg/Odometry"}
-    async with robot_of(domain, map={"/actuator/odom": mapping}, types=types) as robot:
-        await robot.until(lambda: "actuator/odom" in robot.resources)
-        with pytest.raises(AdapterUnavailable, match="can only be listened to"):
-            await robot.backend.write("actuator/odom", None)
+    mapping = {"topic": "/fleet/r1/set_odom", "type": "nav_msgs/msg/Odometry"}
+    async with robot_of(fleet_domain, map={"/actuator/odom": mapping}, types=types) as robot:
+        await robot.until(lambda: robot.resources.get("actuator/odom") is not None)
+        assert is_made(load("nav_msgs/msg/Odometry"))
+        told = {
+            "child_frame_id": "base",
+            "pose": {"pose": {"position": {"x": 2.5}}, "covariance": [0.5, 0.25, *[0.0] * 34]},
+        }
+        await robot.backend.write("actuator/odom", robot.input("actuator/odom", told))
+        await robot.until_async(
+            lambda: asyncio.to_thread(fleet.tell, "placed", space="/fleet/r1"),
+            lambda placed: placed == ["base", 2.5, [0.5, 0.25]],
+        )
+        with pytest.raises(msgspec.ValidationError):
+            robot.input("actuator/odom", {"pose": {"covariance": [0.0]}})
 
 
 def test_a_text_is_the_type_that_the_generator_makes_of_it(bare: None) -> None:
