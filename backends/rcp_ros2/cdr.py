@@ -15,7 +15,7 @@ from collections.abc import Callable
 from typing import Any
 
 from rcp_ros2.idl import WIDTHS, Primitive, Ref, Sequence, Text, Type, fields_of, full_name
-from rcp_ros2.types import is_bytes, outward
+from rcp_ros2.types import bare, is_bytes, outward
 
 __all__ = ["Codec", "Malformed", "Value"]
 
@@ -323,13 +323,9 @@ class _Function:
 
 def _declared(type_: Any, name: str) -> Any:
     """Return the declared type of a field of a made type."""
-    return _bare(type_.__annotations__[name])
-
-
-def _bare(type_: Any) -> Any:
-    return type_.__origin__ if hasattr(type_, "__metadata__") else type_
+    return bare(type_.__annotations__[name])
 
 
 def _element_of(type_: Any) -> Any:
     """Return the type of the elements of a list type, bounded or not."""
-    return _bare(type_).__args__[0]
+    return bare(type_).__args__[0]

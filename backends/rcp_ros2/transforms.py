@@ -21,7 +21,7 @@ from rcp_ros2.frames import Extrapolation, Frames, NotConnected, Place, UnknownF
 from rcp_ros2.graph import Graph
 from rcp_ros2.idl import load
 from rcp_ros2.names import legal
-from rcp_ros2.types import outward
+from rcp_ros2.types import kinds_of, outward
 
 __all__ = ["Transforms"]
 
@@ -230,11 +230,11 @@ def _out_of_range(error: Extrapolation) -> OutOfRange:
 
 def _pair_type(target: str, source: str) -> Any:
     """Return geometry_msgs/TransformStamped with its frames in the schema."""
-    stamped = outward(load(_STAMPED))
+    stamped = kinds_of(outward(load(_STAMPED)))
     header = msgspec.defstruct(
         "Header",
         [
-            ("stamp", stamped.__annotations__["header"].__annotations__["stamp"]),
+            ("stamp", kinds_of(stamped["header"])["stamp"]),
             ("frame_id", _frame(target)),
         ],
         frozen=True,
@@ -244,7 +244,7 @@ def _pair_type(target: str, source: str) -> Any:
         [
             ("header", header),
             ("child_frame_id", _frame(source)),
-            ("transform", stamped.__annotations__["transform"]),
+            ("transform", stamped["transform"]),
         ],
         frozen=True,
     )
@@ -257,11 +257,11 @@ def _frame(name: str) -> Any:
 
 def _maker(type_: Any) -> Callable[[str, str, Place, int | None], Any]:
     """Return the function that makes a value of such a type."""
-    kinds: Any = type_.__annotations__
+    kinds = kinds_of(type_)
     header, transform = kinds["header"], kinds["transform"]
-    stamp = header.__annotations__["stamp"]
-    vector = transform.__annotations__["translation"]
-    quaternion = transform.__annotations__["rotation"]
+    stamp = kinds_of(header)["stamp"]
+    vector = kinds_of(transform)["translation"]
+    quaternion = kinds_of(transform)["rotation"]
 
     def make(target: str, source: str, place: Place, time: int | None) -> Any:
         return type_(

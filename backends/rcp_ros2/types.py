@@ -18,7 +18,16 @@ from rcp_ros2.comments import comments_of
 from rcp_ros2.idl import Primitive, Ref, Sequence, Text, Type, fields_of, full_name, is_defined
 from rcp_ros2.units import unit_of
 
-__all__ = ["example_of", "framed", "inward", "is_bytes", "outward", "part_of"]
+__all__ = [
+    "bare",
+    "example_of",
+    "framed",
+    "inward",
+    "is_bytes",
+    "kinds_of",
+    "outward",
+    "part_of",
+]
 
 _FLOAT32 = 3.4028234663852886e38
 _INTS: dict[str, tuple[int, int | None]] = {
@@ -75,6 +84,16 @@ def part_of(cls: Any, path: str) -> tuple[Any, Type, str | None]:
         unit = unit_of(full_name(cls), name) or unit
         cls = found.cls
     raise AssertionError(path)
+
+
+def bare(type_: Any) -> Any:
+    """Return a type without what is said about it."""
+    return type_.__origin__ if hasattr(type_, "__metadata__") else type_
+
+
+def kinds_of(type_: Any) -> dict[str, Any]:
+    """Return the types of a struct's fields, without what is said about them."""
+    return {name: bare(kind) for name, kind in bare(type_).__annotations__.items()}
 
 
 def framed(type_: Any, frame: str | None) -> Any:
@@ -202,6 +221,5 @@ def _plain(item: Type, typed: Any, value: Any) -> Any:
     if is_bytes(item):
         return b"".join(value) if item == Primitive("octet") else bytes(value)
     if isinstance(item, Ref):
-        inner = typed.__origin__ if hasattr(typed, "__metadata__") else typed
-        return [inner.__args__[0]() for _ in value]
+        return [bare(typed).__args__[0]() for _ in value]
     return value.tolist() if hasattr(value, "tolist") else list(value)
