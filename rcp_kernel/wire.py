@@ -203,9 +203,8 @@ def _decode_slowly(data: bytes, encoding: Encoding, error: Exception) -> Request
     if unknown:
         raise BadRequest(
             f"unknown field {unknown[0][:60]!r} in the envelope",
-            remedy="Name a field of your own x-<name>; the others are: "
-            + ", ".join(sorted(_KNOWN))
-            + ".",
+            remedy="Options and values go into `body`; a field of your own is named x-<name>; "
+            f"the envelope's are: {', '.join(sorted(_KNOWN))}.",
             details={"unknown": unknown[:10]},
         )
     encode = _to_json.encode if encoding is Encoding.JSON else _to_msgpack.encode
