@@ -98,7 +98,7 @@ class Estop:
             latches.set(key, by, asked.reason)
         for robot in robots:
             robot.stops += 1
-        stops = [asyncio.ensure_future(halt(robot)) for robot in robots]
+        stops = [halt(robot) for robot in robots]
         for stop in stops:  # held on to: they may have to go on after this request is answered
             self._stops.add(stop)
             stop.add_done_callback(self._stops.discard)

@@ -18,18 +18,31 @@ _ABREAST = 8  # unanswered ones, of which the oldest is given up for the next
 _TOLD = 1.0  # s between two log records, at least
 
 
-async def insist(stop: Callable[[], Coroutine[Any, Any, None]], event: str, **facts: str) -> None:
-    """Call `stop` until one call of it returns; cancelled, it gives up.
+def insist(
+    stop: Callable[[], Coroutine[Any, Any, None]], event: str, **facts: str
+) -> asyncio.Task[None]:
+    """Call `stop` until one call of it returns; return the task that does, which can be cancelled.
 
-    A call that is not answered goes on beside the next ones, for it may only be slow. Failures
-    are logged as `event` with `facts`.
+    The first call is scheduled before this returns, ahead of whatever is scheduled after it. A
+    call that is not answered goes on beside the next ones, for it may only be slow. Failures are
+    logged as `event` with `facts`.
     """
     loop = asyncio.get_running_loop()
-    calls: list[asyncio.Task[None]] = []
+    first = loop.create_task(stop())
+    return loop.create_task(_until_taken(first, stop, event, facts))
+
+
+async def _until_taken(
+    first: asyncio.Task[None],
+    stop: Callable[[], Coroutine[Any, Any, None]],
+    event: str,
+    facts: dict[str, str],
+) -> None:
+    loop = asyncio.get_running_loop()
+    calls = [first]
     pause, told = _AGAIN, -_TOLD
     try:
         while True:
-            calls.append(loop.create_task(stop()))
             failure = await _answered(calls, loop.time() + pause)
             if failure is None and not calls:
                 return
@@ -39,6 +52,7 @@ async def insist(stop: Callable[[], Coroutine[Any, Any, None]], event: str, **fa
             pause = min(pause * _SLOWER, _SLOWEST) if calls else _AGAIN
             if len(calls) >= _ABREAST:
                 calls.pop(0).cancel()
+            calls.append(loop.create_task(stop()))
     finally:
         for call in calls:
             call.cancel()

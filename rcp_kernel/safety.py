@@ -80,14 +80,14 @@ def check_age(entry: Entry, request: Request) -> None:
         )
 
 
-async def halt(robot: Stoppable) -> None:
-    """Call `Backend.halt` until the robot confirms it; cancelled, it gives up."""
+def halt(robot: Stoppable) -> asyncio.Task[None]:
+    """Call `Backend.halt` until the robot confirms it; cancelled, the task gives up."""
 
     async def once() -> None:
         if (backend := robot.backend) is not None:
             await backend.halt()
 
-    await insist(once, "halt_failed", backend=robot.name)
+    return insist(once, "halt_failed", backend=robot.name)
 
 
 class Deadman:

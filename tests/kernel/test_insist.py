@@ -78,6 +78,14 @@ async def test_one_that_is_taken_is_not_repeated() -> None:
     assert robot.calls == 1
 
 
+async def test_the_first_call_is_ahead_of_what_is_scheduled_after_it() -> None:
+    robot, seen = Robot(answered), list[int]()
+    stopping = insist(robot.stop, "stop_failed")
+    asyncio.get_running_loop().call_soon(lambda: seen.append(robot.calls))
+    await stopping
+    assert seen == [1]
+
+
 async def test_one_that_got_lost_is_not_waited_for() -> None:
     robot = Robot(lost, answered)
     assert await stopped(robot) == []
@@ -98,7 +106,7 @@ async def test_a_slow_answer_to_the_first_one_counts() -> None:
 
 async def test_one_that_gives_up_takes_all_its_calls_with_it() -> None:
     robot = Robot(lost)
-    work = asyncio.ensure_future(insist(robot.stop, "stop_failed"))
+    work = insist(robot.stop, "stop_failed")
     async with asyncio.timeout(BOUND):
         await robot.third.wait()
         work.cancel()
