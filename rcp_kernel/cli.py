@@ -184,6 +184,7 @@ def _loop_factory() -> Callable[[], asyncio.AbstractEventLoop] | None:
 
 
 async def _serve(prepared: Prepared, recent: Recent, path: Path | None, demo: Demo | None) -> None:
+    from rcp_kernel.garbage import collected_at_rest
     from rcp_kernel.reload import reload
     from rcp_kernel.server import running
 
@@ -200,17 +201,19 @@ async def _serve(prepared: Prepared, recent: Recent, path: Path | None, demo: De
     for number in (signal.SIGINT, signal.SIGTERM):
         loop.add_signal_handler(number, ask, number.name)
     async with running(prepared, recent) as server:
+        gateway = server.gateway
         tasks: set[asyncio.Task[None]] = set()
         if path is not None:
             loop.add_signal_handler(
                 signal.SIGHUP, lambda: tasks.add(loop.create_task(reload(server, path)))
             )
-        if demo is not None:
-            with demo.credentials(server):
-                click.echo(demo.banner(server))
+        with collected_at_rest(loop, lambda: gateway.moving):
+            if demo is not None:
+                with demo.credentials(server):
+                    click.echo(demo.banner(server))
+                    await stop.wait()
+            else:
+                for facts in server.status.transports:
+                    if "url" in facts:
+                        click.echo(f"rcpd: serving on {facts['url']}", err=True)
                 await stop.wait()
-        else:
-            for facts in server.status.transports:
-                if "url" in facts:
-                    click.echo(f"rcpd: serving on {facts['url']}", err=True)
-            await stop.wait()

@@ -296,6 +296,11 @@ class Gateway:
         if self.closing:
             raise AdapterUnavailable("the gateway is closing")
 
+    @property
+    def moving(self) -> bool:
+        """Whether a robot is driven, or carries something out."""
+        return self.deadman.driving or bool(self.commands.running)
+
     def reconfigure(self, config: GatewayConfig) -> None:
         """Take over the rules, keys and limits of another configuration; open sessions feel it."""
         self.config = config

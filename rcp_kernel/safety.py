@@ -187,6 +187,11 @@ class Deadman:
         if leaving:
             await asyncio.wait(leaving, timeout=ANSWER)
 
+    @property
+    def driving(self) -> bool:
+        """Whether any command stands for a time, is under way, or has to be stopped."""
+        return bool(self._timers or self._stops or self._flights)
+
     def holds(self, entry: Entry) -> bool:
         """Tell whether a command, or a stop that is not acknowledged, is in force on an actuator."""
         path = entry.path

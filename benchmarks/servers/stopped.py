@@ -14,6 +14,7 @@ import msgspec
 import uvloop
 
 from rcp_kernel.config import BackendConfig, parse
+from rcp_kernel.garbage import collected_at_rest
 from rcp_kernel.log import configure
 from rcp_kernel.model import Resource
 from rcp_kernel.server import Prepared, prepare, running
@@ -82,8 +83,10 @@ async def main() -> None:
     made = Prepared(config, bare.plugins, (Nothing(),), bare.transports, bare.adapters)
     async with running(made) as server:
         url = next(facts["url"] for facts in server.status.transports if "url" in facts)
-        print(url.rpartition(":")[2].strip("/"), flush=True)
-        await asyncio.to_thread(sys.stdin.read)
+        loop, gateway = asyncio.get_running_loop(), server.gateway
+        with collected_at_rest(loop, lambda: gateway.moving):
+            print(url.rpartition(":")[2].strip("/"), flush=True)
+            await asyncio.to_thread(sys.stdin.read)
 
 
 uvloop.run(main())
