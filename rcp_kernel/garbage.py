@@ -13,9 +13,9 @@ from contextlib import contextmanager
 
 __all__ = ["collected_at_rest"]
 
-_THRESHOLDS = (10_000, 10, 1_000)
-"""Young objects are looked through in some milliseconds; all of them only when the process has
-gained a hundred million without ever resting."""
+_THRESHOLDS = (2_000, 50_000, 10)
+"""The youngest objects are looked through in some milliseconds; older ones only when the process
+has gained a hundred million without ever resting."""
 _LOOK = 5.0  # s between looks whether something moves
 _EVERY = 12  # looks at rest from one collection to the next
 

@@ -160,15 +160,25 @@ class Gateway:
                 raise meter.refusal(started)
             reply = self._table[request.type](session, request, answer)
         except Exception as error:
-            told = crash(error, type=request.type, path=request.path)
-            path = told.path or _full(request.path, session.tenant)
-            reply = failure(told, request.type, request.id, path)
-            reply.custom = request.custom
-            if told.code in DENIALS or request.type in ACTS:
-                answer = self.recording.refused(session, request, reply, answer)
+            reply, answer = self._refuse(session, request, answer, error)
         if reply is not None:
             self.conclude(session, reply, started)
             answer(reply)
+
+    def _refuse(
+        self, session: Session, request: Request, answer: Answer, error: Exception
+    ) -> tuple[Reply, Answer]:
+        """Make a refusal's reply, in a frame that the error's traceback does not lead to.
+
+        One that kept the error would be a cycle: for a flood of refusals, garbage without end.
+        """
+        told = crash(error, type=request.type, path=request.path)
+        path = told.path or _full(request.path, session.tenant)
+        reply = failure(told, request.type, request.id, path)
+        reply.custom = request.custom
+        if told.code in DENIALS or request.type in ACTS:
+            answer = self.recording.refused(session, request, reply, answer)
+        return reply, answer
 
     def conclude(self, session: Session, reply: Reply, started: float) -> None:
         """Count a final reply."""

@@ -39,9 +39,9 @@ def crash(error: BaseException, **facts: Any) -> RcpError:
 
 
 def blame(error: Exception, origin: str, path: str) -> RcpError:
-    """Turn what a backend raised into an error that says whose it is."""
+    """Turn what a backend raised, and no client may see, into an error that says whose it is."""
     told = crash(error, backend=origin, path=path)
-    told.origin = told.origin or origin
+    told.origin = origin
     return told
 
 

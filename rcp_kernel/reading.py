@@ -10,7 +10,12 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 
 from rcp_kernel.clock import iso, now
-from rcp_kernel.errors import AdapterUnavailable, FilterUnsupported, UnsupportedOperation
+from rcp_kernel.errors import (
+    AdapterUnavailable,
+    FilterUnsupported,
+    RcpError,
+    UnsupportedOperation,
+)
 from rcp_kernel.model import Operation, Pattern
 from rcp_kernel.pending import blame, crash
 from rcp_kernel.registry import Entry
@@ -83,6 +88,9 @@ class Reading:
             value = await backend.read(entry.name)
         except UnsupportedOperation:
             return await _first(entry, backend)
+        except RcpError as error:
+            error.origin = error.origin or entry.owner.name
+            raise
         except Exception as error:
             raise blame(error, entry.owner.name, entry.path) from error
         entry.owner.latency = perf_counter() - started

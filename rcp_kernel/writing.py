@@ -114,7 +114,9 @@ class Writing:
                 deadman.arm(entry, 0)
             else:
                 deadman.disarm(entry, guard)
-            if isinstance(error, Exception):
+            if isinstance(error, RcpError):
+                error.origin = error.origin or entry.owner.name
+            elif isinstance(error, Exception):
                 raise blame(error, entry.owner.name, entry.path) from error
             raise
         entry.owner.latency = perf_counter() - started
