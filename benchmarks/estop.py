@@ -14,6 +14,7 @@ import os
 import subprocess
 import sys
 import time
+from math import ceil
 from pathlib import Path
 
 import msgspec
@@ -124,7 +125,7 @@ async def main() -> None:
                 await asyncio.to_thread(flooding.stdout.readline)
             took, ended = await stop_again_and_again(port, server.stdout)
             took.sort()
-            figures = f"p50 {took[len(took) // 2]:.2f}  p99 {took[int(len(took) * 0.99)]:.2f}"
+            figures = f"p50 {took[len(took) // 2]:.2f}  p99 {took[ceil(len(took) * 0.99) - 1]:.2f}"
             print(f"{title:24} {figures}  max {took[-1]:.2f} ms, {ended} commands ended each time")
             if flooding is not None:
                 flooding.kill()

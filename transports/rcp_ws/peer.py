@@ -241,7 +241,7 @@ class Peer:
         mailbox = self._mailbox
         if self._outgoing.size is not None:
             self._flush_cut(self._outgoing, self._outgoing.size)
-        elif socket.compresses:
+        elif not self._plain:
             if messages := mailbox.collect():
                 socket.write(messages)
         elif parts := mailbox.collect():
