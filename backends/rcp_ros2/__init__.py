@@ -11,8 +11,9 @@ from rcp_kernel.hookspecs import hookimpl
 from rcp_kernel.spi import BackendKind
 from rcp_ros2.backend import Ros2Backend, open_ros2
 from rcp_ros2.config import Mapping, Qos, Ros2Config
+from rcp_ros2.topics import PROFILE
 
-__all__ = ["Mapping", "Qos", "Ros2Backend", "Ros2Config", "open_ros2", "rcp_backends"]
+__all__ = ["PROFILE", "Mapping", "Qos", "Ros2Backend", "Ros2Config", "open_ros2", "rcp_backends"]
 
 
 @hookimpl

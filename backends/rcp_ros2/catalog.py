@@ -27,6 +27,7 @@ from rcp_ros2.lifecycle import Lifecycles
 from rcp_ros2.log import Log
 from rcp_ros2.names import is_internal_parameter, resource_name
 from rcp_ros2.parameters import Events, NodeParameters, Setting
+from rcp_ros2.pictures import Pictures
 from rcp_ros2.sensors import Commanded, Observed
 from rcp_ros2.services import Called
 from rcp_ros2.together import Together
@@ -70,6 +71,7 @@ class Catalog:
             GraphView(shared),
             Transforms(shared, wanted.exposes, clock.on_jump),
             Log(shared, wanted.exposes_log),
+            Pictures(shared, self.bindings),
         )
         shared.look_again = lambda: self.update(shared.graph)
 

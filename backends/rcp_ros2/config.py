@@ -10,7 +10,7 @@ from rcp_kernel.errors import RcpError
 from rcp_kernel.model import Kind, Policy, kind_of
 from rcp_ros2.definitions import parse
 
-__all__ = ["Diagnostics", "Log", "Mapping", "Qos", "Ros2Config", "Transforms"]
+__all__ = ["Diagnostics", "Jpeg", "Log", "Mapping", "Qos", "Ros2Config", "Transforms"]
 
 RosName = Annotated[str, Meta(pattern=r"^~?/?[A-Za-z0-9_~/]+$", max_length=256)]
 RosPattern = Annotated[str, Meta(pattern=r"^[A-Za-z0-9_*/]+$", max_length=256)]
@@ -105,6 +105,14 @@ class Log(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """The least that is told."""
 
 
+class Jpeg(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """How images become JPEGs, for those who ask for these."""
+
+    quality: Annotated[int, Meta(ge=1, le=100)] = 80
+    rate: Annotated[float, Meta(gt=0, le=120, extra_json_schema={"unit": "Hz"})] = 15.0
+    """At most so many a second of one camera."""
+
+
 class Transforms(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """How the tree of frames is kept, where `expose` names `/tf` and `/tf_static`."""
 
@@ -157,6 +165,7 @@ class Ros2Config(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """The `.msg` text of types that are not installed."""
     diagnostics: Diagnostics = Diagnostics()
     log: Log = Log()
+    jpeg: Jpeg = Jpeg()
     tf: Transforms = Transforms()
     graph: bool = False
     """Offer the graph itself as `sensor/ros/graph`."""

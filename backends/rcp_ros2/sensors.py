@@ -11,7 +11,7 @@ import msgspec
 from rcp_kernel.errors import AdapterUnavailable, DeviceTimeout
 from rcp_kernel.model import Resource
 from rcp_ros2.binding import Binding, Shared, common
-from rcp_ros2.cdr import Codec
+from rcp_ros2.cdr import Codec, Value
 from rcp_ros2.comments import comments_of, first_sentence
 from rcp_ros2.config import Mapping
 from rcp_ros2.definitions import is_made
@@ -49,7 +49,7 @@ class Observed(Binding):
     ) -> None:
         self.topic = mapping.target
         self._cls = cls
-        self._codec = codec
+        self.codec = codec
         super().__init__(shared, resource, mapping)
         if resource.live:  # nobody could read the last one otherwise
             self.watched(math.inf)
@@ -77,8 +77,15 @@ class Observed(Binding):
     def watched(self, rate: float) -> None:
         """Subscribe, or change the rate."""
         period = 0.0 if rate == math.inf else 1 / rate
-        tap = Tap(self.resource.name, self._codec, period=period)
+        self.tap(Tap(self.resource.name, self.codec, period=period))
+
+    def tap(self, tap: Tap) -> None:
+        """Let a path take from the topic, this one or one that is made of it."""
         self.shared.ros.post(self.shared.feeds.tap, self.topic, self._cls, self.mapping.qos, tap)
+
+    def untap(self, name: str) -> None:
+        """Let a path take no more."""
+        self.shared.ros.post(self.shared.feeds.untap, self.topic, name)
 
     def unwatched(self) -> None:
         """End the subscription, unless it is an event's."""
@@ -87,7 +94,7 @@ class Observed(Binding):
 
     def close(self) -> None:
         """End the subscription."""
-        self.shared.ros.post(self.shared.feeds.untap, self.topic, self.resource.name)
+        self.untap(self.resource.name)
 
     async def read(self) -> Any:
         """Return the next value, or what a latched topic is at.
@@ -95,6 +102,10 @@ class Observed(Binding):
         :raises AdapterUnavailable: no node publishes the topic, or it is an event that never came.
         :raises DeviceTimeout: nothing came in time.
         """
+        return (await self.following()).decode()
+
+    async def following(self) -> Value:
+        """Return what `read` does, still serialised."""
         if self.resource.live:  # the kernel would have answered with the last one
             raise AdapterUnavailable(
                 f"nothing has come on {self.topic} yet",
@@ -107,7 +118,7 @@ class Observed(Binding):
                 remedy="Start the node that does; the gateway finds it by itself.",
             )
         next_ = Ticket(shared.host)
-        tap = Tap(f"{self.resource.name} read {id(next_)}", self._codec, taker=next_.give)
+        tap = Tap(f"{self.resource.name} read {id(next_)}", self.codec, taker=next_.give)
         await shared.ros.call(shared.feeds.tap, self.topic, self._cls, self.mapping.qos, tap)
         try:
             if not await next_.wait(self.timeout):
@@ -115,9 +126,9 @@ class Observed(Binding):
                     f"no message came on {self.topic} within {self.timeout:g} s",
                     remedy="Check that the node that publishes it runs; subscribe to wait longer.",
                 )
-            return next_.result().decode()
+            return next_.result()
         finally:
-            shared.ros.post(shared.feeds.untap, self.topic, tap.name)
+            self.untap(tap.name)
 
     def _is_published(self) -> bool:
         return bool(self.shared.graph.publishers.get(self.topic))

@@ -5,9 +5,11 @@ Everything here runs in the ROS thread.
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import structlog
@@ -18,9 +20,13 @@ from rcp_ros2.outbox import Outbox
 from rcp_ros2.qos import Profile, clash, for_subscription
 from rcp_ros2.ros import Ros, guarded
 
-__all__ = ["Feed", "Feeds", "Tap"]
+__all__ = ["PROFILE", "Feed", "Feeds", "Tap"]
 
 log = structlog.get_logger("rcp.ros2")
+_LARGE = 262_144  # bytes: two of these fill what Fast DDS has by default
+_PROFILES = "FASTDDS_DEFAULT_PROFILES_FILE"
+PROFILE = Path(__file__).with_name("fastdds.xml")
+"""Fast DDS with shared memory enough for images and clouds."""
 _SWEEP = 0.02  # s between looks for held values whose time has come
 
 
@@ -51,6 +57,8 @@ class Feed:
     subscription: Any = None
     last: bytes | None = None
     """The newest message."""
+    advised: bool = False
+    """Whether it was said how large messages are not lost."""
 
 
 class Feeds:
@@ -121,6 +129,8 @@ class Feeds:
         def heard(data: bytes) -> None:
             try:
                 feed.last = data
+                if len(data) > _LARGE and not feed.advised:
+                    _advise(feed, len(data))
                 now = monotonic()
                 for tap in taps.values():
                     if tap.period and now < tap.due:
@@ -134,12 +144,12 @@ class Feeds:
 
     def _send(self, tap: Tap, data: bytes, now: float) -> None:
         tap.held = None
-        if tap.taker is not None:
-            tap.taker(Value(data, tap.codec))
-            return
         if tap.period:
             # By the schedule and not by the clock, or jitter would cost every other value.
             tap.due = max(tap.due, now - tap.period) + tap.period
+        if tap.taker is not None:
+            tap.taker(Value(data, tap.codec))
+            return
         stamp = tap.codec.stamp(data)
         time_ = self.now() if stamp is None else stamp
         self._outbox.put(tap.name, Value(data, tap.codec), time_)
@@ -158,6 +168,20 @@ class Feeds:
             for tap in feed.taps.values():
                 if tap.held is not None and now >= tap.due:
                     self._send(tap, tap.held, now)
+
+
+def _advise(feed: Feed, size: int) -> None:
+    feed.advised = True
+    if feed.profile is None or feed.profile.reliable or _PROFILES in os.environ:
+        return
+    log.warning(
+        "ros_messages_may_be_lost",
+        topic=feed.topic,
+        bytes=size,
+        detail="best effort, and larger than the shared memory of Fast DDS takes by itself: most "
+        "of them are lost unless the node that publishes them has more",
+        remedy=f"Start that node with {_PROFILES}={PROFILE}, or have it publish reliable.",
+    )
 
 
 def _subscribe(

@@ -25,10 +25,3 @@ def test_a_buffer_that_was_freed_is_used_again() -> None:
         [sys.executable, "-c", SCRIPT], capture_output=True, text=True, check=True, timeout=30
     )
     assert int(run.stdout) < 5000  # 50 buffers have 50 000 pages
-
-
-@pytest.mark.skipif(sys.platform == "linux", reason="elsewhere nothing is to be done")
-def test_other_systems_are_left_alone() -> None:
-    from rcp_kernel.memory import keep_freed_memory
-
-    keep_freed_memory()

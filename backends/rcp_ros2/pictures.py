@@ -1,0 +1,136 @@
+"""Cameras as JPEG: beside each image sensor one more, made only while somebody asks for it."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import threading
+from collections.abc import Mapping as Bindings
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+from typing import Any
+
+from rcp_kernel.errors import RcpError
+from rcp_kernel.model import Resource
+from rcp_ros2.binding import Binding, Offer, Shared
+from rcp_ros2.cdr import Codec, Value
+from rcp_ros2.graph import Graph
+from rcp_ros2.idl import load
+from rcp_ros2.jpeg import compress, is_here, wrapped
+from rcp_ros2.sensors import Observed
+from rcp_ros2.topics import Tap
+
+__all__ = ["Pictures"]
+
+_IMAGE, _COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
+_LEAF = "/jpeg"
+
+
+class Pictures:
+    """Offers `<sensor>/jpeg` for each sensor of whole images."""
+
+    def __init__(self, shared: Shared, bindings: Bindings[str, Binding]) -> None:
+        self._shared = shared
+        self._bindings = bindings
+        self._is_here = is_here()
+
+    def find(self, graph: Graph) -> dict[str, Offer]:
+        """Return a path for each image sensor there is."""
+        if not self._is_here:
+            return {}
+        return {
+            name + _LEAF: Offer(binding.mapping, partial(Picture, self._shared, binding))
+            for name, binding in self._bindings.items()
+            if isinstance(binding, Observed) and _is_camera(binding)
+        }
+
+
+def _is_camera(binding: Observed) -> bool:
+    whole = binding.mapping.field is None and not binding.resource.live
+    return whole and binding.resource.native == _IMAGE
+
+
+class Picture(Binding):
+    """One camera's JPEG. While one is made, only the newest image waits."""
+
+    def __init__(self, shared: Shared, source: Observed) -> None:
+        self._source = source
+        self._pool = ThreadPoolExecutor(1, "ros2 jpeg")
+        self._codec = Codec(load(_COMPRESSED))
+        self._lock = threading.Lock()
+        self._next: Value | None = None
+        self._busy = False
+        self._rate = shared.config.jpeg.rate
+        of = source.resource
+        resource = Resource(
+            name=of.name + _LEAF,
+            value=self._codec.type,
+            native=_COMPRESSED,
+            description=f"JPEG of {of.name}, at most {self._rate:g} a second.",
+            timeout=of.timeout,
+            deadline=of.deadline,
+            meta={"topic": source.topic, "type": _COMPRESSED},
+        )
+        super().__init__(shared, resource, source.mapping)
+
+    def watched(self, rate: float) -> None:
+        """Subscribe, or change the rate."""
+        period = 1 / min(rate, self._rate)
+        codec = self._source.codec
+        self._source.tap(Tap(self.resource.name, codec, taker=self._take, period=period))
+
+    def unwatched(self) -> None:
+        """End the subscription."""
+        self._source.untap(self.resource.name)
+        self.shared.complain(self.resource.name, None)
+
+    def close(self) -> None:
+        """End the subscription, and the thread."""
+        self.unwatched()
+        self._pool.shutdown(wait=False)
+
+    async def read(self) -> Any:
+        """Return a JPEG of the next image.
+
+        :raises AdapterUnavailable: no node publishes the topic.
+        :raises DeviceTimeout: nothing came in time.
+        :raises DeviceRejected: of such images none is made.
+        """
+        image = await self._source.following()
+        loop = asyncio.get_running_loop()
+        made = await loop.run_in_executor(self._pool, self._made, image)
+        return made.decode()
+
+    def _made(self, image: Value) -> Value:
+        jpeg = compress(image.decode(), self.shared.config.jpeg.quality)
+        return Value(wrapped(image.data, jpeg), self._codec)
+
+    def _take(self, image: Value) -> None:
+        with self._lock:
+            self._next = image
+            if self._busy:
+                return
+            self._busy = True
+        with contextlib.suppress(RuntimeError):  # closed: nobody waits for it
+            self._pool.submit(self._work)
+
+    def _work(self) -> None:
+        while True:
+            with self._lock:
+                image, self._next = self._next, None
+                if image is None:
+                    self._busy = False
+                    return
+            self._put(image)
+
+    def _put(self, image: Value) -> None:
+        name = self.resource.name
+        try:
+            made = self._made(image)
+        except Exception as error:
+            why = error.message if isinstance(error, RcpError) else str(error)
+            self.shared.complain(name, f"{name}: {why}")
+            return
+        self.shared.complain(name, None)
+        stamp = self._codec.stamp(made.data)
+        self.shared.outbox.put(name, made, self.shared.feeds.now() if stamp is None else stamp)
