@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from certs import Authority
 from docs.demo import BIN, Demo
 from docs.pages import ROOT
 from rcp_kernel.plugins import installed
@@ -32,7 +33,9 @@ def example(name: str, *options: str, live: Demo) -> list[str]:
 
 
 @pytest.mark.parametrize("path", sorted(EXAMPLES.glob("*.toml")), ids=lambda path: path.stem)
-def test_an_example_configuration_is_good(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_example_configuration_is_good(
+    path: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     for plugin in re.findall(r'^use = "(\w+)"', path.read_text(encoding="utf-8"), re.MULTILINE):
         if plugin not in installed("backends"):
             pytest.skip(f"{plugin} is another distribution's and not installed")
@@ -40,6 +43,10 @@ def test_an_example_configuration_is_good(path: Path, monkeypatch: pytest.Monkey
         key = f"{name.lower()}-0123456789"
         digest = hashlib.sha256(key.encode()).hexdigest()
         monkeypatch.setenv(name, digest if name.endswith("SHA256") else key)
+    monkeypatch.setenv("RCP_HOME", str(tmp_path))
+    (tmp_path / "tls").mkdir()
+    ca = Authority(tmp_path / "tls", "CA")
+    ca.server("gateway")
     assert ": good" in run([str(BIN / "rcpd"), "check", str(path)])
 
 
