@@ -252,9 +252,10 @@ class Leases:
         self._lost.forgive(lease.key, lease.scope)
         self._keep(lease)
         facts = {"lease": lease.id, "scope": lease.scope.text, "by": session.principal.name}
-        heir.tell("lease_given", **facts, to=lease.holder, expires=iso(lease.expires))
+        tell = self._gateway.sessions.tell
+        tell(lease.key, "lease_given", **facts, to=lease.holder, expires=iso(lease.expires))
         if before != lease.key:
-            session.tell("lease_given", **facts, to=lease.holder)
+            tell(before, "lease_given", **facts, to=lease.holder)
         self._note("hand_over", lease, session, to=lease.holder)
 
     # -- how leases end ------------------------------------------------------------------------
@@ -276,9 +277,8 @@ class Leases:
                 self._gateway.commands.withdraw(command, LeaseLost(loss.told, path=command.path))
         if stop:
             self._bring_to_rest(lease)
-        loser = self._gateway.sessions.known.get(lease.key)
-        if loser is not None:
-            loser.tell("lease_lost", lease=lease.id, scope=lease.scope.text, by=by, reason=reason)
+        facts = {"lease": lease.id, "scope": lease.scope.text, "by": by, "reason": reason}
+        self._gateway.sessions.tell(lease.key, "lease_lost", **facts)
         self._note("lost", lease, None, by=by, reason=reason)
 
     def _bring_to_rest(self, lease: Lease) -> None:
@@ -325,8 +325,8 @@ class Leases:
         """End the leases whose holders may command nothing in them any more."""
         self.configure()
         for lease in list(self.held.values()):
-            holder = self._gateway.sessions.known.get(lease.key)
-            if holder is not None and not self.commands_in(holder, lease.scope):
+            holders = self._gateway.sessions.holding(lease.key)
+            if holders and not any(self.commands_in(one, lease.scope) for one in holders):
                 self.lose(lease, "the gateway", "the holder's rights were withdrawn")
 
     def commands_in(self, session: Session, scope: Scope) -> bool:

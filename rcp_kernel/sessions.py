@@ -229,6 +229,16 @@ class Sessions:
         """List the sessions of connections, and those that requests without one share."""
         return [*self.known.values(), *self._stateless.values()]
 
+    def holding(self, key: str) -> list[Session]:
+        """List the sessions whose a holder's leases are: one, or all that its principal has."""
+        own = self.known.get(key)
+        return [own] if own else [s for s in self.everyone() if key in s.holders]
+
+    def tell(self, key: str, code: str, **facts: Any) -> None:
+        """Send a notice to whoever acts for a holder of leases."""
+        for session in self.holding(key):
+            session.tell(code, **facts)
+
     def _logged_in(self, session: Session, peer: Peer) -> None:
         principal = session.principal
         self._lapsing.watch(session)
