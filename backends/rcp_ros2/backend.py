@@ -15,7 +15,7 @@ from rcp_ros2.catalog import Catalog
 from rcp_ros2.config import Ros2Config
 from rcp_ros2.definitions import define_text
 from rcp_ros2.graph import GraphWatch
-from rcp_ros2.ros import Ros, open_ros
+from rcp_ros2.ros import Ros, guarded, open_ros
 
 __all__ = ["Ros2Backend", "open_ros2"]
 
@@ -114,4 +114,4 @@ async def _settle(catalog: Catalog, ros: Ros) -> None:
 
 def _look(shared: Shared) -> None:
     for look in list(shared.on_look):
-        look()
+        guarded(look)()

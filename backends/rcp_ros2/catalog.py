@@ -346,6 +346,8 @@ class Catalog:
         )
         text = f"nobody offers {', '.join(missing)}" if missing else None
         self._shared.trouble("missing", text)
+        words = "; ".join(graph.disputed[name] for name in sorted(graph.disputed))
+        self._shared.trouble("types", words or None)
         self._shared.report()
 
     async def close(self) -> None:

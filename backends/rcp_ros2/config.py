@@ -29,6 +29,14 @@ class Qos(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     reliability: Literal["reliable", "best_effort"] | None = None
     durability: Literal["volatile", "transient_local"] | None = None
     depth: Annotated[int, Meta(ge=1, le=10_000)] | None = None
+    history: Literal["keep_last", "keep_all"] | None = None
+    deadline: Seconds | None = None
+    """Between two messages, at most: promised by a publisher, asked for by a subscription."""
+    lifespan: Seconds | None = None
+    """For which a message is worth sending."""
+    liveliness: Literal["automatic", "manual_by_topic"] | None = None
+    lease: Seconds | None = None
+    """For which the other side counts as alive without a sign."""
 
 
 class Mapping(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):

@@ -11,6 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
+from rcp_ros2.pulse import node_of
 from rcp_ros2.ros import Ros, guarded
 
 __all__ = ["CALLS", "GOALS", "Graph", "GraphWatch"]
@@ -42,6 +43,8 @@ class Graph:
     publishers: dict[str, int] = field(default_factory=dict[str, int])
     """Others' publishers of the topics that matter here."""
     subscribers: dict[str, int] = field(default_factory=dict[str, int])
+    disputed: dict[str, str] = field(default_factory=dict[str, str])
+    """Topics that are published with several types, with words about it."""
 
     def has(self, noun: str, name: str) -> bool:
         """Tell whether somebody offers a topic, service, action, or is a node of the kind wanted."""
@@ -76,6 +79,8 @@ class GraphWatch:
         self._told = told
         self._next = 0.0
         self._settled = 0.0
+        self._chosen: dict[str, str] = {}
+        """The type of each topic that has had several."""
         self.on_look: list[Callable[[], None]] = []
         """Called in the ROS thread at each look."""
 
@@ -91,12 +96,17 @@ class GraphWatch:
         settled = now > self._settled
         self._next = now + (self._ros.config.poll - _FAST / 2 if settled else 0.0)
         for look in self.on_look:
-            look()
+            guarded(look)()  # what one thing runs into is not the others' fault
         self._ros.host.call_soon(self._told, self._look())
 
     def _look(self) -> Graph:
         node: Any = self._ros.node
-        topics = {name: types[0] for name, types in node.get_topic_names_and_types()}
+        found = dict(node.get_topic_names_and_types())
+        topics = {name: types[0] for name, types in found.items()}
+        disputed: dict[str, str] = {}
+        for name, types in found.items():
+            if len(types) > 1 and self._matters(name):
+                topics[name] = self._choose(name, types, disputed)
         services = {
             name: types[0]
             for name, types in node.get_service_names_and_types()
@@ -120,4 +130,22 @@ class GraphWatch:
         lifecycle = frozenset(
             name.removesuffix(_CHANGE) for name, type_ in services.items() if type_ == _CHANGES
         )
-        return Graph(topics, services, actions, nodes, lifecycle, publishers, subscribers)
+        return Graph(topics, services, actions, nodes, lifecycle, publishers, subscribers, disputed)
+
+    def _choose(self, name: str, types: list[str], disputed: dict[str, str]) -> str:
+        """Return the type that a topic has for whoever publishes it: the gateway lists its own."""
+        node: Any = self._ros.node
+        own = node.get_fully_qualified_name()
+        offers: dict[str, str] = {
+            info.topic_type: node_of(info) or "a node"
+            for info in node.get_publishers_info_by_topic(name)
+            if node_of(info) != own
+        }
+        offered: list[str] = sorted(offers) or types
+        chosen = self._chosen.get(name, "")
+        if chosen not in offered:
+            chosen = self._chosen[name] = offered[0]
+        if len(offers) > 1:
+            each = ", ".join(f"{type_} by {who}" for type_, who in sorted(offers.items()))
+            disputed[name] = f"{name} is published as {each}: only {chosen} is read"
+        return chosen

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 from typing import Any, Literal
 
+from rcp_kernel.errors import AdapterUnavailable
 from rcp_ros2.binding import Shared
 from rcp_ros2.config import Qos
 from rcp_ros2.pulse import node_of
@@ -29,8 +31,16 @@ class Outlet:
         self._publisher: Any = None
         self._nodes: frozenset[str] = frozenset()
 
+    def look(self) -> None:
+        """Suit those who listen now, before it is needed, so that it is discovered by then."""
+        with contextlib.suppress(AdapterUnavailable):  # which is told as a complaint
+            self.match()
+
     def match(self) -> None:
-        """Suit those who listen now. Done before it is needed, so that it is discovered by then."""
+        """Suit those who listen now.
+
+        :raises AdapterUnavailable: the middleware refuses; one topic has one type in a process.
+        """
         from rclpy.event_handler import PublisherEventCallbacks
 
         node = self._node()
@@ -43,12 +53,18 @@ class Outlet:
             return
         self._drop()
         self._profile = profile
-        self._publisher = node.create_publisher(
-            self._cls,
-            self._topic,
-            profile.to_ros(),
-            event_callbacks=PublisherEventCallbacks(use_default_callbacks=False),
-        )
+        try:
+            self._publisher = node.create_publisher(
+                self._cls,
+                self._topic,
+                profile.to_ros(),
+                event_callbacks=PublisherEventCallbacks(use_default_callbacks=False),
+            )
+        except Exception as error:
+            self._profile = None
+            why = f"{self._topic} cannot be published: {error}"
+            self._complain(f"publisher {self._topic}", why)
+            raise AdapterUnavailable(why) from error
 
     def send(self, message: Any, *, anyhow: bool) -> Hearing:
         """Publish, if it is heard or anyhow; tell who hears it."""

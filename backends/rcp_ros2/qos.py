@@ -22,18 +22,44 @@ _EVER = 2**63 - 1  # ns, as rclpy has infinity
 
 
 class Profile(NamedTuple):
-    """The part of a QoS profile that decides whether two sides talk."""
+    """A QoS profile, as far as the two sides of a topic must agree on it."""
 
     reliable: bool
     latched: bool
     """Transient local: late joiners are given the last values."""
     depth: int = _DEPTH
+    """How many values wait; 0 keeps all."""
+    deadline: int = _EVER
+    """Longest time between two messages, ns."""
+    lifespan: int = _EVER
+    """For which a message that has not arrived is worth sending, ns."""
+    manual: bool = False
+    lease: int = _EVER
 
     def to_ros(self) -> Any:
         """Return it as rclpy takes it."""
-        from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+        from rclpy.duration import Duration
+        from rclpy.qos import (
+            DurabilityPolicy,
+            HistoryPolicy,
+            LivelinessPolicy,
+            QoSProfile,
+            ReliabilityPolicy,
+        )
 
+        more: dict[str, Any] = {
+            key: Duration(nanoseconds=value)
+            for key, value in (
+                ("deadline", self.deadline),
+                ("lifespan", self.lifespan),
+                ("liveliness_lease_duration", self.lease),
+            )
+            if value < _EVER
+        }
+        if self.manual:
+            more["liveliness"] = LivelinessPolicy.MANUAL_BY_TOPIC
         return QoSProfile(
+            history=HistoryPolicy.KEEP_LAST if self.depth else HistoryPolicy.KEEP_ALL,
             depth=self.depth,
             reliability=(
                 ReliabilityPolicy.RELIABLE if self.reliable else ReliabilityPolicy.BEST_EFFORT
@@ -41,7 +67,12 @@ class Profile(NamedTuple):
             durability=(
                 DurabilityPolicy.TRANSIENT_LOCAL if self.latched else DurabilityPolicy.VOLATILE
             ),
+            **more,
         )
+
+    def terms(self, node: str) -> Terms:
+        """Return what it means to the other side."""
+        return Terms(node, self.reliable, self.latched, self.deadline, self.manual, self.lease)
 
 
 def _offers(endpoint: Any) -> tuple[bool, bool]:
@@ -50,37 +81,60 @@ def _offers(endpoint: Any) -> tuple[bool, bool]:
 
 
 def for_subscription(publishers: Iterable[Any], wanted: Qos) -> Profile:
-    """Match every publisher: best effort if any is, latched only if all are."""
+    """Match every publisher: best effort if any is, latched only if all are, nothing promised."""
     offers = [_offers(endpoint) for endpoint in publishers]
     reliable = bool(offers) and all(r for r, _ in offers)
     latched = bool(offers) and all(t for _, t in offers)
-    return _override(wanted, reliable=reliable, latched=latched)
+    return _override(wanted, Profile(reliable, latched))
 
 
 def for_publisher(subscriptions: Iterable[Any], wanted: Qos) -> Profile:
-    """Match every subscription: reliable suits all, latched is made only for those that ask."""
-    latched = any(_offers(endpoint)[1] for endpoint in subscriptions)
-    return _override(wanted, reliable=True, latched=latched)
+    """Match every subscription: reliable suits all, the rest is offered to those that ask.
+
+    A deadline or lease that is not kept is told to whoever asked for it: better than silence.
+    """
+    asked = [Terms.of(endpoint) for endpoint in subscriptions]
+    matched = Profile(
+        reliable=True,
+        latched=any(ask.latched for ask in asked),
+        deadline=min((ask.deadline for ask in asked), default=_EVER),
+        manual=any(ask.manual for ask in asked),
+        lease=min((ask.lease for ask in asked), default=_EVER),
+    )
+    return _override(wanted, matched)
 
 
-def _override(wanted: Qos, *, reliable: bool, latched: bool) -> Profile:
-    if wanted.reliability is not None:
-        reliable = wanted.reliability == "reliable"
-    if wanted.durability is not None:
-        latched = wanted.durability == "transient_local"
-    return Profile(reliable, latched, wanted.depth or _DEPTH)
+def _override(wanted: Qos, matched: Profile) -> Profile:
+    said: dict[str, Any] = {
+        "reliable": _is(wanted.reliability, "reliable"),
+        "latched": _is(wanted.durability, "transient_local"),
+        "manual": _is(wanted.liveliness, "manual_by_topic"),
+        "depth": 0 if wanted.history == "keep_all" else wanted.depth,
+        "deadline": _ns(wanted.deadline),
+        "lifespan": _ns(wanted.lifespan),
+        "lease": _ns(wanted.lease),
+    }
+    return matched._replace(**{key: value for key, value in said.items() if value is not None})
+
+
+def _is(said: str | None, word: str) -> bool | None:
+    return None if said is None else said == word
+
+
+def _ns(seconds: float | None) -> int | None:
+    return None if seconds is None else round(seconds * 1e9)
 
 
 def clash(topic: str, ours: Profile, publishers: Iterable[Any]) -> str | None:
     """Say which publishers a subscription will never hear, and why; None if it hears all."""
-    asked = Terms("the gateway", ours.reliable, ours.latched)
+    asked = ours.terms("the gateway")
     lost = [words for offer in publishers for words in mismatches(Terms.of(offer), asked)]
     return f"{topic} is not heard in full: {'; '.join(lost)}" if lost else None
 
 
 def deaf(topic: str, ours: Profile, subscriptions: Iterable[Any]) -> str | None:
     """Say which subscribers will never hear a publisher, and why; None if all do."""
-    offered = Terms("the gateway", ours.reliable, ours.latched)
+    offered = ours.terms("the gateway")
     lost = [words for ask in subscriptions for words in mismatches(offered, Terms.of(ask))]
     return f"{topic} does not reach everybody: {'; '.join(lost)}" if lost else None
 

@@ -177,8 +177,8 @@ class Commanded(Binding):
             ),
         )
         super().__init__(shared, resource, mapping)
-        shared.ros.post(self._outlet.match)
-        shared.on_look.append(self._outlet.match)
+        shared.ros.post(self._outlet.look)
+        shared.on_look.append(self._outlet.look)
 
     def _rest(self, mapping: Mapping) -> Any:
         return self._type() if mapping.safe is None else msgspec.convert(mapping.safe, self._type)
@@ -253,6 +253,6 @@ class Commanded(Binding):
 
     def close(self) -> None:
         """Let go of the publisher."""
-        if self._outlet.match in self.shared.on_look:
-            self.shared.on_look.remove(self._outlet.match)
+        if self._outlet.look in self.shared.on_look:
+            self.shared.on_look.remove(self._outlet.look)
         self.shared.ros.post(self._outlet.close)

@@ -16,6 +16,7 @@ import structlog
 
 from rcp_ros2.cdr import Codec, Value
 from rcp_ros2.config import Qos
+from rcp_ros2.idl import full_name
 from rcp_ros2.outbox import Outbox
 from rcp_ros2.qos import Profile, clash, for_subscription
 from rcp_ros2.ros import Ros, guarded
@@ -80,6 +81,10 @@ class Feeds:
         feed = self._feeds.get(topic)
         if feed is None:
             feed = self._feeds[topic] = Feed(topic, cls, qos)
+        elif feed.cls is not cls:  # the topic has another type now, and its other paths too
+            self._drop(feed)
+            feed.taps.clear()
+            feed.cls, feed.last, feed.profile = cls, None, None
         known = feed.taps.get(tap.name)
         if known is not None:
             known.period, known.due = tap.period, 0.0
@@ -106,14 +111,20 @@ class Feeds:
             self._match(feed)
 
     def _match(self, feed: Feed) -> None:
-        publishers = self._ros.node.get_publishers_info_by_topic(feed.topic)
+        found = self._ros.node.get_publishers_info_by_topic(feed.topic)
+        type_ = full_name(feed.cls)
+        publishers = [one for one in found if one.topic_type == type_]  # others are never heard
         profile = for_subscription(publishers, feed.wanted)
         if feed.subscription is None or (publishers and profile != feed.profile):
             self._drop(feed)
             feed.profile = profile
-            feed.subscription = _subscribe(
-                self._ros.node, feed.cls, feed.topic, self._hearer(feed), profile
-            )
+            try:
+                feed.subscription = _subscribe(
+                    self._ros.node, feed.cls, feed.topic, self._hearer(feed), profile
+                )
+            except Exception as error:  # one of another type may not have left yet
+                self._complain(feed.topic, f"{feed.topic} cannot be subscribed to: {error}")
+                return
         assert feed.profile is not None
         self._complain(feed.topic, clash(feed.topic, feed.profile, publishers))
 

@@ -19,12 +19,15 @@ from rcl_interfaces.msg import SetParametersResult
 from rclpy.action import ActionClient, ActionServer, CancelResponse, GoalResponse
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.clock import Clock
+from rclpy.context import Context
+from rclpy.duration import Duration
 from rclpy.executors import MultiThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import DurabilityPolicy, LivelinessPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.service_introspection import ServiceIntrospectionState
 from sensor_msgs.msg import BatteryState, LaserScan
+from std_msgs.msg import String
 from std_srvs.srv import SetBool
 from test_msgs.action import NestedMessage
 
@@ -129,7 +132,11 @@ class Fleet:
         self.rovers: dict[str, Rover] = {}
         self.executors: dict[str, tuple[MultiThreadedExecutor, threading.Thread]] = {}
         self.extra = Node("extra")
-        self.made: dict[str, Any] = {}
+        apart = Context()  # within one, a topic has one type
+        rclpy.init(context=apart)
+        self.other = Node("other", context=apart)
+        self.made: dict[str, list[tuple[Any, Any]]] = {}
+        self.texts: list[str] = []
         for space in spaces:
             self.add(space)
 
@@ -190,9 +197,18 @@ class Fleet:
         """Tell what a parameter is."""
         return self.rovers[space].get_parameter(name).value
 
-    def offer(self, topic: str, kind: str, *, latched: bool = False, reliable: bool = True) -> None:
-        """Publish a topic from now on; one of that name is given up before."""
-        self.withdraw(topic)
+    def offer(
+        self,
+        topic: str,
+        kind: str,
+        *,
+        latched: bool = False,
+        reliable: bool = True,
+        beside: bool = False,
+    ) -> None:
+        """Publish a topic from now on, in place of what was published there, or beside it."""
+        if not beside:
+            self.withdraw(topic)
         package, name = kind.split("/")
         cls = getattr(importlib.import_module(f"{package}.msg"), name)
         qos = QoSProfile(
@@ -200,21 +216,40 @@ class Fleet:
             durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
             reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
         )
-        self.made[topic] = (cls, self.extra.create_publisher(cls, topic, qos))
+        node = self.other if beside else self.extra
+        publisher = node.create_publisher(cls, topic, qos)
+        self.made.setdefault(topic, []).append((cls, publisher))
 
     def offer_many(self, stem: str, count: int) -> None:
         """Publish many topics."""
         for number in range(count):
             self.offer(f"{stem}{number}", "std_msgs/String")
 
-    def withdraw(self, topic: str) -> None:
-        """Publish a topic no more."""
-        if topic in self.made:
-            self.extra.destroy_publisher(self.made.pop(topic)[1])
+    def withdraw(self, topic: str = "", *, stem: str | None = None) -> None:
+        """Publish topics no more: those named, or those that begin so."""
+        for name in list(self.made):
+            if name == topic or (stem is not None and name.startswith(stem)):
+                for _, publisher in self.made.pop(name):
+                    publisher.destroy()
+
+    def hear(self, topic: str, deadline: float) -> None:
+        """Listen to texts on a topic, asking for one so often, and for signs of life."""
+        qos = QoSProfile(
+            depth=10,
+            deadline=Duration(seconds=deadline),
+            liveliness=LivelinessPolicy.MANUAL_BY_TOPIC,
+            liveliness_lease_duration=Duration(seconds=2 * deadline),
+        )
+        rover = next(iter(self.rovers.values()))
+        rover.create_subscription(String, topic, lambda m: self.texts.append(m.data), qos)
+
+    def heard(self) -> list[str]:
+        """Tell the texts that were heard."""
+        return self.texts
 
     def say(self, topic: str, data: Any, *, times: int = 1, rate: float = 0.0) -> None:
         """Publish on a topic, so often, at a rate; numbers count up."""
-        cls, publisher = self.made[topic]
+        cls, publisher = self.made[topic][0]
         for number in range(times):
             value = data + number if isinstance(data, int | float) else data
             publisher.publish(cls(data=value))

@@ -190,8 +190,7 @@ async def test_a_name_that_somebody_gave_goes_before_a_nice_one(
         await robot.until(lambda: "sensor/scan/scan" in robot.resources)
         await robot.until(lambda: robot.resources["sensor/pose"].meta["topic"].endswith("/pose"))
         assert robot.resources["sensor/velocity"].meta["field"] == "twist.twist.linear"
-    fleet.tell("withdraw", topic="/fleet/r1/pose")
-    fleet.tell("withdraw", topic="/fleet/r1/scan/base_scan")
+    fleet.tell("withdraw", stem="/fleet/r1")
 
 
 async def test_nice_names_can_be_turned_off(fleet_domain: int, fleet: Fleet) -> None:

@@ -1,0 +1,208 @@
+"""What a graph may do to the gateway: change under it, grow, burst, and fail."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import AsyncIterator, Iterator
+from contextlib import asynccontextmanager
+from typing import Any
+
+import pytest
+
+import rcp_ros2
+from backends.ros2.robot import BOUND, Fleet, robot_of
+from rcp_kernel.errors import AdapterUnavailable
+from rcp_kernel.testing import serve
+
+pytestmark = pytest.mark.anyio
+
+
+@pytest.fixture
+def graph(fleet: Fleet) -> Iterator[Fleet]:
+    yield fleet
+    fleet.tell("withdraw", stem="/odd")
+
+
+async def test_a_publisher_that_changes_its_type_is_read_as_what_it_is_now(
+    fleet_domain: int, graph: Fleet
+) -> None:
+    graph.tell("offer", topic="/odd/changing", kind="std_msgs/Float64", latched=True)
+    graph.tell("say", topic="/odd/changing", data=1.5)
+    name = "sensor/odd/changing"
+    async with robot_of(fleet_domain, expose=["/odd/*"], poll=0.2, grace=0.5) as robot:
+        await robot.until(lambda: name in robot.resources)
+        async with robot.backend.watch(name, None):
+            assert (await robot.first(name)).data == 1.5
+            graph.tell("offer", topic="/odd/changing", kind="std_msgs/String", latched=True)
+            graph.tell("say", topic="/odd/changing", data="a text now")
+            await robot.until(lambda: robot.of(name)[-1].data == "a text now")
+        assert robot.resources[name].native == "std_msgs/msg/String"
+
+
+async def test_two_types_on_one_topic_are_told_in_words(fleet_domain: int, graph: Fleet) -> None:
+    graph.tell("offer", topic="/odd/two", kind="std_msgs/Float64", latched=True)
+    graph.tell("say", topic="/odd/two", data=2.5)
+    graph.tell("offer", topic="/odd/two", kind="std_msgs/String", beside=True)
+    async with robot_of(fleet_domain, expose=["/odd/*"], poll=0.2, grace=0.5) as robot:
+        said = "/odd/two is published as std_msgs/msg/Float64 by /extra, std_msgs/msg/String by"
+        await robot.until(lambda: robot.reports and said in (robot.reports[-1] or ""))
+        assert (await robot.backend.read("sensor/odd/two")).data == 2.5
+        graph.tell("withdraw", stem="/odd/two")
+        await robot.until(lambda: robot.reports[-1] is None)
+
+
+async def test_a_publisher_that_changes_its_qos_is_heard_on(
+    fleet_domain: int, graph: Fleet
+) -> None:
+    graph.tell("offer", topic="/odd/weak", kind="std_msgs/Float64", latched=True)
+    name = "sensor/odd/weak"
+    async with robot_of(fleet_domain, expose=["/odd/*"], poll=0.2, grace=0.5) as robot:
+        await robot.until(lambda: name in robot.resources)
+        async with robot.backend.watch(name, None):
+            for number, terms in enumerate(({"reliable": False}, {"latched": True}, {})):
+                graph.tell("offer", topic="/odd/weak", kind="std_msgs/Float64", **terms)
+                value = float(number)
+
+                async def say(value: float = value) -> Any:
+                    await asyncio.to_thread(graph.tell, "say", topic="/odd/weak", data=value)
+                    return robot.of(name)[-1:]
+
+                await robot.until_async(say, lambda v, now=value: v and v[0].data == now)
+
+
+async def test_a_subscriber_with_a_deadline_and_a_lease_is_offered_them(
+    fleet_domain: int, graph: Fleet
+) -> None:
+    graph.tell("hear", topic="/odd/heard", deadline=0.5)
+    name = "actuator/odd/heard"
+    async with robot_of(fleet_domain, expose=["/odd/*"]) as robot:
+        await robot.until(lambda: name in robot.resources)
+        await robot.backend.write(name, robot.input(name, {"data": "in time"}))
+        await robot.until_async(
+            lambda: asyncio.to_thread(graph.tell, "heard"), lambda texts: texts == ["in time"]
+        )
+        assert not any(robot.reports)
+
+
+async def test_a_topic_that_the_middleware_refuses_is_told_and_holds_nothing_else_up(
+    fleet_domain: int, graph: Fleet
+) -> None:
+    graph.tell("offer", topic="/odd/mine", kind="std_msgs/Float64")
+    mapping = {
+        "/actuator/mine": {"topic": "/odd/mine", "type": "std_msgs/msg/String"},
+        "/sensor/mine": {"topic": "/odd/mine", "type": "std_msgs/msg/Float64"},
+    }
+    config: dict[str, Any] = {"map": mapping, "expose": ["/odd/*"], "poll": 0.2, "grace": 0.5}
+    async with robot_of(fleet_domain, **config) as robot:
+        await robot.until(lambda: mapping.keys() <= {f"/{name}" for name in robot.resources})
+        await robot.until(lambda: "sensor/odd/mine" in robot.resources)
+        async with robot.backend.watch("sensor/mine", None):
+            await robot.until(lambda: robot.reports and "cannot be" in (robot.reports[-1] or ""))
+            graph.tell("offer", topic="/odd/later", kind="std_msgs/Float64")
+            await robot.until(lambda: "sensor/odd/later" in robot.resources)
+        command = robot.input("actuator/mine", {"data": "x"})
+        async with asyncio.timeout(2):
+            with pytest.raises(AdapterUnavailable):
+                await robot.backend.write("actuator/mine", command)
+
+
+@asynccontextmanager
+async def stalls() -> AsyncIterator[list[float]]:
+    """Collect how long the event loop did not come to a timer."""
+    late: list[float] = []
+
+    async def tick() -> None:
+        while True:
+            before = time.perf_counter()
+            await asyncio.sleep(0.005)
+            late.append(time.perf_counter() - before - 0.005)
+
+    ticking = asyncio.ensure_future(tick())
+    try:
+        yield late
+    finally:
+        ticking.cancel()
+
+
+async def test_five_hundred_topics_come_without_a_stall_and_are_not_subscribed_to(
+    fleet_domain: int, graph: Fleet
+) -> None:
+    graph.tell("offer_many", stem="/odd/many/t", count=500)
+    began = time.monotonic()
+    async with stalls() as late, robot_of(fleet_domain, expose=["/odd/many/*"]) as robot:
+        await robot.until(lambda: len(robot.resources) >= 500)
+        took = time.monotonic() - began
+        ros = robot.backend._catalog._shared.ros
+        assert not await ros.call(lambda: list(ros.node.subscriptions))
+        graph.tell("say", topic="/odd/many/t7", data="seven")
+        async with robot.backend.watch("sensor/odd/many/t7", None):
+            subscribed = await ros.call(lambda: [s.topic_name for s in ros.node.subscriptions])
+            assert subscribed == ["/odd/many/t7"]
+    assert took < BOUND
+    assert max(late) < 0.25  # 15 ms when nothing else runs on two cores
+
+
+async def test_a_burst_arrives_in_order_and_leaves_the_event_loop_alone(
+    fleet_domain: int, graph: Fleet
+) -> None:
+    graph.tell("offer", topic="/odd/burst", kind="std_msgs/Float64")
+    name = "sensor/odd/burst"
+    async with robot_of(fleet_domain, expose=["/odd/*"]) as robot:
+        await robot.until(lambda: name in robot.resources)
+        async with robot.backend.watch(name, None):
+
+            async def hello() -> int:
+                await asyncio.to_thread(graph.tell, "say", topic="/odd/burst", data=-1.0)
+                return len(robot.samples)
+
+            await robot.until_async(hello, bool)
+            robot.samples.clear()
+            async with stalls() as late:
+                await asyncio.to_thread(
+                    graph.tell, "say", topic="/odd/burst", data=0.0, times=3000, rate=2000.0
+                )
+                await robot.until(lambda: robot.samples and robot.of(name)[-1].data == 2999.0)
+            values = [v.data for v in robot.of(name) if v.data >= 0]
+    assert values == sorted(set(values))
+    assert len(values) > 2000  # the middleware keeps ten for a reader that is late
+    assert max(late) < 0.25
+
+
+GATEWAY = """
+[[backends]]
+use = "ros2"
+tenant = "alpha"
+domain_id = {domain}
+namespace = "/fleet/r1"
+expose = ["*"]
+
+[[keys]]
+name = "a"
+role = "operator"
+key = "operator-operator"
+"""
+
+
+async def test_when_the_side_of_ros_ends_the_backend_comes_back_by_itself(
+    fleet_domain: int, fleet: Fleet
+) -> None:
+    text = GATEWAY.format(domain=fleet_domain)
+    async with serve(text, *rcp_ros2.rcp_backends()) as served:
+        client = served.client("operator-operator")
+        assert (await _pose(client))["status"] == "completed"
+        ros: Any = served.life.backend
+        ros._catalog._shared.ros.post(ros._catalog._shared.ros._stop.set_result, None)
+        async with asyncio.timeout(2 * BOUND):
+            while len(served.lives) < 2 or (await _pose(client))["status"] != "completed":  # noqa: ASYNC110
+                await asyncio.sleep(0.1)
+        await client.close()
+
+
+async def _pose(client: Any) -> Any:
+    async with asyncio.timeout(BOUND):
+        while True:
+            answer = await client.request("read", "/sensor/pose", within=BOUND)
+            if answer.get("error", {}).get("code") != "unknown_path":
+                return answer
+            await asyncio.sleep(0.1)
