@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import hashlib
+import hmac
 from typing import TYPE_CHECKING, Any
 
 import msgspec
@@ -153,7 +154,7 @@ class Returning:
         """Return the session of an earlier run that a client names by its id or its token."""
         text = hashed(named)
         found = self._kept.get(text)
-        return found or next((kept for kept in self._kept.values() if kept.secret == text), None)
+        return found or next((kept for kept in self._kept.values() if _same(kept, text)), None)
 
     def take(self, kept: Kept) -> Principal | None:
         """Let a session go that comes back, or has nobody any more; return whose it is now."""
@@ -186,3 +187,7 @@ class Returning:
                 message="the gateway was started anew: what came meanwhile is lost, and the "
                 "numbers of samples begin again",
             )
+
+
+def _same(kept: Kept, text: str) -> bool:
+    return hmac.compare_digest(kept.secret, text)
