@@ -22,6 +22,8 @@ from typing import NamedTuple
 
 import psutil
 
+from rcp_ros2 import PROFILE
+
 HERE = Path(__file__).parent / "ros2"
 SECONDS = 4.0
 ROUNDS = int(os.environ.get("ROUNDS", "3"))
@@ -37,6 +39,8 @@ class Case(NamedTuple):
     encoding: str = "json"
     floor: str = "json"
     service: bool = False
+    profile: bool = False
+    """With the Fast DDS profile of the ROS 2 backend at the publisher."""
 
 
 ODOM, IMAGE, CLOUD = "nav_msgs/msg/Odometry", "sensor_msgs/msg/Image", "sensor_msgs/msg/PointCloud2"
@@ -49,8 +53,10 @@ CASES = (
     Case("images-json", IMAGE, 30, 10),
     Case("images-binary", IMAGE, 30, 10, 0, "msgpack", "binary"),
     Case("images-native", IMAGE, 30, 10, 0, "native", "binary"),
+    Case("images-profile", IMAGE, 30, 10, 0, "msgpack", "binary", profile=True),
     Case("clouds-json", CLOUD, 10, 1, 1_000_000),
     Case("clouds-binary", CLOUD, 10, 1, 1_000_000, "msgpack", "binary"),
+    Case("clouds-profile", CLOUD, 10, 1, 1_000_000, "native", "binary", profile=True),
     Case("service", "", 0, 1, service=True),
 )
 CONFIG = """
@@ -99,9 +105,11 @@ def run(case: Case, server: str) -> dict[str, float]:
     port, env = free_port(), environment()
     with ExitStack() as stack:
 
-        def start(cores: list[int], *command: str) -> subprocess.Popen[bytes]:
+        def start(
+            cores: list[int], *command: str, more: dict[str, str] | None = None
+        ) -> subprocess.Popen[bytes]:
             process = subprocess.Popen(
-                command, env=env, stdin=subprocess.PIPE, stdout=subprocess.PIPE
+                command, env={**env, **(more or {})}, stdin=subprocess.PIPE, stdout=subprocess.PIPE
             )
             psutil.Process(process.pid).cpu_affinity(cores)
             stack.callback(process.wait)
@@ -110,7 +118,8 @@ def run(case: Case, server: str) -> dict[str, float]:
 
         what = ["--service", "/reset"] if case.service else [case.type, "/value", str(case.rate)]
         size = ["--size", str(case.size)] if case.size else []
-        start(OTHERS, sys.executable, str(HERE / "publisher.py"), *what, *size)
+        more = {"FASTDDS_DEFAULT_PROFILES_FILE": str(PROFILE)} if case.profile else {}
+        start(OTHERS, sys.executable, str(HERE / "publisher.py"), *what, *size, more=more)
         asked = [sys.executable, str(HERE / "client.py")]
         if server == "floor":
             follow = ["--service", "/reset"] if case.service else [case.type, "/value", case.floor]
@@ -119,8 +128,8 @@ def run(case: Case, server: str) -> dict[str, float]:
             asked += ["bare", f"ws://127.0.0.1:{port}", "--encoding", encoding]
         else:
             path = stack.enter_context(tempfile.NamedTemporaryFile("w", suffix=".toml"))
-            more = f', type = "{case.type}"' if case.type else ', type = "std_msgs/msg/Bool"'
-            path.write(CONFIG.format(port=port, more=more))
+            typed = f', type = "{case.type}"' if case.type else ', type = "std_msgs/msg/Bool"'
+            path.write(CONFIG.format(port=port, more=typed))
             path.flush()
             served = start(SERVER, "rcpd", "serve", path.name)
             asked += ["rcp", f"ws://127.0.0.1:{port}/rcp/v1/ws", "--encoding", case.encoding]

@@ -47,7 +47,7 @@ class Shape:
         self._within: list[type] = []
         self._info = mi.type_info(type_)
         self.blobs = _blobs(self._info)
-        """The fields of a struct that hold bytes."""
+        """The fields of a struct that hold bytes, or none of bytes themselves; None: no bytes."""
         self.outward = self._node(self._info, self._out, outward=True)
         self.inward = self._node(self._info, self._in, outward=False)
 
@@ -164,11 +164,13 @@ def children(info: mi.Type, name: str) -> list[mi.Type]:
             return []
 
 
-def _blobs(info: mi.Type) -> tuple[str, ...]:
+def _blobs(info: mi.Type) -> tuple[str, ...] | None:
     info = _bare(info)
-    if not isinstance(info, mi.StructType):
+    if isinstance(info, mi.BytesType):
         return ()
-    return tuple(f.name for f in info.fields if isinstance(_bare(f.type), mi.BytesType))
+    if not isinstance(info, mi.StructType):
+        return None
+    return tuple(f.name for f in info.fields if isinstance(_bare(f.type), mi.BytesType)) or None
 
 
 def _is_free_float(info: mi.Type) -> bool:

@@ -125,6 +125,7 @@ class Chorus:
                 or not whole
                 or member.place != start
                 or member.dropped
+                or not member.named
                 or mailbox.control
                 or mailbox.pending
                 or mailbox.dirty
@@ -216,7 +217,7 @@ class ChorusFeed(Feed):
             self.dropped += lost
             self.skipped += lost
         framing = mailbox.framing
-        plain = framing is not None and wrap is None and big is None
+        plain = framing is not None and wrap is None and big is None and self.named
         if framing is not None and plain and not (self.dropped or self.backlog or self.queue):
             parts, count, size = chorus.batch(self.place, self, framing)
             if size <= budget:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from rcp_kernel.clock import now
 from rcp_kernel.errors import Overrun, RcpError
 from rcp_kernel.registry import Entry
-from rcp_kernel.samples import Sample
+from rcp_kernel.samples import NATIVE, Sample
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import encode_frame
 
@@ -37,7 +37,6 @@ class Feed:
     __slots__ = (
         "_heads",
         "_lifespan",
-        "_named",
         "_plain",
         "backlog",
         "depth",
@@ -48,6 +47,7 @@ class Feed:
         "mailbox",
         "marked",
         "missed",
+        "named",
         "native",
         "paused",
         "priority",
@@ -71,7 +71,8 @@ class Feed:
         self.reliable = options.qos.reliability == "reliable"
         self.priority = options.qos.priority
         self.native = options.encoding == "native"
-        self._named = False
+        self.named = not self.native
+        """Whether the client knows the name of the native type, if it wants native bytes."""
         self.dropped = 0
         """Samples skipped since the last update that went out."""
         self.skipped = 0
@@ -85,9 +86,9 @@ class Feed:
         self.marked = False
         self.paused = False
         """The rules do not allow it at present."""
-        self.fields = options.fields
+        self.fields = NATIVE if self.native else options.fields
         self._lifespan = options.qos.lifespan
-        self._plain = self._lifespan is None and not self.native and options.count is None
+        self._plain = self._lifespan is None and options.count is None
         self._heads: tuple[Encoding, bytes, bytes] | None = None
         self.share: object = None
         """Under what a sample keeps the frame that all feeds with the same head send."""
@@ -149,7 +150,7 @@ class Feed:
 
     def drain(self, out: list[bytes], budget: int, wrap: Wrap | None, big: int | None) -> int:
         """Move queued samples to `out` as framed updates; return how many bytes that were."""
-        if self._plain and big is None and not self.backlog:
+        if self._plain and big is None and not self.backlog and self.named:
             return self._drain_plain(out, budget, wrap)
         size = 0
         remaining = self.subscription.remaining
@@ -263,8 +264,8 @@ class Feed:
 
     def _frame(self, sample: Sample) -> bytes:
         encoding, head, head_dropped = self._heads or self._make_heads()
-        if self.native:
-            return self._native_frame(sample, encoding)
+        if not self.named:
+            return self._first_native_frame(sample, encoding)
         tail = sample.tail(encoding, self.fields)
         if not self.dropped:
             return head + tail
@@ -280,6 +281,8 @@ class Feed:
         assert self.mailbox is not None
         encoding = self.subscription.options.splice or self.mailbox.encoding
         facts = {"type": "update", "id": self.subscription.id, "path": self.entry.path}
+        if self.native:
+            facts["encoding"] = "native"
         head = encode_frame(facts, b"", encoding)
         self.share = _shares.setdefault((head, self.fields, self.mailbox.framing), object())
         if len(_shares) > _MANY:
@@ -290,12 +293,14 @@ class Feed:
             return self._heads
         base = _CBOR_MAP if encoding is Encoding.CBOR else _MSGPACK_MAP
         rest = head[1:]
-        self._heads = encoding, bytes((base + 6,)) + rest, bytes((base + 7,)) + rest
+        count = base + len(facts) + 3  # with number, time and body
+        self._heads = encoding, bytes((count,)) + rest, bytes((count + 1,)) + rest
         return self._heads
 
-    def _native_frame(self, sample: Sample, encoding: Encoding) -> bytes:
+    def _first_native_frame(self, sample: Sample, encoding: Encoding) -> bytes:
         if sample.native is None:
             raise Overrun("the sample has no native form")
+        self.named = True
         facts: dict[str, Any] = {
             "type": "update",
             "id": self.subscription.id,
@@ -303,12 +308,10 @@ class Feed:
             "seq": sample.seq,
             "timestamp": sample.time,
             "encoding": "native",
+            "native_type": self.entry.resource.native,
         }
         if self.dropped:
             facts["dropped"] = self.dropped
-        if not self._named:
-            self._named = True
-            facts["native_type"] = self.entry.resource.native
         facts["body"] = bytes(sample.native.data)
         return encode_frame(facts, b"", encoding)
 
@@ -319,4 +322,4 @@ class Feed:
         self.marked = False
         self.mailbox = None
         self._heads = None
-        self._named = False
+        self.named = not self.native

@@ -174,8 +174,7 @@ class Hub:
     def plain_feed(subscription: Subscription, entry: Entry, mailbox: Mailbox | None) -> Feed:
         """Make the feed of a subscription that wants every sample as it comes."""
         options = subscription.options
-        alone = options.qos.reliability == "reliable" or options.encoding == "native"
-        alone = alone or (mailbox is not None and mailbox.alone)
+        alone = options.qos.reliability == "reliable" or (mailbox is not None and mailbox.alone)
         kind = Feed if alone or options.count is not None else ChorusFeed
         return kind(subscription, entry, mailbox)
 

@@ -8,19 +8,22 @@ import msgspec
 
 from rcp_kernel._plain import is_index, is_map, is_sequence
 from rcp_kernel.clock import iso
-from rcp_kernel.errors import DeviceRejected, RcpError
+from rcp_kernel.errors import DeviceRejected, Overrun, RcpError
 from rcp_kernel.spi import Native
-from rcp_kernel.values import ANY, Encoding, to_plain
+from rcp_kernel.values import ANY, Encoding, to_plain, value_type
 from rcp_kernel.wire import Body, encode_frame
 
 if TYPE_CHECKING:
     from rcp_kernel.registry import Entry
 
-__all__ = ["READ_PIECE", "Sample", "getter", "project"]
+__all__ = ["NATIVE", "READ_PIECE", "Sample", "getter", "project"]
 
+NATIVE = ("encoding: native",)
+"""In place of the fields of a projection: the backend's own bytes."""
 READ_PIECE = object()
 """Under what a sample's tails keep the piece of read replies."""
 
+_BYTES = value_type(bytes)
 _natives: dict[type, bool] = {}
 """Whether values of a type are `Native`: asking the protocol itself takes 8 µs."""
 
@@ -114,9 +117,19 @@ class Sample(Body):
         key = encoding if fields is None else (encoding, fields)
         tail = self.tails.get(key)
         if tail is None:
-            body = self.encoded(encoding) if fields is None else self.projected(encoding, fields)
+            if fields is None:
+                body = self.encoded(encoding)
+            elif fields is NATIVE:
+                body = self._serialised(encoding)
+            else:
+                body = self.projected(encoding, fields)
             tail = self.tails[key] = self._splice(encoding, body)
         return tail
+
+    def _serialised(self, encoding: Encoding) -> bytes:
+        if self.native is None:
+            raise Overrun("the sample has no native form")
+        return _BYTES.encode(bytes(self.native.data), encoding)
 
     def read_piece(self) -> bytes:
         """Return what all JSON replies to a read of this sample share, from path to state."""

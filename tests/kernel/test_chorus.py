@@ -10,6 +10,7 @@ import pytest
 
 from kernel.world import World
 from rcp_kernel.chorus import Chorus
+from rcp_kernel.model import Resource
 from rcp_kernel.values import Encoding
 
 pytestmark = pytest.mark.anyio
@@ -19,15 +20,17 @@ LEVEL = "/tenant/alpha/sensor/level"
 class Socket:
     """A transport that frames messages and takes them only when it is told to."""
 
-    def __init__(self, world: World, depth: int, id_: str = "s") -> None:
+    def __init__(
+        self, world: World, depth: int, id_: str = "s", path: str = LEVEL, **body: Any
+    ) -> None:
         door = world.server.door
         self.connection = door.connect(door.authenticate(None), Encoding.JSON, lambda: None)
         self.connection.mailbox.framing = lambda size, _text: b"%04d" % size
         envelope = {
             "type": "subscribe",
             "id": id_,
-            "path": LEVEL,
-            "body": {"qos": {"depth": depth}},
+            "path": path,
+            "body": {"qos": {"depth": depth}, **body},
         }
         self.connection.receive(json.dumps(envelope).encode())
         self.take()
@@ -103,8 +106,8 @@ async def test_a_bad_value_is_left_out_for_all(world: World) -> None:
 class Direct(Socket):
     """A transport that takes frames at once, unless its socket is full."""
 
-    def __init__(self, world: World, depth: int) -> None:
-        super().__init__(world, depth)
+    def __init__(self, world: World, depth: int, **body: Any) -> None:
+        super().__init__(world, depth, **body)
         self.got: list[bytes] = []
         self.full = False
         self.connection.mailbox.direct = self.pass_on
@@ -171,3 +174,40 @@ async def test_what_a_backend_publishes_in_one_call_goes_out_at_its_end(world: W
 
     world.robot.host.call_soon(both)
     assert await found == [1.0, 2.0]
+
+
+class Frame:
+    """A value in a form of its robot's own."""
+
+    def __init__(self, data: bytes) -> None:
+        self.data = data
+
+    def decode(self) -> str:
+        return self.data.decode()
+
+
+async def test_native_bytes_are_shared_too_and_named_once(world: World) -> None:
+    world.robot.host.declare(
+        Resource(name="sensor/frame", description="A frame.", value=str, native="frame", live=True)
+    )
+    path = "/tenant/alpha/sensor/frame"
+    sockets = [Direct(world, 2, path=path, encoding="native") for _ in range(2)]
+
+    async def told(*data: bytes) -> list[list[dict[str, Any]]]:
+        for one in data:
+            world.robot.host.publish("sensor/frame", Frame(one))
+        await turn()
+        return [socket.take() or _cut(b"".join(socket.got)) for socket in sockets]
+
+    first, second = (one for (one,) in await told(b"one"))
+    assert first == second
+    assert (first["encoding"], first["native_type"], first["body"]) == ("native", "frame", "b25l")
+    again = await told(b"two")
+    assert again[0] == again[1]
+    assert [(m["body"], m["encoding"], m.get("native_type")) for m in again[0]] == [
+        ("dHdv", "native", None)
+    ]
+    for socket in sockets:
+        socket.got.clear()
+    behind = await told(b"1", b"2", b"3")
+    assert [(m["body"], m.get("dropped")) for m in behind[0]] == [("Mg==", 1), ("Mw==", None)]

@@ -172,6 +172,7 @@ def test_long_bytes_are_written_as_short_ones_are(size: int, pattern: bytes) -> 
     assert type_.encode(picture, Encoding.JSON) == msgspec.json.encode(picture)
     assert type_.decode(type_.encode(picture, Encoding.JSON), Encoding.JSON) == picture
     assert picture.data == data
+    assert value_type(bytes).encode(data, Encoding.JSON) == msgspec.json.encode(data)
 
 
 def test_many_readings_are_spelled_one_by_one() -> None:
