@@ -141,7 +141,10 @@ class Leasing:
             and scope.tenant in self._gateway.identities.tenants_of(s.principal)
             and self._leases.commands_in(s, scope)
         ]
-        present = [s for s in able if not s.stateless] or able
+        present = [s for s in able if not (s.stateless or s.listening)] or [
+            sessions.stateless(s.principal, s.transport, s.tenant) if s.listening else s
+            for s in able
+        ]
         if not present:
             raise UnknownPath(
                 f"there is nobody called '{to[:64]}' who may command {scope.text}",

@@ -72,6 +72,7 @@ class Session:
         "id",
         "inflight",
         "lapse",
+        "listening",
         "meter",
         "missed",
         "missed_bytes",
@@ -117,6 +118,8 @@ class Session:
         self.expiry: asyncio.TimerHandle | None = None
         self.greeted = False
         """The client knows the session's id, so it may come back to it."""
+        self.listening = False
+        """Its connection takes no requests (SSE): it is told things, and commands nothing."""
         self.meter: Meter | None = None
         """What its requests are counted by; None if no quota concerns it."""
         self.missed: deque[tuple[Reply, int]] = deque()

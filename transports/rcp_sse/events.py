@@ -84,6 +84,7 @@ class Events:
         except RcpError:
             connection.close()
             raise
+        connection.session.listening = True
         return connection, lost
 
     def _return(self, connection: Connection, session: str, number: int) -> bool:
