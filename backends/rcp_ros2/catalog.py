@@ -259,11 +259,13 @@ class Catalog:
             log.warning("ros_parameters_unknown", node=name, detail=error.message)
             return
         self._events.follow(name, partial(self._changed, name))
+        offers = self._wanted.offers_parameter
         for described in found:
             path = prefix + resource_name("param", described.name).removeprefix("param/")
             old = self.bindings.get(path)
             same = isinstance(old, Setting) and old.described == described
-            if path not in self._mapped and not same:
+            free = path not in self._mapped and offers(name, described.name)
+            if free and not same:
                 mapping = Mapping(node=name, parameter=described.name)
                 binding = Setting(self._shared, path, mapping, node, described, self._events)
                 self._place(path, binding)

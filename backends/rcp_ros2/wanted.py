@@ -53,6 +53,12 @@ class Wanted:
         self._rests = {f"/{m.target}" for m in self._each.values()}
         self._spoken: set[str] = set()
         """Topics that have been actuators: they stay it when somebody else speaks too."""
+        self._commanded: set[tuple[str, ...]] = set()
+        """What the map has given a path to command by: a second one would pass its limits by."""
+
+    def offers_parameter(self, node: str, parameter: str) -> bool:
+        """Tell whether an exposed node's parameter is offered: the map may have done it already."""
+        return ("param", node, parameter) not in self._commanded
 
     def matters(self, name: str) -> bool:
         """Tell whether a name is mapped or exposed; asked in the ROS thread."""
@@ -63,10 +69,13 @@ class Wanted:
     def found(self, graph: Graph) -> dict[str, Mapping]:
         """Return the paths that the graph brings, apart from those of the map that stand always."""
         of_robots = self._of_robots(graph)
+        self._commanded = set(filter(None, map(_command, (self.mapped | of_robots).items())))
         taken = of_robots.keys() | self.mapped.keys()
         found: dict[str, Mapping] = {}
         rivals: list[_Found] = []
         for one in self._exposed(graph):
+            if _command((one.path, one.mapping)) in self._commanded:
+                continue
             if one.path == one.own:
                 found.setdefault(one.path, one.mapping)
             else:
@@ -140,6 +149,17 @@ def type_of(mapping: Mapping, graph: Graph) -> str | None:
             return graph.actions.get(mapping.target)
         case _:
             return "parameter" if mapping.target in graph.nodes else None
+
+
+def _command(item: tuple[str, Mapping]) -> tuple[str, ...] | None:
+    """Return what a path commands, or None for one that only tells."""
+    path, mapping = item
+    branch = path.partition("/")[0]
+    if branch in ("actuator", "service", "action"):
+        return (branch, mapping.target)
+    if branch == "param" and mapping.parameter is not None:
+        return (branch, mapping.target, mapping.parameter)
+    return None
 
 
 def _within(mapping: Mapping, namespace: str) -> Mapping:

@@ -152,7 +152,7 @@ class Peer(Node):
         return response
 
     def slow(self, _request: object, response: Trigger.Response) -> Trigger.Response:
-        time.sleep(30)
+        time.sleep(3)
         return response
 
     def fault(self, _request: object, response: Empty.Response) -> Empty.Response:

@@ -8,6 +8,7 @@ from contextlib import asynccontextmanager
 from typing import Any, ClassVar
 
 import pytest
+import rclpy.experimental.events_executor  # noqa: F401 - half a second that is not tested here
 
 import rcp_ros2
 from backends.ros2.robot import Peer, fresh_domain

@@ -92,7 +92,7 @@ async def test_a_peer_that_leaves_in_good_order_is_missed_at_once(
     monkeypatch.setattr(catalog, "_LINGER", 1.0)
     domain, peer = mortal
     async with robot_of(domain, expose=["/odom", "/peer"], map=MAP) as robot:
-        await robot.until(lambda: "param/peer/gear" in robot.resources)
+        await robot.until(lambda: "param/peer/max_speed" in robot.resources)
         assert "sensor/odom" in robot.resources
         peer.stop()
         await robot.until(lambda: any(robot.reports))
@@ -101,8 +101,8 @@ async def test_a_peer_that_leaves_in_good_order_is_missed_at_once(
                 await robot.execute("service/reset")
             with pytest.raises(AdapterUnavailable, match="no node offers action"):
                 await robot.execute("action/fibonacci", {"order": 3})
-        await robot.until(lambda: "param/peer/gear" not in robot.resources)
+        await robot.until(lambda: "param/peer/max_speed" not in robot.resources)
         assert "sensor/odom" in robot.resources  # it is mapped, so that it stays
         peer.start()
-        await robot.until(lambda: "param/peer/gear" in robot.resources)
+        await robot.until(lambda: "param/peer/max_speed" in robot.resources)
         await robot.until(lambda: robot.reports[-1] is None)

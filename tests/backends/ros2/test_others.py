@@ -8,8 +8,10 @@ from typing import Any
 
 import pytest
 
+import rcp_ros2
 from backends.ros2.robot import BOUND, Fleet, Robot, robot_of
 from rcp_kernel.errors import AdapterUnavailable, Cancelled, DeviceRejected, InvalidValue
+from rcp_kernel.testing import eventually, serve
 from rcp_kernel.values import Encoding, value_type
 
 pytestmark = pytest.mark.anyio
@@ -81,6 +83,56 @@ async def test_a_goal_that_another_one_displaces_is_aborted_with_its_result(
     fleet.tell("go", space=SPACE, steps=1)
     with pytest.raises(DeviceRejected, match="aborted the goal"):
         await asyncio.wait_for(command, BOUND)
+
+
+GATEWAY = """
+[[backends]]
+use = "ros2"
+tenant = "alpha"
+domain_id = {domain}
+namespace = "/fleet/r2"
+map = {{ "/action/go" = {{ action = "navigate", policy = "preempt" }}, "/action/wait" = {{ action = "navigate" }} }}
+
+[[keys]]
+name = "a"
+role = "operator"
+key = "operator-operator"
+"""
+
+
+async def test_a_preempting_command_cancels_the_running_one_at_the_robot(
+    fleet_domain: int, fleet: Fleet
+) -> None:
+    async with serve(GATEWAY.format(domain=fleet_domain), *rcp_ros2.rcp_backends()) as served:
+        client = served.client("operator-operator")
+        await eventually(lambda: _opened(served), "the backend is open", BOUND)
+        backend: Any = served.life.backend
+        shared = backend._catalog._shared
+        assert await shared.until(lambda: "/fleet/r2/navigate" in shared.graph.actions, BOUND)
+
+        def go(steps: int) -> dict[str, Any]:
+            return {"nested_field": {"int32_value": steps}}
+
+        first = await client.send(type="execute", path="/action/go", body=go(400))
+        running = await client.until(
+            lambda m: m.get("id") == first and m.get("status") == "in_progress", BOUND
+        )
+        assert running["body"]["nested_field"]["int32_value"] > 300
+        second = await client.request("execute", "/action/go", body=go(2), within=BOUND)
+        assert second["status"] == "completed"
+        assert (await client.final(first, BOUND))["status"] == "cancelled"
+
+        third = await client.send(type="execute", path="/action/wait", body=go(100))
+        waiting = await client.until(lambda m: m.get("id") == third and "body" in m, BOUND)
+        fourth = await client.request("execute", "/action/wait", body=go(1), within=BOUND)
+        assert fourth["error"]["code"] == "already_running"
+        await client.request("cancel", command=waiting["command"])
+        assert (await client.final(third, BOUND))["status"] == "cancelled"
+        await client.close()
+
+
+async def _opened(served: Any) -> bool:
+    return bool(served.lives)
 
 
 async def test_a_goal_out_of_reach_is_rejected(seen: Robot) -> None:

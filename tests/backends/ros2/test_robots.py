@@ -26,7 +26,6 @@ OF_ONE = {
     "actuator/{}/velocity",
     "param/{}/lowest",
     "param/{}/rover/high",
-    "param/{}/rover/low",
     "sensor/{}/battery",
     "sensor/{}/goals/navigate",
     "sensor/{}/odom",
@@ -191,6 +190,23 @@ async def test_a_name_that_somebody_gave_goes_before_a_nice_one(
         await robot.until(lambda: robot.resources["sensor/pose"].meta["topic"].endswith("/pose"))
         assert robot.resources["sensor/velocity"].meta["field"] == "twist.twist.linear"
     fleet.tell("withdraw", stem="/fleet/r1")
+
+
+async def test_what_the_map_commands_has_no_second_path_past_its_limits(
+    fleet_domain: int, fleet: Fleet
+) -> None:
+    given: dict[str, Any] = {
+        "/actuator/drive": {"topic": "cmd_vel"},
+        "/action/go": {"action": "navigate"},
+        "/service/park": {"service": "dock"},
+        "/param/low": {"node": "rover", "parameter": "low"},
+        "/sensor/where": {"topic": "odom"},
+    }
+    async with robot_of(fleet_domain, namespace="/fleet/r1", expose=["*"], map=given) as robot:
+        await robot.until(lambda: {"param/rover/high", "sensor/odom"} <= robot.resources.keys())
+        await robot.until(lambda: given.keys() <= {f"/{name}" for name in robot.resources})
+        second = {"actuator/velocity", "actuator/cmd_vel", "action/navigate", "service/dock"}
+        assert not (second | {"param/rover/low"}) & robot.resources.keys()
 
 
 async def test_nice_names_can_be_turned_off(fleet_domain: int, fleet: Fleet) -> None:
