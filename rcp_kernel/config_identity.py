@@ -31,6 +31,7 @@ __all__ = [
 ]
 
 Algorithm = Literal["RS256", "ES256", "EdDSA"]
+_FETCH = 15.0  # s that a fetch may be late, with the wait before it
 
 
 class Granting(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -91,7 +92,7 @@ class JwtConfig(Granting, frozen=True, kw_only=True):
     refresh: Annotated[float, Meta(ge=1)] = 300.0
     """Between fetches; a key that the issuer took back counts until the next one."""
     lifetime: Annotated[float, Meta(ge=1)] = 86_400.0
-    """How long keys that were fetched last prove anything while the issuer cannot be reached."""
+    """How long keys that were fetched last prove anything, and with them what they signed."""
     leeway: Annotated[float, Meta(ge=0, le=600)] = 30.0
     """That the clocks may differ."""
     max_age: Annotated[float, Meta(gt=0)] | None = None
@@ -236,6 +237,11 @@ def _check_issuer(issuer: JwtConfig, where: str) -> None:
         key = "issuer" if issuer.discovery else "jwks_url"
         raise ConfigError(
             f"{where}: `{key}` is not an https URL (or http on loopback), without user"
+        )
+    if not issuer.keys and issuer.lifetime < issuer.refresh + _FETCH:
+        raise ConfigError(
+            f"{where}: `lifetime` = {issuer.lifetime:g} is not longer than `refresh` = "
+            f"{issuer.refresh:g} by {_FETCH:g} s: the keys would lapse between two fetches"
         )
     for claim in (issuer.name_claim, issuer.role_claim, issuer.tenant_claim):
         if claim is not None and not re.fullmatch(r"[^.]+(\.[^.]+)*", claim):

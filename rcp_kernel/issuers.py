@@ -1,7 +1,8 @@
 """JSON Web Tokens: who issued them, by which key, and whom they prove (RFC 7519, RFC 8725).
 
 An issuer's keys are fetched in the background; a token whose key is not known yet waits for the
-next fetch. What was verified is kept by its hash, so a signature is checked once.
+next fetch. What was verified is kept by its hash, so a signature is checked once; it proves no more
+than the key that signed it does at present.
 """
 
 from __future__ import annotations
@@ -47,6 +48,10 @@ class Issuer:
         self.facts: dict[str, Any] = {"name": f"jwt {_shown(config.issuer)}", "state": "ready"}
         """For the health report."""
         self.fetched: float | None = None
+        self.stale = False
+        """Whether its keys were not had again for their `lifetime`: they prove nothing any more."""
+        self._lapse: asyncio.TimerHandle | None = None
+        self._changed: Callable[[], None] = _nobody
         self._failures = 0
         self._began = -_GAP
         self._task: asyncio.Task[None] | None = None
@@ -61,13 +66,18 @@ class Issuer:
         return not self.config.keys
 
     def start(self, changed: Callable[[], None]) -> None:
-        """Fetch the keys now and then; `changed` is called when they are others."""
+        """Fetch the keys now and then; `changed` is called when one proves nothing any more."""
         if self.fetches:
+            self._changed = changed
+            self._watch()
             self._round = asyncio.get_running_loop().create_future()
-            self._task = asyncio.create_task(self._run(changed), name=self.facts["name"])
+            self._task = asyncio.create_task(self._run(), name=self.facts["name"])
 
     def stop(self) -> None:
         """Fetch no more."""
+        if self._lapse is not None:
+            self._lapse.cancel()
+            self._lapse = None
         if self._task is not None:
             self._task.cancel()
             self._task = None
@@ -84,10 +94,26 @@ class Issuer:
     @property
     def reachable(self) -> bool:
         """Whether what was fetched last still counts."""
-        if not self.fetches:
-            return True
-        loop = asyncio.get_running_loop()
-        return self.fetched is not None and loop.time() - self.fetched < self.config.lifetime
+        return not self.fetches or (self.fetched is not None and not self.stale)
+
+    def holds(self, thumbprint: str) -> bool:
+        """Tell whether a key is one of the issuer's, as far as that is known at present."""
+        return self.reachable and any(key.thumbprint == thumbprint for key in self.keys)
+
+    def _watch(self) -> None:
+        """Have the keys lapse at the end of their `lifetime`, unless they are had again before."""
+        if self._lapse is not None:
+            self._lapse.cancel()
+        if self.fetched is None:
+            return
+        loop, end = asyncio.get_running_loop(), self.fetched + self.config.lifetime
+        self.stale = end <= loop.time()
+        self._lapse = None if self.stale else loop.call_at(end, self._lapsed)
+
+    def _lapsed(self) -> None:
+        self._lapse, self.stale = None, True
+        log.error("jwt_keys_lapsed", issuer=_shown(self.config.issuer), keys=len(self.keys))
+        self._changed()
 
     async def ask(self) -> None:
         """Have the keys fetched again soon, and wait for that within a bound."""
@@ -101,12 +127,12 @@ class Issuer:
         if waited is not None and not waited.done():
             waited.set_result(None)
 
-    async def _run(self, changed: Callable[[], None]) -> None:
+    async def _run(self) -> None:
         loop = asyncio.get_running_loop()
         while True:
             self._began = loop.time()
             self._wanted.clear()
-            self._take(await self._fetch(), changed)
+            self._take(await self._fetch())
             self._conclude()
             self._round = loop.create_future()
             with suppress(TimeoutError):
@@ -145,7 +171,7 @@ class Issuer:
             raise Unreachable("the discovery document names a `jwks_uri` without https")
         return url
 
-    def _take(self, found: tuple[PublicKey, ...] | str, changed: Callable[[], None]) -> None:
+    def _take(self, found: tuple[PublicKey, ...] | str) -> None:
         if isinstance(found, str):
             self._failures += 1
             if self._failures == 1:
@@ -156,12 +182,17 @@ class Issuer:
             log.info("jwt_keys_fetched", issuer=_shown(self.config.issuer), keys=len(found))
         self._failures = 0
         self.fetched = asyncio.get_running_loop().time()
+        self._watch()
         self.facts["state"] = "ready"
         self.facts.pop("detail", None)
         gone = {key.thumbprint for key in self.keys} - {key.thumbprint for key in found}
         self.keys = found
         if gone:
-            changed()
+            self._changed()
+
+
+def _nobody() -> None:
+    """Stand in for who is told, before there is anybody."""
 
 
 def _source(config: JwtConfig) -> tuple[object, ...]:
@@ -204,7 +235,7 @@ class Issuers:
         self.verified: dict[str, _Verified] = {} if before is None else before.verified
 
     def start(self, changed: Callable[[], None]) -> None:
-        """Begin to fetch keys; `changed` is called after a key has gone."""
+        """Begin to fetch keys; `changed` is called after one has gone, or has lapsed."""
         for issuer in self.issuers.values():
             issuer.start(changed)
 
@@ -214,12 +245,12 @@ class Issuers:
             issuer.stop()
 
     def kept(self, digest: str) -> Principal | None:
-        """Return whom a token proved when it was verified, if its key is still there."""
+        """Return whom a token proved when it was verified, if its key still proves anything."""
         found = self.verified.get(digest)
         if found is None:
             return None
         issuer = self.issuers.get(found.read.issuer)
-        if issuer is None or all(key.thumbprint != found.key for key in issuer.keys):
+        if issuer is None or not issuer.holds(found.key):
             del self.verified[digest]
             return None
         if found.tables is not self._tables:

@@ -14,8 +14,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from issuer import AUDIENCE, Issuer, Key, issuing
-from kernel.world import CONFIG, World, world_of
-from rcp_kernel import issuers, jwks
+from kernel.world import CONFIG, World, prepared, world_of
+from rcp_kernel import config_identity, issuers, jwks
 from rcp_kernel.config import parse
 from rcp_kernel.config_identity import JwtConfig
 from rcp_kernel.errors import (
@@ -27,6 +27,7 @@ from rcp_kernel.errors import (
     Unauthenticated,
 )
 from rcp_kernel.issuers import Issuers
+from rcp_kernel.reload import apply
 from rcp_kernel.server import prepare
 from rcp_kernel.webtokens import read_token, verify
 
@@ -443,6 +444,65 @@ async def test_known_keys_go_on_while_the_issuer_is_down(
         assert (await who(world, issuer.token(jti="another"))).name == "ann"
 
 
+async def test_a_key_taken_back_ends_what_it_opened_with_the_next_fetch(
+    issuer: Issuer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(issuers, "_GAP", 0.01)
+    issuer.add("k2")
+    async with world_of(CONFIG + issuer.table('role = "operator"\nrefresh = 1')) as world:
+        old, new = issuer.token(), issuer.token("k2", sub="bea")
+        await who(world, old)
+        await who(world, new)
+        loser, keeper = world.client(old), world.client(new)
+        await loser.ask(type="subscribe", path="/sensor/level", id="s")
+        issuer.listed.remove("k1")  # and nobody asks for another key
+        assert (await loser.notice("subscription_ended"))["reason"] == "token_expired"
+        assert (await loser.final(None))["error"]["code"] == "token_expired"
+        assert (await keeper.ask(type="ping"))["status"] == "completed"
+        with pytest.raises(Unauthenticated, match="does not list"):
+            await who(world, old)
+
+
+async def test_keys_that_lapse_take_with_them_what_they_signed(
+    issuer: Issuer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(issuers, "_GAP", 0.01)
+    monkeypatch.setattr(config_identity, "_FETCH", 0.0)
+    table = issuer.table('role = "operator"\nrefresh = 1\nlifetime = 1.5')
+    async with world_of(CONFIG + table) as world:
+        token = issuer.token()
+        await who(world, token)
+        client = world.client(token)
+        await client.ask(type="subscribe", path="/sensor/level", id="s")
+        issuer.status = b"500 No"
+        assert (await client.notice("subscription_ended"))["reason"] == "token_expired"
+        assert (await client.final(None))["error"]["code"] == "token_expired"
+        with pytest.raises(AdapterUnavailable):
+            await who(world, token)
+        issuer.status = b"200 OK"
+        assert (await who(world, token)).name == "ann"
+
+
+async def test_keys_that_lapsed_are_good_again_only_by_a_longer_lifetime(
+    issuer: Issuer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(issuers, "_GAP", 0.01)
+    monkeypatch.setattr(config_identity, "_FETCH", 0.0)
+    table = issuer.table('role = "operator"\nrefresh = 1\nlifetime = 1')
+    async with world_of(CONFIG + table) as world:
+        token = issuer.token()
+        await who(world, token)
+        client = world.client(token)
+        issuer.status = b"500 No"
+        assert (await client.final(None))["error"]["code"] == "token_expired"
+        await apply(world.server, prepared(parse(CONFIG + table, "test"), []))
+        with pytest.raises(AdapterUnavailable):
+            await who(world, token)
+        longer = table.replace("lifetime = 1", "lifetime = 600")
+        await apply(world.server, prepared(parse(CONFIG + longer, "test"), []))
+        assert (await who(world, token)).name == "ann"
+
+
 # -- the configuration -----------------------------------------------------------------------------
 
 
@@ -457,6 +517,10 @@ async def test_known_keys_go_on_while_the_issuer_is_down(
             "without user",
         ),
         ('issuer = "https://i"\naudience = []\nrole = "viewer"\ndiscovery = true', "is empty"),
+        (
+            'issuer = "https://i"\naudience = "a"\nrole = "viewer"\ndiscovery = true\nlifetime = 60',
+            "would lapse between two fetches",
+        ),
         ('issuer = "https://i"\naudience = "a"\ndiscovery = true', "needs a `role`"),
         ('issuer = "https://i"\naudience = "a"\nrole = "x"\ndiscovery = true', "role 'x'"),
         (
