@@ -126,6 +126,7 @@ class Chorus:
                 or member.place != start
                 or member.dropped
                 or not member.named
+                or mailbox.prioritised
                 or mailbox.control
                 or mailbox.pending
                 or mailbox.dirty

@@ -461,6 +461,12 @@ class Sessions:
         gateway.accounts.recount()
         for (_, tenant, transport), session in shared:
             if self._reviewed(session):
+                tenants = gateway.identities.tenants_of(session.principal)
+                if tenant is None:  # as for a request that comes first
+                    session.tenant = tenants[0] if tenants else None
+                elif tenant not in tenants:
+                    self._lapsing.forget(session)
+                    continue
                 self._stateless[session.principal, tenant, transport] = session
         for session in list(self.known.values()):
             self._reviewed(session)

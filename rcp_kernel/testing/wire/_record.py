@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from rcp_kernel.testing._client import Client, Message
+from rcp_kernel.testing._client import Client, MemoryClient, Message
 from rcp_kernel.testing._serve import ADMIN, VIEWER
 from rcp_kernel.testing._suite import proves
 from rcp_kernel.testing.wire._base import LOCAL, Wire, World
@@ -40,12 +40,16 @@ class Records(Wire):
 
     @proves("record.acts")
     async def test_a_command_is_on_record_with_what_the_robot_said(self, world: World) -> None:
-        auditor, client = await world.client(ADMIN), await world.client()
-        await auditor.request("ping")  # whoever comes in may be on record too
+        auditor, client = MemoryClient(world.server.door, ADMIN), await world.client()
+        records = await auditor.subscribe(AUDIT, initial=False)
         reply = await client.request("execute", "/action/go", body={"distance": 3.0})
-        record = await last(auditor)
-        assert (record["what"], record["status"]) == ("command", "completed")
-        assert (record["command"], record["value"]) == (reply["command"], 3.0)
+        told = await auditor.until(
+            lambda m: m.get("id") == records and m["body"]["what"] == "command"
+        )
+        record = told["body"]
+        assert (record["command"], record["status"]) == (reply["command"], "completed")
+        assert record["value"] == 3.0
+        await auditor.close()
 
     @proves("record.denials")
     async def test_a_refusal_is_on_record_once_it_is_answered(self, world: World) -> None:
