@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import math
+import time
 from collections.abc import AsyncGenerator
 from contextlib import AbstractAsyncContextManager, asynccontextmanager
 from typing import Any
@@ -15,11 +17,11 @@ from rcp_ros2.catalog import Catalog
 from rcp_ros2.config import Ros2Config
 from rcp_ros2.definitions import define_text
 from rcp_ros2.graph import GraphWatch
-from rcp_ros2.ros import Ros, guarded, open_ros
+from rcp_ros2.ros import guarded, open_ros
 
 __all__ = ["Ros2Backend", "open_ros2"]
 
-_SETTLE = 0.5  # s
+_SETTLE = 0.6  # s from the beginning; a gateway waits 1 s for its backends
 
 
 class Ros2Backend(BaseBackend):
@@ -88,6 +90,7 @@ async def open_ros2(config: Ros2Config, host: Host) -> AsyncGenerator[Ros2Backen
     """
     for name, text in config.types.items():
         define_text(name, text)
+    began = time.monotonic()
     async with open_ros(config, host) as ros:
         shared = Shared(ros, config, host)
         catalog = Catalog(shared)
@@ -95,21 +98,20 @@ async def open_ros2(config: Ros2Config, host: Host) -> AsyncGenerator[Ros2Backen
         watch.on_look.extend((shared.feeds.refresh, shared.pulses.look, lambda: _look(shared)))
         await ros.call(watch.start)
         try:
-            await _settle(catalog, ros)
+            await _settle(catalog, min(config.grace, _SETTLE - (time.monotonic() - began)))
             yield Ros2Backend(catalog)
         finally:
             await catalog.close()
 
 
-async def _settle(catalog: Catalog, ros: Ros) -> None:
+async def _settle(catalog: Catalog, limit: float) -> None:
     """Give discovery its usual time, so that most paths are there when the backend is ready.
 
     Now and then it takes 3 s: a gateway does not wait for that with its start.
     """
-    try:
-        await asyncio.wait_for(catalog.complete.wait(), min(ros.config.grace, _SETTLE))
-    except TimeoutError:
-        return
+    if limit > 0:
+        with contextlib.suppress(TimeoutError):
+            await asyncio.wait_for(catalog.complete.wait(), limit)
 
 
 def _look(shared: Shared) -> None:
