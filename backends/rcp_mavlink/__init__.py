@@ -1,1 +1,21 @@
-"""MAVLink: drones and what else speaks it; `rcp_mavlink.sim` is one that needs no hardware."""
+"""MAVLink vehicles: drones, planes, rovers and boats as robots; `rcp_mavlink.sim` is one of them.
+
+Importing this costs nothing; pymavlink itself is imported when a backend is opened.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from rcp_kernel.hookspecs import hookimpl
+from rcp_kernel.spi import BackendKind
+from rcp_mavlink.backend import MavlinkBackend, open_mavlink
+from rcp_mavlink.config import MavlinkConfig
+
+__all__ = ["MavlinkBackend", "MavlinkConfig", "open_mavlink", "rcp_backends"]
+
+
+@hookimpl
+def rcp_backends() -> Iterable[BackendKind]:
+    """Offer the vehicles that are heard over MAVLink."""
+    return [BackendKind("mavlink", MavlinkConfig, open_mavlink, "Vehicles that speak MAVLink.")]

@@ -40,6 +40,7 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("--charge", type=float, default=1.0, help="of the battery, 0 to 1")
     parser.add_argument("--param", action="append", default=[], metavar="NAME=VALUE")
     parser.add_argument("--streaming", action="store_true", help="send telemetry unasked")
+    parser.add_argument("--latency", type=float, default=0.0, help="of all it sends, s")
     parser.add_argument("--key", help="passphrase to sign with, as ground stations take it")
     return parser.parse_args()
 
@@ -61,6 +62,7 @@ def _options(given: argparse.Namespace, number: int) -> Options:
         charge=given.charge,
         parameters={name: float(value) for name, value in parameters.items()},
         streaming=given.streaming,
+        latency=given.latency,
         key=None if given.key is None else sha256(given.key.encode()).digest(),
     )
 

@@ -31,5 +31,7 @@ class Options(msgspec.Struct, frozen=True, kw_only=True):
     """Other values than usual."""
     streaming: bool = False
     """Send the usual telemetry at 4 Hz unasked; a real one waits to be asked."""
+    latency: float = 0.0
+    """Real seconds that whatever it sends is on its way, as over a slow radio."""
     key: bytes | None = None
     """32 bytes: sign what is sent, and take only what is signed with it."""

@@ -32,9 +32,15 @@ class Twin:
 
     def join(self, send_bytes: Callable[[bytes], None]) -> Peer:
         """Add one to talk to."""
+        latency = self.vehicle.options.latency
+        loop = asyncio.get_running_loop()
 
         def send(frame: bytes) -> None:
-            if not self.muted:
+            if self.muted:
+                return
+            if latency:
+                loop.call_later(latency, send_bytes, frame)
+            else:
                 send_bytes(frame)
 
         peer = Peer(self.vehicle, send)
@@ -82,7 +88,12 @@ class _Udp(asyncio.DatagramProtocol):
         if address not in self._peers:
             self._drop_silent()
             transport = self._transport
-            self._peers[address] = self._twin.join(lambda f: transport.sendto(f, address))
+
+            def send(frame: bytes) -> None:
+                if not transport.is_closing():
+                    transport.sendto(frame, address)
+
+            self._peers[address] = self._twin.join(send)
         return self._peers[address]
 
     def _drop_silent(self) -> None:

@@ -1,0 +1,151 @@
+"""Commands: sent until they are acknowledged; a refusal carries its result and its reasons in words."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections import defaultdict
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Any
+
+import msgspec
+
+from rcp_kernel.errors import DeviceRejected, DeviceTimeout
+from rcp_mavlink.frames import Frame
+from rcp_mavlink.hub import Hub
+from rcp_mavlink.vehicle import Vehicle
+
+__all__ = ["Command", "Commands"]
+
+_ACCEPTED, _BUSY, _UNSUPPORTED, _RUNNING = 0, 1, 3, 5
+_LONG_ONLY, _INT_ONLY = 7, 8
+_WORDS = {
+    1: "temporarily rejected", 2: "denied", 3: "unsupported", 4: "failed", 6: "cancelled",
+    7: "taken as COMMAND_LONG only", 8: "taken as COMMAND_INT only", 9: "unsupported frame",
+    10: "not in control",
+}  # fmt: skip
+_PATIENCE = 30.0  # s that a command may be in progress without news
+_LAST_WORDS = 0.15  # s in which the reason may come after the refusal
+_RELATIVE = 6
+
+
+class Command(msgspec.Struct, frozen=True):
+    """One command; the place is for those that have one."""
+
+    number: int
+    params: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
+    x: float = 0.0
+    """Latitude in degrees, or the fifth parameter."""
+    y: float = 0.0
+    z: float = 0.0
+    frame: int = _RELATIVE
+    place: bool = False
+    """Whether `x` and `y` are degrees."""
+    whole: bool = False
+    """Send it as COMMAND_INT from the start."""
+
+
+class Commands:
+    """Sends the commands of one vehicle; those of one number take turns."""
+
+    def __init__(self, hub: Hub, vehicle: Vehicle) -> None:
+        self._hub, self._vehicle = hub, vehicle
+        self._turns: dict[int, asyncio.Lock] = defaultdict(asyncio.Lock)
+        self._orphans: dict[int, float] = {}
+        """Commands whose answer may still come though nobody waits for it, and until when."""
+
+    async def send(
+        self, command: Command, what: str, progress: Callable[[float], None] | None = None
+    ) -> None:
+        """Send a command and wait until it is accepted, which is not yet done.
+
+        :raises DeviceRejected: it is refused.
+        :raises DeviceTimeout: there is no answer.
+        """
+        self._vehicle.check()
+        started = time.monotonic()
+        async with self._turns[command.number]:
+            result = await self._ask(command, what, progress, whole=command.whole)
+            other = not command.whole
+            if result in (_UNSUPPORTED, _INT_ONLY) and other:
+                again = await self._ask(command, what, progress, whole=True)
+                result = result if again == _UNSUPPORTED and result == _UNSUPPORTED else again
+            elif result == _LONG_ONLY and command.whole:
+                result = await self._ask(command, what, progress, whole=False)
+        if result != _ACCEPTED:
+            await self._refuse(what, result, started)
+
+    def tell(self, command: Command) -> None:
+        """Send a command once, and do not wait for an answer."""
+        self._hub.send(self._vehicle, self._message(command, 0, whole=command.whole))
+
+    async def _ask(
+        self,
+        command: Command,
+        what: str,
+        progress: Callable[[float], None] | None,
+        *,
+        whole: bool,
+    ) -> int:
+        """Send it until it is answered; return the MAV_RESULT."""
+        answers: asyncio.Queue[tuple[int, int]] = asyncio.Queue()
+        own = self._hub.config.source_system
+
+        def take(frame: Frame) -> None:
+            ack = frame.fields()
+            if ack["command"] == command.number and ack.get("target_system", 0) in (0, own):
+                answers.put_nowait((ack["result"], ack.get("progress", 255)))
+
+        config = self._hub.config
+        with self._vehicle.listening("COMMAND_ACK", take):
+            late = self._orphans.pop(command.number, 0.0) - time.monotonic()
+            if late > 0:  # it would be taken for the answer to this one
+                with suppress(TimeoutError):
+                    async with asyncio.timeout(late):
+                        await answers.get()
+            self._orphans[command.number] = time.monotonic() + config.timeout
+            for attempt in range(config.retries + 1):
+                self._vehicle.check()
+                self._hub.send(self._vehicle, self._message(command, attempt, whole=whole))
+                wait = config.timeout
+                while True:
+                    try:
+                        async with asyncio.timeout(wait):
+                            result, part = await answers.get()
+                    except TimeoutError:
+                        break
+                    if result != _RUNNING:
+                        del self._orphans[command.number]
+                        return result
+                    wait = _PATIENCE
+                    if progress is not None and part <= 100:
+                        progress(part / 100)
+        self._vehicle.check()
+        raise DeviceTimeout(f"{what}: the vehicle did not answer")
+
+    def _message(self, c: Command, attempt: int, *, whole: bool) -> Any:
+        module, vehicle = self._hub.dialect.module, self._vehicle
+        to = (vehicle.system, vehicle.component)
+        if not whole:
+            return module.MAVLink_command_long_message(
+                *to, c.number, attempt, *c.params, c.x, c.y, c.z
+            )
+        scale = 1e7 if c.place else 1.0
+        return module.MAVLink_command_int_message(
+            *to, c.frame, c.number, 0, 0, *c.params, round(c.x * scale), round(c.y * scale), c.z
+        )
+
+    async def _refuse(self, what: str, result: int, started: float) -> None:
+        words = _WORDS.get(result, f"result {result}")
+        if not self._vehicle.texts_since(started):
+            await asyncio.sleep(_LAST_WORDS)
+        reasons = self._vehicle.texts_since(started)
+        said = f": {'; '.join(reasons)}" if reasons else ""
+        raise DeviceRejected(
+            f"{what}: {words}{said}",
+            remedy="Mend what the vehicle complains of and try again; sensor/prearm says whether "
+            "it would be armed." if reasons else "The vehicle gave no reason; see sensor/state, sensor/mode and event/statustext.",
+            retry_after=1.0 if result == _BUSY else None,
+            details={"result": words, "texts": reasons},
+        )  # fmt: skip

@@ -1,0 +1,89 @@
+"""The configuration of one MAVLink backend: its links, the vehicles behind them, its patience."""
+
+from __future__ import annotations
+
+import re
+from typing import Annotated, Literal
+
+from msgspec import Meta, Struct
+
+__all__ = ["LinkSpec", "MavlinkConfig"]
+
+_NET = re.compile(r"(udpin|udpout|tcp|tcpin):(?:\[([^\]]+)\]|([^:\[\]]+)):(\d{1,5})\Z")
+_SERIAL = re.compile(r"serial:(/[^:]+)(?::(\d+))?\Z")
+_SEGMENT = re.compile(r"[A-Za-z0-9_.-]+\Z")
+
+Seconds = Annotated[float, Meta(gt=0, le=600, extra_json_schema={"unit": "s"})]
+SystemId = Annotated[int, Meta(ge=1, le=255)]
+
+
+class LinkSpec(Struct, frozen=True):
+    """One link as it is written: `udpin:127.0.0.1:14550`, `serial:/dev/ttyACM0:115200`."""
+
+    kind: str
+    host: str
+    """Or the device."""
+    port: int
+    """Or the bits a second."""
+
+    @classmethod
+    def of(cls, text: str) -> LinkSpec:
+        """Read one.
+
+        :raises ValueError: it is none.
+        """
+        if (net := _NET.match(text)) is not None and int(net[4]) < 65536:
+            return cls(net[1], net[2] or net[3], int(net[4]))
+        if (serial := _SERIAL.match(text)) is not None:
+            return cls("serial", serial[1], int(serial[2] or 57600))
+        raise ValueError(
+            f"{text!r} is no link: write udpin, udpout, tcp or tcpin, host and port, or "
+            "serial:DEVICE:BAUD"
+        )
+
+
+class MavlinkConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Links, and the vehicles that are heard over them."""
+
+    links: Annotated[tuple[str, ...], Meta(min_length=1)] = ("udpin:127.0.0.1:14550",)
+    dialect: str = "ardupilotmega"
+    """A dialect of pymavlink, or the path of an XML file."""
+    system: SystemId | None = None
+    """The vehicle that is the robot; None takes the first that is heard."""
+    discover: bool = False
+    """Every vehicle that is heard becomes a robot of its own, below its name."""
+    names: dict[str, str] = {}
+    """Names of discovered vehicles by system id; `vehicle<id>` without one."""
+    key: str | None = None
+    """Passphrase or 64 hexadecimal digits: sign what is sent, take only what is signed."""
+    source_system: SystemId = 255
+    """Of the gateway itself; ArduPilot heeds the ground station that MAV_GCS_SYSID names."""
+    source_component: SystemId = 190
+    params: tuple[str, ...] = ("*",)
+    """Patterns of the parameters that get a path."""
+    messages: tuple[str, ...] = ()
+    """Patterns of further messages of the dialect that get a path: `VIBRATION`, `GPS*`."""
+    rate: Annotated[float, Meta(ge=1, le=50, extra_json_schema={"unit": "Hz"})] = 4.0
+    """Of what the gateway itself needs: position, landed state, health."""
+    timeout: Seconds = 0.6
+    """For an answer, before it is asked again."""
+    retries: Annotated[int, Meta(ge=0, le=10)] = 2
+    silence: Seconds = 3.5
+    """Without a message, after which a vehicle counts as lost."""
+    connect: Seconds = 4.0
+    """For the first heartbeat, when the gateway starts."""
+    estop: Literal["hold", "land", "disarm"] = "hold"
+    """What an e-stop does in the air; `disarm` lets it fall."""
+    max_speed: Annotated[float, Meta(gt=0, le=100, extra_json_schema={"unit": "m/s"})] = 15.0
+    """Bound of `actuator/velocity`."""
+
+    def __post_init__(self) -> None:
+        for link in self.links:
+            LinkSpec.of(link)
+        for system, name in self.names.items():
+            if not (system.isdigit() and 1 <= int(system) <= 255):
+                raise ValueError(f"`names`: {system!r} is no system id: 1 to 255")
+            if not _SEGMENT.match(name):
+                raise ValueError(f"`names`: {name!r} is no segment of a path")
+        if self.discover and self.system is not None:
+            raise ValueError("`discover` and `system` exclude each other")

@@ -1,0 +1,237 @@
+"""The messages of a dialect, from the classes that pymavlink generated of its XML."""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+import re
+import sys
+import tempfile
+from collections.abc import Callable
+from functools import cached_property, lru_cache
+from pathlib import Path
+from typing import Annotated, Any, NamedTuple
+
+import msgspec
+
+from rcp_kernel.errors import ConfigError
+from rcp_kernel.types import quantity
+from rcp_mavlink.units import converted
+
+__all__ = ["Definition", "Dialect", "Field", "dialect"]
+
+_LINE = re.compile(r"^ +(\w+) +: (.*?)(?: \[[^\]]*\])? \(type:[^)]*\)$", re.MULTILINE)
+_SENTINEL = re.compile(r"\b(U?INT(?:8|16|32)_MAX)\b")
+_MINUS_ONE = re.compile(r"(?<![\w.-])-1\b(?:[:,]| (?:means|if|for|indicates))")
+_SENTINELS = {
+    "UINT8_MAX": 255, "UINT16_MAX": 65535, "UINT32_MAX": 2**32 - 1,
+    "INT8_MAX": 127, "INT16_MAX": 32767, "INT32_MAX": 2**31 - 1,
+}  # fmt: skip
+_NAME = re.compile(r"\w+\Z")
+
+
+class Field(NamedTuple):
+    """One field of a message."""
+
+    name: str
+    kind: str
+    """`uint16_t`, `float`, `char`, …"""
+    unit: str
+    factor: float
+    length: int
+    """Of an array; 0 is none."""
+    enum: dict[int, str] | None
+    missing: float | None
+    """The value that means that there is none."""
+    description: str
+    place: int
+    """Of its first value in what the unpacker returns."""
+
+
+class Definition:
+    """One message of a dialect: how it is taken apart, and its type in the tree."""
+
+    def __init__(self, module: Any, cls: Any) -> None:
+        self.cls = cls
+        self.name: str = cls.msgname
+        self.id: int = cls.id
+        self.crc_extra: int = cls.crc_extra
+        self.unpack: Callable[[bytes], tuple[Any, ...]] = cls.unpacker.unpack
+        self.size: int = cls.unpacker.size
+        self._module = module
+
+    @cached_property
+    def description(self) -> str:
+        """What the dialect says of it, as sentences."""
+        text = re.sub(r"\s+", " ", self.cls.__doc__ or "").strip()
+        return text if text.endswith(".") else f"{text or self.name}."
+
+    @cached_property
+    def fields(self) -> tuple[Field, ...]:
+        """Its fields, in the order of the XML."""
+        cls, found = self.cls, list[Field]()
+        encode = getattr(self._module.MAVLink, f"{self.name.lower()}_encode", None)
+        told = dict(_LINE.findall(encode.__doc__ or "")) if encode is not None else {}
+        for at, name in enumerate(cls.fieldnames):
+            order = cls.orders[at]
+            kind, length = cls.fieldtypes[at], cls.array_lengths[order]
+            unit, factor = converted(cls.fieldunits_by_name.get(name, ""), kind)
+            description = told.get(name, "")
+            place = sum(cls.lengths[:order])
+            found.append(
+                Field(name, kind, unit, factor, length, self._words(name), _missing(description, kind), description, place)
+            )  # fmt: skip
+        return tuple(found)
+
+    def _words(self, field: str) -> dict[int, str] | None:
+        """Return the words of a field that is one of several; None for numbers and bits."""
+        name = self.cls.fieldenums_by_name.get(field)
+        entries = self._module.enums.get(name)
+        if entries is None or entries.bitmask:
+            return None
+        words = {n: e.name for n, e in entries.items() if not e.name.endswith("_ENUM_END")}
+        start = f"{name}_"
+        return {n: word.removeprefix(start).lower() for n, word in words.items()}
+
+    @cached_property
+    def type(self) -> Any:
+        """The type of its values in the tree."""
+        fields = [(field.name, _type(field)) for field in self.fields]
+        name = "".join(part.title() for part in self.name.split("_"))
+        return msgspec.defstruct(name, fields, frozen=True, module="rcp_mavlink.messages")
+
+    @cached_property
+    def _makers(self) -> tuple[Callable[[tuple[Any, ...]], Any], ...]:
+        return tuple(_maker(field) for field in self.fields)
+
+    def decode(self, payload: bytes) -> Any:
+        """Return the value that a payload stands for, in the units of the tree."""
+        values = self.raw(payload)
+        return self.type(*[make(values) for make in self._makers])
+
+    def fields_of(self, payload: bytes) -> dict[str, Any]:
+        """Return the fields of a payload as they are on the wire; arrays are lists."""
+        values = self.raw(payload)
+        return {
+            f.name: list(values[f.place : f.place + f.length])
+            if f.length and f.kind != "char"
+            else values[f.place]
+            for f in self.fields
+        }
+
+    def raw(self, payload: bytes) -> tuple[Any, ...]:
+        """Take a payload apart; the zeros that were left off are put back."""
+        return self.unpack(payload[: self.size].ljust(self.size, b"\0"))
+
+
+def _missing(description: str, kind: str) -> float | None:
+    if kind in ("float", "double", "char"):
+        return None
+    if (found := _SENTINEL.search(description)) is not None:
+        return _SENTINELS[found[1]]
+    return -1 if _MINUS_ONE.search(description) and kind.startswith("int") else None
+
+
+def _type(field: Field) -> Any:
+    if field.kind == "char":
+        return str
+    if field.length and field.kind == "uint8_t" and field.unit == "1":
+        return bytes
+    one = _one(field)
+    return list[one] if field.length else one
+
+
+def _one(field: Field) -> Any:
+    text = field.description or None
+    if field.enum is not None:
+        return str
+    if field.kind in ("float", "double"):
+        return quantity(field.unit, may_be_nonfinite=True, description=text)
+    if field.factor != 1:
+        number: Any = quantity(field.unit, description=text)
+    elif field.kind == "uint64_t":
+        extra: Any = {"unit": field.unit, "maximum": 2**64 - 1}
+        number = Annotated[int, msgspec.Meta(ge=0, extra_json_schema=extra)]
+    else:
+        number = quantity(field.unit, int, description=text)
+    return number | None if field.missing is not None else number
+
+
+def _maker(field: Field) -> Callable[[tuple[Any, ...]], Any]:
+    at, factor, missing, words = field.place, field.factor, field.missing, field.enum
+    if field.kind == "char":
+        return lambda values: values[at].split(b"\0", 1)[0].decode("utf-8", "replace")
+    if field.length and field.kind == "uint8_t" and field.unit == "1":
+        end = at + field.length
+        return lambda values: bytes(values[at:end])
+
+    def one(value: Any) -> Any:
+        if words is not None:
+            return words.get(value, str(value))
+        if value == missing:
+            return None
+        return value if factor == 1 else value * factor
+
+    if field.length:
+        end = at + field.length
+        return lambda values: [one(value) for value in values[at:end]]
+    if words is None and missing is None:
+        if factor == 1:
+            return lambda values: values[at]
+        return lambda values: values[at] * factor
+    return lambda values: one(values[at])
+
+
+class Dialect:
+    """All messages of a dialect by id and by name; `module` makes those that are sent."""
+
+    def __init__(self, module: Any) -> None:
+        self.module = module
+        self.by_id = {n: Definition(module, cls) for n, cls in module.mavlink_map.items()}
+        self.by_name = {definition.name: definition for definition in self.by_id.values()}
+
+
+@lru_cache(maxsize=8)
+def dialect(name: str) -> Dialect:
+    """Load a dialect by its name, or from an XML file.
+
+    :raises ConfigError: there is none, pymavlink is missing, or the XML is not a dialect.
+    """
+    if name.endswith(".xml"):
+        return Dialect(_generated(Path(name)))
+    if not _NAME.match(name):
+        raise ConfigError(f"`dialect`: {name!r} is neither a dialect nor an XML file")
+    try:
+        return Dialect(importlib.import_module(f"pymavlink.dialects.v20.{name}"))
+    except ModuleNotFoundError as error:
+        if error.name == "pymavlink":
+            text = "pymavlink is missing: pip install 'rcp-gateway[mavlink]'"
+        else:
+            text = f"`dialect`: pymavlink has no {name!r}; name one it has, or an XML file"
+        raise ConfigError(text) from error
+
+
+def _generated(path: Path) -> Any:
+    """Have pymavlink make a module of an XML file, and import it."""
+    try:
+        from pymavlink.generator import mavgen, mavparse
+    except ModuleNotFoundError as error:
+        raise ConfigError("pymavlink is missing: pip install 'rcp-gateway[mavlink]'") from error
+    if not path.is_file():
+        raise ConfigError(f"`dialect`: there is no file {path}")
+    with tempfile.TemporaryDirectory() as folder:
+        out = Path(folder) / f"rcp_dialect_{path.stem}.py"
+        options = mavgen.Opts(str(out), wire_protocol="2.0", language="Python3", validate=False)
+        try:
+            done = mavgen.mavgen(options, [str(path)])
+        except (Exception, SystemExit, mavparse.MAVParseError) as error:
+            raise ConfigError(f"`dialect`: {path} is not a dialect: {error}") from error
+        if not done:
+            raise ConfigError(f"`dialect`: {path} is not a dialect")
+        spec = importlib.util.spec_from_file_location(out.stem, out)
+        assert spec is not None
+        assert spec.loader is not None
+        module = importlib.util.module_from_spec(spec)
+        sys.modules[out.stem] = module
+        spec.loader.exec_module(module)
+    return module

@@ -1,0 +1,153 @@
+"""Bytes to frames: checked, counted, and taken apart only when somebody looks."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from rcp_mavlink.dialect import Definition, Dialect
+from rcp_mavlink.signing import Signing
+
+__all__ = ["Frame", "Framer", "Stats"]
+
+_V1, _V2 = 0xFE, 0xFD
+_SIGNED = 0x01
+_SIGNATURE = 13  # bytes
+_UNSIGNED = frozenset({109})
+"""RADIO_STATUS comes from the radio itself, which has no key."""
+
+
+class Frame:
+    """One message as it came; `decode` is for whoever wants its value."""
+
+    __slots__ = ("component", "data", "definition", "payload", "system")
+
+    def __init__(
+        self, definition: Definition, system: int, component: int, payload: bytes, data: bytes
+    ) -> None:
+        self.definition = definition
+        self.system = system
+        self.component = component
+        self.payload = payload
+        self.data = data
+
+    def decode(self) -> Any:
+        """Return its value in the units of the tree."""
+        return self.definition.decode(self.payload)
+
+    def fields(self) -> dict[str, Any]:
+        """Return its fields as they are on the wire."""
+        return self.definition.fields_of(self.payload)
+
+
+class Stats:
+    """What came over one link."""
+
+    __slots__ = ("bad", "bytes", "frames", "lost", "rejected", "sent", "unknown")
+
+    def __init__(self) -> None:
+        self.frames = self.bytes = self.sent = 0
+        self.bad = 0
+        """Bytes that belong to no frame, and frames with a wrong checksum."""
+        self.unknown = 0
+        """Frames of messages that are not in the dialect."""
+        self.lost = 0
+        """Frames that are missing in the senders' counts."""
+        self.rejected = 0
+        """Frames that were not signed, or wrongly."""
+
+
+class Framer:
+    """Finds the frames in what comes over one link."""
+
+    def __init__(self, dialect: Dialect, signing: Signing | None) -> None:
+        from fastcrc.crc16 import mcrf4xx
+
+        self._crc = mcrf4xx
+        self._known = {n: (d, bytes((d.crc_extra,))) for n, d in dialect.by_id.items()}
+        self._signing = signing
+        self._left = b""
+        self._next: dict[int, int] = {}
+        self.stats = Stats()
+
+    def reset(self) -> None:
+        """Forget what was begun, as after a reconnection."""
+        self._left = b""
+
+    def datagram(self, data: bytes) -> list[Frame]:
+        """Return the frames of a datagram; what is cut off in it is lost."""
+        found, at = self._frames(data)
+        self.stats.bad += len(data) - at
+        return found
+
+    def stream(self, data: bytes) -> list[Frame]:
+        """Return the frames that are whole now; the rest waits for its end."""
+        data = self._left + data if self._left else data
+        found, at = self._frames(data)
+        self._left = data[at:]
+        return found
+
+    def _frames(self, data: bytes) -> tuple[list[Frame], int]:
+        """Return the frames and the place of the first byte that may begin another one."""
+        found: list[Frame] = []
+        stats, known, crc = self.stats, self._known, self._crc
+        at, end = 0, len(data)
+        stats.bytes += end
+        while at < end:
+            magic = data[at]
+            if magic == _V2:
+                if end - at < 12:
+                    break
+                length, flags = data[at + 1], data[at + 2]
+                start = at + 10
+                number = data[at + 7] | data[at + 8] << 8 | data[at + 9] << 16
+                seq, system, component = data[at + 4], data[at + 5], data[at + 6]
+            elif magic == _V1:
+                if end - at < 8:
+                    break
+                length, flags, start, number = data[at + 1], 0, at + 6, data[at + 5]
+                seq, system, component = data[at + 2], data[at + 3], data[at + 4]
+            else:
+                at = self._skip(data, at)
+                continue
+            stop = start + length
+            after = stop + 2 + (_SIGNATURE if flags & _SIGNED else 0)
+            entry = known.get(number)
+            if entry is None or flags & ~_SIGNED:
+                stats.unknown += 1
+                at += 1
+                continue
+            if after > end:
+                break
+            definition, extra = entry
+            if crc(data[at + 1 : stop] + extra) != data[stop] | data[stop + 1] << 8:
+                stats.bad += 1
+                at += 1
+                continue
+            whole = data[at:after]
+            at = after
+            if self._signing is not None and not self._allowed(number, flags, whole):
+                stats.rejected += 1
+                continue
+            self._count(seq, system << 8 | component)
+            found.append(Frame(definition, system, component, data[start:stop], whole))
+        stats.frames += len(found)
+        return found, at
+
+    def _allowed(self, number: int, flags: int, whole: bytes) -> bool:
+        assert self._signing is not None
+        return number in _UNSIGNED or bool(flags & _SIGNED and self._signing.genuine(whole))
+
+    def _skip(self, data: bytes, at: int) -> int:
+        """Return the place of the next byte that may begin a frame."""
+        places = [place for place in (data.find(b"\xfd", at), data.find(b"\xfe", at)) if place >= 0]
+        place = min(places, default=len(data))
+        self.stats.bad += place - at
+        return place
+
+    def _count(self, seq: int, sender: int) -> None:
+        expected = self._next.get(sender)
+        if expected is not None and seq != expected:
+            missing = (seq - expected) & 0xFF
+            if missing < 128:  # more: it came late, or the sender began anew
+                self.stats.lost += missing
+        self._next[sender] = (seq + 1) & 0xFF

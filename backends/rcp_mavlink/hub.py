@@ -1,0 +1,180 @@
+"""All links and all vehicles: frames to whom they belong, messages by the way that was heard last."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import AsyncGenerator, Callable
+from contextlib import asynccontextmanager, suppress
+from typing import Any
+
+from rcp_kernel.errors import NotReady
+from rcp_mavlink.config import MavlinkConfig
+from rcp_mavlink.dialect import Dialect
+from rcp_mavlink.frames import Frame, Framer
+from rcp_mavlink.links import Link
+from rcp_mavlink.signing import Signing, key_of
+from rcp_mavlink.texts import Texts
+from rcp_mavlink.vehicle import Vehicle
+
+__all__ = ["Hub", "open_hub"]
+
+_BEAT = 1.0  # s between two heartbeats of the gateway
+_NO_AUTOPILOT, _GROUND_STATION = 8, 6
+_MOST = 255
+
+
+class _Sink:
+    def __init__(self) -> None:
+        self.frame = b""
+
+    def write(self, frame: bytes) -> None:
+        self.frame = bytes(frame)
+
+
+class Hub:
+    """Where links and vehicles meet."""
+
+    def __init__(self, config: MavlinkConfig, dialect: Dialect) -> None:
+        self.config, self.dialect = config, dialect
+        self.vehicles: dict[int, Vehicle] = {}
+        self.found: Callable[[Vehicle], None] = lambda _: None
+        """Called with each vehicle that is heard for the first time."""
+        self.changed: Callable[[Vehicle], None] = lambda _: None
+        """Called when one is lost, and when it is heard again."""
+        self._first = asyncio.Event()
+        self._signing = None if config.key is None else Signing(key_of(config.key))
+        self._texts = Texts()
+        self._sinks: list[tuple[Any, _Sink]] = []
+        self.links = [
+            Link(number, text, lambda: Framer(dialect, self._signing), self._take)
+            for number, text in enumerate(config.links)
+        ]
+        for link in self.links:
+            link.joined = self.beat
+            sink = _Sink()
+            mav = dialect.module.MAVLink(sink, config.source_system, config.source_component)
+            if self._signing is not None:
+                self._signing.apply(mav, link.number)
+            self._sinks.append((mav, sink))
+
+    # In
+
+    def _take(self, link: Link, address: Any, frames: list[Frame]) -> None:
+        for frame in frames:
+            vehicle = self.vehicles.get(frame.system)
+            if vehicle is None:
+                vehicle = self._new(frame)
+                if vehicle is None:
+                    continue
+            if frame.component != vehicle.component:
+                continue
+            if vehicle.lost:
+                vehicle.lost = False
+                self.changed(vehicle)
+            vehicle.routes[link.number, address] = (link, address, time.monotonic())
+            if frame.definition.id == self._texts.id:
+                self._texts.take(vehicle, frame)
+            vehicle.take(frame)
+
+    def _new(self, frame: Frame) -> Vehicle | None:
+        """Return the vehicle that a first heartbeat speaks for; None: it is of no interest."""
+        config = self.config
+        if frame.definition.id != 0 or len(self.vehicles) >= _MOST:
+            return None
+        if not config.discover and (self.vehicles or config.system not in (None, frame.system)):
+            return None
+        beat = frame.fields()
+        if beat["autopilot"] == _NO_AUTOPILOT or beat["type"] == _GROUND_STATION:
+            return None
+        vehicle = Vehicle(self.dialect, frame.system, frame.component)
+        vehicle.take(frame)
+        self.vehicles[frame.system] = vehicle
+        asyncio.get_running_loop().call_soon(self.found, vehicle)
+        self._first.set()
+        return vehicle
+
+    # Out
+
+    def send(self, vehicle: Vehicle, message: Any) -> None:
+        """Send a message to a vehicle, over the way it was heard last."""
+        if vehicle.routes:
+            link, address, _ = max(vehicle.routes.values(), key=lambda route: route[2])
+            link.send(self._packed(link, message), address)
+
+    def _packed(self, link: Link, message: Any) -> bytes:
+        mav, sink = self._sinks[link.number]
+        mav.send(message)
+        return sink.frame
+
+    def beat(self) -> None:
+        """Send a heartbeat over every link: that is how a vehicle learns of the gateway."""
+        message = self.dialect.module.MAVLink_heartbeat_message(
+            _GROUND_STATION, _NO_AUTOPILOT, 0, 0, 4, 3
+        )
+        for link in self.links:
+            link.send_all(self._packed(link, message))
+
+    # Life
+
+    async def run(self) -> None:
+        """Send heartbeats and see who has fallen silent, until cancelled."""
+        due = 0.0
+        while True:
+            now = time.monotonic()
+            if now >= due:
+                due = now + _BEAT
+                self.beat()
+            for vehicle in self.vehicles.values():
+                if not vehicle.lost and now - vehicle.heard > self.config.silence:
+                    vehicle.lose(self.silent(vehicle))
+                    self.changed(vehicle)
+            await asyncio.sleep(min(_BEAT, self.config.silence) / 4)
+
+    def silent(self, vehicle: Vehicle) -> str:
+        """Say that nothing is heard of a vehicle, and what is known of why."""
+        errors = [f"{link.text}: {link.error}" for link in self.links if link.error]
+        why = f" ({'; '.join(errors)})" if errors else ""
+        return f"nothing heard of vehicle {vehicle.system} for {self.config.silence:g} s{why}"
+
+    async def first(self) -> None:
+        """Wait for the first vehicle.
+
+        :raises NotReady: none is heard in time.
+        """
+        try:
+            async with asyncio.timeout(self.config.connect):
+                await self._first.wait()
+        except TimeoutError:
+            who = "no vehicle" if self.config.system is None else f"no vehicle {self.config.system}"
+            errors = [f"{link.text}: {link.error}" for link in self.links if link.error]
+            rejected = sum(link.framer.stats.rejected for link in self.links)
+            if rejected:
+                errors.append(f"{rejected} messages were not signed with `key`")
+            where = "; ".join(errors) or ", ".join(self.config.links)
+            raise NotReady(f"{who} is heard ({where})") from None
+
+
+@asynccontextmanager
+async def open_hub(config: MavlinkConfig, dialect: Dialect) -> AsyncGenerator[Hub]:
+    """Open the links; leaving closes them.
+
+    :raises NotReady: a port to wait at is taken.
+    """
+    hub = Hub(config, dialect)
+    running: asyncio.Task[None] | None = None
+    try:
+        for link in hub.links:
+            try:
+                await link.open()
+            except OSError as error:
+                raise NotReady(f"{link.text}: {error}") from error
+        running = asyncio.create_task(hub.run())
+        yield hub
+    finally:
+        if running is not None:
+            running.cancel()
+            with suppress(asyncio.CancelledError):
+                await running
+        for link in hub.links:
+            await link.close()

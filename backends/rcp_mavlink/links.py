@@ -1,0 +1,211 @@
+"""The links: UDP that waits or calls, TCP that waits or calls, a serial line. All on the loop."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import time
+from collections.abc import Callable
+from typing import Any
+
+from rcp_mavlink.config import LinkSpec
+from rcp_mavlink.frames import Frame, Framer
+from rcp_mavlink.serial_port import SerialPort
+
+__all__ = ["Link", "Take"]
+
+_FIRST_WAIT, _LONGEST_WAIT = 0.5, 5.0  # s between attempts to connect
+_FORGET = 60.0  # s without a byte, after which a UDP address is not called any more
+_MOST_ADDRESSES = 256
+_BACKLOG = 1_000_000  # bytes that may wait in a connection for a peer that does not read
+
+Take = Callable[["Link", Any, list[Frame]], None]
+
+
+class Link:
+    """One link; `take` gets its frames with the address they came from."""
+
+    def __init__(self, number: int, text: str, make: Callable[[], Framer], take: Take) -> None:
+        self.number = number
+        self.text = text
+        self.spec = LinkSpec.of(text)
+        self._make, self._take = make, take
+        self.framer = make()
+        self.framers: dict[Any, Framer] = {}
+        """Of each address; datagrams and connections of different senders do not mix."""
+        self._transports: dict[Any, Any] = {}
+        self._heard: dict[Any, float] = {}
+        self._datagrams: asyncio.DatagramTransport | None = None
+        self._server: asyncio.Server | None = None
+        self._task: asyncio.Task[None] | None = None
+        self.joined: Callable[[], None] = lambda: None
+        """Called when somebody can be called who could not be before."""
+        self.error: str | None = None
+        """Why it is not up."""
+
+    @property
+    def port(self) -> int:
+        """The local port, of links that wait."""
+        if self._datagrams is not None:
+            return self._datagrams.get_extra_info("sockname")[1]
+        assert self._server is not None
+        return self._server.sockets[0].getsockname()[1]
+
+    async def open(self) -> None:
+        """Begin.
+
+        :raises OSError: a port to wait at cannot be had.
+        """
+        loop, spec = asyncio.get_running_loop(), self.spec
+        if spec.kind == "udpin":
+            address = (spec.host, spec.port)
+            self._datagrams, _ = await loop.create_datagram_endpoint(
+                lambda: _Datagrams(self), local_addr=address
+            )
+        elif spec.kind == "tcpin":
+            self._server = await loop.create_server(lambda: _Stream(self), spec.host, spec.port)
+        else:
+            self._task = loop.create_task(self._keep())
+
+    async def close(self) -> None:
+        """End."""
+        if self._task is not None:
+            self._task.cancel()
+            with contextlib.suppress(asyncio.CancelledError):
+                await self._task
+        if self._server is not None:
+            self._server.close()
+        for transport in [*self._transports.values(), self._datagrams]:
+            if transport is not None:
+                transport.abort()
+        self._transports.clear()
+        await asyncio.sleep(0)
+
+    async def _keep(self) -> None:
+        """Call, and call again whenever it is cut."""
+        wait = _FIRST_WAIT
+        while True:
+            try:
+                done = await self._call()
+                self.error, wait = None, _FIRST_WAIT
+                await done.wait()
+                self.error = "the connection was closed"
+            except OSError as error:
+                self.error = str(error) or type(error).__name__
+            await asyncio.sleep(wait)
+            wait = min(_LONGEST_WAIT, wait * 2)
+
+    async def _call(self) -> asyncio.Event:
+        loop, spec, done = asyncio.get_running_loop(), self.spec, asyncio.Event()
+        if spec.kind == "tcp":
+            await loop.create_connection(lambda: _Stream(self, done), spec.host, spec.port)
+        elif spec.kind == "udpout":
+            transport, _ = await loop.create_datagram_endpoint(
+                lambda: _Datagrams(self, done), remote_addr=(spec.host, spec.port)
+            )
+            self.join(None, transport)
+        else:
+            port = SerialPort(spec.host, spec.port, _Stream(self, done))
+            port.open(loop)
+        return done
+
+    def join(self, address: Any, transport: Any) -> None:
+        """Note where an address is called."""
+        self._transports[address] = transport
+        self.joined()
+
+    def part(self, address: Any) -> None:
+        """Forget an address."""
+        self._transports.pop(address, None)
+        self.framers.pop(address, None)
+
+    def datagram(self, address: Any, data: bytes) -> None:
+        """Take a datagram."""
+        self._take(self, address, self._framer(address).datagram(data))
+
+    def stream(self, address: Any, data: bytes) -> None:
+        """Take bytes of a connection."""
+        self._take(self, address, self._framer(address).stream(data))
+
+    def _framer(self, address: Any) -> Framer:
+        if address is None:
+            return self.framer
+        framer = self.framers.get(address)
+        if framer is None:
+            framer = self._make()
+            framer.stats = self.framer.stats
+            self._room()
+            self.framers[address] = framer
+        self._heard[address] = time.monotonic()
+        return framer
+
+    def _room(self) -> None:
+        """Forget senders of datagrams that are silent: anybody can be one."""
+        if self._datagrams is None:
+            return
+        now = time.monotonic()
+        for address, heard in list(self._heard.items()):
+            if now - heard > _FORGET or len(self._heard) >= _MOST_ADDRESSES:
+                del self._heard[address]
+                self.framers.pop(address, None)
+
+    def send(self, frame: bytes, address: Any) -> None:
+        """Send a frame to an address that was heard; what cannot be sent is lost."""
+        transport = self._transports.get(address)
+        if transport is not None:
+            if transport.get_write_buffer_size() < _BACKLOG:
+                if self.spec.kind == "udpout":
+                    transport.sendto(frame)
+                else:
+                    transport.write(frame)
+                self.framer.stats.sent += 1
+        elif self._datagrams is not None and address is not None:
+            self._datagrams.sendto(frame, address)
+            self.framer.stats.sent += 1
+
+    def send_all(self, frame: bytes) -> None:
+        """Send a frame to everybody who is there."""
+        for address in list(self._transports):
+            self.send(frame, address)
+        if self._datagrams is not None:
+            now = time.monotonic()
+            for address, heard in list(self._heard.items()):
+                if now - heard < _FORGET:
+                    self.send(frame, address)
+
+
+class _Datagrams(asyncio.DatagramProtocol):
+    def __init__(self, link: Link, done: asyncio.Event | None = None) -> None:
+        self._link, self._done = link, done
+
+    def datagram_received(self, data: bytes, addr: Any) -> None:
+        self._link.datagram(None if self._done is not None else addr, data)
+
+    def error_received(self, exc: Exception) -> None:
+        """Go on: whoever was called is not there yet."""
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        if self._done is not None:
+            self._link.part(None)
+            self._done.set()
+
+
+class _Stream(asyncio.Protocol):
+    def __init__(self, link: Link, done: asyncio.Event | None = None) -> None:
+        self._link, self._done = link, done
+        self._address: Any = None
+
+    def connection_made(self, transport: Any) -> None:
+        if self._done is None:
+            self._address = transport.get_extra_info("peername")
+        else:
+            self._link.framer.reset()
+        self._link.join(self._address, transport)
+
+    def data_received(self, data: bytes) -> None:
+        self._link.stream(self._address, data)
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        self._link.part(self._address)
+        if self._done is not None:
+            self._done.set()

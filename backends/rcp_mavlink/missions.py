@@ -1,0 +1,100 @@
+"""Missions as actions: uploaded, flown to their end, paused and gone on with."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from typing import Any
+
+from rcp_kernel.errors import DeviceTimeout, PreconditionFailed
+from rcp_kernel.spi import Progress
+from rcp_mavlink import messages as m
+from rcp_mavlink.commands import Command, Commands
+from rcp_mavlink.motion import Motion
+from rcp_mavlink.plans import MISSION, Plans
+from rcp_mavlink.vehicle import Vehicle
+
+__all__ = ["Missions"]
+
+_ACTIVE, _PAUSED, _COMPLETE = 3, 4, 5
+_STARTING = 5.0  # s
+_PAUSING = 15.0  # s
+
+
+class Missions:
+    """The mission of one vehicle."""
+
+    def __init__(self, vehicle: Vehicle, commands: Commands, plans: Plans, motion: Motion) -> None:
+        self._vehicle, self._commands = vehicle, commands
+        self._plans, self._motion = plans, motion
+
+    async def upload(self, given: m.Items, progress: Progress) -> m.Uploaded:
+        """Replace the mission."""
+        count = await self._plans.upload(MISSION, given.items, lambda part: progress(fraction=part))
+        return m.Uploaded(count)
+
+    def _now(self) -> dict[str, Any]:
+        frame = self._vehicle.latest.get("MISSION_CURRENT")
+        return {"seq": 0, "total": 0, "mission_state": 0} if frame is None else frame.fields()
+
+    async def run(self, _: None, progress: Progress) -> m.MissionProgress:
+        """Fly the mission to its end."""
+        vehicle, auto = self._vehicle, self._vehicle.family.auto
+        if not vehicle.armed:
+            raise PreconditionFailed("mission: the vehicle is not armed", remedy="Arm it first.")
+        flew = vehicle.landed is False
+        try:
+            await self._motion.to_mode(auto)
+            await self._commands.send(Command(300), "mission")
+            since = time.monotonic()
+            started = await vehicle.until(
+                lambda: (
+                    self._now()["mission_state"] in (_ACTIVE, _COMPLETE)
+                    and vehicle.came["MISSION_CURRENT"] > since
+                ),
+                _STARTING,
+            )
+            if not started:
+                raise DeviceTimeout("mission: accepted, but the vehicle does not fly it")
+
+            def tell() -> bool:
+                nonlocal flew
+                flew = flew or vehicle.landed is False
+                now = self._now()
+                total = now.get("total", 0)
+                part = now["seq"] / total if 0 < total < 65535 else 0.0
+                progress(self._progress(), fraction=min(1.0, part))
+                over = vehicle.landed is True and not vehicle.armed
+                return now["mission_state"] == _COMPLETE or (flew and over)
+
+            await self._motion.follow(tell, "mission", stays=lambda: vehicle.mode == auto)
+        except asyncio.CancelledError:
+            await self._motion.shielded(self._motion.hold)
+            raise
+        return self._progress()
+
+    def _progress(self) -> m.MissionProgress:
+        now = self._now()
+        return m.MissionProgress(now["seq"], now.get("total", 0), self._vehicle.mode)
+
+    async def pause(self, _: None, progress: Progress) -> m.MissionProgress:
+        """Stop where it is, to go on later."""
+        vehicle = self._vehicle
+        if vehicle.mode != vehicle.family.auto:
+            raise PreconditionFailed(f"mission: none is flown, the mode is {vehicle.mode}")
+        await self._commands.send(Command(193), "pause")
+        paused = await vehicle.until(
+            lambda: self._now()["mission_state"] == _PAUSED and self._motion.rests, _PAUSING
+        )
+        if not paused:
+            raise DeviceTimeout("pause: accepted, but the vehicle still moves")
+        return self._progress()
+
+    async def resume(self, _: None, progress: Progress) -> m.MissionProgress:
+        """Go on."""
+        await self._commands.send(Command(193, (1.0, 0.0, 0.0, 0.0)), "resume")
+        if not await self._vehicle.until(
+            lambda: self._now()["mission_state"] == _ACTIVE, _STARTING
+        ):
+            raise DeviceTimeout("resume: accepted, but the vehicle does not go on")
+        return self._progress()

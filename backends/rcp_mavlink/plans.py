@@ -1,0 +1,194 @@
+"""Missions, fences and rally points, up and down."""
+
+from __future__ import annotations
+
+import asyncio
+import difflib
+import math
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from typing import Any
+
+from rcp_kernel.errors import DeviceRejected, DeviceTimeout, InvalidValue
+from rcp_mavlink.frames import Frame
+from rcp_mavlink.hub import Hub
+from rcp_mavlink.messages import Item
+from rcp_mavlink.vehicle import Vehicle
+
+__all__ = ["FENCE", "MISSION", "RALLY", "Plans"]
+
+MISSION, FENCE, RALLY = 0, 1, 2
+_FRAMES = {"relative": 6, "absolute": 5, "terrain": 11, "mission": 2}
+_WORDS = {0: "absolute", 2: "mission", 3: "relative", 5: "absolute", 6: "relative", 10: "terrain", 11: "terrain"}  # fmt: skip
+_RESULTS = {
+    1: "failed", 2: "unsupported frame", 3: "a command that it does not know", 4: "no space left",
+    5: "invalid item", 6: "invalid parameter 1", 7: "invalid parameter 2", 8: "invalid parameter 3",
+    9: "invalid parameter 4", 10: "invalid latitude", 11: "invalid longitude",
+    12: "invalid altitude", 13: "invalid sequence", 14: "denied", 15: "cancelled",
+}  # fmt: skip
+_PARAMS = ("param1", "param2", "param3", "param4")
+_GLOBAL = frozenset({"relative", "absolute", "terrain"})
+
+
+class Plans:
+    """The plans of one vehicle; one transfer at a time."""
+
+    def __init__(self, hub: Hub, vehicle: Vehicle) -> None:
+        self._hub, self._vehicle = hub, vehicle
+        self._turn = asyncio.Lock()
+        self._commands: dict[str, int] = {
+            entry.name.removeprefix("MAV_CMD_"): number
+            for number, entry in hub.dialect.module.enums["MAV_CMD"].items()
+        }
+        self._names = {number: name for name, number in self._commands.items()}
+
+    def number(self, item: Item, place: int) -> int:
+        """Return the number of an item's command.
+
+        :raises InvalidValue: the dialect has none of that name.
+        """
+        name = item.command.removeprefix("MAV_CMD_")
+        number = int(name) if name.isdigit() else self._commands.get(name)
+        if number is None or number > 65535:
+            near = difflib.get_close_matches(name, self._commands, 3, 0.6)
+            raise InvalidValue(
+                f"there is no command {item.command}",
+                remedy=f"Did you mean {' or '.join(near)}?" if near else None,
+                details={"pointer": f"/items/{place}/command"},
+            )
+        return number
+
+    def _home(self) -> Any:
+        """Return item 0 of an ArduPilot's mission, which is home whatever is sent."""
+        lat, lon, alt = self._vehicle.home or (0.0, 0.0, 0.0)
+        return self._item(MISSION, 0, 16, 0, (), round(lat * 1e7), round(lon * 1e7), alt)
+
+    def _item(
+        self, kind: int, seq: int, number: int, frame: int, params: Sequence[float], x: int, y: int, z: float
+    ) -> Any:  # fmt: skip
+        vehicle, p = self._vehicle, [*params, *([0.0] * (4 - len(params)))]
+        return self._hub.dialect.module.MAVLink_mission_item_int_message(
+            vehicle.system, vehicle.component, seq, frame, number, 0, 1, *p, x, y, z, kind
+        )
+
+    def _messages(self, kind: int, items: Sequence[Item]) -> list[Any]:
+        made = [self._home()] if self._has_home(kind) and items else []
+        for place, item in enumerate(items):
+            number = self.number(item, place)
+            scale = 1e7 if item.frame in _GLOBAL else 1
+            x, y = round(item.latitude * scale), round(item.longitude * scale)
+            made.append(
+                self._item(
+                    kind, len(made), number, _FRAMES[item.frame], item.params, x, y, item.altitude
+                )
+            )
+        return made
+
+    def _has_home(self, kind: int) -> bool:
+        return kind == MISSION and not self._vehicle.family.px4
+
+    async def upload(
+        self, kind: int, items: Sequence[Item], progress: Callable[[float], None] | None = None
+    ) -> int:
+        """Replace a plan; return how many items the vehicle took.
+
+        :raises DeviceRejected: it takes them not, with its reason.
+        """
+        messages = self._messages(kind, items)
+        vehicle, module = self._vehicle, self._hub.dialect.module
+        count = module.MAVLink_mission_count_message(
+            vehicle.system, vehicle.component, len(messages), kind
+        )
+        async with self._turn:
+            news: asyncio.Queue[tuple[str, dict[str, Any]]] = asyncio.Queue()
+            with _following(vehicle, news, "MISSION_REQUEST", "MISSION_REQUEST_INT", "MISSION_ACK"):
+                last = count
+                while True:
+                    name, fields = await self._news(news, last, kind, "upload")
+                    if name == "MISSION_ACK":
+                        self._check(fields["type"], "the plan is refused")
+                        return len(items)
+                    seq = fields["seq"]
+                    if seq >= len(messages):
+                        raise DeviceRejected(f"the vehicle asks for item {seq}, which is not there")
+                    last = messages[seq]
+                    self._hub.send(vehicle, last)
+                    if progress is not None:
+                        progress(seq / len(messages))
+
+    async def download(self, kind: int) -> tuple[Item, ...]:
+        """Return the plan that the vehicle has."""
+        vehicle, module = self._vehicle, self._hub.dialect.module
+        to = (vehicle.system, vehicle.component)
+        found: list[Item] = []
+        async with self._turn:
+            news: asyncio.Queue[tuple[str, dict[str, Any]]] = asyncio.Queue()
+            with _following(vehicle, news, "MISSION_COUNT", "MISSION_ITEM_INT", "MISSION_ACK"):
+                ask = module.MAVLink_mission_request_list_message(*to, kind)
+                self._hub.send(vehicle, ask)
+                _, count = await self._news(news, ask, kind, "download", "MISSION_COUNT")
+                for seq in range(count["count"]):
+                    ask = module.MAVLink_mission_request_int_message(*to, seq, kind)
+                    self._hub.send(vehicle, ask)
+                    while True:
+                        _, fields = await self._news(
+                            news, ask, kind, "download", "MISSION_ITEM_INT"
+                        )
+                        if fields["seq"] == seq:
+                            break
+                    found.append(self._read(fields))
+                done = module.MAVLink_mission_ack_message(*to, 0, kind)
+                self._hub.send(vehicle, done)
+        return tuple(found[1:] if self._has_home(kind) else found)
+
+    def _read(self, f: dict[str, Any]) -> Item:
+        frame: Any = _WORDS.get(f["frame"], "mission")
+        scale = 1e7 if frame in _GLOBAL else 1
+        params = tuple(0.0 if math.isnan(f[p]) else f[p] for p in _PARAMS)
+        name = self._names.get(f["command"], str(f["command"]))
+        return Item(name, f["x"] / scale, f["y"] / scale, f["z"], frame, params)
+
+    async def _news(
+        self, news: asyncio.Queue[tuple[str, dict[str, Any]]], ask: Any, kind: int, what: str, wanted: str | None = None
+    ) -> tuple[str, dict[str, Any]]:  # fmt: skip
+        """Return the next message of this transfer; what was sent last is sent again meanwhile.
+
+        :raises DeviceTimeout: nothing comes.
+        """
+        config = self._hub.config
+        if wanted is None and "COUNT" in ask.get_type():
+            self._hub.send(self._vehicle, ask)
+        for _ in range(config.retries + 1):
+            try:
+                async with asyncio.timeout(config.timeout):
+                    while True:
+                        name, fields = await news.get()
+                        if fields.get("mission_type", 0) != kind:
+                            continue
+                        if name == "MISSION_ACK" and wanted is not None:
+                            self._check(fields["type"], f"the {what} was ended")
+                            continue
+                        if wanted is None or name == wanted:
+                            return name, fields
+            except TimeoutError:
+                self._vehicle.check()
+                self._hub.send(self._vehicle, ask)
+        raise DeviceTimeout(f"the vehicle fell silent in the {what} of a plan")
+
+    @staticmethod
+    def _check(result: int, what: str) -> None:
+        if result != 0:
+            raise DeviceRejected(f"{what}: {_RESULTS.get(result, f'result {result}')}")
+
+
+def _following(
+    vehicle: Vehicle, news: asyncio.Queue[tuple[str, dict[str, Any]]], *names: str
+) -> Any:
+    stack = ExitStack()
+
+    def take(frame: Frame) -> None:
+        news.put_nowait((frame.definition.name, frame.fields()))
+
+    for name in names:
+        stack.enter_context(vehicle.listening(name, take))
+    return stack

@@ -1,0 +1,155 @@
+"""What a vehicle offers: paths with their types, sentences and examples."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Annotated, Any
+
+from msgspec import Meta, structs
+
+from rcp_kernel.model import Resource
+from rcp_kernel.types import quantity
+from rcp_mavlink import messages as m
+from rcp_mavlink.hub import Hub
+from rcp_mavlink.metadata import about
+from rcp_mavlink.parameters import bounds
+from rcp_mavlink.sensors import Sensor
+from rcp_mavlink.vehicle import Vehicle
+
+__all__ = ["parameter", "resources"]
+
+_STALE = 3.5  # s: heartbeats come once a second
+_WAYPOINTS = {
+    "items": [
+        {"command": "NAV_TAKEOFF", "altitude": 10.0},
+        {"command": "NAV_WAYPOINT", "latitude": -35.3630, "longitude": 149.1652, "altitude": 15.0},
+        {"command": "NAV_RETURN_TO_LAUNCH", "frame": "mission"},
+    ]
+}
+_FENCE = {
+    "items": [
+        {
+            "command": "NAV_FENCE_CIRCLE_INCLUSION",
+            "params": [200.0],
+            "latitude": -35.3632621,
+            "longitude": 149.1652374,
+        }
+    ]
+}
+_RALLY = {
+    "items": [
+        {"command": "NAV_RALLY_POINT", "latitude": -35.363, "longitude": 149.165, "altitude": 20.0}
+    ]
+}
+
+
+def resources(
+    hub: Hub, vehicle: Vehicle, sensors: list[Sensor], name: Callable[[str], str]
+) -> list[Resource]:
+    """List the resources of a vehicle but its parameters."""
+    found = [
+        Resource(
+            name=sensor.name,
+            description=sensor.description,
+            value=hub.dialect.by_name[sensor.message].type,
+            live=sensor.live,
+            deadline=_STALE if sensor.live else None,
+            native=sensor.message,
+            meta={"message": sensor.message, "system": vehicle.system},
+        )
+        for sensor in sensors
+    ]
+    found += [*_made(), *_events(), *_actuators(hub), *_actions(), *_services()]
+    return [structs.replace(resource, name=name(resource.name)) for resource in found]
+
+
+def parameter(path: str, name: str, type_: int) -> Resource:
+    """Return the resource of a parameter of an autopilot."""
+    known, limits = about(name), bounds(type_)
+    value: Any = quantity(known.unit)
+    if limits is not None:
+        extra: Any = {"unit": known.unit}
+        value = Annotated[int, Meta(ge=limits[0], le=limits[1], extra_json_schema=extra)]
+    return Resource(
+        name=path, description=known.text, value=value, live=True, meta={"parameter": name}
+    )
+
+
+def _made() -> list[Resource]:
+    return [
+        Resource(name="sensor/mode", description="The flight mode, by the autopilot's own name.", value=str, live=True, deadline=_STALE, examples=("GUIDED",)),
+        Resource(name="sensor/armed", description="Whether the motors may turn.", value=bool, live=True, deadline=_STALE),
+        Resource(name="sensor/prearm", description="Whether it would let itself be armed, and what it complains of.", value=m.Prearm, live=True, examples=({"ready": False, "reasons": ["Need Position Estimate"], "mode": "GUIDED"},)),
+        Resource(name="sensor/links", description="What came and went over the links, and what was damaged or missing.", value=list[m.LinkState], live=True),
+        Resource(name="sensor/vehicle", description="System id, kind and flight modes of what is behind the link.", value=m.VehicleInfo, live=True),
+    ]  # fmt: skip
+
+
+def _events() -> list[Resource]:
+    return [
+        Resource(name="event/statustext", description="What the vehicle says in words.", value=m.Said, live=True, examples=({"severity": "critical", "text": "PreArm: AHRS: waiting for home"},)),
+        Resource(name="event/failsafe", description="A failsafe acted or the fence was crossed, in the vehicle's words.", value=m.Said, live=True),
+        Resource(name="event/mode", description="The flight mode changed, whoever changed it.", value=m.ModeChange, live=True),
+        Resource(name="event/armed", description="The motors were armed or disarmed.", value=m.Armed, live=True),
+        Resource(name="event/mission", description="An item of the mission was reached.", value=m.Reached, live=True),
+        Resource(name="event/boot", description="The vehicle has started anew.", value=m.Said, live=True),
+    ]  # fmt: skip
+
+
+def _actuators(hub: Hub) -> list[Resource]:
+    most = hub.config.max_speed
+    return [
+        Resource(
+            name="actuator/velocity",
+            description="Velocity in the vehicle's own axes: x forward, y left, z up; in GUIDED only.",
+            value=m.velocity(most),
+            examples=({"x": min(2.0, most)}, {"z": min(1.0, most), "yaw_rate": 0.3}),
+            live=True, max_age=1.0, valid_for=0.5, safe={},
+        ),
+        Resource(
+            name="actuator/attitude",
+            description="Attitude and thrust to hold; in GUIDED only.",
+            value=m.Attitude,
+            examples=({"pitch": -0.1, "thrust": 0.5}, {"roll": 0.1, "thrust": 0.5}),
+            live=True, max_age=1.0, valid_for=0.5, safe={},
+        ),
+    ]  # fmt: skip
+
+
+def _action(name: str, description: str, timeout: float, **rest: Any) -> Resource:
+    return Resource(
+        name=f"action/{name}", description=description, timeout=timeout, max_age=30.0, **rest
+    )
+
+
+def _actions() -> list[Resource]:
+    return [
+        _action("arm", "Start the motors, if the vehicle's own checks allow it.", 15, input=m.Arm | None, output=m.Armed, examples=(None, {})),
+        _action("disarm", "Stop the motors; refused in the air unless forced.", 15, input=m.Arm | None, output=m.Armed, examples=(None, {})),
+        _action("takeoff", "Rise to a height over home; it has to be armed.", 180, input=m.TakeOff | None, output=m.Height, feedback=m.Height, examples=({"altitude": 10.0},)),
+        _action("land", "Come down where it is, and disarm.", 600, output=m.Height, feedback=m.OnItsWay),
+        _action("rtl", "Fly home, land and disarm.", 1800, output=m.Height, feedback=m.OnItsWay),
+        _action("move_to", "Go to a place, given by latitude and longitude or by metres from home.", 1800, input=m.MoveTo, output=m.Arrived, feedback=m.OnItsWay, examples=({"north": 20.0, "east": 5.0, "altitude": 15.0}, {"latitude": -35.3630, "longitude": 149.1652})),
+        _action("set_mode", "Change the flight mode.", 15, input=m.SetMode, output=m.SetMode, examples=({"mode": "GUIDED"},)),
+        _action("mission/upload", "Replace the mission.", 300, input=m.Items, output=m.Uploaded, examples=(_WAYPOINTS,)),
+        _action("mission/run", "Fly the mission to its end; it has to be armed.", 7200, output=m.MissionProgress, feedback=m.MissionProgress),
+        _action("mission/pause", "Stop where it is, to go on later.", 30, output=m.MissionProgress),
+        _action("mission/resume", "Go on with a mission that was paused.", 30, output=m.MissionProgress),
+        _action("gimbal", "Turn the camera.", 30, input=m.Gimbal, output=m.Gimbal, examples=({"pitch": -0.5},)),
+        _action("camera/photo", "Take a picture.", 30, output=m.Photo),
+        _action("calibrate", "Calibrate a sensor while it stands still.", 120, input=m.Calibrate | None, output=m.Calibrated, examples=(None, {"what": "gyro"})),
+    ]  # fmt: skip
+
+
+def _services() -> list[Resource]:
+    return [
+        Resource(name="service/mission/download", description="Return the mission that the vehicle has, without home.", output=m.Items, timeout=120),
+        Resource(name="service/mission/clear", description="Take the mission away.", output=m.Uploaded, timeout=30),
+        Resource(name="service/fence/upload", description="Replace the geofence: polygons and circles.", input=m.Items, output=m.Uploaded, examples=(_FENCE,), timeout=120),
+        Resource(name="service/fence/download", description="Return the geofence that the vehicle has.", output=m.Items, timeout=120),
+        Resource(name="service/rally/upload", description="Replace the rally points.", input=m.Items, output=m.Uploaded, examples=(_RALLY,), timeout=120),
+        Resource(name="service/rally/download", description="Return the rally points that the vehicle has.", output=m.Items, timeout=120),
+        Resource(name="service/param/read", description="Ask for any parameter by name, also one without a path.", input=m.ReadParam, output=m.ParamValue, examples=({"name": "RTL_ALT"},)),
+        Resource(name="service/param/save", description="Have the vehicle keep its parameters."),
+        Resource(name="service/reboot", description="Start the autopilot anew; refused while armed.", timeout=90),
+    ]  # fmt: skip

@@ -1,0 +1,325 @@
+"""One vehicle in the tree: its resources, and what reads, writes and executes them."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import AsyncGenerator, Awaitable, Callable
+from contextlib import AbstractAsyncContextManager, asynccontextmanager, suppress
+from fnmatch import fnmatchcase
+from typing import Any
+
+from rcp_kernel.errors import (
+    AdapterUnavailable,
+    DeviceTimeout,
+    RcpError,
+    UnsupportedOperation,
+)
+from rcp_kernel.spi import Host, Progress
+from rcp_mavlink import messages as m
+from rcp_mavlink.commands import Command, Commands
+from rcp_mavlink.frames import Frame
+from rcp_mavlink.hub import Hub
+from rcp_mavlink.intervals import FASTEST, Intervals
+from rcp_mavlink.missions import Missions
+from rcp_mavlink.motion import Motion
+from rcp_mavlink.parameters import Parameters
+from rcp_mavlink.payload import Payload
+from rcp_mavlink.plans import FENCE, MISSION, RALLY, Plans
+from rcp_mavlink.resources import parameter, resources
+from rcp_mavlink.sensors import BASE, sensors
+from rcp_mavlink.setpoints import Setpoints
+from rcp_mavlink.telling import Telling
+from rcp_mavlink.vehicle import Vehicle
+
+__all__ = ["Robot"]
+
+_ASKED_AGAIN = 3.0  # s without a message that is wanted
+_REBOOTED = 10.0  # s by which the vehicle's clock has gone back
+_COMING_BACK = 30.0  # s that a reboot may take
+
+Verb = Callable[[Any, Progress], Awaitable[Any]]
+
+
+class Robot:
+    """One vehicle; `prefix` is its name where there are several."""
+
+    def __init__(self, hub: Hub, vehicle: Vehicle, host: Host, prefix: str) -> None:
+        self.vehicle = vehicle
+        self._hub, self._host, self._prefix = hub, host, prefix
+        config = hub.config
+        self._commands = Commands(hub, vehicle)
+        base = {name: config.rate if "POSITION" in name else min(2.0, config.rate) for name in BASE}
+        self.intervals = Intervals(vehicle, self._commands, base)
+        self.motion = Motion(vehicle, self._commands)
+        self.plans = Plans(hub, vehicle)
+        self.parameters = Parameters(hub, vehicle, self._parameter_told)
+        self.setpoints = Setpoints(hub, vehicle, self.motion)
+        self._sensors = {
+            sensor.name: sensor
+            for sensor in sensors(hub.dialect, config.messages, px4=vehicle.family.px4)
+        }
+        self._watched: dict[str, int] = {}
+        """Names of the messages that are watched, with by how many."""
+        self._paths: dict[int, list[tuple[str, bool]]] = {}
+        for sensor in self._sensors.values():
+            number = hub.dialect.by_name[sensor.message].id
+            self._paths.setdefault(number, []).append((sensor.name, sensor.live))
+        self._declared: set[str] = set()
+        self._tasks: set[asyncio.Task[None]] = set()
+        self._clock = 0
+        self.telling = Telling(hub, vehicle, self._publish)
+        missions = Missions(vehicle, self._commands, self.plans, self.motion)
+        payload = Payload(vehicle, self._commands, self.intervals)
+        self._verbs: dict[str, Verb] = {
+            "action/arm": self.motion.arm,
+            "action/disarm": self.motion.disarm,
+            "action/takeoff": self._ending(self.motion.take_off),
+            "action/land": self._ending(self.motion.land),
+            "action/rtl": self._ending(self.motion.rtl),
+            "action/move_to": self._ending(self.motion.move_to),
+            "action/set_mode": self.motion.set_mode,
+            "action/mission/upload": missions.upload,
+            "action/mission/run": self._ending(missions.run),
+            "action/mission/pause": missions.pause,
+            "action/mission/resume": missions.resume,
+            "action/gimbal": payload.gimbal,
+            "action/camera/photo": payload.photo,
+            "action/calibrate": payload.calibrate,
+            "service/mission/download": lambda _, __: self._download(MISSION),
+            "service/mission/clear": lambda _, __: self._upload(MISSION, m.Items(())),
+            "service/fence/upload": lambda items, _: self._upload(FENCE, items),
+            "service/fence/download": lambda _, __: self._download(FENCE),
+            "service/rally/upload": lambda items, _: self._upload(RALLY, items),
+            "service/rally/download": lambda _, __: self._download(RALLY),
+            "service/param/read": self._read_parameter,
+            "service/param/save": self._save,
+            "service/reboot": self._reboot,
+        }
+
+    def name(self, name: str) -> str:
+        """Return a name of the tree for one of the vehicle's own."""
+        if not self._prefix:
+            return name
+        branch, _, rest = name.partition("/")
+        return f"{branch}/{self._prefix}/{rest}"
+
+    # Life
+
+    def begin(self) -> None:
+        """Declare what it has and ask for its messages and parameters."""
+        found = resources(self._hub, self.vehicle, list(self._sensors.values()), self.name)
+        self._host.declare(*found)
+        self._declared.update(resource.name for resource in found)
+        self.vehicle.on_frame.append(self._frame)
+        self.vehicle.on_text.append(self.telling.text)
+        self.telling.begin()
+        self.intervals.begin()
+        self._start(self._first("HOME_POSITION"))
+        self._start(self._list_parameters())
+
+    def back(self) -> None:
+        """Ask for everything again: it is heard once more."""
+        self.intervals.begin()
+        self._start(self._first("HOME_POSITION"))
+        if not self.parameters.complete.is_set():
+            self._start(self._list_parameters())
+
+    async def close(self) -> None:
+        """Let go of it."""
+        self.setpoints.end()
+        for task in list(self._tasks):
+            task.cancel()
+        await asyncio.gather(*self._tasks, return_exceptions=True)
+        await self.intervals.close()
+        self.vehicle.on_frame.clear()
+        self.vehicle.on_text.clear()
+
+    def _start(self, work: Any) -> None:
+        task = asyncio.get_running_loop().create_task(work)
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
+
+    # What comes
+
+    def _publish(self, name: str, value: Any) -> None:
+        full = self.name(name)
+        if full in self._declared:
+            self._host.publish(full, value)
+
+    def _frame(self, frame: Frame) -> None:
+        number = frame.definition.id
+        paths = self._paths.get(number)
+        if paths is not None:
+            watched = frame.definition.name in self._watched
+            for name, live in paths:
+                if live or watched:
+                    self._host.publish(self.name(name), frame)
+        if number == 22:  # PARAM_VALUE
+            self.parameters.take(frame)
+        elif number == 33:  # GLOBAL_POSITION_INT
+            self._see_reboot(frame)
+        else:
+            self.telling.frame(frame)
+
+    def _see_reboot(self, frame: Frame) -> None:
+        """See by its clock whether it has begun anew, and has forgotten what it was asked for."""
+        clock = int.from_bytes(frame.payload[:4], "little")
+        if clock + _REBOOTED * 1000 < self._clock:
+            self.telling.boot()
+            self.intervals.begin()
+        self._clock = clock
+
+    def look(self) -> None:
+        """Ask again for what is wanted and does not come; called now and then."""
+        now = time.monotonic()
+        came = self.vehicle.came.get("GLOBAL_POSITION_INT", self.vehicle.heard - 1)
+        if not self.vehicle.lost and now - came > _ASKED_AGAIN:
+            self.intervals.begin()
+        self.telling.links()
+
+    # Parameters
+
+    async def _list_parameters(self) -> None:
+        await self.parameters.list()
+        patterns = self._hub.config.params
+        names = [n for n in self.parameters.known if any(fnmatchcase(n, p) for p in patterns)]
+        made = [
+            parameter(self.name(f"param/{name}"), name, self.parameters.known[name].type)
+            for name in sorted(names)
+        ]
+        if made:
+            self._host.declare(*made)
+            self._declared.update(resource.name for resource in made)
+        for name in names:
+            self._parameter_told(name)
+
+    def _parameter_told(self, name: str) -> None:
+        full = self.name(f"param/{name}")
+        if full in self._declared:
+            self._host.publish(full, self._value(name))
+
+    def _value(self, name: str) -> float | int:
+        known = self.parameters.known[name]
+        return known.value if known.type >= 9 else int(known.value)
+
+    async def _read_parameter(self, given: m.ReadParam, _: Progress) -> m.ParamValue:
+        return m.ParamValue(given.name, await self.parameters.read(given.name))
+
+    async def _save(self, _: None, __: Progress) -> None:
+        await self._commands.send(Command(245, (1.0, 0.0, 0.0, 0.0)), "save parameters")
+
+    # Plans and the rest
+
+    async def _upload(self, kind: int, items: m.Items) -> m.Uploaded:
+        return m.Uploaded(await self.plans.upload(kind, items.items))
+
+    async def _download(self, kind: int) -> m.Items:
+        return m.Items(await self.plans.download(kind))
+
+    async def _reboot(self, _: None, __: Progress) -> None:
+        """Start it anew; done when it is heard again with a clock that begins anew."""
+        vehicle = self.vehicle
+        await self._commands.send(Command(246, (1.0, 0.0, 0.0, 0.0)), "reboot")
+        since = time.monotonic()
+
+        def back() -> bool:
+            return vehicle.came["HEARTBEAT"] > since + 0.5
+
+        try:
+            heard = await vehicle.until(back, _COMING_BACK)
+        except AdapterUnavailable:
+            async with asyncio.timeout(_COMING_BACK):
+                while vehicle.lost:  # noqa: ASYNC110 - whoever is lost wakes nobody
+                    await asyncio.sleep(0.1)
+            heard = True
+        if not heard:
+            raise DeviceTimeout("reboot: accepted, and nothing is heard since")
+        self.intervals.begin()
+
+    def _ending(self, verb: Verb) -> Verb:
+        """Let a command of its own end the set-points that are in force."""
+
+        async def run(given: Any, progress: Progress) -> Any:
+            self.setpoints.end()
+            return await verb(given, progress)
+
+        return run
+
+    # What the kernel asks
+
+    async def read(self, name: str) -> Any:
+        """Return the present value of one of its own names."""
+        vehicle = self.vehicle
+        vehicle.check()
+        sensor = self._sensors.get(name)
+        if sensor is not None:
+            since = time.monotonic()
+            await self.intervals.request(sensor.message)
+            fresh = await vehicle.until(
+                lambda: vehicle.came.get(sensor.message, 0.0) >= since, self._hub.config.timeout
+            )
+            if not fresh:
+                raise DeviceTimeout(f"the vehicle did not send {sensor.message}")
+            return vehicle.latest[sensor.message].decode()
+        if name.startswith("param/"):
+            own = name.removeprefix("param/")
+            await self.parameters.read(own)
+            return self._value(own)
+        value = self.telling.value(name)
+        if value is None:
+            raise AdapterUnavailable(f"nothing has come of '{name}' yet")
+        return value
+
+    async def write(self, name: str, value: Any) -> Any:
+        """Bring a value into force."""
+        if name.startswith("param/"):
+            own = name.removeprefix("param/")
+            await self.parameters.write(own, value)
+            return self._value(own)
+        self.vehicle.check()
+        if name == "actuator/velocity":
+            await self.setpoints.velocity(value)
+        else:
+            await self.setpoints.attitude(value)
+        return None
+
+    async def execute(self, name: str, value: Any, progress: Progress) -> Any:
+        """Run an action or service."""
+        verb = self._verbs.get(name)
+        if verb is None:
+            raise UnsupportedOperation(f"'{name}' cannot be executed")
+        self.vehicle.check()
+        return await verb(value, progress)
+
+    def watch(self, name: str, rate: float | None) -> AbstractAsyncContextManager[object]:
+        """Have the vehicle send what is watched, as often as that is wanted."""
+        return self._watch(name, FASTEST if rate is None else min(rate, FASTEST))
+
+    @asynccontextmanager
+    async def _watch(self, name: str, rate: float) -> AsyncGenerator[None]:
+        sensor = self._sensors.get(name)
+        if sensor is None:
+            yield
+            return
+        message = sensor.message
+        self._watched[message] = self._watched.get(message, 0) + 1
+        unwant = self.intervals.want(message, rate)
+        self._start(self._first(message))
+        try:
+            yield
+        finally:
+            unwant()
+            self._watched[message] -= 1
+            if not self._watched[message]:
+                del self._watched[message]
+
+    async def _first(self, message: str) -> None:
+        """Have the first value at once, for what comes rarely."""
+        with suppress(RcpError):
+            await self.intervals.request(message)
+
+    async def halt(self) -> None:
+        """Bring it to rest by the configured policy."""
+        self.setpoints.end()
+        await self.motion.halt(self._hub.config.estop)

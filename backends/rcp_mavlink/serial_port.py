@@ -1,0 +1,101 @@
+"""A serial line as a transport of asyncio: raw, without a thread and without a library."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+from typing import Any
+
+__all__ = ["SerialPort"]
+
+_CHUNK = 4096  # bytes
+_BACKLOG = 65_536
+
+
+class SerialPort:
+    """Enough of a transport for a link."""
+
+    def __init__(self, device: str, baud: int, protocol: asyncio.Protocol) -> None:
+        self._device, self._baud, self._protocol = device, baud, protocol
+        self._fd = -1
+        self._waiting = bytearray()
+        self._loop: asyncio.AbstractEventLoop | None = None
+
+    def open(self, loop: asyncio.AbstractEventLoop) -> None:
+        """Open the device.
+
+        :raises OSError: it is not there, not ours, or has no such speed.
+        """
+        import termios
+        import tty
+
+        speed = getattr(termios, f"B{self._baud}", None)
+        if speed is None:
+            raise OSError(f"{self._device} has no {self._baud} bits a second")
+        fd = os.open(self._device, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+        try:
+            tty.setraw(fd)
+            settings = termios.tcgetattr(fd)
+            settings[2] = (settings[2] | termios.CLOCAL | termios.CREAD) & ~termios.CRTSCTS
+            settings[4] = settings[5] = speed
+            termios.tcsetattr(fd, termios.TCSANOW, settings)
+        except termios.error as error:
+            os.close(fd)
+            raise OSError(f"{self._device} is no serial line: {error}") from error
+        self._fd, self._loop = fd, loop
+        loop.add_reader(fd, self._read)
+        self._protocol.connection_made(self)  # pyright: ignore[reportArgumentType]
+
+    def get_extra_info(self, name: str, default: Any = None) -> Any:
+        """Return nothing: a line has no address."""
+        return default
+
+    def get_write_buffer_size(self) -> int:
+        """Return how many bytes wait."""
+        return len(self._waiting)
+
+    def write(self, data: bytes) -> None:
+        """Send, as fast as the line takes it."""
+        if self._fd < 0 or len(self._waiting) > _BACKLOG:
+            return
+        if not self._waiting and self._loop is not None:
+            self._loop.add_writer(self._fd, self._write)
+        self._waiting += data
+
+    def abort(self) -> None:
+        """Close it."""
+        self._lose(None)
+
+    def _read(self) -> None:
+        try:
+            data = os.read(self._fd, _CHUNK)
+        except BlockingIOError:
+            return
+        except OSError as error:
+            self._lose(error)
+            return
+        if data:
+            self._protocol.data_received(data)
+        else:
+            self._lose(None)
+
+    def _write(self) -> None:
+        try:
+            sent = os.write(self._fd, self._waiting)
+        except BlockingIOError:
+            return
+        except OSError as error:
+            self._lose(error)
+            return
+        del self._waiting[:sent]
+        if not self._waiting and self._loop is not None:
+            self._loop.remove_writer(self._fd)
+
+    def _lose(self, error: Exception | None) -> None:
+        if self._fd < 0 or self._loop is None:
+            return
+        self._loop.remove_reader(self._fd)
+        self._loop.remove_writer(self._fd)
+        os.close(self._fd)
+        self._fd = -1
+        self._protocol.connection_lost(error)

@@ -1,0 +1,190 @@
+"""One vehicle as it is known from its messages: the latest of each, its state, who waits for what."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections import deque
+from collections.abc import Callable, Generator
+from contextlib import contextmanager
+from typing import Any, NamedTuple
+
+from rcp_kernel.errors import AdapterUnavailable
+from rcp_mavlink.dialect import Dialect
+from rcp_mavlink.flightmodes import Family, family
+from rcp_mavlink.frames import Frame
+
+__all__ = ["Fix", "Text", "Vehicle"]
+
+_ARMED = 128
+_PREARM = 1 << 28
+_TEXTS = 50
+_LANDED, _IN_AIR = 1, (2, 3, 4)
+
+
+class Text(NamedTuple):
+    """A STATUSTEXT."""
+
+    at: float
+    severity: int
+    text: str
+
+
+class Fix(NamedTuple):
+    """Where it is and how it moves."""
+
+    lat: float  # deg
+    lon: float  # deg
+    height: float  # m over home
+    above_sea: float  # m
+    speed: float  # m/s, over ground and up together
+
+
+class Vehicle:
+    """Takes frames, remembers them, and wakes whoever waits."""
+
+    def __init__(self, dialect: Dialect, system: int, component: int) -> None:
+        self.dialect = dialect
+        self.system, self.component = system, component
+        self.family: Family = family(0, 0)
+        self.latest: dict[str, Frame] = {}
+        self.came: dict[str, float] = {}
+        """When the latest of each message came, on the monotonic clock."""
+        self.heard = time.monotonic()
+        self.routes: dict[tuple[int, Any], tuple[Any, Any, float]] = {}
+        """Links and addresses it was heard over, with the time."""
+        self.texts: deque[Text] = deque(maxlen=_TEXTS)
+        self.mode_number = 0
+        self.armed = False
+        self.lost = False
+        self.on_frame: list[Callable[[Frame], None]] = []
+        self.on_text: list[Callable[[Text], None]] = []
+        self._listeners: dict[int, list[Callable[[Frame], None]]] = {}
+        self._waiters: list[tuple[Callable[[], bool], asyncio.Future[None]]] = []
+
+    # What comes in
+
+    def take(self, frame: Frame) -> None:
+        """Take a frame of its autopilot."""
+        definition = frame.definition
+        self.latest[definition.name] = frame
+        self.came[definition.name] = self.heard = time.monotonic()
+        if definition.id == 0:
+            self._heartbeat(frame)
+        listeners = self._listeners.get(definition.id)
+        if listeners is not None:
+            for listener in list(listeners):
+                listener(frame)
+        for tell in self.on_frame:
+            tell(frame)
+        if self._waiters:
+            self._look()
+
+    def _heartbeat(self, frame: Frame) -> None:
+        beat = frame.fields()
+        self.family = family(beat["autopilot"], beat["type"])
+        self.mode_number = beat["custom_mode"]
+        self.armed = bool(beat["base_mode"] & _ARMED)
+
+    @contextmanager
+    def listening(self, name: str, listener: Callable[[Frame], None]) -> Generator[None]:
+        """Call `listener` with each frame of a message while entered."""
+        listeners = self._listeners.setdefault(self.dialect.by_name[name].id, [])
+        listeners.append(listener)
+        try:
+            yield
+        finally:
+            listeners.remove(listener)
+
+    # What is known
+
+    @property
+    def mode(self) -> str:
+        """The name of its mode."""
+        return self.family.word(self.mode_number)
+
+    @property
+    def landed(self) -> bool | None:
+        """Whether it stands on the ground; None: it has not said."""
+        frame = self.latest.get("EXTENDED_SYS_STATE")
+        state = 0 if frame is None else frame.fields()["landed_state"]
+        return True if state == _LANDED else False if state in _IN_AIR else None
+
+    @property
+    def prearm(self) -> bool | None:
+        """Whether its own checks let it be armed; None: it has not said."""
+        frame = self.latest.get("SYS_STATUS")
+        if frame is None:
+            return None
+        fields = frame.fields()
+        if not fields["onboard_control_sensors_present"] & _PREARM:
+            return None
+        return bool(fields["onboard_control_sensors_health"] & _PREARM)
+
+    @property
+    def fix(self) -> Fix | None:
+        """Where it is; None: it does not know."""
+        frame = self.latest.get("GLOBAL_POSITION_INT")
+        if frame is None:
+            return None
+        f = frame.fields()
+        if f["lat"] == 0 and f["lon"] == 0:
+            return None
+        speed = (f["vx"] ** 2 + f["vy"] ** 2 + f["vz"] ** 2) ** 0.5 / 100
+        return Fix(f["lat"] / 1e7, f["lon"] / 1e7, f["relative_alt"] / 1e3, f["alt"] / 1e3, speed)
+
+    @property
+    def home(self) -> tuple[float, float, float] | None:
+        """Latitude, longitude (deg) and height over the sea (m) of home."""
+        frame = self.latest.get("HOME_POSITION")
+        if frame is None:
+            return None
+        f = frame.fields()
+        return f["latitude"] / 1e7, f["longitude"] / 1e7, f["altitude"] / 1e3
+
+    def texts_since(self, at: float, *, severity: int = 5) -> list[str]:
+        """List what it said since a time, as grave as that at least."""
+        return [t.text for t in self.texts if t.at >= at and t.severity <= severity]
+
+    # Waiting
+
+    def check(self) -> None:
+        """Make sure that it is there.
+
+        :raises AdapterUnavailable: it is not.
+        """
+        if self.lost:
+            raise AdapterUnavailable(f"nothing is heard of vehicle {self.system}")
+
+    async def until(self, holds: Callable[[], bool], seconds: float | None = None) -> bool:
+        """Wait until something holds, looked at with each frame; tell whether it came to.
+
+        :raises AdapterUnavailable: the vehicle was lost meanwhile.
+        """
+        self.check()
+        if holds():
+            return True
+        waiter: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+        entry = (holds, waiter)
+        self._waiters.append(entry)
+        try:
+            async with asyncio.timeout(seconds):
+                await waiter
+        except TimeoutError:
+            return False
+        finally:
+            if entry in self._waiters:
+                self._waiters.remove(entry)
+        return True
+
+    def _look(self) -> None:
+        for holds, waiter in self._waiters:
+            if not waiter.done() and holds():
+                waiter.set_result(None)
+
+    def lose(self, why: str) -> None:
+        """Note that nothing is heard of it any more."""
+        self.lost = True
+        for _, waiter in self._waiters:
+            if not waiter.done():
+                waiter.set_exception(AdapterUnavailable(why))

@@ -1,0 +1,184 @@
+"""The MAVLink backend keeps what the house asks of a backend, with the twin behind it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import AsyncGenerator, Mapping, Sequence
+from contextlib import asynccontextmanager
+from typing import Any
+
+import msgspec
+
+import rcp_mavlink
+from backends.mavlink.flying import (
+    agrees,
+    airborne,
+    armed,
+    on_the_ground,
+    skip,
+    speed,
+    twin,
+)
+from rcp_kernel.testing import BackendSuite, Goal, eventually
+from rcp_mavlink.sim import Twin, Vehicle
+from rcp_mavlink.sim.modes import Mode
+from rcp_mavlink.sim.plans import Item
+
+PARAMS = ("WPNAV_SPEED", "RTL_ALT", "GUID_TIMEOUT")
+LAT, LON = -35.3632621, 149.1652374
+HERE = Item(16, 3, (0.0, 0.0, 0.0, 0.0), LAT, LON, 20.0, (round(LAT * 1e7), round(LON * 1e7)))
+FLOWN = msgspec.structs.replace(HERE, params=(2.0, 0.0, 0.0, 0.0))
+LONG = msgspec.structs.replace(HERE, params=(900.0, 0.0, 0.0, 0.0))
+
+
+class TestMavlink(BackendSuite):
+    kind = next(iter(rcp_mavlink.rcp_backends()))
+    complete_within = 20.0
+    cancel_within = 5.0
+    device: Twin
+
+    @asynccontextmanager
+    async def twin(self) -> AsyncGenerator[Twin]:
+        async with twin(latency=0.06) as running:
+            airborne(running.vehicle)
+            self.link = f"udpout:127.0.0.1:{running.ports[0][1]}"
+            yield running
+
+    def table(self) -> Mapping[str, Any]:
+        return {"links": [self.link], "params": list(PARAMS), "silence": 1.5, "timeout": 0.5}
+
+    @asynccontextmanager
+    async def served_by_device(self) -> AsyncGenerator[Any]:
+        async with super().served_by_device() as robot:
+            await agrees(robot.backend, self.vehicle)
+            await robot.backend.robots[""].parameters.complete.wait()
+            yield robot
+
+    @property
+    def vehicle(self) -> Vehicle:
+        return self.device.vehicle
+
+    async def truth(self, name: str) -> Any:
+        pilot = self.vehicle.pilot
+        if name.startswith("param/"):
+            value = self.vehicle.params[name.removeprefix("param/")]
+            return int(value) if name == "param/RTL_ALT" else value
+        if name == "actuator/velocity":
+            yaw, (vn, ve) = self.vehicle.body.yaw, pilot.velocity
+            x, right = (
+                vn * math.cos(yaw) + ve * math.sin(yaw),
+                ve * math.cos(yaw) - vn * math.sin(yaw),
+            )
+            return _rounded(x=x, y=-right, z=-pilot.sinking, yaw_rate=-pilot.yaw_rate)
+        if pilot.attitude is None:
+            return {}
+        roll, pitch, thrust = pilot.attitude
+        return _rounded(roll=roll, pitch=pitch, yaw=pilot.yaw, thrust=thrust)
+
+    def values(self, name: str) -> Sequence[Any]:
+        return {
+            "param/WPNAV_SPEED": (500.0, 800.0),
+            "param/RTL_ALT": (2000, 3000),
+            "param/GUID_TIMEOUT": (2.0, 3.0),
+            "actuator/velocity": ({"x": 2.0}, {"x": 0.0, "z": 1.0}),
+            "actuator/attitude": ({"pitch": -0.125, "thrust": 0.5}, {"roll": 0.125, "thrust": 0.5}),
+        }[name]
+
+    def goals(self) -> Mapping[str, Goal]:
+        mission = {"items": [{"command": "NAV_WAYPOINT", "latitude": LAT, "longitude": LON}]}
+        unknown = {"items": [{"command": "NAV_WAIPOINT"}]}
+        return {
+            "action/move_to": Goal(
+                good={"north": 10.0, "altitude": 20.0},
+                bad={"latitude": 1.0},
+                long={"north": 900.0, "altitude": 30.0},
+            ),
+            "action/takeoff": Goal(good={"altitude": 10.0}, long={"altitude": 100.0}),
+            "action/land": Goal(good=None),
+            "action/rtl": Goal(good=None),
+            "action/arm": Goal(good=None),
+            "action/disarm": Goal(good=None),
+            "action/set_mode": Goal(good={"mode": "LOITER"}, bad={"mode": "FLY"}),
+            "action/mission/upload": Goal(good=mission, bad=unknown),
+            "action/mission/run": Goal(good=None),
+            "action/mission/pause": Goal(good=None),
+            "action/mission/resume": Goal(good=None),
+            "action/gimbal": Goal(good={"pitch": -0.5}),
+            "action/camera/photo": Goal(good=None),
+            "action/calibrate": Goal(good=None),
+            "service/reboot": Goal(good=None),
+        }
+
+    async def prepare(self, name: str) -> None:
+        vehicle = self.vehicle
+        motion = self.backend.robots[""].motion
+        await eventually(_nothing(motion.parting), "what was cancelled has ended")
+        mission = vehicle.flight.mission
+        if name in ("action/arm", "action/calibrate", "service/reboot"):
+            on_the_ground(vehicle)
+        elif name in ("action/disarm", "action/takeoff"):
+            armed(vehicle)
+        else:
+            airborne(vehicle)
+        if name.startswith("action/mission/"):
+            items = [HERE, *[FLOWN if name == "action/mission/run" else LONG] * 3]
+            mission.plan.replace(items)
+            mission.changed()
+            mission.complete = False
+        if name in ("action/mission/pause", "action/mission/resume"):
+            vehicle.set_mode(Mode.AUTO)
+            mission.start()
+            if name.endswith("resume"):
+                mission.pause(paused=True)
+            else:
+                skip(vehicle, lambda: mission.current > 0)
+        await agrees(self.backend, vehicle)
+
+    async def confirms(self, name: str, result: Any) -> bool:
+        vehicle = self.vehicle
+        flight = vehicle.flight
+        match name:
+            case "action/arm":
+                return vehicle.armed
+            case "action/disarm" | "action/land" | "action/rtl":
+                return not vehicle.armed
+            case "action/takeoff":
+                return abs(-vehicle.body.d - result["altitude"]) < 1
+            case "action/move_to":
+                return math.dist((vehicle.body.n, vehicle.body.e), (10, 0)) < 1.5
+            case "action/set_mode":
+                return flight.mode.name == result["mode"]
+            case "action/mission/upload":
+                return len(flight.mission.plan.items) == result["count"] + 1
+            case "action/mission/run":
+                return flight.mission.complete
+            case "action/mission/pause":
+                return flight.mission.paused
+            case "action/mission/resume":
+                return not flight.mission.paused
+            case "action/gimbal":
+                return abs(math.radians(vehicle.gimbal[1]) - result["pitch"]) < 0.02
+            case "action/camera/photo":
+                return vehicle.photos == result["number"]
+            case _:
+                return True
+
+    async def at_rest(self) -> bool:
+        return self.vehicle.body.landed or speed(self.vehicle) < 0.5
+
+    async def break_link(self) -> None:
+        self.device.muted = True
+
+    async def mend_link(self) -> None:
+        self.device.muted = False
+
+
+def _nothing(tasks: set[Any]) -> Any:
+    async def holds() -> bool:
+        return not tasks
+
+    return holds
+
+
+def _rounded(**values: float) -> dict[str, float]:
+    return {name: round(value, 4) + 0.0 for name, value in values.items()}
