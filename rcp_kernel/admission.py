@@ -37,7 +37,7 @@ class Admission:
         :raises QueueFull: it could not be put on record.
         :raises OutOfRange, ModeForbids, PreconditionFailed: an envelope does not hold.
         """
-        check_age(entry, request)
+        check_age(entry, request.timestamp)
         check_motion(entry, entry.owner.latch)
         self._gateway.leases.check(session, entry)
         self._gateway.check_open()
@@ -46,11 +46,15 @@ class Admission:
             raise entry.owner.unavailable()
         self._gateway.envelopes.check(session, entry, value)
 
-    def confirm(self, session: Session, entry: Entry, value: Any) -> Backend:
+    def confirm(
+        self, session: Session, entry: Entry, value: Any, timestamp: str | float | None
+    ) -> Backend:
         """Return the robot that takes it, or refuse what must not reach it any more.
 
-        `session` is whose request it is, with the rights it has by now.
+        `session` is whose request it is, with the rights it has by now; `timestamp` is the
+        request's.
 
+        :raises StaleCommand: it has become too old while it waited.
         :raises Forbidden: its rights are not there any more, or their condition does not hold.
         :raises EstopActive, LeaseHeld, LeaseLost, LeaseRequired: as above.
         :raises AdapterUnavailable: there is no robot any more.
@@ -58,6 +62,7 @@ class Admission:
         """
         called = entry.operations & Operation.EXECUTE
         self._gateway.check(session, entry, called or Operation.WRITE)
+        check_age(entry, timestamp)
         check_motion(entry, entry.owner.latch)
         self._gateway.leases.check(session, entry)
         backend = entry.owner.backend

@@ -66,6 +66,8 @@ class Command:
     """How the principal proved itself."""
     request_id: str | None = None
     custom: dict[str, Any] | None = None
+    timestamp: str | float | None = None
+    """When the client says that it sent it."""
     input: Any = None
     created: int = field(default_factory=now)
     finished: int | None = None

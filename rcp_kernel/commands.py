@@ -35,6 +35,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Commands", "Keeper"]
 
+Confirm = Callable[["Session", Entry, Any, "str | float | None"], Backend]
 _QUEUE = 16  # commands that wait for one path
 _HISTORY = 64  # replies kept of one command; first and last are always among them
 _CANCEL_GRACE = 5.0  # s a backend has to bring a cancelled command to rest
@@ -55,7 +56,7 @@ class Keeper(Protocol):
 class Commands:
     """Every command of the gateway: running, queued, and the recently finished."""
 
-    def __init__(self, confirm: Callable[[Session, Entry, Any], Backend], keeper: Keeper) -> None:
+    def __init__(self, confirm: Confirm, keeper: Keeper) -> None:
         self.running: dict[str, Command] = {}
         self.finished = Finished(keeper.forget)
         self.counts: dict[tuple[str, str], int] = {}
@@ -164,7 +165,7 @@ class Commands:
     async def _call(self, command: Command, asker: Session, entry: Entry, value: Any) -> Any:
         if command.ready is not None:
             await command.ready()
-        backend = self.confirm(asker, entry, value)
+        backend = self.confirm(asker, entry, value, command.timestamp)
 
         def progress(feedback: Any = None, *, fraction: float | None = None) -> None:
             if not command.final:

@@ -13,6 +13,7 @@ from typing import Annotated, Any
 import msgspec
 from msgspec import Meta
 
+from rcp_kernel.clock import now
 from rcp_kernel.errors import DeviceTimeout, Forbidden, UnknownPath
 from rcp_kernel.gateway import Gateway
 from rcp_kernel.latches import GATEWAY, tenant_key
@@ -136,6 +137,8 @@ class Estop:
             latches.reset(robot.name, robot.tenant)
         for key, tenant in keys.items():
             latches.reset(key, tenant)
+        for robot in freed:
+            robot.released = now()
         self._note(session, asked, keys, freed)
 
     def _note(

@@ -92,6 +92,7 @@ class Executing:
             tenant=entry.tenant,
             request_id=request.id,
             custom=request.custom,
+            timestamp=request.timestamp,
             input=value,
             session=session.id,
             entry=entry,

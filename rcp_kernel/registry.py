@@ -37,6 +37,8 @@ class Owner(Protocol):
     latency: float | None
     stops: int
     """How many e-stops it has had: what was admitted before one never reaches it."""
+    released: int
+    """When the last e-stop on it was reset, ns; 0 if none was in this run."""
 
     @property
     def name(self) -> str:

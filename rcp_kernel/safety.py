@@ -11,7 +11,7 @@ from collections.abc import Callable, Generator
 from contextlib import contextmanager
 from typing import Any, Protocol
 
-from rcp_kernel.clock import now, parse_time
+from rcp_kernel.clock import iso, now, parse_time
 from rcp_kernel.errors import BadRequest, EstopActive, StaleCommand
 from rcp_kernel.insist import insist
 from rcp_kernel.latches import Latch
@@ -59,15 +59,24 @@ def check_motion(entry: Entry, latch: Latch | None) -> None:
         )
 
 
-def check_age(entry: Entry, request: Request) -> None:
+def check_age(entry: Entry, timestamp: str | float | None) -> None:
     """Refuse a command that is older, or further in the future, than its path allows.
+
+    What moves something is not to be older than the last reset of an e-stop either.
 
     :raises StaleCommand: it is.
     :raises BadRequest: its timestamp is not a time.
     """
-    if request.timestamp is None:
+    if timestamp is None:
         return
-    sent = parse_time(request.timestamp)
+    sent = parse_time(timestamp)
+    if sent < entry.owner.released and entry.kind in MOVING:
+        raise StaleCommand(
+            f"the command is older than the reset of the e-stop on {entry.owner.name}",
+            path=entry.path,
+            remedy="Look at the robot, then send a new command.",
+            details={"reset": iso(entry.owner.released)},
+        )
     limit = entry.resource.max_age
     if limit is None:
         return

@@ -63,6 +63,7 @@ class Slot:
         self.samples = 0
         self.faults = 0
         self.stops = 0
+        self.released = 0
         self._retired: Latch | None = None
         self.entries: dict[str, Entry] = {}
         self.settled = asyncio.Event()

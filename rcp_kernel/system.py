@@ -50,6 +50,7 @@ class System(BaseBackend):
     tenant = None
     latch = None
     stops = 0
+    released = 0
 
     def __init__(
         self, gateway: Gateway, slots: list[Slot], status: StatusReport, recent: Recent

@@ -85,7 +85,7 @@ class Writing:
             try:
                 if entry.path in gateway.deadman.leaving:
                     await gateway.deadman.cleared(entry)
-                backend = gateway.admission.confirm(session, entry, value)
+                backend = gateway.admission.confirm(session, entry, value, request.timestamp)
                 if entry.owner.stops != stops and entry.kind in MOVING:
                     gateway.envelopes.refused(entry, value)
                     text = "an e-stop has come and gone since this was sent"

@@ -5,6 +5,7 @@ from __future__ import annotations
 from rcp_kernel.testing._suite import proves
 from rcp_kernel.testing.wire._base import LOCAL, Wire, World, configuration
 from rcp_kernel.testing.wire._commands import Commands
+from rcp_kernel.testing.wire._control import Control
 from rcp_kernel.testing.wire._discovery import Discovery
 from rcp_kernel.testing.wire._envelopes import Envelopes
 from rcp_kernel.testing.wire._once import Once
@@ -41,6 +42,7 @@ class TransportSuite(
     Values,
     Reading,
     Commands,
+    Control,
     Discovery,
     Streams,
     Quality,

@@ -138,7 +138,9 @@ def _calls() -> list[Resource]:
     go: dict[str, Any] = {"input": Go, "output": metres, "feedback": metres}
     return [
         Resource(name="action/go", description="Go ahead.", examples=({"distance": 1.0},), **go),
-        Resource(name="action/line", description="Stand in line.", policy="queue", **go),
+        Resource(
+            name="action/line", description="Stand in line.", policy="queue", max_age=10, **go
+        ),
         Resource(name="action/dash", description="Push in.", policy="preempt", **go),
         Resource(name="action/beside", description="Go side by side.", policy="parallel", **go),
         Resource(name="action/tied", description="End with its client.", outlives=False, **go),

@@ -313,7 +313,7 @@ def test_options_stand_before_or_after_the_subcommand(run: Run, url: str) -> Non
 def test_every_subcommand_explains_itself(run: Run) -> None:
     listed = run("--help").stdout.partition("Commands:")[2].split("\n")
     names = [line.split()[0] for line in listed if line.startswith("  ") and line[2] != " "]
-    assert len(names) == 10
+    assert "lease" in names
     for name in names:
         text = run(name, "--help").stdout
         assert "--url" in text
