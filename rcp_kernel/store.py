@@ -22,6 +22,7 @@ import msgspec
 import structlog
 
 from rcp_kernel.audit_chain import Head, Row
+from rcp_kernel.modes import check_store_modes
 from rcp_kernel.store_file import (
     ROWS,
     beside,
@@ -130,7 +131,9 @@ class DiskStore(Store):
         self._queue: queue.SimpleQueue[_Batch | None] = queue.SimpleQueue()
         self._closing = threading.Event()
         with store_errors(path), ExitStack() as opening:
-            path.parent.mkdir(parents=True, exist_ok=True)
+            path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+            if (warning := check_store_modes(path)) is not None:
+                log.warning("store_readable", path=str(path), message=warning)
             self._lock = lock(path)
             opening.callback(self._lock.close)
             if not path.exists():

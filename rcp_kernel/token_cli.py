@@ -15,7 +15,7 @@ from rcp_kernel.errors import ConfigError
 if TYPE_CHECKING:
     from rcp_kernel.config import GatewayConfig
     from rcp_kernel.identity import Grants
-    from rcp_kernel.tokens import Token
+    from rcp_kernel.tokens import Token, TokenFile
 
 __all__ = ["token"]
 
@@ -60,7 +60,6 @@ def create(
     """Make a key for NAME and print it, once: only its hash is kept."""
     from rcp_kernel.acl import BUILTIN_ROLES
     from rcp_kernel.config_identity import check_grants
-    from rcp_kernel.tokens import TokenFile
 
     if not re.fullmatch(_NAME, name):
         _fail("a NAME has 1 to 64 letters, digits and . _ @ -")
@@ -70,7 +69,7 @@ def create(
         path, read = _found(config, store)
         if read is not None:
             check_grants(given, "the token", read.tenant_names, {**BUILTIN_ROLES, **read.roles})
-        with closing(TokenFile(path)) as table:
+        with closing(_opened(path)) as table:
             made, key = table.create(name, given, end)
     except (ConfigError, ValueError) as error:
         _fail(str(error))
@@ -95,11 +94,9 @@ def revoke(named: str, *, config: Path | None, store: Path | None) -> None:
     """Take a key back by its ID, or all of a NAME; what they opened is closed."""
     import difflib
 
-    from rcp_kernel.tokens import TokenFile
-
     try:
         path, _ = _found(config, store)
-        with closing(TokenFile(path)) as table:
+        with closing(_opened(path)) as table:
             gone = table.revoke(named)
             left = [t for t in table.every() if t.revoked is None]
     except ConfigError as error:
@@ -112,12 +109,19 @@ def revoke(named: str, *, config: Path | None, store: Path | None) -> None:
         click.echo(f"revoked {one.id} {one.name}")
 
 
-def _read(config: Path | None, store: Path | None) -> list[Token]:
+def _opened(path: Path) -> TokenFile:
     from rcp_kernel.tokens import TokenFile
 
+    table = TokenFile(path)
+    if table.warning is not None:
+        click.echo(f"rcpd: {table.warning}", err=True)
+    return table
+
+
+def _read(config: Path | None, store: Path | None) -> list[Token]:
     try:
         path, _ = _found(config, store)
-        with closing(TokenFile(path)) as table:
+        with closing(_opened(path)) as table:
             return table.every()
     except ConfigError as error:
         _fail(str(error))

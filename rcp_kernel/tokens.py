@@ -19,6 +19,7 @@ import structlog
 from rcp_kernel.clock import now
 from rcp_kernel.errors import ConfigError
 from rcp_kernel.identity import Grants, Principal, fingerprint
+from rcp_kernel.modes import check_store_modes
 
 __all__ = ["PREFIX", "Token", "TokenFile", "TokenWatch", "changes"]
 
@@ -67,10 +68,12 @@ class TokenFile:
     def __init__(self, path: Path) -> None:
         """Open or create it.
 
-        :raises ConfigError: that cannot be done.
+        :raises ConfigError: that cannot be done, or others may write it.
         """
+        self.warning = check_store_modes(path)
+        """What to tell the operator of who may read it."""
         try:
-            path.parent.mkdir(parents=True, exist_ok=True)
+            path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
             with suppress(FileExistsError):  # nobody else's to read
                 os.close(os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o600))
             self._base = sqlite3.connect(path, timeout=_BUSY)

@@ -257,6 +257,20 @@ async def test_a_certificate_near_its_end_is_warned_of(
     assert ("certificate_expires" in [one["event"] for one in said]) is warned
 
 
+@pytest.mark.parametrize(("mode", "warned"), [(0o604, True), (0o640, False), (0o600, False)])
+def test_a_key_that_all_may_read_is_warned_of(
+    ca: Authority,
+    mode: int,
+    warned: bool,  # noqa: FBT001 - a case
+) -> None:
+    server = ca.server()
+    server.key.chmod(mode)
+    configure("warning", "json")
+    with capture_logs() as said:
+        Tls(TlsConfig(certificate=str(server.cert), key=str(server.key))).warn()
+    assert ("key_readable" in [one["event"] for one in said]) is warned
+
+
 # -- client certificates ---------------------------------------------------------------------------
 
 

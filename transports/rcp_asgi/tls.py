@@ -7,6 +7,7 @@ load leave the old ones in force, since they may be half written.
 from __future__ import annotations
 
 import ssl
+import stat
 from pathlib import Path
 
 import structlog
@@ -15,6 +16,7 @@ from rcp_asgi.config import TlsConfig
 from rcp_kernel.certificates import read_pem, revoked_by
 from rcp_kernel.clock import iso, now
 from rcp_kernel.errors import ConfigError
+from rcp_kernel.modes import others_may
 from rcp_kernel.peer import Serial
 
 __all__ = ["Tls"]
@@ -60,7 +62,9 @@ class Tls:
         return True
 
     def warn(self) -> None:
-        """Log a warning if the gateway's certificate is at its end, or will be soon."""
+        """Log a warning of a certificate that is at its end, or soon, and of a key that all may read."""
+        if others_may(_path(self._config.key), stat.S_IROTH):  # its group's may be meant
+            log.warning("key_readable", key=self._config.key)
         found = read_pem(_read("certificate", _path(self._config.certificate)))
         left = 0 if found is None else (found.expires - now()) / 1e9
         if found is not None and left < _SOON:
