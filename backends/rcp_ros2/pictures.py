@@ -60,6 +60,7 @@ class Picture(Binding):
         self._lock = threading.Lock()
         self._next: Value | None = None
         self._busy = False
+        self._wanted = False
         self._rate = shared.config.jpeg.rate
         of = source.resource
         resource = Resource(
@@ -75,6 +76,7 @@ class Picture(Binding):
 
     def watched(self, rate: float) -> None:
         """Subscribe, or change the rate."""
+        self._wanted = True
         period = 1 / min(rate, self._rate)
         codec = self._source.codec
         self._source.tap(Tap(self.resource.name, codec, taker=self._take, period=period))
@@ -82,7 +84,10 @@ class Picture(Binding):
     def unwatched(self) -> None:
         """End the subscription."""
         self._source.untap(self.resource.name)
-        self.shared.complain(self.resource.name, None)
+        with self._lock:  # an image that is still in work must not complain after this
+            self._wanted = False
+            self._next = None
+            self.shared.complain(self.resource.name, None)
 
     def close(self) -> None:
         """End the subscription, and the thread."""
@@ -129,7 +134,9 @@ class Picture(Binding):
             made = self._made(image)
         except Exception as error:
             why = error.message if isinstance(error, RcpError) else str(error)
-            self.shared.complain(name, f"{name}: {why}")
+            with self._lock:
+                if self._wanted:
+                    self.shared.complain(name, f"{name}: {why}")
             return
         self.shared.complain(name, None)
         stamp = self._codec.stamp(made.data)
