@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any
 import structlog
 
 from rcp_kernel.model import Kind
-from rcp_kernel.notices import notice
 from rcp_kernel.registry import Entry
 
 if TYPE_CHECKING:
@@ -104,9 +103,8 @@ class FenceGuard:
     def _tell(self, session: Session, entry: Entry, envelope: str, why: str) -> None:
         log.warning("fence_left", path=entry.path, envelope=envelope, reason=why)
         text = f"{entry.path} was brought to rest: {why}"
-        connection = session.connection
-        mailbox = None if connection is None else connection.mailbox
-        notice(mailbox, "fence_left", path=entry.path, envelope=envelope, message=text)
+        facts = {"path": entry.path, "envelope": envelope, "message": text}
+        self._gateway.sessions.tell(session.holder, "fence_left", **facts)
         self._gateway.audit.note(
             "fence",
             principal=session.principal,

@@ -20,8 +20,11 @@ from kernel.fenced import (
     reached,
     twist,
 )
+from kernel.test_audit import records
 from kernel.world import BOUND
 from rcp_kernel.types import Twist
+from rcp_kernel.values import Encoding
+from rcp_kernel.wire import Request
 
 pytestmark = pytest.mark.anyio
 
@@ -105,6 +108,42 @@ async def test_a_robot_that_leaves_its_fence_is_stopped_at_once() -> None:
         robot.at(10.2)
         assert len(reached(world)) == count
         assert code(await drive(agent, -0.5)) == "out_of_range"
+
+
+async def test_a_stop_at_the_fence_is_on_record_with_whose_drive_it_ended() -> None:
+    async with fenced(EDGE) as world:
+        watcher = world.client(OPERATOR)
+        id_ = watcher.send(type="subscribe", path="/actuator/drive")
+        await watcher.final(id_)
+        world.robot.at(9)
+        assert code(await drive(world.client(AGENT), 0.5)) == "completed"
+        world.robot.at(10.1)
+        await watcher.until(
+            lambda m: m.get("id") == id_ and m["type"] == "update" and m["body"]["linear"]["x"] == 0
+        )
+        [left] = await records(world, what="fence")
+        assert (left["principal"], left["envelope"], left["outcome"]) == (
+            "agent",
+            "hall",
+            "stopped",
+        )
+        assert (left["path"], left["tenant"]) == ("/tenant/alpha/actuator/drive", "alpha")
+        assert "is outside of hall" in left["reason"]
+        [stop] = await records(world, what="deadman")
+        assert (stop["outcome"], stop["value"]["linear"]["x"]) == ("ok", 0)
+        assert stop["seq"] > left["seq"]
+
+
+async def test_who_drives_by_single_requests_hears_of_the_fence_where_it_listens() -> None:
+    async with fenced(EDGE) as world:
+        door, listener = world.server.door, world.client(AGENT)
+        world.robot.at(9)
+        write = Request(type="write", path="/actuator/drive", encoding=Encoding.JSON)
+        write.body = type(write.body)(b'{"linear":{"x":0.5}}')
+        session = door.session(door.authenticate(AGENT))
+        assert (await door.ask(session, write)).status == "completed"
+        world.robot.at(10.1)
+        assert (await listener.notice("fence_left"))["envelope"] == "hall"
 
 
 async def test_who_is_not_fenced_drives_on_outside() -> None:
