@@ -18,6 +18,7 @@ ALL = (
     "startup",
     "tls",
     "guarded",
+    "mavlink",
     "beside_rosbridge",
 )
 

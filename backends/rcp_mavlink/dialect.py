@@ -9,6 +9,7 @@ import sys
 import tempfile
 from collections.abc import Callable
 from functools import cached_property, lru_cache
+from operator import itemgetter
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
@@ -177,7 +178,7 @@ def _maker(field: Field) -> Callable[[tuple[Any, ...]], Any]:
         return lambda values: [one(value) for value in values[at:end]]
     if words is None and missing is None:
         if factor == 1:
-            return lambda values: values[at]
+            return itemgetter(at)
         return lambda values: values[at] * factor
     return lambda values: one(values[at])
 

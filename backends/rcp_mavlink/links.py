@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import socket
 import time
 from collections.abc import Callable
 from typing import Any
@@ -17,6 +18,7 @@ __all__ = ["Link", "Take"]
 _FIRST_WAIT, _LONGEST_WAIT = 0.5, 5.0  # s between attempts to connect
 _FORGET = 60.0  # s without a byte, after which a UDP address is not called any more
 _MOST_ADDRESSES = 256
+_RECEIVED = 4 << 20  # bytes that may wait while the loop is busy with something else
 _BACKLOG = 1_000_000  # bytes that may wait in a connection for a peer that does not read
 
 Take = Callable[["Link", Any, list[Frame]], None]
@@ -62,6 +64,8 @@ class Link:
             self._datagrams, _ = await loop.create_datagram_endpoint(
                 lambda: _Datagrams(self), local_addr=address
             )
+            found: Any = self._datagrams.get_extra_info("socket")
+            found.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVED)
         elif spec.kind == "tcpin":
             self._server = await loop.create_server(lambda: _Stream(self), spec.host, spec.port)
         else:

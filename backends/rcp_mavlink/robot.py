@@ -64,7 +64,7 @@ class Robot:
         self._paths: dict[int, list[tuple[str, bool]]] = {}
         for sensor in self._sensors.values():
             number = hub.dialect.by_name[sensor.message].id
-            self._paths.setdefault(number, []).append((sensor.name, sensor.live))
+            self._paths.setdefault(number, []).append((self.name(sensor.name), sensor.live))
         self._declared: set[str] = set()
         self._tasks: set[asyncio.Task[None]] = set()
         self._clock = 0
@@ -154,12 +154,12 @@ class Robot:
             watched = frame.definition.name in self._watched
             for name, live in paths:
                 if live or watched:
-                    self._host.publish(self.name(name), frame)
+                    self._host.publish(name, frame)
         if number == 22:  # PARAM_VALUE
             self.parameters.take(frame)
         elif number == 33:  # GLOBAL_POSITION_INT
             self._see_reboot(frame)
-        else:
+        elif number in Telling.heeded:
             self.telling.frame(frame)
 
     def _see_reboot(self, frame: Frame) -> None:

@@ -23,6 +23,9 @@ _RECENT = 2.5  # s
 class Telling:
     """Publishes what one vehicle's messages mean."""
 
+    heeded = frozenset({0, 1, 46})
+    """Messages that change what is told here: HEARTBEAT, SYS_STATUS, MISSION_ITEM_REACHED."""
+
     def __init__(self, hub: Hub, vehicle: Vehicle, publish: Callable[[str, Any], None]) -> None:
         self._hub, self._vehicle, self._publish = hub, vehicle, publish
         self._mode = vehicle.mode
