@@ -14,6 +14,7 @@ from rcp_kernel.polygon import Corner, Polygon
 SQUARE = Polygon([(0, 0), (10, 0), (10, 10), (0, 10)])
 HOOK = Polygon([(0, 0), (6, 0), (6, 6), (4, 6), (4, 2), (2, 2), (2, 6), (0, 6)])
 whole = st.integers(-20, 20)
+Exact = tuple[Fraction, Fraction]
 
 
 @st.composite
@@ -67,8 +68,17 @@ def test_it_agrees_with_exact_arithmetic(corners: list[Corner], x: float, y: flo
             inside = not inside
     assert area.holds(x, y) or not inside
     if area.holds(x, y) and not inside:  # on an edge, as near as a float can be
-        closer = [(x * (1 + d), y * (1 + e)) for d in (1e-7, -1e-7) for e in (1e-7, -1e-7)]
-        assert any(not area.holds(*p) for p in closer) or abs(x) + abs(y) < 1e-6
+        edges = zip([exact[-1], *exact[:-1]], exact, strict=True)
+        near = min(squared(Fraction(x), Fraction(y), *edge) for edge in edges)
+        assert near <= Fraction(2e-9 * max(abs(c) for corner in corners for c in corner)) ** 2
+
+
+def squared(x: Fraction, y: Fraction, a: Exact, b: Exact) -> Fraction:
+    """Return the square of the distance from a point to an edge."""
+    dx, dy = b[0] - a[0], b[1] - a[1]
+    along = ((x - a[0]) * dx + (y - a[1]) * dy) / (dx * dx + dy * dy)
+    along = min(Fraction(1), max(Fraction(0), along))
+    return (x - a[0] - along * dx) ** 2 + (y - a[1] - along * dy) ** 2
 
 
 @given(st.lists(st.tuples(whole, whole), min_size=3, max_size=7))
