@@ -8,6 +8,7 @@ import sqlite3
 from collections.abc import Callable
 from contextlib import closing, suppress
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import pytest
 from click.testing import CliRunner
@@ -57,18 +58,17 @@ def rows(path: Path) -> list[Row]:
 
 def spoilt(kept: Path, how: Callable[[Path], None]) -> bool:
     """Spoil a copy; tell whether that is found, and fail if it is not although it should be."""
-    path = kept.with_name("spoilt.db")
-    for suffix in ("", ".head"):
-        shutil.copy(f"{kept}{suffix}", f"{path}{suffix}")
-    for suffix in ("-wal", "-shm"):
-        path.with_name(path.name + suffix).unlink(missing_ok=True)
-    how(path)
-    try:
-        findings = examined(path).findings
-    except ConfigError:
-        return True
-    assert findings or rows(path) == rows(kept)
-    return bool(findings)
+    with TemporaryDirectory(dir=kept.parent) as folder:
+        path = Path(folder) / kept.name
+        for suffix in ("", ".head"):
+            shutil.copy(f"{kept}{suffix}", f"{path}{suffix}")
+        how(path)
+        try:
+            findings = examined(path).findings
+        except ConfigError:
+            return True
+        assert findings or rows(path) == rows(kept)
+        return bool(findings)
 
 
 @settings(max_examples=300, deadline=None)
