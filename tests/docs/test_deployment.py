@@ -7,6 +7,7 @@ import re
 import shutil
 import socket
 import subprocess
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -72,7 +73,8 @@ def test_the_way_to_a_safe_deployment_is_walked(tmp_path: Path) -> None:
         )
     home = tmp_path / "rcp"
     for file in home.rglob("*"):
-        assert file.stat().st_mode & 0o077 == 0, file
+        with suppress(FileNotFoundError):  # a journal goes when its transaction ends
+            assert file.stat().st_mode & 0o077 == 0, file
     for name in ("root", "anna"):  # shown once, to the file that it was sent to
         assert (home / f"{name}.token").read_text().strip() not in out
 
