@@ -11,6 +11,7 @@ from rcp_kernel.model import Resource
 from rcp_kernel.types import quantity
 from rcp_mavlink import messages as m
 from rcp_mavlink.hub import Hub
+from rcp_mavlink.logs import LogPiece, LogRange, OnBoard
 from rcp_mavlink.metadata import about
 from rcp_mavlink.parameters import bounds
 from rcp_mavlink.sensors import Sensor
@@ -149,6 +150,8 @@ def _services() -> list[Resource]:
         Resource(name="service/fence/download", description="Return the geofence that the vehicle has.", output=m.Items, timeout=120),
         Resource(name="service/rally/upload", description="Replace the rally points.", input=m.Items, output=m.Uploaded, examples=(_RALLY,), timeout=120),
         Resource(name="service/rally/download", description="Return the rally points that the vehicle has.", output=m.Items, timeout=120),
+        Resource(name="service/log/list", description="List the logs on board.", output=list[OnBoard], timeout=30),
+        Resource(name="service/log/read", description="Return a part of a log on board, 1 MiB at most.", input=LogRange, output=LogPiece, timeout=600),
         Resource(name="service/param/read", description="Ask for any parameter by name, also one without a path.", input=m.ReadParam, output=m.ParamValue, examples=({"name": "RTL_ALT"},)),
         Resource(name="service/param/save", description="Have the vehicle keep its parameters."),
         Resource(name="service/reboot", description="Start the autopilot anew; refused while armed.", timeout=90),

@@ -21,6 +21,7 @@ from rcp_mavlink.commands import Command, Commands
 from rcp_mavlink.frames import Frame
 from rcp_mavlink.hub import Hub
 from rcp_mavlink.intervals import FASTEST, Intervals
+from rcp_mavlink.logs import Logs
 from rcp_mavlink.missions import Missions
 from rcp_mavlink.motion import Motion
 from rcp_mavlink.parameters import Parameters
@@ -71,6 +72,7 @@ class Robot:
         self.telling = Telling(hub, vehicle, self._publish)
         missions = Missions(vehicle, self._commands, self.plans, self.motion)
         payload = Payload(vehicle, self._commands, self.intervals)
+        logs = Logs(hub, vehicle)
         self._verbs: dict[str, Verb] = {
             "action/arm": self.motion.arm,
             "action/disarm": self.motion.disarm,
@@ -92,6 +94,8 @@ class Robot:
             "service/fence/download": lambda _, __: self._download(FENCE),
             "service/rally/upload": lambda items, _: self._upload(RALLY, items),
             "service/rally/download": lambda _, __: self._download(RALLY),
+            "service/log/list": logs.list,
+            "service/log/read": logs.read,
             "service/param/read": self._read_parameter,
             "service/param/save": self._save,
             "service/reboot": self._reboot,
@@ -132,6 +136,7 @@ class Robot:
             task.cancel()
         await asyncio.gather(*self._tasks, return_exceptions=True)
         await self.intervals.close()
+        self.vehicle.lose("the gateway has let go of the vehicle")
         self.vehicle.on_frame.clear()
         self.vehicle.on_text.clear()
 

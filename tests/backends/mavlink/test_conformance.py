@@ -106,6 +106,7 @@ class TestMavlink(BackendSuite):
             "action/gimbal": Goal(good={"pitch": -0.5}),
             "action/camera/photo": Goal(good=None),
             "action/calibrate": Goal(good=None),
+            "service/log/read": Goal(good={"id": 1}, bad={"id": 999}),
             "service/reboot": Goal(good=None),
         }
 

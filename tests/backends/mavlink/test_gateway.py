@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import base64
 from collections.abc import AsyncGenerator, AsyncIterator
 from contextlib import asynccontextmanager
 from typing import Any
@@ -246,6 +247,23 @@ async def test_a_fence_goes_up_and_comes_back(pilot: Pilot) -> None:
     back = (await pilot.do("service/fence/download"))["body"]["items"]
     assert [item["latitude"] for item in back] == pytest.approx([i["latitude"] for i in items])
     assert len(pilot.vehicle.fence.plan.items) == 4
+
+
+async def test_a_log_is_listed_and_read_in_ranges(pilot: Pilot) -> None:
+    airborne(pilot.vehicle)
+    on_the_ground(pilot.vehicle)
+    await pilot.ready()
+    truth = bytes(pilot.vehicle.log.logs[1])
+    (log,) = (await pilot.do("service/log/list"))["body"]
+    assert (log["id"], log["size"]) == (1, len(truth))
+    half = len(truth) // 2
+    parts = [
+        await pilot.do("service/log/read", {"id": 1, "offset": at, "count": half + 1})
+        for at in (0, half + 1)
+    ]
+    assert b"".join(base64.b64decode(part["body"]["data"]) for part in parts) == truth
+    gone = await pilot.do("service/log/read", {"id": 99})
+    assert gone["error"]["code"] == "invalid_value"
 
 
 async def _is(truth: bool) -> bool:  # noqa: FBT001 - for `eventually`, which awaits

@@ -1,0 +1,149 @@
+"""The logs on board: listed, and read in ranges; pieces that are lost on the way are asked for again."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import Annotated, Any
+
+from msgspec import Meta, Struct
+
+from rcp_kernel.errors import DeviceTimeout, InvalidValue
+from rcp_kernel.spi import Progress
+from rcp_mavlink.frames import Frame
+from rcp_mavlink.hub import Hub
+from rcp_mavlink.vehicle import Vehicle
+
+__all__ = ["LogPiece", "LogRange", "Logs", "OnBoard"]
+
+_PIECE = 90  # bytes of LOG_DATA
+_ROUNDS = 20
+MOST = 1 << 20  # bytes at once
+
+Bytes = Annotated[int, Meta(ge=0, le=2**32 - 1, extra_json_schema={"unit": "By"})]
+Number = Annotated[int, Meta(ge=0, le=65535, extra_json_schema={"unit": "1"})]
+
+
+class OnBoard(Struct, frozen=True):
+    """One log on board."""
+
+    id: Number
+    size: Bytes
+    time: Annotated[int, Meta(extra_json_schema={"unit": "s"})]
+    """When it was written, since the UNIX epoch; 0 is not known."""
+
+
+class LogRange(Struct, frozen=True, forbid_unknown_fields=True):
+    """Which part of which log."""
+
+    id: Number
+    offset: Bytes = 0
+    count: Annotated[int, Meta(ge=1, le=MOST, extra_json_schema={"unit": "By"})] = MOST
+
+
+class LogPiece(Struct, frozen=True):
+    """A part of a log; it ends before `count` where the log does."""
+
+    id: Number
+    offset: Bytes
+    size: Bytes
+    """Of the whole log."""
+    data: bytes
+
+
+class Logs:
+    """The logs of one vehicle; one transfer at a time."""
+
+    def __init__(self, hub: Hub, vehicle: Vehicle) -> None:
+        self._hub, self._vehicle = hub, vehicle
+        self._turn = asyncio.Lock()
+
+    async def list(self, _: None, progress: Progress) -> list[OnBoard]:
+        """List the logs on board."""
+        async with self._turn:
+            return await self._entries()
+
+    async def _entries(self) -> list[OnBoard]:
+        vehicle, module = self._vehicle, self._hub.dialect.module
+        found: dict[int, OnBoard] = {}
+        count: int | None = None
+        news = asyncio.Event()
+
+        def take(frame: Frame) -> None:
+            nonlocal count
+            f = frame.fields()
+            count = f["num_logs"]
+            if count:
+                found[f["id"]] = OnBoard(f["id"], f["size"], f["time_utc"])
+            news.set()
+
+        ask = module.MAVLink_log_request_list_message(vehicle.system, vehicle.component, 0, 0xFFFF)
+        with vehicle.listening("LOG_ENTRY", take):
+            for _ in range(self._hub.config.retries + 1):
+                self._hub.send(vehicle, ask)
+                while (count is None or len(found) < count) and await self._more(news):
+                    continue
+                if count is not None and len(found) >= count:
+                    return [found[number] for number in sorted(found)]
+        raise DeviceTimeout("the vehicle did not list its logs")
+
+    async def _more(self, news: asyncio.Event) -> bool:
+        """Wait for news; tell whether any came.
+
+        :raises AdapterUnavailable: the vehicle is lost.
+        """
+        news.clear()
+        try:
+            async with asyncio.timeout(self._hub.config.timeout):
+                await news.wait()
+        except TimeoutError:
+            self._vehicle.check()
+            return False
+        return True
+
+    async def read(self, given: LogRange, progress: Progress) -> LogPiece:
+        """Return a part of a log.
+
+        :raises InvalidValue: there is no log of that number.
+        """
+        async with self._turn:
+            logs = {log.id: log for log in await self._entries()}
+            log = logs.get(given.id)
+            if log is None:
+                raise InvalidValue(
+                    f"there is no log {given.id}",
+                    remedy="service/log/list says which there are.",
+                    details={"pointer": "/id"},
+                )
+            end = min(log.size, given.offset + given.count)
+            data = await self._range(given.id, given.offset, max(given.offset, end), progress)
+            return LogPiece(given.id, given.offset, log.size, data)
+
+    async def _range(self, number: int, start: int, end: int, progress: Progress) -> bytes:
+        data, missing = bytearray(end - start), set(range(start, end, _PIECE))
+        news = asyncio.Event()
+
+        def take(frame: Frame) -> None:
+            f = frame.fields()
+            if f["id"] == number and f["ofs"] in missing:
+                at = f["ofs"]
+                piece = bytes(f["data"])[: min(f["count"], end - at)]
+                data[at - start : at - start + len(piece)] = piece
+                missing.discard(at)
+                news.set()
+
+        vehicle, module = self._vehicle, self._hub.dialect.module
+        to = (vehicle.system, vehicle.component)
+        whole = max(1, len(missing))
+        with vehicle.listening("LOG_DATA", take):
+            for _ in range(_ROUNDS):
+                if not missing:
+                    break
+                first = min(missing)
+                ask: Any = module.MAVLink_log_request_data_message(*to, number, first, end - first)
+                self._hub.send(vehicle, ask)
+                while missing and await self._more(news):
+                    progress(fraction=1 - len(missing) / whole)
+            self._hub.send(vehicle, module.MAVLink_log_request_end_message(*to))
+        if missing:
+            raise DeviceTimeout(f"{len(missing)} pieces of log {number} did not come")
+        return bytes(data)
