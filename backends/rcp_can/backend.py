@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncGenerator
+from collections.abc import AsyncGenerator, Iterable
 from contextlib import AbstractAsyncContextManager, asynccontextmanager
 from typing import Any
 
 import anyio
+from anyio.abc import TaskGroup
 
+from rcp_can.axis import Axis
 from rcp_can.binding import Part
 from rcp_can.bus import Bus
 from rcp_can.config import CanConfig
+from rcp_can.crew import by_rate, heard, make_axes, run_axes, simulated
 from rcp_can.health import Health
+from rcp_can.motor import MotorPart
 from rcp_can.raw import BusPart
 from rcp_kernel.errors import ConfigError, UnknownPath
 from rcp_kernel.spi import BaseBackend, Host, Progress
@@ -23,8 +27,8 @@ __all__ = ["CanBackend", "open_buses"]
 class CanBackend(BaseBackend):
     """Several buses, and all that sits on them."""
 
-    def __init__(self, host: Host, buses: dict[str, Bus]) -> None:
-        self.buses = buses
+    def __init__(self, host: Host, buses: dict[str, Bus], axes: dict[str, Axis]) -> None:
+        self.buses, self.axes = buses, axes
         self._host = host
         self._parts: list[Part] = []
         self._owner: dict[str, Part] = {}
@@ -82,26 +86,36 @@ async def open_buses(config: CanConfig, host: Host) -> AsyncGenerator[CanBackend
     """
     health = Health(host)
     buses = {name: Bus(name, bus, host, health) for name, bus in config.buses.items()}
-    backend = CanBackend(host, buses)
-    logs = [BusPart(bus, host) for bus in buses.values()]
-    for part in logs:
+    axes = make_axes(config, buses, host, health)
+    backend = CanBackend(host, buses, axes)
+    lines = [BusPart(bus, host) for bus in buses.values()]
+    for part in (*lines, *map(MotorPart, axes.values())):
         backend.add(part)
     try:
         async with anyio.create_task_group() as tasks:
-            ready = [asyncio.Event() for _ in buses]
-            for bus, event in zip(buses.values(), ready, strict=True):
-                tasks.start_soon(bus.run, event)
-                tasks.start_soon(bus.count)
-            for event in ready:
-                await event.wait()
-            try:
-                yield backend
-            finally:
-                for part in logs:
-                    await part.close()
-                tasks.cancel_scope.cancel()
+            await _start(tasks, buses.values())
+            with simulated(config):
+                for group in by_rate(axes.values()):
+                    tasks.start_soon(run_axes, group)
+                await heard(axes.values(), config.grace, health)
+                try:
+                    yield backend
+                finally:
+                    for closing in (*lines, *axes.values()):
+                        await closing.close()
+                    tasks.cancel_scope.cancel()
     except ExceptionGroup as group:
         first, *more = group.exceptions
         if more:
             raise
         raise first from None
+
+
+async def _start(tasks: TaskGroup, buses: Iterable[Bus]) -> None:
+    ready: list[asyncio.Event] = []
+    for bus in buses:
+        ready.append(asyncio.Event())
+        tasks.start_soon(bus.run, ready[-1])
+        tasks.start_soon(bus.count)
+    for event in ready:
+        await event.wait()

@@ -5,7 +5,7 @@ from __future__ import annotations
 from contextlib import AbstractContextManager, nullcontext
 from typing import Any
 
-from rcp_kernel.errors import UnsupportedOperation
+from rcp_kernel.errors import AdapterUnavailable, UnsupportedOperation
 from rcp_kernel.model import Resource
 from rcp_kernel.spi import Progress
 
@@ -20,8 +20,11 @@ class Part:
         return []
 
     async def read(self, name: str) -> Any:
-        """Return a fresh value."""
-        raise UnsupportedOperation(f"'{name}' cannot be asked for")
+        """Return a fresh value.
+
+        :raises AdapterUnavailable: there is none: nothing has happened, or been commanded, yet.
+        """
+        raise AdapterUnavailable(f"'{name}' has had no value yet", remedy="Subscribe to it.")
 
     async def write(self, name: str, value: Any) -> Any:
         """Bring a value into force."""

@@ -7,6 +7,8 @@ import time
 from collections.abc import Callable, Hashable
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
+import anyio
+
 from rcp_can import messages as m
 from rcp_can.condition import read_error
 from rcp_can.config import BusConfig
@@ -53,6 +55,7 @@ class Bus:
     def __init__(self, name: str, config: BusConfig, host: Host, health: Health) -> None:
         self.name, self.config = name, config
         self.state: m.Condition = "down"
+        self.told = m.BusState(state="down", detail="not open yet")
         self.restarts = self.error_frames = self.malformed = 0
         self.on_state: list[Callable[[m.Condition, m.Condition], None]] = []
         """Told of each change, the old state first."""
@@ -69,6 +72,7 @@ class Bus:
         self._busy = 0.0
         self._past = {"rx": 0, "tx": 0, "dropped": 0, "expired": 0, "failed": 0}
         self._message: Any = None
+        self._due: dict[str, float] = {}
         self._counters: tuple[int | None, int | None] = (None, None)
 
     def listen(self, listener: Listener, *routes: Route) -> None:
@@ -121,6 +125,14 @@ class Bus:
         for tap in self.taps:
             tap(message)
 
+    def paced(self, what: str, period: float) -> bool:
+        """Tell whether something that is periodic on the whole bus is due, and count it as done."""
+        now = time.monotonic()
+        if now < self._due.get(what, 0.0):
+            return False
+        self._due[what] = now + period
+        return True
+
     async def run(self, ready: asyncio.Event) -> None:
         """Keep the bus open until cancelled; `ready` is set when it is open for the first time.
 
@@ -169,7 +181,8 @@ class Bus:
             self._wire = None
             for key in self._past:
                 self._past[key] += getattr(wire, key)
-            await asyncio.shield(wire.close())
+            with anyio.CancelScope(shield=True):
+                await wire.close()
 
     def _lose(self, reason: str) -> None:
         self._reason = reason
@@ -179,8 +192,8 @@ class Bus:
     def _turn(self, state: m.Condition, text: str) -> None:
         was, self.state = self.state, state
         tx, rx = self._counters
-        value = m.BusState(state=state, detail=text, tx_errors=tx, rx_errors=rx)
-        self._host.publish(f"sensor/{self._prefix}/state", value)
+        self.told = m.BusState(state=state, detail=text, tx_errors=tx, rx_errors=rx)
+        self._host.publish(f"sensor/{self._prefix}/state", self.told)
         if was == state:
             return
         event = m.BusEvent(was=was, now=state, text=text)

@@ -7,11 +7,11 @@ from typing import Annotated, Any
 
 from msgspec import Meta, Struct
 
-__all__ = ["BusConfig", "BusName", "CanConfig", "Name", "Seconds"]
+from rcp_can.config_motor import MotorConfig
+from rcp_can.config_names import BusName, Name, Seconds
 
-Name = Annotated[str, Meta(pattern=r"^[A-Za-z0-9_-]+(/[A-Za-z0-9_-]+)*$", max_length=64)]
-BusName = Annotated[str, Meta(pattern=r"^[A-Za-z0-9_-]+$", max_length=32)]
-Seconds = Annotated[float, Meta(gt=0, extra_json_schema={"unit": "s"})]
+__all__ = ["BusConfig", "CanConfig"]
+
 Bitrate = Annotated[int, Meta(ge=1000, le=20_000_000, extra_json_schema={"unit": "bit/s"})]
 IdRange = Annotated[str, Meta(pattern=r"^0x[0-9A-Fa-f]{1,8}(-0x[0-9A-Fa-f]{1,8})?$")]
 
@@ -61,3 +61,12 @@ class CanConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Buses and what sits on them."""
 
     buses: Annotated[dict[BusName, BusConfig], Meta(min_length=1)]
+    motors: dict[Name, MotorConfig] = {}
+    grace: Annotated[float, Meta(ge=0, extra_json_schema={"unit": "s"})] = 1.0
+    """For motors to be heard of, before the backend counts as open without them."""
+
+    def __post_init__(self) -> None:
+        for name, motor in self.motors.items():
+            if motor.bus not in self.buses:
+                known = ", ".join(self.buses)
+                raise ValueError(f"motors.{name}.bus: there is no bus {motor.bus!r}, only {known}")

@@ -97,6 +97,7 @@ class BusPart(Part):
                 name=f"event/{name}/state",
                 description="Bus-off, restart, warnings of the controller, loss of the interface.",
                 value=m.BusEvent,
+                live=True,
             ),
             Resource(
                 name=self._frame,
@@ -132,6 +133,16 @@ class BusPart(Part):
                 ),
             ]
         return found
+
+    async def read(self, name: str) -> Any:
+        """Return state or statistics as they are; frames are not kept."""
+        match name.rpartition("/")[2]:
+            case "state" if name.startswith("sensor/"):
+                return self._bus.told
+            case "statistics":
+                return self._bus.statistics()
+            case _:
+                return await super().read(name)
 
     async def write(self, name: str, value: m.Frame) -> None:
         """Send a frame."""

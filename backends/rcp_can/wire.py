@@ -45,8 +45,9 @@ class Wire:
         self._received, self._lost = received, lost
         self._loop = asyncio.get_running_loop()
         self._inbox: deque[can.Message] = deque()
-        self._outbox: deque[tuple[can.Message, float]] = deque()
+        self._outbox: deque[tuple[can.Message, float, float]] = deque()
         self._echoes: Counter[tuple[int, bytes]] | None = Counter() if echoes else None
+        self._barrier = 0.0
         self._wake = threading.Event()
         self._waiting = False
         self._closing = False
@@ -65,24 +66,28 @@ class Wire:
     def send(self, message: can.Message, *, lifetime: float | None, urgent: bool) -> None:
         """Queue a frame; `lifetime` is how long (s) it is worth sending, urgent ones go first.
 
+        What is urgent brings something to rest: no frame with a lifetime that waits is sent after it.
+
         :raises QueueFull: too many wait already; an urgent one takes the place of the last.
         :raises AdapterUnavailable: the wire is closed.
         """
         if self._closing:
             raise AdapterUnavailable("the CAN interface is closed")
-        expires = time.monotonic() + lifetime if lifetime is not None else 0.0
+        now = time.monotonic()
+        expires = now + lifetime if lifetime is not None else 0.0
         if urgent:
+            self._barrier = now
             if len(self._outbox) >= self._limit:
                 self._outbox.pop()
                 self.expired += 1
-            self._outbox.appendleft((message, expires))
+            self._outbox.appendleft((message, expires, now))
         elif len(self._outbox) >= self._limit:
             raise QueueFull(
                 f"{self._limit} frames wait to be sent already: the bus takes none",
                 remedy="See sensor/can/<bus>/state; is another node there to acknowledge?",
             )
         else:
-            self._outbox.append((message, expires))
+            self._outbox.append((message, expires, now))
         self._wake.set()
 
     async def close(self) -> None:
@@ -131,8 +136,8 @@ class Wire:
             self._wake.wait()
             self._wake.clear()
             while self._outbox:
-                message, expires = self._outbox.popleft()
-                if expires and time.monotonic() > expires:
+                message, expires, queued = self._outbox.popleft()
+                if expires and (time.monotonic() > expires or queued <= self._barrier):
                     self.expired += 1
                     continue
                 try:

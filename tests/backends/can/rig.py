@@ -13,6 +13,7 @@ import can
 import msgspec
 
 from rcp_can import CanConfig, open_can
+from rcp_can.sim import Bench, Twin, make_twin
 from rcp_kernel.model import Resource
 from rcp_kernel.spi import Publication
 from rcp_kernel.values import to_plain, value_type
@@ -154,3 +155,70 @@ class Node:
                 message = await anyio.to_thread.run_sync(self.bus.recv, 0.05)
                 if message is not None and wanted(message):
                     return message
+
+
+MOTORS: dict[str, dict[str, Any]] = {
+    "cia402": {"node": 5},
+    "odrive": {"node": 1},
+    "mit": {"node": 1},
+    "tmotor": {"node": 2, "options": {"model": "AK80-9"}},
+    "damiao": {"node": 3},
+    "cybergear": {"node": 4},
+}
+"""A motor of each profile, as its table of the configuration."""
+
+
+class Motor(Rig):
+    """A backend with one motor, 'm', and the twin that it drives."""
+
+    def __init__(self, rig: Rig, bench: Bench, channel: str) -> None:
+        super().__init__(rig.backend, rig.host)
+        self.bench, self.twin, self.channel = bench, bench.twins[0], channel
+        self.axis = self.backend.axes["m"]
+
+    async def until(self, holds: Callable[[], object], seconds: float = 5) -> None:
+        with anyio.fail_after(seconds):
+            while not holds():  # noqa: ASYNC110  # a twin lives in a thread that tells nobody
+                await asyncio.sleep(0.002)
+
+    async def ordered(self, function: Callable[[], object]) -> None:
+        """Do something to the twin in its own thread."""
+        done = asyncio.Event()
+        loop = asyncio.get_running_loop()
+
+        def do() -> None:
+            function()
+            loop.call_soon_threadsafe(done.set)
+
+        self.bench.order(do)
+        with anyio.fail_after(5):
+            await done.wait()
+
+    async def enable(self) -> None:
+        await self.ran("service/m/enable")
+
+    def faults(self, *, active: bool = True) -> list[str]:
+        return [e.fault for e in self.host.events("event/m/fault") if e.active is active]
+
+
+@asynccontextmanager
+async def motor(
+    profile: str,
+    *,
+    bus: dict[str, Any] | None = None,
+    twins: Sequence[Twin] = (),
+    config: dict[str, Any] | None = None,
+    **keys: Any,
+) -> AsyncGenerator[Motor]:
+    """Run the twin of a profile, and a backend that drives it."""
+    name = channel()
+    table = {"bus": "can0", "profile": profile, "timeout": 0.2, **MOTORS[profile], **keys}
+    protocol = can.CanProtocol.CAN_FD if profile == "moteus" else can.CanProtocol.CAN_20
+    line = can.Bus(name, "virtual", protocol=protocol, ignore_config=True)
+    twin = make_twin(profile, table["node"], **table.get("options", {}))
+    line_config = {"interface": "virtual", "channel": name, "restart": 0.02, "statistics": 0.05}
+    line_config |= {"fd": profile == "moteus", **(bus or {})}
+    whole = {"buses": {"can0": line_config}, "motors": {"m": table}, **(config or {})}
+    with Bench(line, [twin, *twins]) as bench:
+        async with opened(whole) as rig:
+            yield Motor(rig, bench, name)

@@ -237,6 +237,21 @@ async def test_a_full_queue_refuses_but_lets_the_urgent_through_first() -> None:
     assert wire.expired == 2  # the one that grew old, the one that gave way
 
 
+async def test_no_set_point_that_waits_is_sent_after_a_stop() -> None:
+    bus: Any = StuckBus()
+    wire = Wire(bus, name="x", queue=9, echoes=False, received=lambda _: None, lost=lambda _: None)
+    wire.send(can.Message(arbitration_id=0), lifetime=None, urgent=False)
+    with anyio.fail_after(5):
+        await bus.held.wait()
+    wire.send(can.Message(arbitration_id=1), lifetime=60.0, urgent=False)
+    wire.send(can.Message(arbitration_id=2), lifetime=None, urgent=False)
+    wire.send(can.Message(arbitration_id=3), lifetime=None, urgent=True)
+    wire.send(can.Message(arbitration_id=4), lifetime=60.0, urgent=False)
+    bus.gate.set()
+    await wire.close()
+    assert bus.sent == [0, 3, 2, 4]
+
+
 async def test_an_unknown_interface_is_a_configuration_error_that_lists_those_there_are() -> None:
     with pytest.raises(ConfigError, match=r"buses\.can0\.interface.*slcan"):
         async with opened({"buses": {"can0": {"interface": "carrier-pigeon"}}}):

@@ -1,0 +1,424 @@
+"""One motor under control: what is asked of it, ramped and watched, whatever its make.
+
+Nothing here moves a drive that nobody asked to move: a set-point is forgotten when the drive resets,
+falls out of its enabled state, or is not heard of, and only a new command makes another.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+import structlog
+
+from rcp_can import motor_messages as m
+from rcp_can.bus import Bus
+from rcp_can.codec import clamp
+from rcp_can.config_motor import MotorConfig
+from rcp_can.drive import Drive, Fault
+from rcp_can.health import Health
+from rcp_can.ramp import Ramp
+from rcp_kernel.errors import AdapterUnavailable, ModeForbids, RcpError
+from rcp_kernel.spi import Host
+
+if TYPE_CHECKING:
+    import can
+
+__all__ = ["Axis"]
+
+log = structlog.get_logger("rcp.can")
+_RESTING = (
+    0.02  # rad/s at the drive's shaft, below which it rests, beside the motor's own tolerance
+)
+_RETRY = 1.0  # s between two attempts to configure a drive
+
+
+class Axis:
+    """A motor: its drive, its limits, and the set-point that stands."""
+
+    def __init__(
+        self, name: str, config: MotorConfig, drive: Drive, bus: Bus, host: Host, health: Health
+    ) -> None:
+        self.name, self.config, self.drive, self.bus = name, config, drive, bus
+        self.status = drive.status
+        reach, gear = drive.reach(), config.gear
+        self.ratio = gear * config.direction
+        self.velocity_limit = min(config.velocity, reach.velocity / gear)
+        self.torque_limit = min(config.torque, reach.torque * gear)
+        low, high = config.position or (-reach.position / gear, reach.position / gear)
+        span = reach.position / gear
+        self.low, self.high = max(low, -span), min(high, span)
+        self.ramp = Ramp(self.velocity_limit, config.acceleration)
+        self.mode: m.Mode | None = None
+        self.goal = 0.0
+        self.online = False
+        self.stopping = False
+        self.owner: str | None = None
+        """The action that drives it now."""
+        self.leaving = False
+        """Whether an action that is over still brings it to rest."""
+        self.ended: Callable[[RcpError], None] | None = None
+        """Told when what the action commanded is forgotten."""
+        self._host, self._health = host, health
+        self._heard = 0.0
+        self._after_stop = 0
+        self._seen = (0, 0, 0, 0)
+        self._shown: m.MotorState | None = None
+        self._faults: dict[str, Fault] = {}
+        self._own: dict[str, Fault] = {}
+        self._ready = False
+        self._configuring: asyncio.Task[None] | None = None
+        self._tick = 0
+        self._step_due = False
+        self._wanted_on = False
+        self.first = asyncio.Event()
+        """Set when the drive was heard for the first time, and is configured."""
+        bus.listen(self._take, *drive.routes())
+        bus.after_batch(self._batch)
+
+    # What the drive says
+
+    @property
+    def position(self) -> float | None:
+        """Where the joint is, rad."""
+        raw = self.status.position
+        return None if raw is None else raw / self.ratio + self.config.offset
+
+    @property
+    def velocity(self) -> float | None:
+        """How fast it turns, rad/s."""
+        raw = self.status.velocity
+        return None if raw is None else raw / self.ratio
+
+    @property
+    def state(self) -> m.State:
+        """How it stands, in one word."""
+        if not self.online:
+            return "offline"
+        if self.status.faults and not self.status.enabled:
+            return "fault"
+        if self.stopping:
+            return "stopping"
+        return "enabled" if self.status.enabled else "disabled"
+
+    @property
+    def met(self) -> bool:
+        """Whether it was ever heard."""
+        return self._heard > 0.0
+
+    @property
+    def resting(self) -> bool:
+        """Whether it is known to stand, or to have no power."""
+        velocity = self.status.velocity
+        slow = velocity is not None and abs(velocity) <= max(
+            _RESTING, self.config.standstill * self.config.gear
+        )
+        return slow or (velocity is None and self.status.enabled is False)
+
+    def _take(self, message: can.Message) -> None:
+        if self.drive.take(message):
+            self._heard = time.monotonic()
+
+    def _batch(self) -> None:
+        status = self.status
+        seen = status.moved, status.told, status.resets, status.twins
+        if seen == self._seen:
+            return
+        old, self._seen = self._seen, seen
+        if not self.online:
+            self._appear()
+        if status.resets != old[2]:
+            self._reset()
+        if status.twins != old[3]:
+            self.fault(
+                "duplicate_node",
+                f"two drives answer to node {self.drive.node}, or another master is at work",
+            )
+        if self._wanted_on and not status.enabled and status.enabled is not None:
+            self._dropped()
+        self.drive.look()
+        if status.moved != old[0]:
+            self._host.publish(f"sensor/{self.name}/motion", self.motion())
+            if self._ready and status.position is not None:
+                self.first.set()
+        self.show()
+
+    def _appear(self) -> None:
+        self.online = True
+        self._own.pop("feedback_lost", None)
+        self._health.say(self.name, None)
+        self._configure()
+
+    def _configure(self) -> None:
+        if self._configuring is None or self._configuring.done():
+            self._ready = False
+            self._configuring = asyncio.create_task(self._prepare(), name=f"can {self.name}")
+
+    async def _prepare(self) -> None:
+        while self.online:
+            try:
+                await self.drive.configure()
+            except RcpError as error:
+                self.fault("configuration", f"it could not be configured: {error.message}")
+                await asyncio.sleep(_RETRY)
+            else:
+                self._own.pop("configuration", None)
+                self._ready = True
+                if self.status.position is not None:
+                    self.first.set()
+                self.show()
+                return
+
+    def _reset(self) -> None:
+        if self._wanted_on or self.mode is not None:
+            self.fault("reset", "the drive has started anew while it was in use", lasting=False)
+        self._wanted_on = False
+        self.forget(AdapterUnavailable(f"motor '{self.name}': the drive has started anew"))
+        self._configure()
+
+    def _dropped(self) -> None:
+        self._wanted_on = False
+        why = "; ".join(f.text for f in self.status.faults) or "it switched itself off"
+        if not self.status.faults and not self.stopping:
+            self.fault("switched_off", "the drive has switched itself off", lasting=False)
+        self.forget(ModeForbids(f"motor '{self.name}' is not enabled any more: {why}"))
+
+    # What is asked of it
+
+    def check(self) -> None:
+        """See that it can be commanded.
+
+        :raises AdapterUnavailable: its bus is down, or it is not heard of.
+        :raises ModeForbids: it is not enabled.
+        """
+        self.check_link()
+        if not self.status.enabled or not self._ready:
+            faults = ", ".join(fault.name for fault in self.status.faults)
+            raise ModeForbids(
+                f"motor '{self.name}' is {self.state}" + (f" ({faults})" if faults else ""),
+                remedy=f"Execute service/{self.name}/"
+                + ("clear_faults, then enable." if faults else "enable first."),
+            )
+
+    def check_link(self) -> None:
+        """See that it can be reached.
+
+        :raises AdapterUnavailable: its bus is down, or it is not heard of.
+        """
+        if not self.bus.up:
+            raise AdapterUnavailable(f"CAN bus '{self.bus.name}' is {self.bus.state}")
+        if not self.online:
+            raise AdapterUnavailable(
+                f"motor '{self.name}' (node {self.drive.node}) is silent",
+                remedy="Check its supply, its cable and its node id.",
+            )
+
+    async def ready(self) -> None:
+        """Wait until the drive is configured.
+
+        :raises AdapterUnavailable: it cannot be reached, or not be configured.
+        """
+        self.check_link()
+        if not self._ready and self._configuring is not None:
+            await asyncio.wait((self._configuring,), timeout=_RETRY)
+        if not self._ready:
+            fault = self._own.get("configuration")
+            raise AdapterUnavailable(
+                f"motor '{self.name}': " + (fault.text if fault else "it is being configured")
+            )
+
+    def command(self, mode: m.Mode, value: float) -> None:
+        """Make a set-point stand, until the next."""
+        self.stopping = False
+        if mode != self.mode:
+            self.ramp.start(self.position or 0.0, self.velocity or 0.0)
+        self.ramp.limit = self.velocity_limit
+        self.mode, self.goal = mode, value
+        if self._step_due:
+            self._step_due = False
+            self.step(1 / self.config.rate)
+        self.show()
+
+    def rest(self) -> None:
+        """Come to rest by the ramp, and stay there."""
+        if self.status.enabled:
+            self.command("velocity" if "velocity" in self.drive.modes else "torque", 0.0)
+        else:
+            self.forget(None)
+
+    def stop(self) -> None:
+        """Quick stop: brake hard, again and again until the drive says that it rests."""
+        self.mode = None
+        self.stopping = True
+        self._after_stop = self.status.moved
+        self._send(self.drive.stop)
+        self.show()
+
+    def forget(self, reason: RcpError | None) -> None:
+        """Drop the set-point that stands; an action that made it is told why."""
+        self.mode = None
+        ended, self.ended = self.ended, None
+        if ended is not None and reason is not None:
+            ended(reason)
+        self.show()
+
+    async def enable(self) -> None:
+        """Switch on, at rest."""
+        self.forget(None)
+        self.stopping = False
+        await self.drive.enable()
+        self._wanted_on = True
+        if self.drive.holds:
+            self.rest()
+        self.show()
+
+    async def disable(self) -> None:
+        """Switch off."""
+        self._wanted_on = False
+        self.forget(ModeForbids(f"motor '{self.name}' was disabled"))
+        self.stopping = False
+        await self.drive.disable()
+
+    # Time
+
+    def tick(self, dt: float) -> None:
+        """Send what is due; called at the motor's rate."""
+        self._tick += 1
+        self._step_due = True
+        if self.online and time.monotonic() - self._heard > self.config.timeout:
+            self._lose()
+        if not self.bus.up:
+            return
+        if self.stopping:
+            if self.resting and self.status.moved > self._after_stop + 2:
+                self.stopping = False
+                if self.drive.holds and self.status.enabled:
+                    self.rest()
+                self.show()
+            else:
+                self._send(self.drive.stop)
+        elif self.mode is not None and self.status.enabled:
+            self._step_due = False
+            self.step(dt)
+        self._send(lambda: self.drive.poll(self._tick))
+
+    def step(self, dt: float) -> None:
+        """Send the next set-point of the ramp."""
+        speed = 0.0
+        match self.mode:
+            case "velocity":
+                goal = self._within(self.goal)
+                value = self.ramp.to_velocity(goal, dt) * self.ratio
+            case "position":
+                goal = clamp(self.goal, self.low, self.high)
+                value = (self.ramp.to_position(goal, dt) - self.config.offset) * self.ratio
+                speed = self.ramp.velocity * self.ratio
+            case "torque":
+                value = clamp(self.goal, -self.torque_limit, self.torque_limit) / self.ratio
+            case _:
+                return
+        mode = self.mode
+        self._send(lambda: self.drive.command(mode, value, speed))
+
+    def _within(self, velocity: float) -> float:
+        """Let no velocity lead out of the positions that are allowed."""
+        position = self.position
+        if self.config.position is None or position is None:
+            return velocity
+        out = (position >= self.high and velocity > 0) or (position <= self.low and velocity < 0)
+        return 0.0 if out else velocity
+
+    def _send(self, function: Callable[[], object]) -> None:
+        try:
+            function()
+        except RcpError as error:  # the bus's own state tells of it; the next tick tries again
+            log.debug("not_sent", motor=self.name, error=error.message)
+
+    def _lose(self) -> None:
+        self.online = False
+        self._wanted_on = False
+        was_on = bool(self.status.enabled) or self.mode is not None
+        self.status.enabled = None
+        text = f"nothing was heard of it for {self.config.timeout:g} s"
+        self.fault("feedback_lost", text)
+        self._health.say(self.name, f"motor '{self.name}': {text}")
+        self.forget(AdapterUnavailable(f"motor '{self.name}': {text}"))
+        if was_on:  # it may still run by its last set-point, and still hear us
+            self.stop()
+
+    # What is shown
+
+    def fault(self, name: str, text: str, *, lasting: bool = True) -> None:
+        """Tell of a fault that the gateway sees; a lasting one stands until it is taken back."""
+        fault = Fault(name, text)
+        if lasting:
+            self._own[name] = fault
+            self.show()
+        else:
+            self._tell(fault, active=True)
+
+    def absolve(self) -> None:
+        """Take back the faults that the gateway itself has seen, but for a link that is lost."""
+        self._own = {k: v for k, v in self._own.items() if k in ("feedback_lost", "configuration")}
+        self.show()
+
+    def _tell(self, fault: Fault, *, active: bool) -> None:
+        value = m.MotorFault(fault=fault.name, text=fault.text, active=active, code=fault.code)
+        self._host.publish(f"event/{self.name}/fault", value)
+
+    def motion(self) -> m.Motion:
+        """Return what the drive measured last."""
+        status = self.status
+        return m.Motion(
+            position=self.position,
+            velocity=self.velocity,
+            torque=None if status.torque is None else status.torque * self.ratio,
+            current=None if status.current is None else status.current * self.config.direction,
+        )
+
+    def health(self) -> m.Health:
+        """Return temperatures and supply."""
+        status = self.status
+        return m.Health(
+            drive_temperature=status.drive_temperature,
+            motor_temperature=status.motor_temperature,
+            voltage=status.voltage,
+        )
+
+    def told(self) -> m.MotorState:
+        """Return how it stands."""
+        return m.MotorState(
+            state=self.state,
+            mode=self.mode,
+            faults=sorted(self._faults),
+            reached=self.status.reached,
+            homed=self.status.homed,
+        )
+
+    def show_health(self) -> None:
+        """Publish temperatures and supply."""
+        if self.online:
+            self._host.publish(f"sensor/{self.name}/health", self.health())
+
+    def show(self) -> None:
+        """Publish the state, and the faults that came or went, if something changed."""
+        faults = {fault.name: fault for fault in self.status.faults} | self._own
+        if faults != self._faults:
+            for name, fault in faults.items():
+                if self._faults.get(name) != fault:
+                    self._tell(fault, active=True)
+            for name in self._faults.keys() - faults.keys():
+                self._tell(self._faults[name], active=False)
+            self._faults = faults
+        value = self.told()
+        if value != self._shown:
+            self._shown = value
+            self._host.publish(f"sensor/{self.name}/state", value)
+
+    async def close(self) -> None:
+        """Let go of what runs in the background."""
+        if self._configuring is not None:
+            self._configuring.cancel()
+            await asyncio.wait((self._configuring,))

@@ -1,0 +1,117 @@
+"""All the motors of a backend: made from the configuration, kept going at their rates."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Generator, Iterable
+from contextlib import ExitStack, contextmanager
+
+import msgspec
+
+from rcp_can.axis import Axis
+from rcp_can.bus import Bus
+from rcp_can.config import CanConfig
+from rcp_can.health import Health
+from rcp_can.profiles import profile
+from rcp_kernel.errors import ConfigError
+from rcp_kernel.spi import Host
+
+__all__ = ["by_rate", "heard", "make_axes", "run_axes", "simulated"]
+
+_LATE = 0.1  # s: a longer gap counts as this, so that no ramp leaps
+_HEALTH = 1.0  # s between two looks at temperatures
+
+
+def make_axes(
+    config: CanConfig, buses: dict[str, Bus], host: Host, health: Health
+) -> dict[str, Axis]:
+    """Make the motors.
+
+    :raises ConfigError: a motor's node or options are not of its profile, or its id is taken.
+    """
+    axes: dict[str, Axis] = {}
+    taken: dict[tuple[str, str, int], str] = {}
+    for name, motor in config.motors.items():
+        kind = profile(motor.profile)
+        if motor.node not in kind.nodes:
+            raise ConfigError(
+                f"motors.{name}.node: {motor.profile} has nodes {kind.nodes.start} to "
+                f"{kind.nodes.stop - 1}, not {motor.node}"
+            )
+        if kind.fd and not buses[motor.bus].config.fd:
+            raise ConfigError(
+                f"motors.{name}: {motor.profile} needs CAN FD; set buses.{motor.bus}.fd = true"
+            )
+        key = motor.bus, motor.profile, motor.node
+        if (other := taken.setdefault(key, name)) != name:
+            raise ConfigError(f"motors.{name}.node: {motor.node} is already that of {other}")
+        try:
+            options = msgspec.convert(motor.options, kind.options)
+            drive = kind.drive(motor.node, options, buses[motor.bus])
+        except (msgspec.ValidationError, ValueError) as error:
+            raise ConfigError(f"motors.{name}.options: {error}") from error
+        axes[name] = Axis(name, motor, drive, buses[motor.bus], host, health)
+    return axes
+
+
+def by_rate(axes: Iterable[Axis]) -> list[list[Axis]]:
+    """Put together what ticks together."""
+    groups: dict[float, list[Axis]] = {}
+    for axis in axes:
+        groups.setdefault(axis.config.rate, []).append(axis)
+    return list(groups.values())
+
+
+async def run_axes(axes: list[Axis]) -> None:
+    """Tick motors at their rate until cancelled."""
+    period = 1 / axes[0].config.rate
+    last = due = time.monotonic()
+    shown = 0.0
+    while True:
+        due += period
+        now = time.monotonic()
+        if due < now - _LATE:
+            due = now
+        await asyncio.sleep(max(0.0, due - now))
+        now = time.monotonic()
+        dt, last = min(now - last, _LATE), now
+        for axis in axes:
+            axis.tick(dt)
+        if now - shown >= _HEALTH:
+            shown = now
+            for axis in axes:
+                axis.show_health()
+
+
+async def heard(axes: Iterable[Axis], grace: float, health: Health) -> None:
+    """Wait until every motor has said something, or for the grace; complain of those that did not."""
+    axes = list(axes)
+    waiting = [asyncio.ensure_future(axis.first.wait()) for axis in axes]
+    if waiting:
+        await asyncio.wait(waiting, timeout=grace)
+    for axis, waiter in zip(axes, waiting, strict=True):
+        waiter.cancel()
+        axis.show()
+        axis.show_health()
+        if not axis.met:
+            health.say(axis.name, f"motor '{axis.name}' (node {axis.drive.node}) is silent")
+
+
+@contextmanager
+def simulated(config: CanConfig) -> Generator[None]:
+    """Run a twin for each motor of the buses that are to be simulated."""
+    import can
+
+    from rcp_can.sim import Bench, make_twin
+
+    with ExitStack() as stack:
+        for name, bus in config.buses.items():
+            motors = [motor for motor in config.motors.values() if motor.bus == name]
+            if not bus.simulate or not motors:
+                continue
+            twins = [make_twin(m.profile, m.node, **m.options) for m in motors]
+            protocol = can.CanProtocol.CAN_FD if bus.fd else can.CanProtocol.CAN_20
+            line = can.Bus(bus.channel, "virtual", ignore_config=True, protocol=protocol)
+            stack.enter_context(Bench(line, twins))
+        yield

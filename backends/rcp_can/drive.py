@@ -1,0 +1,201 @@
+"""What a profile implements: a drive on the bus, in its own units at its own shaft.
+
+A profile translates and nothing else: limits, ramps, dead-man, gear and direction, faults as events,
+time-outs and commands are the business of `Motor`, which is one for all.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from rcp_can.bus import Bus, Route
+from rcp_can.motor_messages import Mode
+from rcp_kernel.errors import DeviceRejected, DeviceTimeout
+
+if TYPE_CHECKING:
+    import can
+
+__all__ = ["Drive", "Fault", "Profile", "Reach", "Status"]
+
+_ANSWER = 1.0  # s in which a drive is in the state that it was asked to take
+_AGAIN = 0.1  # s between two requests
+
+
+class Fault(NamedTuple):
+    """A fault that stands."""
+
+    name: str
+    text: str
+    code: int | None = None
+
+
+class Reach(NamedTuple):
+    """The most that the profile can say, at the drive's shaft."""
+
+    position: float = 1e6
+    velocity: float = 1e5
+    torque: float = 1e5
+
+
+class Status:
+    """What the drive said last; rad, rad/s and N·m at its own shaft, None where it says nothing."""
+
+    def __init__(self) -> None:
+        self.position: float | None = None
+        self.velocity: float | None = None
+        self.torque: float | None = None
+        self.current: float | None = None
+        self.drive_temperature: float | None = None
+        self.motor_temperature: float | None = None
+        self.voltage: float | None = None
+        self.enabled: bool | None = None
+        """By the drive's own word; None before it has said anything."""
+        self.faults: tuple[Fault, ...] = ()
+        self.reached: bool | None = None
+        self.homed: bool | None = None
+        self.moved = 0
+        """Counts news of the motion."""
+        self.told = 0
+        """Counts news of anything else."""
+        self.resets = 0
+        """Counts boots that were seen."""
+        self.twins = 0
+        """Counts signs that two drives answer to one id."""
+
+
+class Drive:
+    """One drive; a subclass per profile."""
+
+    modes: frozenset[Mode] = frozenset(("position", "velocity", "torque"))
+    moves = False
+    """Whether it drives to a position by a profile of its own and reports the target reached."""
+    homes = False
+    zeroes = False
+    """Whether the present position can be made zero."""
+    holds = False
+    """Whether it must be sent a set-point from the moment it is enabled."""
+
+    def __init__(self, node: int, options: Any, bus: Bus) -> None:
+        self.node, self.options, self.bus = node, options, bus
+        self.status = Status()
+        self._waiters: list[tuple[Callable[[], bool], asyncio.Future[None]]] = []
+
+    def routes(self) -> tuple[Route, ...]:
+        """Say which frames are this drive's."""
+        raise NotImplementedError
+
+    def take(self, message: can.Message) -> bool:
+        """Read one of its frames into `status`; tell whether it was this drive's.
+
+        :raises ValueError: it is not what the drive may send.
+        """
+        raise NotImplementedError
+
+    def reach(self) -> Reach:
+        """Say what the profile can express."""
+        return Reach()
+
+    async def configure(self) -> None:
+        """Prepare the drive when it is heard for the first time, and after each of its boots."""
+
+    def poll(self, tick: int) -> None:
+        """Ask for what does not come by itself; called at the motor's rate, never to move it."""
+
+    async def enable(self) -> None:
+        """Switch the power stage on, at rest; return when the drive says so."""
+        raise NotImplementedError
+
+    async def disable(self) -> None:
+        """Switch the power stage off; return when the drive says so."""
+        raise NotImplementedError
+
+    async def clear_faults(self) -> None:
+        """Acknowledge faults; return when the drive has none, still switched off."""
+        raise NotImplementedError
+
+    async def home(self) -> None:
+        """Find the reference; return when the drive says it has it."""
+        raise NotImplementedError
+
+    async def set_zero(self) -> None:
+        """Make the present position zero."""
+        raise NotImplementedError
+
+    def command(self, mode: Mode, value: float, velocity: float) -> None:
+        """Send a set-point; `velocity` is that of the ramp in mode position, for feed-forward."""
+        raise NotImplementedError
+
+    async def move(self, position: float, velocity: float, acceleration: float | None) -> None:
+        """Begin to drive to a position by the drive's own profile, where `moves`."""
+        raise NotImplementedError
+
+    def stop(self) -> None:
+        """Brake as hard as the drive can, ahead of every queue; called again until it rests."""
+        raise NotImplementedError
+
+    def look(self) -> None:
+        """Wake those who wait for the status; called after each batch of frames."""
+        if self._waiters:
+            for holds, future in self._waiters:
+                if not future.done() and holds():
+                    future.set_result(None)
+            self._waiters = [waiter for waiter in self._waiters if not waiter[1].done()]
+
+    async def until(
+        self,
+        holds: Callable[[], bool],
+        what: str,
+        *,
+        seconds: float = _ANSWER,
+        again: Callable[[], object] | None = None,
+        faults: bool = True,
+    ) -> None:
+        """Wait until the status shows something; `again` sends the request, now and then anew.
+
+        :raises DeviceTimeout: it does not come to show it.
+        :raises DeviceRejected: the drive goes into fault instead.
+        """
+        old = self.status.faults if faults else ()
+
+        def done() -> bool:
+            return holds() or (faults and bool(set(self.status.faults) - set(old)))
+
+        loop = asyncio.get_running_loop()
+        end = loop.time() + seconds
+        while True:
+            if again is not None:
+                again()
+            future = loop.create_future()
+            self._waiters.append((done, future))
+            self.look()
+            left = end - loop.time()
+            pause = min(_AGAIN, left) if again is not None else left
+            await asyncio.wait((future,), timeout=max(0.0, pause))
+            future.cancel()
+            if holds():
+                return
+            if faults and (new := set(self.status.faults) - set(old)):
+                raise DeviceRejected("; ".join(fault.text for fault in new))
+            if loop.time() >= end:
+                raise DeviceTimeout(
+                    f"node {self.node} was not {what} within {seconds:g} s",
+                    remedy="See its sensor/…/state and event/…/fault; clear its faults.",
+                )
+
+
+class Profile(NamedTuple):
+    """A make of drives: how it is configured, driven and simulated."""
+
+    name: str
+    description: str
+    options: Any
+    """Struct type of the motor's `options`."""
+    drive: type[Drive]
+    twin: str
+    """Module and class of its twin, imported when it is wanted: `rcp_can.sim.odrive:ODriveTwin`."""
+    nodes: range
+    """The node ids that there are."""
+    fd: bool = False
+    """Whether it needs CAN FD."""

@@ -1,0 +1,265 @@
+"""A motor as resources: what it shows, what can be asked of it, and when that is done."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Coroutine
+from typing import Any
+
+import anyio
+
+from rcp_can import motor_messages as m
+from rcp_can.axis import Axis
+from rcp_can.binding import Part
+from rcp_can.motor_resources import motor_resources
+from rcp_kernel.errors import (
+    DeviceRejected,
+    DeviceTimeout,
+    ModeForbids,
+    OutOfRange,
+    RcpError,
+)
+from rcp_kernel.model import Resource
+from rcp_kernel.spi import Progress
+
+__all__ = ["MotorPart", "drive_to", "rested"]
+
+_FEEDBACK = 0.1  # s between two reports of a move
+_SETTLE = 3.0  # s that the joint may need after its set-point has arrived
+_REST = 4.0  # s that it may need to come to rest
+_LOOK = 0.01  # s
+
+
+class MotorPart(Part):
+    """The resources of one motor."""
+
+    def __init__(self, axis: Axis) -> None:
+        self.axis = axis
+        self._prefix = axis.name
+
+    def resources(self) -> list[Resource]:
+        """List what a motor has, by what its drive can do."""
+        return motor_resources(self.axis)
+
+    async def write(self, name: str, value: float) -> None:
+        """Make a set-point stand; zero is taken by a motor that is switched off, too."""
+        axis = self.axis
+        mode: Any = name.rpartition("/")[2]
+        if axis.owner is not None:
+            if value != 0.0 or mode == "position":
+                raise ModeForbids(
+                    f"motor '{axis.name}' is driven by {axis.owner}", remedy="Cancel that first."
+                )
+            axis.forget(ModeForbids("a zero set-point ended the move"))
+        if value == 0.0 and mode != "position":
+            axis.check_link()
+            if not axis.status.enabled or axis.stopping:
+                return
+        axis.check()
+        axis.command(mode, value)
+
+    async def read(self, name: str) -> Any:
+        """Return what the drive said last, if it still says anything."""
+        axis = self.axis
+        match name:
+            case _ if name.endswith("/state"):
+                return axis.told()
+            case _ if name.endswith("/motion"):
+                axis.check_link()
+                return axis.motion()
+            case _ if name.endswith("/health"):
+                axis.check_link()
+                return axis.health()
+            case _:
+                return await super().read(name)
+
+    async def execute(self, name: str, value: Any, progress: Progress) -> Any:
+        """Run one of the motor's services or actions."""
+        axis = self.axis
+        verb = name.rpartition("/")[2]
+        await axis.ready()
+        await _released(axis)
+        if axis.owner is not None and verb in ("enable", "set_zero", "home", "move_to"):
+            raise ModeForbids(f"motor '{axis.name}' is driven by {axis.owner}")
+        match verb:
+            case "enable":
+                await axis.enable()
+            case "disable":
+                await axis.disable()
+            case "clear_faults":
+                await axis.drive.clear_faults()
+                axis.absolve()
+            case "set_zero":
+                await self._zero()
+            case "home":
+                await self._home()
+            case "move_to":
+                return await self._move(value, name, progress)
+            case _:
+                return await super().execute(name, value, progress)
+        return None
+
+    async def halt(self) -> None:
+        """Quick stop; return when the drive says that it rests.
+
+        :raises DeviceTimeout: it does not say so.
+        """
+        axis = self.axis
+        if not axis.met:
+            return  # never heard of, so never moved
+        if axis.online and axis.status.enabled is False and axis.resting:
+            axis.forget(ModeForbids(f"motor '{axis.name}' was halted"))
+            return
+        axis.stop()
+        axis.forget(ModeForbids(f"motor '{axis.name}' was halted"))
+        axis.check_link()
+        await rested(axis)
+
+    async def _zero(self) -> None:
+        if self.axis.mode is not None and not self.axis.resting:
+            raise ModeForbids(
+                f"motor '{self.axis.name}' is moving", remedy="Bring it to rest first."
+            )
+        self.axis.forget(None)
+        await rested(self.axis)
+        await self.axis.drive.set_zero()
+
+    async def _home(self) -> None:
+        axis = self.axis
+        axis.check()
+        axis.forget(None)
+        axis.owner = f"action/{axis.name}/home"
+        try:
+            await _guarded(axis, axis.drive.home())
+        except (asyncio.CancelledError, RcpError):
+            await _abandon(axis)
+            raise
+        finally:
+            axis.owner = axis.ended = None
+            axis.show()
+
+    async def _move(self, move: m.Move, name: str, progress: Progress) -> m.Moved:
+        axis = self.axis
+        axis.check()
+        if not axis.low <= move.position <= axis.high:
+            raise OutOfRange(
+                f"parameter 'position' exceeds allowed range: {move.position:g} rad is not "
+                f"within {axis.low:g} and {axis.high:g} rad",
+                details={"pointer": "/position"},
+            )
+        started = time.monotonic()
+        axis.owner = name
+        try:
+            await drive_to(axis, move, progress)
+        except (asyncio.CancelledError, RcpError):
+            await _abandon(axis)
+            raise
+        finally:
+            axis.owner = axis.ended = None
+        return m.Moved(position=axis.position or 0.0, duration=time.monotonic() - started)
+
+
+async def _guarded(axis: Axis, work: Coroutine[Any, Any, None]) -> None:
+    """See work of the drive to its end, or to that of the drive's readiness, with the reason."""
+    task = asyncio.ensure_future(work)
+    reasons: list[RcpError] = []
+
+    def end(reason: RcpError) -> None:
+        reasons.append(reason)
+        task.cancel()
+
+    axis.ended = end
+    try:
+        await asyncio.wait((task,))
+    finally:
+        task.cancel()
+        axis.ended = None
+    if reasons:
+        raise reasons[0]
+    task.result()
+
+
+async def drive_to(axis: Axis, move: m.Move, progress: Progress) -> None:
+    """Move a joint and return when its drive says that it is there.
+
+    :raises DeviceRejected: it stays away from its goal.
+    """
+    lost: list[RcpError] = []
+    progress(fraction=0.0)
+    tolerance = move.tolerance or axis.config.tolerance
+    velocity = min(move.velocity or axis.velocity_limit, axis.velocity_limit)
+    start = axis.position or 0.0
+    way = abs(move.position - start)
+    own = axis.drive.moves
+    acceleration = axis.config.acceleration
+    if own:
+        axis.forget(None)
+        goal = (move.position - axis.config.offset) * axis.ratio
+        raw = None if acceleration is None else acceleration * axis.config.gear
+        await _guarded(axis, axis.drive.move(goal, velocity * axis.config.gear, raw))
+        axis.ended = lost.append
+    else:
+        axis.ended = lost.append
+        axis.command("position", move.position)
+        axis.ramp.limit = velocity
+    patience = way / velocity + _SETTLE
+    if acceleration is not None:
+        patience += velocity / acceleration
+    began = told = time.monotonic()
+    news = axis.status.told + axis.status.moved
+    while True:
+        await asyncio.sleep(_LOOK)
+        if lost:
+            raise lost[0]
+        now = time.monotonic()
+        here = axis.position if axis.position is not None else start
+        left = move.position - here
+        if now - told >= _FEEDBACK:
+            told = now
+            part = max(0.0, 1 - abs(left) / way) if way else 1.0
+            progress(m.MoveFeedback(position=here, left=left), fraction=part)
+        fresh = axis.status.told + axis.status.moved > news + 1
+        there = abs(left) <= tolerance and fresh
+        if there and (axis.status.reached if own else axis.resting):
+            return
+        if now - began > 2 * patience:
+            raise DeviceRejected(
+                f"motor '{axis.name}' came no nearer to its goal than {left:g} rad"
+            )
+
+
+async def _abandon(axis: Axis) -> None:
+    """Bring a joint to rest whose move is over, whatever else happens."""
+    axis.ended = None
+    if axis.stopping or not axis.online or not axis.status.enabled:
+        return
+    axis.rest()
+    axis.leaving = True
+    try:
+        with anyio.CancelScope(shield=True):
+            await rested(axis)
+    except RcpError:
+        axis.stop()
+    finally:
+        axis.leaving = False
+
+
+async def _released(axis: Axis) -> None:
+    """Wait for an action that is over to let go of the motor."""
+    while axis.leaving:  # noqa: ASYNC110  # it is let go of by a task that nobody wakes for
+        await asyncio.sleep(_LOOK)
+
+
+async def rested(axis: Axis) -> None:
+    """Wait until the drive says, anew, that it rests.
+
+    :raises DeviceTimeout: it does not.
+    """
+    news = axis.status.moved
+    end = time.monotonic() + _REST
+    while time.monotonic() < end:
+        if axis.resting and axis.status.moved > news + 2:  # those under way are of before
+            return
+        await asyncio.sleep(_LOOK)
+    raise DeviceTimeout(f"motor '{axis.name}' does not say that it rests")

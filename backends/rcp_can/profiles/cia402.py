@@ -1,0 +1,421 @@
+"""CiA 402 drives on CANopen: a state machine of our own that never blocks, PDOs that are mapped here."""
+
+from __future__ import annotations
+
+import math
+import struct
+from typing import TYPE_CHECKING, Annotated, Literal
+
+from msgspec import Meta, Struct
+
+from rcp_can.bus import Bus, Route
+from rcp_can.drive import Drive, Fault, Profile, Reach
+from rcp_can.motor_messages import Mode
+from rcp_can.profiles.cia402_objects import (
+    COMMANDS,
+    MESSAGES,
+    MODES,
+    OBJECTS,
+    PDOS,
+    emergency,
+    state_of,
+)
+from rcp_can.sdo import Sdo, SdoAborted
+from rcp_kernel.errors import DeviceRejected
+
+if TYPE_CHECKING:
+    import can
+
+__all__ = ["PROFILE", "Cia402Drive", "Cia402Options"]
+
+_PRE_OPERATIONAL, _OPERATIONAL, _START, _RESET = 0x7F, 0x05, 0x01, 0x81
+_REACHED, _LIMIT, _ACKNOWLEDGED, _HOMED, _HOMING_ERROR = 1 << 10, 1 << 11, 1 << 12, 1 << 12, 1 << 13
+_NEW_SET_POINT, _AT_ONCE = 1 << 4, 1 << 5
+_FAST = 0.05  # s: a set-point that could not leave within this is not worth sending
+_UNDER_WAY = 1  # PDOs that may have left the drive before it heard us
+_PROBE = 0.3  # s between two looks for a node that says nothing by itself
+_SWITCHING = 2.0  # s for the way through the state machine
+_I32, _I16 = 2**31 - 1, 2**15 - 1
+_FAULTS = frozenset(("fault", "fault_reaction"))
+
+
+class Cia402Options(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """What the drive's own units are, and how it is to be talked to."""
+
+    counts: Annotated[float, Meta(gt=0)] = 4096.0
+    """Position units in one turn of the shaft; velocities are in the same, per second."""
+    velocity_scale: Annotated[float, Meta(gt=0)] = 1.0
+    """Velocity units for one position unit per second."""
+    rated_torque: Annotated[float, Meta(gt=0)] = 1.0
+    """N·m; torques are in thousandths of it."""
+    control: Literal["profile", "cyclic"] = "profile"
+    """Profile position and velocity, or the cyclic synchronous modes."""
+    homing_method: Annotated[int, Meta(ge=-128, le=127)] = 35
+    """As of CiA 402-2; 35 and 37 take the present position."""
+    feedback: Annotated[int, Meta(ge=1, le=10_000)] = 20
+    """Period of the drive's PDOs, ms."""
+    sync: Annotated[int, Meta(ge=0, le=10_000)] = 0
+    """Period of SYNC, ms, with which the drive's PDOs come instead of by their own; 0 sends none."""
+    heartbeat: Annotated[int, Meta(ge=0, le=10_000)] = 100
+    """Period of the drive's heartbeat, ms; 0 leaves it alone."""
+    watchdog: Annotated[int, Meta(ge=0, le=60_000)] = 500
+    """Silence of the gateway after which the drive reacts, ms; 0 leaves it alone."""
+    master: Annotated[int, Meta(ge=1, le=127)] = 126
+    """Node id of the gateway's own heartbeat."""
+    map_pdos: bool = True
+    """Map the PDOs; else they are taken to be mapped like that already."""
+    home_timeout: Annotated[float, Meta(gt=0)] = 60.0
+    """s"""
+
+
+class Cia402Drive(Drive):
+    """One axis of a CiA 402 device."""
+
+    moves = True
+    homes = True
+
+    def __init__(self, node: int, options: Cia402Options, bus: Bus) -> None:
+        super().__init__(node, options, bus)
+        self.moves = options.control == "profile"
+        self.sdo = Sdo(bus, node)
+        self.state = "unknown"
+        self._scale = options.counts / (2 * math.pi)
+        self._statusword = 0
+        self._shown = self._mode = 0
+        self._control = COMMANDS["disable_voltage"]
+        self._goal = self._rate = self._torque = 0
+        self._nmt: int | None = None
+        self._moving = False
+        self._heard = 0
+        self._configured = False
+        self._probes = 0
+        self._emergencies: dict[int, Fault] = {}
+        self._layouts = {MESSAGES[name][0]: (name, MESSAGES[name][1]) for name in MESSAGES}
+
+    def routes(self) -> tuple[Route, ...]:
+        """Take its PDOs, emergencies, heartbeats and SDO answers."""
+        cobs = (0x080, 0x180, 0x280, 0x580, 0x700)
+        return tuple(Route(cob + self.node) for cob in cobs)
+
+    def reach(self) -> Reach:
+        """Tell what the widths of the objects can say."""
+        return Reach(
+            position=_I32 / self._scale,
+            velocity=_I32 / self._scale / self.options.velocity_scale,
+            torque=_I16 / 1000 * self.options.rated_torque,
+        )
+
+    # What it says
+
+    def take(self, message: can.Message) -> bool:
+        """Read one frame."""
+        cob = message.arbitration_id - self.node
+        if cob == 0x580 and self._probes and not self.sdo.busy:
+            self._probes -= 1
+            self.status.told += 1
+            return True
+        if cob == 0x580:
+            unasked = self.sdo.unasked
+            self.sdo.take(message)
+            self.status.twins += self.sdo.unasked - unasked
+            return True
+        name, layout = self._layouts[cob]
+        values = layout.decode(message.data)
+        getattr(self, f"_on_{name}")(**values)
+        return True
+
+    def _on_heartbeat(self, state: int) -> None:
+        status = self.status
+        if state == 0:
+            self._nmt = 0
+            self._configured = False
+            self.state = "unknown"
+            self._emergencies.clear()
+            status.enabled, status.faults = False, ()
+            status.resets += 1
+        elif state != self._nmt:
+            fell = self._nmt == _OPERATIONAL and self._configured
+            self._nmt = state
+            if fell:  # nothing it says by PDO comes any more
+                self._configured = False
+                status.enabled = False
+                status.resets += 1
+        status.told += 1
+
+    def _on_emergency(self, code: int, register: int, vendor: int) -> None:
+        if code == 0:
+            self._emergencies.clear()
+        else:
+            text = f"{emergency(code)} (0x{code:04X})"
+            self._emergencies[code] = Fault(f"emergency_{code:04x}", text, code)
+        self._sum_up()
+
+    def _sum_up(self) -> None:
+        faults = tuple(self._emergencies.values())
+        if not faults and self.state in _FAULTS:
+            faults = (Fault("fault", "the drive is in fault"),)
+        self.status.faults = faults
+        self.status.told += 1
+
+    def _on_state(self, statusword: int, mode_shown: int, position: int) -> None:
+        status = self.status
+        self._statusword, self._shown = statusword, mode_shown
+        self._heard += 1
+        was, self.state = self.state, state_of(statusword)
+        status.enabled = self.state == "enabled"
+        if was in _FAULTS and self.state not in _FAULTS:
+            self._emergencies.clear()
+        status.reached = bool(statusword & _REACHED) if self._moving else None
+        status.position = position / self._scale
+        status.moved += 1
+        self._sum_up()
+
+    def _on_motion(self, velocity: int, torque: int) -> None:
+        self.status.velocity = velocity / self._scale / self.options.velocity_scale
+        self.status.torque = torque / 1000 * self.options.rated_torque
+        self.status.moved += 1
+
+    # Configuration
+
+    async def read(self, name: str) -> int:
+        """Read one of the profile's objects."""
+        index, sub, code = OBJECTS[name]
+        data = await self.sdo.upload(index, sub)
+        return struct.unpack("<" + code, data[: struct.calcsize(code)])[0]
+
+    async def write(self, name: str, value: int) -> None:
+        """Write one of the profile's objects."""
+        index, sub, code = OBJECTS[name]
+        await self.sdo.download(index, sub, struct.pack("<" + code, value))
+
+    async def configure(self) -> None:
+        """Set heartbeats, quick stop and PDOs, and start the node."""
+        options = self.options
+        self._configured = False
+        self._nmt_command(0x80)
+        if options.heartbeat:
+            await self.write("heartbeat_period", options.heartbeat)
+        if options.watchdog:
+            await self._optional("heartbeat_consumer", options.master << 16 | options.watchdog)
+        # 6: slow down on the quick stop ramp and stay in quick stop active.
+        await self._optional("quick_stop_option", 6)
+        if options.map_pdos:
+            for name in PDOS:
+                await self._map(name)
+        self._control = COMMANDS["disable_voltage"]
+        self._nmt_command(_START)
+        status = self.status
+        moved = status.moved
+        self._nmt = None
+        await self.until(lambda: status.moved > moved, "sending PDOs", again=self._start_again)
+        self._configured = True
+
+    def _start_again(self) -> None:
+        self._nmt_command(_START)
+        if self.options.sync:
+            self.bus.send(0x080)
+
+    async def _optional(self, name: str, value: int) -> None:
+        try:
+            await self.write(name, value)
+        except SdoAborted as aborted:
+            if aborted.abort not in (0x06020000, 0x06090011, 0x06010002):
+                raise
+
+    async def _map(self, name: str) -> None:
+        """Map one PDO, switched off meanwhile (CiA 301, 7.5.2.36)."""
+        pdo, sends = PDOS[name], PDOS[name].parameters >= 0x1800
+        cob = pdo.cob + self.node
+        download, mapping = self.sdo.download, pdo.parameters + 0x200
+        await download(pdo.parameters, 1, struct.pack("<I", 0x80000000 | cob))
+        await download(mapping, 0, b"\0")
+        for sub, entry in enumerate(pdo.objects, 1):
+            index, subindex, code = OBJECTS[entry]
+            word = index << 16 | subindex << 8 | struct.calcsize(code) * 8
+            await download(mapping, sub, struct.pack("<I", word))
+        await download(mapping, 0, bytes((len(pdo.objects),)))
+        kind = 1 if self.options.sync and sends else 255
+        await download(pdo.parameters, 2, bytes((kind,)))
+        if sends and kind == 255:
+            await download(pdo.parameters, 5, struct.pack("<H", self.options.feedback))
+        await download(pdo.parameters, 1, struct.pack("<I", cob))
+
+    def _nmt_command(self, command: int) -> None:
+        self.bus.send(0x000, MESSAGES["nmt"][1].encode(command=command, node=self.node))
+
+    # What is asked of it
+
+    def poll(self, tick: int) -> None:
+        """Send SYNC and the gateway's heartbeat, where they are wanted; look for a silent node."""
+        options, bus = self.options, self.bus
+        if not self._configured:
+            if self._nmt is None and not self.sdo.busy and bus.paced(f"probe {self.node}", _PROBE):
+                self._probes = 1
+                device_type = struct.pack("<BHBxxxx", 0x40, 0x1000, 0)
+                bus.send(0x600 + self.node, device_type, lifetime=_FAST)
+            return
+        if options.sync and bus.paced("sync", 0.9 * options.sync / 1000):
+            bus.send(0x080, lifetime=_FAST)
+        if options.watchdog and bus.paced("heartbeat", options.watchdog / 5000):
+            bus.send(0x700 + options.master, bytes((_OPERATIONAL,)), lifetime=_FAST)
+
+    def _say(self, name: str, *, urgent: bool = False, **values: int) -> None:
+        cob, layout = MESSAGES[name]
+        lifetime = None if urgent else _FAST
+        self.bus.send(cob + self.node, layout.encode(**values), urgent=urgent, lifetime=lifetime)
+
+    def _push(self, control: int, *, urgent: bool = False) -> None:
+        self._control = control
+        self._say(
+            "command_position",
+            urgent=urgent,
+            controlword=control,
+            mode=self._mode,
+            target_position=self._goal,
+        )
+
+    def _step(self) -> None:
+        """Take the next step of the way to operation enabled (CiA 402-2, figure 5)."""
+        word = {
+            "switch_on_disabled": "shutdown",
+            "ready": "switch_on",
+            "switched_on": "enable",
+            "quick_stop": "disable_voltage",  # anew from the start, so that nothing old goes on
+        }.get(self.state)
+        if word is not None:
+            self._push(COMMANDS[word])
+
+    async def enable(self) -> None:
+        """Go through the states to operation enabled, at velocity zero."""
+        self._rate = self._torque = 0
+        self._goal = round((self.status.position or 0.0) * self._scale)
+        self._mode = self._modes("velocity")
+        self._say("command_rate")
+        if self.state == "quick_stop":
+            await self.until(
+                lambda: self.state == "switch_on_disabled", "switched off", again=self._step
+            )
+        await self.until(
+            lambda: self.state == "enabled", "enabled", again=self._step, seconds=_SWITCHING
+        )
+
+    async def disable(self) -> None:
+        """Switch the voltage off."""
+        self._rate = self._torque = 0
+        await self.until(
+            lambda: self.state in ("switch_on_disabled", "ready", "fault", "not_ready"),
+            "disabled",
+            again=lambda: self._push(COMMANDS["disable_voltage"]),
+            faults=False,
+        )
+
+    async def clear_faults(self) -> None:
+        """Reset the fault: the rising edge of bit 7, with the voltage off."""
+
+        def edge() -> None:
+            self._push(COMMANDS["disable_voltage"])
+            self._push(COMMANDS["fault_reset"])
+
+        self._rate = self._torque = 0
+        if self.state == "fault":
+            await self.until(
+                lambda: self.state == "switch_on_disabled",
+                "free of faults",
+                again=edge,
+                seconds=_SWITCHING,
+                faults=False,
+            )
+        self._emergencies.clear()
+        self._sum_up()
+        self._push(COMMANDS["disable_voltage"])
+
+    def _modes(self, mode: Mode) -> int:
+        kind = "cyclic" if self.options.control == "cyclic" else "profile"
+        if mode == "position":
+            kind = "cyclic"  # a stream of set-points; moves are `move`'s
+        return MODES[f"{kind}_{mode}"]
+
+    async def home(self) -> None:
+        """Home by the drive's method."""
+        await self.write("homing_method", self.options.homing_method)
+        self._mode = MODES["homing"]
+        self._push(COMMANDS["enable"])
+        await self.until(lambda: self._shown == MODES["homing"], "in homing mode")
+        self._push(COMMANDS["enable"] | _NEW_SET_POINT)
+        done = _HOMED | _REACHED
+        await self.until(
+            lambda: self._statusword & done == done or bool(self._statusword & _HOMING_ERROR),
+            "homed",
+            seconds=self.options.home_timeout,
+        )
+        error = self._statusword & _HOMING_ERROR
+        self._goal = round((self.status.position or 0.0) * self._scale)
+        self._mode, self._rate = self._modes("velocity"), 0
+        self._say("command_rate")
+        self._push(COMMANDS["enable"])
+        if error:
+            raise DeviceRejected("homing failed: the drive reports a homing error")
+        self.status.homed = True
+
+    def command(self, mode: Mode, value: float, velocity: float) -> None:
+        """Send a set-point, and the mode with it."""
+        self._moving = False
+        if mode == "position":
+            self._goal = round(max(-_I32, min(_I32, value * self._scale)))
+        else:
+            self._rate = self._torque = 0
+            if mode == "velocity":
+                self._rate = round(value * self._scale * self.options.velocity_scale)
+            else:
+                self._torque = round(value / self.options.rated_torque * 1000)
+            self._say("command_rate", target_velocity=self._rate, target_torque=self._torque)
+        wanted = self._modes(mode)
+        if mode == "position" or wanted != self._mode or wanted != self._shown:
+            self._mode = wanted
+            self._push(COMMANDS["enable"])
+
+    async def move(self, position: float, velocity: float, acceleration: float | None) -> None:
+        """Drive to a position by the drive's profile generator (CiA 402-2, 10.3)."""
+        await self.write("profile_velocity", round(velocity * self._scale))
+        if acceleration is not None:
+            for name in ("profile_acceleration", "profile_deceleration"):
+                await self.write(name, round(acceleration * self._scale))
+        self._mode = MODES["profile_position"]
+        self._goal = round((self.status.position or 0.0) * self._scale)
+        shown, enable = MODES["profile_position"], COMMANDS["enable"]
+        # A statusword under way is of before: an acknowledgement in it is of an older set-point.
+        heard = self._heard + _UNDER_WAY
+        await self.until(
+            lambda: (
+                self._heard > heard
+                and self._shown == shown
+                and not self._statusword & _ACKNOWLEDGED
+            ),
+            "in profile position mode",
+            again=lambda: self._push(enable),
+        )
+        self._goal = round(max(-_I32, min(_I32, position * self._scale)))
+        await self.until(
+            lambda: bool(self._statusword & _ACKNOWLEDGED),
+            "taking its new target",
+            again=lambda: self._push(enable | _NEW_SET_POINT | _AT_ONCE),
+        )
+        self._push(enable)
+        self.status.reached = None
+        self._moving = True
+
+    def stop(self) -> None:
+        """Quick stop."""
+        self._rate = self._torque = 0
+        self._moving = False
+        self._push(COMMANDS["quick_stop"], urgent=True)
+
+
+PROFILE = Profile(
+    "cia402",
+    "Drives of CiA 402 on CANopen.",
+    Cia402Options,
+    Cia402Drive,
+    "rcp_can.sim.cia402:Cia402Twin",
+    range(1, 128),
+)

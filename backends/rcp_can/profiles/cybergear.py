@@ -1,0 +1,170 @@
+"""Xiaomi CyberGear: the MIT way in 29-bit identifiers, type << 24 | data << 8 | id."""
+
+from __future__ import annotations
+
+import math
+import struct
+from typing import TYPE_CHECKING, Annotated
+
+from msgspec import Meta
+
+from rcp_can.bus import Bus, Route
+from rcp_can.codec import Packed, Span
+from rcp_can.drive import Fault, Profile, Reach
+from rcp_can.profiles.impedance import FAST, Gains, ImpedanceDrive
+
+if TYPE_CHECKING:
+    import can
+
+__all__ = ["COMMAND", "FEEDBACK", "PROFILE", "TORQUE", "CyberGearDrive", "CyberGearOptions"]
+
+_CONTROL, _FEEDBACK, _ENABLE, _STOP, _ZERO, _WRITE = 1, 2, 3, 4, 6, 18
+_P, _V, _T = 4 * math.pi, 30.0, 12.0
+_RUN_MODE, _CAN_TIMEOUT = 0x7005, 0x7028
+_RUNNING = 2
+
+COMMAND = Packed(
+    Span("position", 16, -_P, _P),
+    Span("velocity", 16, -_V, _V),
+    Span("kp", 16, 0.0, 500.0),
+    Span("kd", 16, 0.0, 5.0),
+)
+TORQUE = Packed(Span("torque", 16, -_T, _T))
+"""The torque of a set-point, in the middle of its identifier."""
+FEEDBACK = Packed(
+    Span("position", 16, -_P, _P),
+    Span("velocity", 16, -_V, _V),
+    Span("torque", 16, -_T, _T),
+    Span("temperature", 16),
+)
+_FAULTS = (
+    "under-voltage",
+    "over-current",
+    "over-temperature",
+    "magnetic encoder",
+    "hall encoder",
+    "not calibrated",
+)
+
+
+class CyberGearOptions(Gains, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Beside the gains: who we are, and the watchdog."""
+
+    host: Annotated[int, Meta(ge=0, le=0xFF)] = 0xFD
+    """Id that the drive answers to."""
+    watchdog: Annotated[int, Meta(ge=0, le=60_000)] = 500
+    """Silence after which the drive stops, ms; firmware that has none takes no notice."""
+
+
+class CyberGearDrive(ImpedanceDrive):
+    """A CyberGear in its operation control mode."""
+
+    def __init__(self, node: int, options: CyberGearOptions, bus: Bus) -> None:
+        super().__init__(node, options, bus)
+
+    def routes(self) -> tuple[Route, ...]:
+        """Take its feedback, whatever state and faults stand in the identifier."""
+        value = _FEEDBACK << 24 | self.node << 8 | self.options.host
+        return (Route(value, 0x1F00FFFF, extended=True),)
+
+    def reach(self) -> Reach:
+        """Say the ranges of the payload."""
+        return Reach(_P, _V, _T)
+
+    def take(self, message: can.Message) -> bool:
+        """Read feedback."""
+        values = FEEDBACK.decode(message.data)
+        word, status = message.arbitration_id >> 16, self.status
+        status.position, status.velocity = values["position"], values["velocity"]
+        status.torque = values["torque"]
+        status.motor_temperature = values["temperature"] / 10
+        status.enabled = word >> 6 & 3 == _RUNNING
+        status.faults = tuple(
+            Fault(text.replace(" ", "_"), text, bit)
+            for bit, text in enumerate(_FAULTS)
+            if word >> bit & 1
+        )
+        self.answered()
+        status.moved += 1
+        status.told += 1
+        return True
+
+    def _say(
+        self, kind: int, data: bytes = bytes(8), *, word: int | None = None, **more: bool
+    ) -> None:
+        middle = self.options.host if word is None else word
+        self.asked()
+        urgent = more.get("urgent", False)
+        self.bus.send(
+            kind << 24 | middle << 8 | self.node,
+            data,
+            extended=True,
+            urgent=urgent,
+            lifetime=None if urgent else FAST,
+        )
+
+    def impede(
+        self,
+        position: float = 0.0,
+        velocity: float = 0.0,
+        kp: float = 0.0,
+        kd: float = 0.0,
+        torque: float = 0.0,
+        *,
+        urgent: bool = False,
+    ) -> None:
+        """Send one set-point."""
+        word = int.from_bytes(TORQUE.encode(torque=torque), "big")
+        data = COMMAND.encode(position=position, velocity=velocity, kp=kp, kd=kd)
+        self._say(_CONTROL, data, word=word, urgent=urgent)
+
+    def ask(self) -> None:
+        """Tell what is stopped to stop: it answers."""
+        self._say(_STOP)
+
+    def _parameter(self, index: int, value: bytes) -> None:
+        self._say(_WRITE, struct.pack("<Hxx", index) + value.ljust(4, b"\0"))
+
+    async def configure(self) -> None:
+        """Arm the watchdog, in 50 µs."""
+        if self.options.watchdog:
+            self._parameter(_CAN_TIMEOUT, struct.pack("<I", self.options.watchdog * 20))
+
+    async def enable(self) -> None:
+        """Choose operation control, and run, limp."""
+
+        def ask() -> None:
+            self._parameter(_RUN_MODE, b"\0")
+            self._say(_ENABLE)
+
+        await self.until(lambda: bool(self.status.enabled), "enabled", again=ask)
+
+    async def disable(self) -> None:
+        """Stop."""
+        await self.until(
+            lambda: self.status.enabled is False, "disabled", again=self.ask, faults=False
+        )
+
+    async def clear_faults(self) -> None:
+        """Stop, with the bit that clears faults."""
+        await self.until(
+            lambda: not self.status.faults and not self.status.enabled,
+            "free of faults",
+            again=lambda: self._say(_STOP, b"\1" + bytes(7)),
+            faults=False,
+        )
+
+    async def set_zero(self) -> None:
+        """Make the present position zero."""
+        self._say(_ZERO, b"\1" + bytes(7))
+        await self.until(lambda: abs(self.status.position or 0.0) < 0.05, "at zero")
+
+
+PROFILE = Profile(
+    "cybergear",
+    "Xiaomi CyberGear.",
+    CyberGearOptions,
+    CyberGearDrive,
+    "rcp_can.sim.cybergear:CyberGearTwin",
+    range(1, 128),
+)

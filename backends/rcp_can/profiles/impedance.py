@@ -1,0 +1,103 @@
+"""Drives that are a spring and a damper: one frame has position, velocity, both gains and a torque.
+
+They answer each frame with one of their own. That makes them easy to watch, and tells when two of them
+have the same id: then there are more answers than questions.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from msgspec import Meta, Struct
+
+from rcp_can.bus import Bus
+from rcp_can.drive import Drive
+from rcp_can.motor_messages import Mode
+
+__all__ = ["FAST", "Gains", "ImpedanceDrive"]
+
+FAST = 0.05  # s: a set-point that could not leave within this is not worth sending
+_TOO_MANY = 4  # answers that nobody asked for
+
+
+class Gains(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """The gains of the drive's loops."""
+
+    kp: Annotated[float, Meta(ge=0, le=500)] = 50.0
+    """Stiffness of a position, N·m/rad."""
+    kd: Annotated[float, Meta(ge=0, le=5)] = 1.0
+    """Damping of a position, N·m·s/rad."""
+    velocity_gain: Annotated[float, Meta(gt=0, le=5)] = 2.0
+    """Damping about a velocity, N·m·s/rad."""
+    brake: Annotated[float, Meta(gt=0, le=5)] = 5.0
+    """Damping of a quick stop, N·m·s/rad."""
+
+
+class ImpedanceDrive(Drive):
+    """What such drives have in common."""
+
+    zeroes = True
+
+    def __init__(self, node: int, options: Gains, bus: Bus) -> None:
+        super().__init__(node, options, bus)
+        self._gains = options
+        self._spoken = False
+        self._owed = 0
+
+    def impede(
+        self,
+        position: float = 0.0,
+        velocity: float = 0.0,
+        kp: float = 0.0,
+        kd: float = 0.0,
+        torque: float = 0.0,
+        *,
+        urgent: bool = False,
+    ) -> None:
+        """Send one set-point."""
+        raise NotImplementedError
+
+    def ask(self) -> None:
+        """Have a drive that is switched off say how it stands, without moving it."""
+        raise NotImplementedError
+
+    def asked(self) -> None:
+        """Count a frame that will be answered."""
+        self._spoken = True
+        self._owed = min(self._owed + 1, 2)
+
+    def answered(self) -> None:
+        """Count an answer."""
+        self._owed -= 1
+        if self._owed <= -_TOO_MANY:
+            self._owed = 0
+            self.status.twins += 1
+
+    def poll(self, tick: int) -> None:
+        """Keep it answering: a damped set-point if it is on, a question if not.
+
+        Zero lies between two steps of the payload: without damping, half a step of torque turns it.
+        """
+        spoken, self._spoken = self._spoken, False
+        if spoken:
+            return
+        if self.status.enabled:
+            self.impede(kd=self._gains.kd)
+        else:
+            self.ask()
+        self._spoken = False
+
+    def command(self, mode: Mode, value: float, velocity: float) -> None:
+        """Send a set-point, with the gains of its mode."""
+        gains = self._gains
+        match mode:
+            case "position":
+                self.impede(value, velocity, gains.kp, gains.kd)
+            case "velocity":
+                self.impede(0.0, value, 0.0, gains.velocity_gain)
+            case "torque":
+                self.impede(torque=value)
+
+    def stop(self) -> None:
+        """Damp as hard as the gain allows."""
+        self.impede(kd=self._gains.brake, urgent=True)

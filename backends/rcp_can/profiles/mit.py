@@ -1,0 +1,335 @@
+"""The MIT way: mini-cheetah, T-Motor AK, Damiao. Eight bytes, bit by bit, ranges by model."""
+
+from __future__ import annotations
+
+import struct
+from typing import TYPE_CHECKING, Annotated, NamedTuple
+
+from msgspec import Meta
+
+from rcp_can.bus import Bus, Route
+from rcp_can.codec import Packed, Span
+from rcp_can.drive import Fault, Profile, Reach
+from rcp_can.profiles.impedance import FAST, Gains, ImpedanceDrive
+
+if TYPE_CHECKING:
+    import can
+
+__all__ = ["DAMIAO", "MIT", "MODELS", "TMOTOR", "Ranges", "command_codec", "reply_codec"]
+
+_ENABLE, _DISABLE, _ZERO, _CLEAR = 0xFC, 0xFD, 0xFE, 0xFB
+_REGISTERS, _READ, _WRITE, _REFRESH = 0x7FF, 0x33, 0x55, 0xCC
+_TIMEOUT_REGISTER, _MODE_REGISTER, _MIT_MODE = 9, 10, 1
+
+
+class Ranges(NamedTuple):
+    """What the ends of a model's numbers stand for: ± rad, ± rad/s, ± N·m."""
+
+    position: float
+    velocity: float
+    torque: float
+
+
+MODELS = {
+    "mini-cheetah": Ranges(12.5, 65, 18),
+    "AK10-9": Ranges(12.5, 50, 65),
+    "AK60-6": Ranges(12.5, 45, 15),
+    "AK70-10": Ranges(12.5, 50, 25),
+    "AK80-6": Ranges(12.5, 76, 12),
+    "AK80-8": Ranges(12.5, 37.5, 32),
+    "AK80-9": Ranges(12.5, 50, 18),
+    "AK80-64": Ranges(12.5, 8, 144),
+    "3507": Ranges(12.566, 50, 5),
+    "4310": Ranges(12.5, 30, 10),
+    "4310P": Ranges(12.5, 50, 10),
+    "4340": Ranges(12.5, 10, 28),
+    "6006": Ranges(12.5, 45, 20),
+    "8006": Ranges(12.5, 45, 40),
+    "8009": Ranges(12.5, 45, 54),
+    "10010": Ranges(12.5, 20, 200),
+    "10010L": Ranges(12.5, 25, 200),
+    "H3510": Ranges(12.5, 280, 1),
+    "G6215": Ranges(12.5, 45, 10),
+}
+KP, KD = 500.0, 5.0
+
+
+def command_codec(ranges: Ranges) -> Packed:
+    """Return the payload of a set-point."""
+    p, v, t = ranges
+    return Packed(
+        Span("position", 16, -p, p),
+        Span("velocity", 12, -v, v),
+        Span("kp", 12, 0.0, KP),
+        Span("kd", 12, 0.0, KD),
+        Span("torque", 12, -t, t),
+    )
+
+
+def reply_codec(ranges: Ranges, *more: Span) -> Packed:
+    """Return the payload of an answer, with what some makes add."""
+    p, v, t = ranges
+    return Packed(
+        Span("id", 8),
+        Span("position", 16, -p, p),
+        Span("velocity", 12, -v, v),
+        Span("torque", 12, -t, t),
+        *more,
+    )
+
+
+class MitOptions(Gains, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Beside the gains: which model it is, or its ranges, and where its answers come."""
+
+    model: str = "mini-cheetah"
+    ranges: tuple[float, float, float] | None = None
+    """± rad, ± rad/s, ± N·m, for a model that is not known here."""
+    reply_id: Annotated[int, Meta(ge=0, le=0x7FF)] = 0
+    """Identifier of its answers."""
+
+    def __post_init__(self) -> None:
+        if self.ranges is None and self.model not in MODELS:
+            raise ValueError(
+                f"no model {self.model!r}; give its ranges, or one of {', '.join(MODELS)}"
+            )
+
+    @property
+    def span(self) -> Ranges:
+        """The ranges in force."""
+        return Ranges(*self.ranges) if self.ranges else MODELS[self.model]
+
+
+class MitDrive(ImpedanceDrive):
+    """A mini-cheetah: it tells position, velocity and torque, and nothing about itself.
+
+    Whether it is switched on is therefore what it was told last, and it answers.
+    """
+
+    extra: tuple[Span, ...] = ()
+
+    def __init__(self, node: int, options: MitOptions, bus: Bus) -> None:
+        super().__init__(node, options, bus)
+        self.span = options.span
+        self._command, self._reply = command_codec(self.span), reply_codec(self.span, *self.extra)
+        self._on = False
+        self._answers = 0
+
+    def routes(self) -> tuple[Route, ...]:
+        """Take the answers of all drives that answer to one id; the first byte says whose it is."""
+        return (Route(self.options.reply_id),)
+
+    def reach(self) -> Reach:
+        """Say the model's ranges."""
+        return Reach(*self.span)
+
+    def take(self, message: can.Message) -> bool:
+        """Read an answer."""
+        values = self._reply.decode(message.data)
+        identifier = int(values.pop("id"))
+        if not self._mine(identifier):
+            return False
+        status = self.status
+        status.position, status.velocity = values.pop("position"), values.pop("velocity")
+        status.torque = values.pop("torque")
+        status.enabled = self._on
+        self._more(identifier, **values)
+        self.answered()
+        self._answers += 1
+        status.moved += 1
+        status.told += 1
+        return True
+
+    def _mine(self, identifier: int) -> bool:
+        return identifier == self.node
+
+    def _more(self, identifier: int, **values: float) -> None:
+        """Read what a make adds."""
+
+    def _special(self, code: int, *, urgent: bool = False) -> None:
+        self.asked()
+        self.bus.send(self.node, b"\xff" * 7 + bytes((code,)), urgent=urgent)
+
+    def impede(
+        self,
+        position: float = 0.0,
+        velocity: float = 0.0,
+        kp: float = 0.0,
+        kd: float = 0.0,
+        torque: float = 0.0,
+        *,
+        urgent: bool = False,
+    ) -> None:
+        """Send one set-point."""
+        data = self._command.encode(
+            position=position, velocity=velocity, kp=kp, kd=kd, torque=torque
+        )
+        self.asked()
+        self.bus.send(self.node, data, urgent=urgent, lifetime=None if urgent else FAST)
+
+    def ask(self) -> None:
+        """Send a set-point without gains or torque: it answers, on or off."""
+        self.impede()
+
+    async def _told(self, code: int, what: str, *, on: bool) -> None:
+        answers = self._answers
+        self._on = on
+        await self.until(
+            lambda: self._answers > answers and self.status.enabled is on,
+            what,
+            again=lambda: self._special(code),
+            faults=on,
+        )
+
+    async def enable(self) -> None:
+        """Enter motor mode, limp."""
+        try:
+            await self._told(_ENABLE, "enabled", on=True)
+        except BaseException:
+            self._on = False
+            raise
+
+    async def disable(self) -> None:
+        """Leave motor mode."""
+        await self._told(_DISABLE, "disabled", on=False)
+
+    async def clear_faults(self) -> None:
+        """Leave motor mode: there is nothing else to clear faults by."""
+        self._on = False
+        await self.until(
+            lambda: not self.status.faults and not self.status.enabled,
+            "free of faults",
+            again=lambda: self._special(self.clearing),
+            faults=False,
+        )
+
+    clearing = _DISABLE
+
+    async def set_zero(self) -> None:
+        """Make the present position zero."""
+        self._special(_ZERO)
+        await self.until(lambda: abs(self.status.position or 0.0) < 0.05, "at zero")
+
+
+_AK_FAULTS = {
+    1: "over-temperature of the motor",
+    2: "over-current",
+    3: "over-voltage",
+    4: "under-voltage",
+    5: "encoder",
+    6: "over-temperature of the drive",
+    7: "locked rotor",
+}
+_DAMIAO_FAULTS = {
+    0x8: "over-voltage",
+    0x9: "under-voltage",
+    0xA: "over-current",
+    0xB: "over-temperature of the drive",
+    0xC: "over-temperature of the motor",
+    0xD: "communication lost",
+    0xE: "overload",
+}
+
+
+def _fault(code: int, names: dict[int, str]) -> tuple[Fault, ...]:
+    text = names.get(code, f"fault {code}")
+    return (Fault(text.replace(" ", "_"), text, code),)
+
+
+class TMotorDrive(MitDrive):
+    """A T-Motor AK in MIT mode: temperature and a fault beside."""
+
+    extra = (Span("temperature", 8), Span("fault", 8))
+
+    def _more(self, identifier: int, **values: float) -> None:
+        self.status.motor_temperature = values["temperature"] - 40.0
+        code = int(values["fault"])
+        self.status.faults = _fault(code, _AK_FAULTS) if code else ()
+        if code:
+            self._on = self.status.enabled = False
+
+
+class DamiaoOptions(MitOptions, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Beside the gains and the model: the watchdog."""
+
+    model: str = "4310"
+    watchdog: Annotated[int, Meta(ge=0, le=60_000)] = 500
+    """Silence after which the drive goes into fault, ms; 0 leaves it alone."""
+
+
+class DamiaoDrive(MitDrive):
+    """A Damiao: it says whether it is on, its fault and two temperatures; registers configure it."""
+
+    extra = (Span("drive", 8), Span("motor", 8))
+    clearing = _CLEAR
+
+    def __init__(self, node: int, options: DamiaoOptions, bus: Bus) -> None:
+        super().__init__(node, options, bus)
+        self._register: tuple[int, int] | None = None
+
+    def take(self, message: can.Message) -> bool:
+        """Read an answer, to a set-point or to a register's access."""
+        data = message.data
+        wanted = self._register
+        if len(data) == 8 and data[0] == self.node & 0xFF and (data[2], data[3]) == wanted:
+            self._register = None
+            self.status.told += 1
+            return True
+        return super().take(message)
+
+    def _mine(self, identifier: int) -> bool:
+        return identifier & 0xF == self.node & 0xF
+
+    def _more(self, identifier: int, **values: float) -> None:
+        status, state = self.status, identifier >> 4
+        status.enabled = state == 1
+        status.faults = _fault(state, _DAMIAO_FAULTS) if state > 1 else ()
+        status.drive_temperature, status.motor_temperature = values["drive"], values["motor"]
+
+    def _access(self, command: int, register: int = 0, value: int = 0) -> None:
+        data = struct.pack("<HBBI", self.node, command, register, value)
+        self.bus.send(_REGISTERS, data, lifetime=FAST)
+
+    async def configure(self) -> None:
+        """Choose MIT mode, and arm the drive's own watchdog (register 9, in 50 µs)."""
+        wanted = [(_MODE_REGISTER, _MIT_MODE)]
+        if self.options.watchdog:
+            wanted.append((_TIMEOUT_REGISTER, self.options.watchdog * 20))
+        for register, value in wanted:
+            self._register = _WRITE, register
+            await self.until(
+                lambda: self._register is None,
+                "answering for its registers",
+                again=lambda r=register, v=value: self._access(_WRITE, r, v),
+                faults=False,
+            )
+
+    def ask(self) -> None:
+        """Ask for its state."""
+        self.asked()
+        self._access(_REFRESH)
+
+
+MIT = Profile(
+    "mit",
+    "MIT mini-cheetah actuators.",
+    MitOptions,
+    MitDrive,
+    "rcp_can.sim.mit:MitTwin",
+    range(1, 128),
+)
+TMOTOR = Profile(
+    "tmotor",
+    "T-Motor AK actuators in MIT mode.",
+    MitOptions,
+    TMotorDrive,
+    "rcp_can.sim.mit:TMotorTwin",
+    range(1, 128),
+)
+DAMIAO = Profile(
+    "damiao",
+    "Damiao actuators in MIT mode.",
+    DamiaoOptions,
+    DamiaoDrive,
+    "rcp_can.sim.mit:DamiaoTwin",
+    range(1, 16),
+)

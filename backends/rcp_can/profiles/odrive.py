@@ -1,0 +1,302 @@
+"""ODrive's CANSimple protocol, firmware 0.5.6 to 0.6: id = node << 5 | command, little-endian."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+from msgspec import Struct
+
+from rcp_can.bus import Route
+from rcp_can.codec import Field, Layout
+from rcp_can.drive import Drive, Fault, Profile, Reach
+from rcp_can.motor_messages import Mode
+from rcp_kernel.errors import DeviceRejected
+
+if TYPE_CHECKING:
+    import can
+
+__all__ = ["MESSAGES", "PROFILE", "OdriveDrive", "OdriveOptions"]
+
+TURN = 2 * math.pi  # rad: ODrive counts turns
+_IDLE, _HOMING, _CLOSED_LOOP = 1, 11, 8
+_CONTROL: dict[Mode, int] = {"torque": 1, "velocity": 2, "position": 3}
+_PASSTHROUGH, _TRAPEZOID = 1, 5
+_FAST = 0.05  # s: a set-point that could not leave within this is not worth sending
+
+
+def _f(name: str, scale: float = 1.0) -> Field:
+    return Field(name, "f", scale)
+
+
+MESSAGES: dict[str, tuple[int, Layout]] = {
+    "heartbeat": (
+        0x01,
+        Layout(
+            "<", Field("error", "I"), Field("state", "B"), Field("result", "B"), Field("done", "B")
+        ),
+    ),
+    "error": (0x03, Layout("<", Field("active", "I"), Field("disarm_reason", "I"))),
+    "address": (
+        0x06,
+        Layout("<", Field("node", "B"), Field("serial_low", "I"), Field("serial_high", "H")),
+    ),
+    "state": (0x07, Layout("<", Field("state", "I"))),
+    "encoder": (0x09, Layout("<", _f("position", TURN), _f("velocity", TURN))),
+    "mode": (0x0B, Layout("<", Field("control", "I"), Field("input", "I"))),
+    "position": (
+        0x0C,
+        Layout(
+            "<",
+            _f("position", TURN),
+            Field("velocity", "h", 0.001 * TURN),
+            Field("torque", "h", 0.001),
+        ),
+    ),
+    "velocity": (0x0D, Layout("<", _f("velocity", TURN), _f("torque"))),
+    "torque": (0x0E, Layout("<", _f("torque"))),
+    "limits": (0x0F, Layout("<", _f("velocity", TURN), _f("current"))),
+    "trap_velocity": (0x11, Layout("<", _f("velocity", TURN))),
+    "trap_acceleration": (0x12, Layout("<", _f("acceleration", TURN), _f("deceleration", TURN))),
+    "current": (0x14, Layout("<", _f("set_point"), _f("measured"))),
+    "temperature": (0x15, Layout("<", _f("drive"), _f("motor"))),
+    "supply": (0x17, Layout("<", _f("voltage"), _f("current"))),
+    "clear": (0x18, Layout("<", Field("identify", "B"))),
+    "absolute": (0x19, Layout("<", _f("position", TURN))),
+    "torques": (0x1C, Layout("<", _f("target"), _f("estimate"))),
+}
+"""Command and payload of each message; radians, where ODrive's own are turns."""
+
+_ERRORS = {
+    0: "initializing",
+    1: "system level",
+    2: "timing",
+    3: "missing estimate",
+    4: "bad configuration",
+    5: "driver fault",
+    6: "missing input",
+    8: "supply over-voltage",
+    9: "supply under-voltage",
+    10: "supply over-current",
+    11: "supply over-regeneration",
+    12: "over-current",
+    13: "over-temperature of the motor",
+    14: "over-temperature of the drive",
+    15: "velocity limit",
+    16: "position limit",
+    24: "watchdog expired",
+    25: "emergency stop",
+    26: "spin-out",
+    27: "brake resistor off",
+    28: "thermistor disconnected",
+    30: "calibration",
+}
+
+
+class OdriveOptions(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Beside node, gear and limits."""
+
+    torque_constant: float | None = None
+    """N·m/A; torque is told from the current with it, where the drive sends no torques."""
+    trapezoid: bool = True
+    """Moves by the drive's own trapezoidal trajectories, which report their end."""
+    home_timeout: float = 60.0
+
+
+class OdriveDrive(Drive):
+    """An axis of an ODrive."""
+
+    homes = True
+    zeroes = True
+
+    def __init__(self, node: int, options: OdriveOptions, bus: object) -> None:
+        super().__init__(node, options, bus)  # type: ignore[arg-type]
+        self.moves = options.trapezoid
+        self._base = node << 5
+        self._mode: tuple[int, int] | None = None
+        self._state = 0
+        self._serial: tuple[float, float] | None = None
+        self._moving = False
+        self._read = {
+            MESSAGES[name][0]: (MESSAGES[name][1], getattr(self, f"_on_{name}"))
+            for name in (
+                *("heartbeat", "error", "address", "encoder"),
+                *("current", "temperature", "supply", "torques"),
+            )
+        }
+
+    def routes(self) -> tuple[Route, ...]:
+        """Take all of the node's frames."""
+        return (Route(self._base, 0x7E0),)
+
+    def take(self, message: can.Message) -> bool:
+        """Read one frame."""
+        if message.is_remote_frame:
+            return False
+        known = self._read.get(message.arbitration_id & 0x1F)
+        if known is not None:
+            layout, told = known
+            told(**layout.decode(message.data))
+        return known is not None
+
+    def _on_heartbeat(self, error: int, state: int, result: int, done: int) -> None:
+        status = self.status
+        if state == 0 or (self._state not in (0, 1) and state == _IDLE and error & 1):
+            status.resets += 1
+        self._state = state
+        status.enabled = state not in (0, _IDLE)
+        status.reached = bool(done & 1) if self._moving else None
+        status.faults = _faults(error) if error else ()
+        if result not in (0, 1, 3) and not error:  # 1 busy, 3 cancelled
+            status.faults = (Fault("procedure", f"the last procedure ended with {result}", result),)
+        status.told += 1
+
+    def _on_error(self, active: int, disarm_reason: int) -> None:
+        self.status.faults = _faults(active)
+        self.status.told += 1
+
+    def _on_address(self, node: int, serial_low: int, serial_high: int) -> None:
+        serial = serial_low, serial_high
+        if self._serial not in (None, serial):
+            self.status.twins += 1
+        self._serial = serial
+
+    def _on_encoder(self, position: float, velocity: float) -> None:
+        self.status.position, self.status.velocity = position, velocity
+        self.status.moved += 1
+
+    def _on_current(self, set_point: float, measured: float) -> None:
+        self.status.current = measured
+        if self.options.torque_constant is not None:
+            self.status.torque = measured * self.options.torque_constant
+
+    def _on_temperature(self, drive: float, motor: float) -> None:
+        self.status.drive_temperature, self.status.motor_temperature = drive, motor
+
+    def _on_supply(self, voltage: float, current: float) -> None:
+        self.status.voltage = voltage
+
+    def _on_torques(self, target: float, estimate: float) -> None:
+        self.status.torque = estimate
+
+    def reach(self) -> Reach:
+        """Tell what floats can say with millimetric feed-forward left aside."""
+        return Reach(position=1e5)
+
+    def _say(
+        self, name: str, *, urgent: bool = False, stale: float | None = None, **values: float
+    ) -> None:
+        command, layout = MESSAGES[name]
+        self.bus.send(self._base | command, layout.encode(**values), urgent=urgent, lifetime=stale)
+
+    def poll(self, tick: int) -> None:
+        """Ask for what is not sent unasked: temperatures and supply, now and then who answers."""
+        slow = tick % 64
+        if slow in (1, 17, 33):
+            name = {1: "temperature", 17: "supply", 33: "address"}[slow]
+            self.bus.send(self._base | MESSAGES[name][0], remote=True, length=8, lifetime=_FAST)
+
+    async def enable(self) -> None:
+        """Enter closed loop control at velocity zero, whatever set-point the drive still has."""
+        self._mode = None
+        self._moving = False
+
+        def ask() -> None:
+            self._control("velocity", _PASSTHROUGH)
+            self._say("velocity")
+            self._say("state", state=_CLOSED_LOOP)
+
+        await self.until(lambda: self._state == _CLOSED_LOOP, "enabled", again=ask)
+
+    async def disable(self) -> None:
+        """Go idle."""
+        await self.until(
+            lambda: self._state == _IDLE,
+            "disabled",
+            again=lambda: self._say("state", state=_IDLE),
+            faults=False,
+        )
+
+    async def clear_faults(self) -> None:
+        """Clear the errors, and leave the axis idle."""
+        self._say("state", state=_IDLE)
+        await self.until(
+            lambda: not self.status.faults,
+            "free of faults",
+            again=lambda: self._say("clear"),
+            faults=False,
+        )
+
+    async def set_zero(self) -> None:
+        """Set the absolute position; firmware 0.6."""
+        await self.until(
+            lambda: abs(self.status.position or 0.0) < 0.02,
+            "at zero (older firmware cannot be set to zero)",
+            again=lambda: self._say("absolute"),
+        )
+
+    async def home(self) -> None:
+        """Run the drive's own homing, and return to closed loop."""
+        self._moving = False
+        self._say("state", state=_HOMING)
+        await self.until(lambda: self._state == _HOMING, "homing")
+        await self.until(
+            lambda: self._state != _HOMING, "done with homing", seconds=self.options.home_timeout
+        )
+        if self._state != _CLOSED_LOOP:
+            raise DeviceRejected("homing ended, and the axis is idle")
+        self.status.homed = True
+
+    def _control(self, mode: Mode, input_mode: int) -> None:
+        wanted = _CONTROL[mode], input_mode
+        if wanted != self._mode:
+            self._say("mode", control=wanted[0], input=wanted[1])
+            self._mode = wanted
+
+    def command(self, mode: Mode, value: float, velocity: float) -> None:
+        """Send a set-point."""
+        self._moving = False
+        self._control(mode, _PASSTHROUGH)
+        match mode:
+            case "position":
+                self._say(mode, stale=_FAST, position=value, velocity=velocity)
+            case "velocity":
+                self._say(mode, stale=_FAST, velocity=value)
+            case "torque":
+                self._say(mode, stale=_FAST, torque=value)
+
+    async def move(self, position: float, velocity: float, acceleration: float | None) -> None:
+        """Follow a trapezoidal trajectory."""
+        self._say("trap_velocity", velocity=velocity)
+        if acceleration is not None:
+            self._say("trap_acceleration", acceleration=acceleration, deceleration=acceleration)
+        self._control("position", _TRAPEZOID)
+        self._say("position", position=position)
+        self._moving = True
+        self.status.reached = None
+
+    def stop(self) -> None:
+        """Brake with all the torque there is: velocity zero, without a ramp."""
+        self._moving = False
+        self._mode = _CONTROL["velocity"], _PASSTHROUGH
+        self._say("velocity", urgent=True)
+        self._say("mode", urgent=True, control=self._mode[0], input=self._mode[1])
+
+
+def _faults(error: int) -> tuple[Fault, ...]:
+    found = [
+        Fault(text.replace(" ", "_"), text, bit)
+        for bit, text in _ERRORS.items()
+        if error >> bit & 1
+    ]
+    return tuple(found) if found or not error else (Fault("error", f"error 0x{error:x}", error),)
+
+
+PROFILE = Profile(
+    "odrive",
+    "ODrive, by CANSimple.",
+    OdriveOptions,
+    OdriveDrive,
+    "rcp_can.sim.odrive:OdriveTwin",
+    range(64),
+)

@@ -1,0 +1,60 @@
+"""Set-points that never jump: velocity by acceleration, position by a trapezoid."""
+
+from __future__ import annotations
+
+import math
+
+from rcp_can.codec import clamp
+
+__all__ = ["Ramp"]
+
+
+class Ramp:
+    """A point that follows a target within a velocity and an acceleration.
+
+    Without an acceleration its velocity jumps, and without a velocity limit it does.
+    """
+
+    def __init__(self, velocity: float, acceleration: float | None) -> None:
+        self.position = self.velocity = 0.0
+        self._limit, self._acceleration = velocity, acceleration
+        self.limit = velocity
+        """The velocity in force, rad/s; a move may ask for less."""
+
+    def start(self, position: float, velocity: float) -> None:
+        """Begin where the joint is, as it moves."""
+        self.position, self.velocity = position, velocity
+        self.limit = self._limit
+
+    def to_velocity(self, target: float, dt: float) -> float:
+        """Advance towards a velocity; return the set-point."""
+        self.velocity = self._towards(clamp(target, -self.limit, self.limit), dt)
+        return self.velocity
+
+    def to_position(self, target: float, dt: float) -> float:
+        """Advance towards a position; return the set-point."""
+        left = target - self.position
+        acceleration = self._acceleration
+        wanted = self.limit
+        if acceleration is not None:
+            # What can still be braked, in the discrete steps that are left.
+            step = acceleration * dt
+            wanted = min(
+                wanted, math.sqrt(step * step / 4 + 2 * acceleration * abs(left)) - step / 2
+            )
+        if dt > 0:
+            wanted = min(wanted, abs(left) / dt)
+        self.velocity = self._towards(math.copysign(wanted, left), dt)
+        advance = self.velocity * dt
+        slow = acceleration is None or abs(self.velocity) <= 2 * acceleration * dt
+        if slow and abs(advance) >= abs(left) * (1 - 1e-9) and advance * left >= 0:
+            self.position, self.velocity = target, 0.0
+        else:
+            self.position += advance
+        return self.position
+
+    def _towards(self, wanted: float, dt: float) -> float:
+        if self._acceleration is None:
+            return wanted
+        step = self._acceleration * dt
+        return self.velocity + clamp(wanted - self.velocity, -step, step)

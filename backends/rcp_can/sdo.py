@@ -1,0 +1,169 @@
+"""An SDO client that waits without blocking: expedited and segmented, up and down (CiA 301, 7.2.4)."""
+
+from __future__ import annotations
+
+import asyncio
+import struct
+from typing import TYPE_CHECKING
+
+from rcp_can.bus import Bus, Route
+from rcp_kernel.errors import AdapterUnavailable, DeviceRejected, DeviceTimeout
+
+if TYPE_CHECKING:
+    import can
+
+__all__ = ["ABORTS", "Sdo", "SdoAborted"]
+
+_TIMEOUT = 0.5  # s for one answer
+_LONGEST = 65_536  # bytes of one value that are taken
+_TIMED_OUT = 0x05040000
+
+ABORTS = {
+    0x05030000: "toggle bit not alternated",
+    _TIMED_OUT: "SDO protocol timed out",
+    0x05040001: "command specifier not valid or unknown",
+    0x05040005: "out of memory",
+    0x06010000: "unsupported access",
+    0x06010001: "it can only be written",
+    0x06010002: "it can only be read",
+    0x06020000: "the object does not exist",
+    0x06040041: "the object cannot be mapped to the PDO",
+    0x06040042: "the PDO would be longer than 8 bytes",
+    0x06040043: "general parameter incompatibility",
+    0x06060000: "access failed due to a hardware error",
+    0x06070010: "the length does not match the data type",
+    0x06070012: "the data is too long",
+    0x06070013: "the data is too short",
+    0x06090011: "the sub-index does not exist",
+    0x06090030: "the value is out of range",
+    0x06090031: "the value is too high",
+    0x06090032: "the value is too low",
+    0x08000000: "general error",
+    0x08000020: "data cannot be stored",
+    0x08000021: "data cannot be stored: local control",
+    0x08000022: "data cannot be stored in this device state",
+}
+
+
+class SdoAborted(DeviceRejected):
+    """The node refused an access, with a code of CiA 301."""
+
+    def __init__(self, node: int, index: int, sub: int, abort: int) -> None:
+        why = ABORTS.get(abort, "unknown reason")
+        super().__init__(
+            f"node {node} refused 0x{index:04X}:{sub:02X}: {why} (0x{abort:08X})",
+            details={"index": index, "subindex": sub, "abort": abort},
+        )
+        self.abort = abort
+
+
+class Sdo:
+    """The SDO server of one node, as seen from here; one access at a time."""
+
+    def __init__(self, bus: Bus, node: int) -> None:
+        self.unasked = 0
+        """Answers that nobody waited for: a second master, or two nodes with one id."""
+        self._bus, self._node = bus, node
+        self._lock = asyncio.Lock()
+        self._answer: asyncio.Future[bytes] | None = None
+
+    @property
+    def route(self) -> Route:
+        """Where the answers come from."""
+        return Route(0x580 + self._node)
+
+    @property
+    def busy(self) -> bool:
+        """Whether an access is under way."""
+        return self._lock.locked()
+
+    def take(self, message: can.Message) -> None:
+        """Read an answer.
+
+        :raises ValueError: it is too short.
+        """
+        if len(message.data) < 8:
+            raise ValueError("an SDO answer has 8 bytes")
+        if self._answer is None or self._answer.done():
+            self.unasked += 1
+        else:
+            self._answer.set_result(bytes(message.data))
+
+    async def upload(self, index: int, sub: int = 0) -> bytes:
+        """Read an object.
+
+        :raises SdoAborted: the node refuses.
+        :raises DeviceTimeout: it does not answer.
+        """
+        async with self._lock:
+            head = await self._ask(struct.pack("<BHBxxxx", 0x40, index, sub), index, sub)
+            self._expect(head, 0x40, index, sub)
+            if head[0] & 2:
+                size = 4 - (head[0] >> 2 & 3) if head[0] & 1 else 4
+                return head[4 : 4 + size]
+            data, toggle = b"", 0
+            while True:
+                part = await self._ask(bytes((0x60 | toggle,)).ljust(8, b"\0"), index, sub)
+                if part[0] & 0xF0 != toggle:
+                    await self._abort(index, sub, 0x05030000)
+                data += part[1 : 8 - (part[0] >> 1 & 7)]
+                if part[0] & 1:
+                    return data
+                if len(data) > _LONGEST:
+                    await self._abort(index, sub, 0x05040005)
+                toggle ^= 0x10
+
+    async def download(self, index: int, sub: int, data: bytes) -> None:
+        """Write an object.
+
+        :raises SdoAborted: the node refuses.
+        :raises DeviceTimeout: it does not answer.
+        """
+        async with self._lock:
+            if 0 < len(data) <= 4:
+                command = 0x23 | (4 - len(data)) << 2
+                frame = struct.pack("<BHB", command, index, sub) + data.ljust(4, b"\0")
+                self._expect(await self._ask(frame, index, sub), 0x60, index, sub)
+                return
+            frame = struct.pack("<BHBI", 0x21, index, sub, len(data))
+            self._expect(await self._ask(frame, index, sub), 0x60, index, sub)
+            toggle = 0
+            for start in range(0, max(len(data), 1), 7):
+                part = data[start : start + 7]
+                last = start + 7 >= len(data)
+                command = toggle | (7 - len(part)) << 1 | last
+                answer = await self._ask(bytes((command,)) + part.ljust(7, b"\0"), index, sub)
+                if answer[0] & 0xF0 != 0x20 | toggle:
+                    await self._abort(index, sub, 0x05030000)
+                toggle ^= 0x10
+
+    def _expect(self, answer: bytes, command: int, index: int, sub: int) -> None:
+        if answer[0] & 0xE0 != command or struct.unpack_from("<HB", answer, 1) != (index, sub):
+            raise DeviceRejected(
+                f"node {self._node} answered 0x{index:04X}:{sub:02X} with something else",
+                remedy="Is another master on this bus, or another node with this id?",
+            )
+
+    async def _abort(self, index: int, sub: int, code: int) -> None:
+        self._bus.send(0x600 + self._node, struct.pack("<BHBI", 0x80, index, sub, code))
+        raise SdoAborted(self._node, index, sub, code)
+
+    async def _ask(self, frame: bytes, index: int, sub: int) -> bytes:
+        self._answer = asyncio.get_running_loop().create_future()
+        try:
+            self._bus.send(0x600 + self._node, frame)
+            answer = await asyncio.wait_for(self._answer, _TIMEOUT)
+        except TimeoutError:
+            if self._bus.up:
+                self._bus.send(
+                    0x600 + self._node, struct.pack("<BHBI", 0x80, index, sub, _TIMED_OUT)
+                )
+                raise DeviceTimeout(
+                    f"node {self._node} did not answer for 0x{index:04X}:{sub:02X}"
+                ) from None
+            raise AdapterUnavailable(f"CAN bus '{self._bus.name}' is {self._bus.state}") from None
+        finally:
+            self._answer = None
+        if answer[0] == 0x80:
+            raise SdoAborted(self._node, index, sub, int.from_bytes(answer[4:8], "little"))
+        return answer

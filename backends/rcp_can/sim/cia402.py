@@ -1,0 +1,319 @@
+"""A simulated CiA 402 drive: canopen's own SDO server and NMT slave, PDOs and states written here."""
+
+from __future__ import annotations
+
+import math
+import struct
+from typing import TYPE_CHECKING, Any
+
+import canopen
+
+from rcp_can.profiles.cia402_objects import MODES, OBJECTS, PDOS
+from rcp_can.sim.cia402_objects import make_dictionary
+from rcp_can.sim.plant import Plant
+from rcp_can.sim.twin import Twin
+
+if TYPE_CHECKING:
+    import can
+
+__all__ = ["Cia402Twin"]
+
+_WORDS = {
+    "switch_on_disabled": 0x250,
+    "ready": 0x231,
+    "switched_on": 0x233,
+    "enabled": 0x237,
+    "quick_stop": 0x217,
+    "fault": 0x218,
+}
+_REACHED, _ACKNOWLEDGED, _HOMED = 1 << 10, 1 << 12, 1 << 12
+_DONE = 0.005  # rad
+_LEAST = {0x000: 2, 0x600: 8}
+"""Bytes that NMT and SDO frames have; canopen does not check."""
+_CODES = {(index, sub): code for index, sub, code in OBJECTS.values()}
+
+
+class _Line(canopen.Network):
+    """canopen's network, with the bench's bus below it and no threads of its own."""
+
+    def __init__(self, twin: Twin) -> None:
+        super().__init__()
+        self._twin = twin
+
+    def send_message(self, can_id: int, data: Any, remote: bool = False) -> None:  # noqa: FBT001, FBT002
+        if not self._twin.silent:
+            self._twin.send(can_id, bytes(data), is_remote_frame=remote)
+
+    def send_periodic(self, can_id: int, data: Any, period: float, remote: bool = False) -> Any:  # noqa: FBT001, FBT002
+        return _Never()
+
+
+class _Never:
+    def stop(self) -> None:
+        """Do nothing: heartbeats are sent by the twin's own clock."""
+
+    def update(self, data: Any) -> None:
+        """Do nothing."""
+
+
+class Cia402Twin(Twin):
+    """An axis; options: `counts`, `rated_torque`, `velocity_scale` as the profile's."""
+
+    def __init__(self, node: int, plant: Plant | None = None, **options: Any) -> None:
+        super().__init__(node, plant, **options)
+        self.scale = options.get("counts", 4096.0) / (2 * math.pi)
+        self.rated = options.get("rated_torque", 1.0)
+        self.state = "switch_on_disabled"
+        self.emergency = 0
+        self._control = 0
+        self._acknowledged = self._homed = False
+        self._controlled: int | None = None
+        self._homing = 0.0
+        self._heard_master: float | None = None
+        self._now = 0.0
+        self.line = _Line(self)
+        self.local = canopen.LocalNode(node, make_dictionary(node))
+        self.local.add_write_callback(self._written)
+        self.local.add_read_callback(self._read)
+        self.line.add_node(self.local)
+        self.local.nmt._state = 0x7F  # noqa: SLF001  # booted; `boot` says so on the bus
+        self._hello = True
+
+    # CANopen
+
+    def get(self, name: str) -> int:
+        """Return one of the profile's objects as it was written."""
+        index, sub, code = OBJECTS[name]
+        return struct.unpack("<" + code, self.local.get_data(index, sub))[0]
+
+    def _put(self, index: int, sub: int, value: int) -> None:
+        self.local.set_data(index, sub, struct.pack("<" + _CODES[index, sub], value))
+
+    @property
+    def operational(self) -> bool:
+        """Whether PDOs work."""
+        return self.local.nmt.state == "OPERATIONAL"
+
+    def boot(self) -> None:
+        """Start anew: pre-operational, and nothing is mapped any more."""
+        super().boot()
+        self.local.data_store.clear()
+        self.state, self._control, self.emergency = "switch_on_disabled", 0, 0
+        self._acknowledged = self._homed = False
+        self._heard_master = None
+        self.local.nmt._state = 0x7F  # noqa: SLF001
+        self._hello = True
+
+    def break_down(self) -> None:
+        """Go into fault by over-current, with an emergency."""
+        super().break_down()
+        self._fault(0x2310)
+
+    def _fault(self, code: int) -> None:
+        self.state, self.enabled, self.emergency = "fault", False, code
+        self.plant.off()
+        self.send(0x080 + self.node, struct.pack("<HB5x", code, 0x03))
+
+    def take(self, message: can.Message) -> None:
+        """Hear SDO requests, NMT, SYNC, PDOs and the master's heartbeat."""
+        identifier = message.arbitration_id
+        if (
+            message.is_extended_id
+            or message.is_remote_frame
+            or len(message.data) < _LEAST.get(identifier - self.node if identifier else 0, 0)
+        ):
+            return
+        was = self.local.nmt._state  # noqa: SLF001
+        self.line.notify(identifier, bytearray(message.data), message.timestamp)
+        if identifier == 0 and was != 0 and self.local.nmt._state == 0:  # noqa: SLF001
+            self.boot()
+        consumer = self.get_raw(0x1016, 1)
+        if consumer and identifier == 0x700 + (consumer >> 16 & 0x7F):
+            self._heard_master = self._now
+        if identifier == 0x080:
+            self._send_pdos(lambda _, kind, __: kind <= 240)
+        for name in ("command_position", "command_rate"):
+            pdo = PDOS[name]
+            if self.operational and identifier == self.get_raw(pdo.parameters, 1):
+                self._command(pdo.parameters, bytes(message.data))
+
+    def get_raw(self, index: int, sub: int) -> int:
+        """Return any object as a number."""
+        return int.from_bytes(self.local.get_data(index, sub), "little")
+
+    def _mapped(self, index: int) -> list[tuple[int, int]]:
+        words = [
+            self.get_raw(index + 0x200, n) for n in range(1, 1 + self.get_raw(index + 0x200, 0))
+        ]
+        return [(word >> 16, word >> 8 & 0xFF) for word in words]
+
+    def _command(self, index: int, data: bytes) -> None:
+        place = 0
+        for entry in self._mapped(index):
+            code = _CODES[entry]
+            size = struct.calcsize(code)
+            if place + size <= len(data):
+                self.local.set_data(*entry, data[place : place + size])
+            place += size
+        if self._controlled is not None:
+            word, self._controlled = self._controlled, None
+            self._obey(word)
+        self._follow()
+
+    def _written(self, index: int, subindex: int, od: Any, data: bytes) -> None:
+        entry = index, subindex
+        if entry == OBJECTS["controlword"][:2]:
+            self._controlled = struct.unpack("<H", data)[0]
+
+    def _read(self, index: int, subindex: int, od: Any) -> int | None:
+        entry = index, subindex
+        if entry == OBJECTS["statusword"][:2]:
+            return self.statusword
+        if entry == OBJECTS["mode_shown"][:2]:
+            return self.get("mode")
+        if entry == OBJECTS["position"][:2]:
+            return round(self.plant.position * self.scale)
+        if entry == OBJECTS["velocity"][:2]:
+            return round(self.plant.velocity * self.scale * self.options.get("velocity_scale", 1.0))
+        if entry == OBJECTS["torque"][:2]:
+            return round(self.plant.torque / self.rated * 1000)
+        if entry == OBJECTS["error_code"][:2]:
+            return self.emergency
+        return None
+
+    def _send_pdos(self, due: Any) -> None:
+        if not self.operational:
+            return
+        for name in ("state", "motion"):
+            index = PDOS[name].parameters
+            cob = self.get_raw(index, 1)
+            period = self.get_raw(index, 5) / 1000
+            if cob >> 31 or not due(index, self.get_raw(index, 2), period):
+                continue
+            self.send(cob & 0x7FF, b"".join(self.local.get_data(*e) for e in self._mapped(index)))
+
+    # CiA 402
+
+    @property
+    def statusword(self) -> int:
+        """The statusword of the present state."""
+        word = _WORDS[self.state]
+        if self.state != "enabled":
+            return word
+        mode = self.get("mode")
+        if mode == MODES["homing"]:
+            return word | (_HOMED | _REACHED if self._homed else 0)
+        if mode == MODES["profile_position"]:
+            near = abs(self.plant.goal - self.plant.position) < _DONE
+            word |= _REACHED if near and abs(self.plant.velocity) < 0.05 else 0
+            return word | (_ACKNOWLEDGED if self._acknowledged else 0)
+        return word | _REACHED
+
+    def _obey(self, word: int) -> None:
+        old, self._control = self._control, word
+        state = self.state
+        if state == "fault":
+            if word & 0x80 and not old & 0x80:
+                self.state, self.emergency = "switch_on_disabled", 0
+                self.send(0x080 + self.node, bytes(8))
+            return
+        if not word & 2:
+            new = "switch_on_disabled"
+        elif not word & 4:
+            new = "quick_stop" if state in ("enabled", "quick_stop") else "switch_on_disabled"
+        else:
+            new = self._switched(state, word & 0xF)
+        if new == "enabled" and self.refuses:
+            new = "switched_on"
+        self.state = new
+        self.enabled = new == "enabled"
+        if new == "quick_stop":
+            self.plant.hold()
+            self.plant.ramp = None
+        elif new != "enabled":
+            self.plant.off()
+        elif state != "enabled":
+            self.plant.hold()
+            self.put_targets_to_rest()
+        if new == "enabled":
+            self._operate(old, word)
+
+    def put_targets_to_rest(self) -> None:
+        """Forget what was commanded before: the position stays, velocity and torque are zero."""
+        self._put(*OBJECTS["target_velocity"][:2], 0)
+        self._put(*OBJECTS["target_torque"][:2], 0)
+
+    @staticmethod
+    def _switched(state: str, word: int) -> str:
+        match word:
+            case 0x6:
+                return "ready"
+            case 0x7:
+                return "switched_on" if state in ("ready", "switched_on", "enabled") else state
+            case 0xF:
+                return "enabled" if state in ("switched_on", "enabled", "quick_stop") else state
+            case _:
+                return state
+
+    def _operate(self, old: int, word: int) -> None:
+        mode, new = self.get("mode"), word & 0x10
+        if mode == MODES["profile_position"]:
+            if new and not old & 0x10:
+                self._acknowledged = True
+                self.plant.loop = "position"
+                self.plant.goal = self.get("target_position") / self.scale
+                self.plant.speed = max(self.get("profile_velocity"), 1) / self.scale
+                ramp = self.get("profile_acceleration")
+                self.plant.ramp = ramp / self.scale if ramp else None
+                self.took("position", self.plant.goal)
+            elif not new:
+                self._acknowledged = False
+        elif mode == MODES["homing"]:
+            if new and not old & 0x10:
+                self._homing, self._homed = 0.2, False
+        else:
+            self._follow()
+
+    def _follow(self) -> None:
+        """Take the set-points of the mode that is on."""
+        if self.state != "enabled":
+            return
+        plant, mode = self.plant, self.get("mode")
+        if mode in (MODES["profile_velocity"], MODES["cyclic_velocity"]):
+            target = (
+                self.get("target_velocity") / self.scale / self.options.get("velocity_scale", 1.0)
+            )
+            plant.loop, plant.goal, plant.ramp = "velocity", target, None
+            self.took("velocity", plant.goal)
+        elif mode in (MODES["profile_torque"], MODES["cyclic_torque"]):
+            plant.loop, plant.goal = "torque", self.get("target_torque") / 1000 * self.rated
+            self.took("torque", plant.goal)
+        elif mode == MODES["cyclic_position"]:
+            plant.loop, plant.goal = "position", self.get("target_position") / self.scale
+            plant.speed, plant.ramp = plant.velocity_limit, None
+            self.took("position", plant.goal)
+
+    def tick(self, now: float) -> None:
+        """Send boot-up, heartbeat and PDOs; watch the master; home."""
+        self._now = now
+        if self._hello:
+            self._hello = False
+            self.send(0x700 + self.node, b"\0")
+        if self._controlled is not None:
+            word, self._controlled = self._controlled, None
+            self._obey(word)
+        period = self.get("heartbeat_period") / 1000
+        if period and self.every("heartbeat", period, now):
+            self.send(0x700 + self.node, bytes((self.local.nmt._state,)))  # noqa: SLF001
+        self._send_pdos(lambda index, kind, t: kind >= 254 and t and self.every(f"{index}", t, now))
+        timeout = (self.get_raw(0x1016, 1) & 0xFFFF) / 1000
+        if timeout and self._heard_master is not None and now - self._heard_master > timeout:
+            self._heard_master = None
+            if self.enabled:
+                self._fault(0x8130)
+        if self._homing > 0:
+            self._homing -= 0.005
+            if self._homing <= 0:
+                self.plant.position = 0.0
+                self.plant.hold()
+                self._homed = True

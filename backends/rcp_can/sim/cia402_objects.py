@@ -1,0 +1,77 @@
+"""The object dictionary of the simulated CiA 402 drive, for canopen's SDO server."""
+
+from __future__ import annotations
+
+import struct
+
+from canopen import objectdictionary as od
+
+from rcp_can.profiles.cia402_objects import OBJECTS, PDOS
+
+__all__ = ["make_dictionary"]
+
+_TYPES = {
+    "b": od.INTEGER8,
+    "h": od.INTEGER16,
+    "i": od.INTEGER32,
+    "B": od.UNSIGNED8,
+    "H": od.UNSIGNED16,
+    "I": od.UNSIGNED32,
+}
+_READ_ONLY = frozenset(("error_code", "statusword", "mode_shown", "position", "velocity", "torque"))
+
+
+def make_dictionary(node: int) -> od.ObjectDictionary:
+    """Make the dictionary, its PDOs mapped to nothing yet."""
+    made = od.ObjectDictionary()
+    made.node_id = node
+    _variable(made, "Device type", 0x1000, "I", 0x00020192, access="ro")
+    _variable(made, "Error register", 0x1001, "B", 0, access="ro")
+    identity = od.ODRecord("Identity", 0x1018)
+    for sub, (name, value) in enumerate((("Entries", 4), ("Vendor", 0x1CA), ("Product", 402))):
+        identity.add_member(_entry(name, 0x1018, sub, "I" if sub else "B", value, access="ro"))
+    made.add_object(identity)
+    consumer = od.ODArray("Consumer heartbeat", 0x1016)
+    consumer.add_member(_entry("Entries", 0x1016, 0, "B", 1, access="ro"))
+    consumer.add_member(_entry("Consumer", 0x1016, 1, "I", 0))
+    made.add_object(consumer)
+    for name, (index, sub, code) in OBJECTS.items():
+        if sub == 0:
+            access = "ro" if name in _READ_ONLY else "rw"
+            text = name.replace("_", " ").capitalize()
+            _variable(made, text, index, code, 0, access=access)
+    for pdo in PDOS.values():
+        _pdo(made, pdo.parameters, pdo.cob + node)
+    return made
+
+
+def _variable(
+    made: od.ObjectDictionary, name: str, index: int, code: str, value: int, *, access: str = "rw"
+) -> None:
+    made.add_object(_entry(name, index, 0, code, value, access=access))
+
+
+def _entry(
+    name: str, index: int, sub: int, code: str, value: int, *, access: str = "rw"
+) -> od.ODVariable:
+    entry = od.ODVariable(name, index, sub)
+    entry.data_type = _TYPES[code]
+    entry.access_type = access
+    entry.default = value
+    low = -(2 ** (8 * struct.calcsize(code) - 1)) if code.islower() else 0
+    entry.min, entry.max = low, low + 2 ** (8 * struct.calcsize(code)) - 1
+    return entry
+
+
+def _pdo(made: od.ObjectDictionary, index: int, cob: int) -> None:
+    parameters = od.ODRecord("PDO parameters", index)
+    rows = (("Entries", "B", 5), ("COB-ID", "I", 0x80000000 | cob), ("Type", "B", 255))
+    for sub, (name, code, value) in enumerate(rows):
+        parameters.add_member(_entry(name, index, sub, code, value))
+    parameters.add_member(_entry("Event timer", index, 5, "H", 0))
+    made.add_object(parameters)
+    mapping = od.ODArray("PDO mapping", index + 0x200)
+    mapping.add_member(_entry("Entries", index + 0x200, 0, "B", 0))
+    for sub in range(1, 9):
+        mapping.add_member(_entry(f"Object {sub}", index + 0x200, sub, "I", 0))
+    made.add_object(mapping)

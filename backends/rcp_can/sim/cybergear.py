@@ -1,0 +1,119 @@
+"""A simulated CyberGear."""
+
+from __future__ import annotations
+
+import struct
+from typing import TYPE_CHECKING, Any
+
+from rcp_can.profiles.cybergear import COMMAND, FEEDBACK, TORQUE
+from rcp_can.sim.plant import Plant
+from rcp_can.sim.twin import Twin
+
+if TYPE_CHECKING:
+    import can
+
+__all__ = ["CyberGearTwin"]
+
+_TIMEOUT = 0x7028
+
+
+class CyberGearTwin(Twin):
+    """One actuator."""
+
+    def __init__(self, node: int, plant: Plant | None = None, **options: Any) -> None:
+        super().__init__(node, plant, **options)
+        self.faults = 0
+        self.parameters: dict[int, bytes] = {}
+        self._quiet = 0.0
+
+    def boot(self) -> None:
+        """Start anew; the watchdog is not armed any more."""
+        super().boot()
+        self.faults = 0
+        self.parameters.clear()
+
+    def break_down(self) -> None:
+        """Trip by over-current."""
+        super().break_down()
+        self.faults = 1 << 1
+
+    def take(self, message: can.Message) -> None:
+        """Hear a command, and answer."""
+        identifier, data = message.arbitration_id, bytes(message.data)
+        if not message.is_extended_id or identifier & 0xFF != self.node or len(data) < 8:
+            return
+        kind, word = identifier >> 24, identifier >> 8 & 0xFFFF
+        host = word & 0xFF
+        self._quiet = 0.0
+        match kind:
+            case 0:
+                self.send(self.node << 8 | 0xFE, b"CYBRGEAR", is_extended_id=True)
+                return
+            case 1:
+                self._control(data, word)
+                host = self.options.get("host", 0xFD)
+            case 3:
+                if not self.refuses and not self.faults:
+                    self.enabled = True
+                    self.plant.impedance(0, 0, 0, 0, 0)
+            case 4:
+                self.enabled = False
+                self.plant.off()
+                if data[0]:
+                    self.faults = 0
+            case 6:
+                self.plant.position = 0.0
+            case 17:
+                index = struct.unpack_from("<H", data)[0]
+                value = self.parameters.get(index, bytes(4))
+                head = 17 << 24 | self.node << 8 | host
+                self.send(head, data[:4] + value, is_extended_id=True)
+                return
+            case 18:
+                self.parameters[struct.unpack_from("<H", data)[0]] = data[4:]
+                self._set(struct.unpack_from("<H", data)[0], data[4:])
+            case _:
+                return
+        self._answer(host)
+
+    def _control(self, data: bytes, word: int) -> None:
+        if not self.enabled:
+            return
+        values = COMMAND.decode(data)
+        torque = TORQUE.decode(word.to_bytes(2, "big"))["torque"]
+        self.plant.impedance(**values, torque=torque)
+        mode = "position" if values["kp"] else "velocity" if values["kd"] else "torque"
+        self.took(mode, torque if mode == "torque" else values[mode])
+
+    def _set(self, index: int, data: bytes) -> None:
+        """Follow the set-points of the other modes: speed reference and current reference."""
+        if not self.enabled or index not in (0x700A, 0x7006, 0x7016):
+            return
+        value = struct.unpack("<f", data)[0]
+        mode = int.from_bytes(self.parameters.get(0x7005, b"\0")[:1], "little")
+        if index == 0x700A and mode == 2:
+            self.plant.loop, self.plant.goal = "velocity", value
+        elif index == 0x7016 and mode == 1:
+            self.plant.loop, self.plant.goal = "position", value
+        elif index == 0x7006 and mode == 3:
+            self.plant.loop, self.plant.goal = "torque", value
+
+    def _answer(self, host: int) -> None:
+        plant = self.plant
+        state = 2 if self.enabled else 0
+        identifier = 2 << 24 | state << 22 | self.faults << 16 | self.node << 8 | host
+        data = FEEDBACK.encode(
+            position=plant.position,
+            velocity=plant.velocity,
+            torque=plant.torque,
+            temperature=plant.temperature * 10,
+        )
+        self.send(identifier, data, is_extended_id=True)
+
+    def tick(self, now: float) -> None:
+        """Expire the watchdog."""
+        self._quiet += 0.005
+        timeout = int.from_bytes(self.parameters.get(_TIMEOUT, b""), "little") * 50e-6
+        if self.enabled and timeout and self._quiet > timeout:
+            self.enabled = False
+            self.plant.off()

@@ -1,0 +1,103 @@
+"""What a drive turns: a rotor with inertia, friction and limits, under a torque or a loop."""
+
+from __future__ import annotations
+
+import math
+from typing import Literal
+
+from rcp_can.codec import clamp
+
+__all__ = ["Plant"]
+
+Loop = Literal["off", "torque", "velocity", "position", "mit"]
+_STICKS = 0.05  # rad/s below which it may stick
+_STEP = 0.001  # s of one integration step, at most
+
+
+class Plant:
+    """A motor shaft; rad, rad/s, N·m."""
+
+    def __init__(
+        self,
+        *,
+        inertia: float = 0.001,
+        friction: float = 0.002,
+        stiction: float = 0.01,
+        torque_limit: float = 5.0,
+        velocity_limit: float = 400.0,
+        acceleration_limit: float = 2000.0,
+    ) -> None:
+        self.inertia, self.friction, self.stiction = inertia, friction, stiction
+        self.torque_limit, self.velocity_limit = torque_limit, velocity_limit
+        self.acceleration_limit = acceleration_limit
+        self.position = self.velocity = self.torque = 0.0
+        self.load = 0.0
+        """A torque from outside, N·m."""
+        self.loop: Loop = "off"
+        self.goal = 0.0
+        self.speed = velocity_limit
+        """The velocity of the position loop at most, rad/s."""
+        self.ramp: float | None = None
+        """The acceleration of velocity and position loops, rad/s²."""
+        self.kp = self.kd = self.forward = self.forward_velocity = 0.0
+        self.temperature = 25.0
+
+    def off(self) -> None:
+        """Cut the power: it runs out by friction."""
+        self.loop = "off"
+
+    def hold(self) -> None:
+        """Keep velocity zero."""
+        self.loop, self.goal = "velocity", 0.0
+
+    def impedance(
+        self, position: float, velocity: float, kp: float, kd: float, torque: float
+    ) -> None:
+        """Act as a spring and damper, the MIT way."""
+        self.loop = "mit"
+        self.goal, self.forward_velocity, self.kp, self.kd = position, velocity, kp, kd
+        self.forward = torque
+
+    def advance(self, dt: float) -> None:
+        """Let time pass."""
+        steps = max(1, math.ceil(dt / _STEP))
+        for _ in range(steps):
+            self._step(dt / steps)
+        self.temperature += (25.0 + 4.0 * self.torque**2 - self.temperature) * min(1.0, dt / 30.0)
+
+    def _step(self, dt: float) -> None:
+        limit = self.torque_limit
+        match self.loop:
+            case "off":
+                self.torque = 0.0
+            case "torque":
+                self.torque = clamp(self.goal, -limit, limit)
+            case "velocity":
+                self.torque = self._track(self.goal, dt)
+            case "position":
+                left = self.goal - self.position
+                brake = min(
+                    self.ramp or self.acceleration_limit,
+                    self.acceleration_limit,
+                    0.7 * limit / self.inertia,
+                )
+                wanted = min(self.speed, math.sqrt(2 * brake * abs(left)), abs(left) * 50.0)
+                self.torque = self._track(math.copysign(wanted, left), dt)
+            case "mit":
+                spring = self.kp * (self.goal - self.position)
+                damper = self.kd * (self.forward_velocity - self.velocity)
+                # Implicit in the damper, so that a stiff one stays stable at any step.
+                damper /= 1 + (self.kd + self.kp * dt) * dt / self.inertia
+                self.torque = clamp(spring + damper + self.forward, -limit, limit)
+        net = self.torque - self.friction * self.velocity + self.load
+        if abs(self.velocity) < _STICKS and abs(net) <= self.stiction:
+            self.velocity = net = 0.0
+        self.velocity += net / self.inertia * dt
+        self.velocity = clamp(self.velocity, -self.velocity_limit, self.velocity_limit)
+        self.position += self.velocity * dt
+
+    def _track(self, wanted: float, dt: float) -> float:
+        step = (self.ramp or self.acceleration_limit) * dt
+        near = self.velocity + clamp(wanted - self.velocity, -step, step)
+        needed = (near - self.velocity) / dt * self.inertia + self.friction * near - self.load
+        return clamp(needed, -self.torque_limit, self.torque_limit)

@@ -1,0 +1,130 @@
+"""A simulated drive on a real bus, and the bench that runs several in one thread."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any, Self
+
+from rcp_can.sim.plant import Plant
+
+if TYPE_CHECKING:
+    import can
+
+__all__ = ["Bench", "Twin"]
+
+_TICK = 0.005  # s
+
+
+class Twin:
+    """A drive; a subclass per profile. Everything runs in the bench's thread."""
+
+    def __init__(self, node: int, plant: Plant | None = None, **options: Any) -> None:
+        self.node, self.options = node, options
+        self.plant = plant or Plant()
+        self.enabled = False
+        self.silent = False
+        """Neither hears nor says anything: unplugged."""
+        self.deaf = False
+        """Says what it measures, and hears nothing."""
+        self.refuses = False
+        """Does not switch on."""
+        self.send: Callable[..., None] = _nowhere
+        self.commands: list[tuple[str, float]] = []
+        """The last set-points that it took, as (mode, value); at most a hundred."""
+        self._due: dict[str, float] = {}
+
+    def take(self, message: can.Message) -> None:
+        """Hear a frame of the bus."""
+        raise NotImplementedError
+
+    def tick(self, now: float) -> None:
+        """Send what is due."""
+
+    def boot(self) -> None:
+        """Start anew, as after a loss of supply: switched off, without memory of set-points."""
+        self.enabled = False
+        self.plant.off()
+
+    def break_down(self) -> None:
+        """Go into a fault that switches it off."""
+        self.enabled = False
+        self.plant.off()
+
+    def took(self, mode: str, value: float) -> None:
+        """Note a set-point."""
+        self.commands.append((mode, value))
+        del self.commands[:-100]
+
+    def every(self, what: str, period: float, now: float) -> bool:
+        """Tell whether something periodic is due."""
+        due = self._due.get(what, now)
+        if now < due:
+            return False
+        self._due[what] = max(due + period, now)
+        return True
+
+
+def _nowhere(*_: Any, **__: Any) -> None:
+    """Drop a frame: it is on no bus yet."""
+
+
+class Bench:
+    """Runs twins on a bus, in a thread of its own, until it is left.
+
+    As in `with Bench(can.Bus("demo", "virtual"), [OdriveTwin(1)]): …`.
+    """
+
+    def __init__(self, bus: can.BusABC, twins: Sequence[Twin], *, tick: float = _TICK) -> None:
+        self.bus, self.twins = bus, list(twins)
+        self._tick = tick
+        self._stopping = False
+        self._orders: list[Callable[[], object]] = []
+        for twin in twins:
+            twin.send = self._send
+        self._thread = threading.Thread(target=self._run, name="can twins", daemon=True)
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._stopping = True
+        self._thread.join(5)
+        self.bus.shutdown()
+
+    def order(self, function: Callable[[], object]) -> None:
+        """Have a function called in the bench's thread: a fault, a push at the shaft."""
+        self._orders.append(function)
+
+    def _send(self, identifier: int, data: bytes = b"", **more: Any) -> None:
+        import can
+
+        more.setdefault("is_extended_id", False)
+        self.bus.send(can.Message(arbitration_id=identifier, data=data, **more), timeout=0.1)
+
+    def _run(self) -> None:
+        last = time.monotonic()
+        due = last
+        while not self._stopping:
+            now = time.monotonic()
+            if now < due:
+                self._hear(due - now)
+                continue
+            due = max(due + self._tick, now)
+            while self._orders:
+                self._orders.pop(0)()
+            for twin in self.twins:
+                twin.plant.advance(min(now - last, 0.2))
+                if not twin.silent:
+                    twin.tick(now)
+            last = now
+
+    def _hear(self, timeout: float) -> None:
+        message = self.bus.recv(timeout)
+        if message is None or message.is_error_frame:
+            return
+        for twin in self.twins:
+            if not twin.silent and not twin.deaf:
+                twin.take(message)

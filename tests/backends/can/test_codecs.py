@@ -1,0 +1,179 @@
+"""Every payload comes back as it went, keeps to its ends, and no frame upsets anybody."""
+
+from __future__ import annotations
+
+import math
+import struct
+from typing import Any
+
+import can
+import msgspec
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from backends.can.rig import MOTORS
+from rcp_can.codec import Codec, Field, Layout, Packed, Span
+from rcp_can.profiles import PROFILES, cia402_objects, cybergear, mit, odrive, profile
+from rcp_can.profiles.cia402_objects import state_of
+from rcp_can.sim import make_twin
+
+CODECS: dict[str, Codec] = {
+    **{f"odrive {name}": layout for name, (_, layout) in odrive.MESSAGES.items()},
+    **{f"cia402 {name}": layout for name, (_, layout) in cia402_objects.MESSAGES.items()},
+    **{f"command {name}": mit.command_codec(span) for name, span in mit.MODELS.items()},
+    **{f"reply {name}": mit.reply_codec(span) for name, span in mit.MODELS.items()},
+    "cybergear command": cybergear.COMMAND,
+    "cybergear torque": cybergear.TORQUE,
+    "cybergear feedback": cybergear.FEEDBACK,
+}
+
+
+def ends(codec: Codec) -> dict[str, tuple[float, float, float]]:
+    """Return each field's lowest and highest value, and how fine it is."""
+    found: dict[str, tuple[float, float, float]] = {}
+    if isinstance(codec, Packed):
+        for span in codec.spans:
+            low, high = span.low, span.high
+            if low is None or high is None:
+                found[span.name] = 0, (1 << span.bits) - 1, 0.5
+            else:
+                found[span.name] = low, high, (high - low) / ((1 << span.bits) - 1) * 0.501
+        return found
+    assert isinstance(codec, Layout)
+    for field in codec.fields:
+        if field.code == "f":
+            found[field.name] = -1e6, 1e6, 0.2 * field.scale
+        else:
+            bits = 8 * struct.calcsize(field.code)
+            low = -(2 ** (bits - 1)) if field.code.islower() else 0
+            high = low + 2**bits - 1
+            found[field.name] = low * field.scale, high * field.scale, 0.501 * field.scale
+    return found
+
+
+@pytest.mark.parametrize("name", CODECS)
+@given(data=st.data())
+@settings(max_examples=30)
+def test_values_come_back_within_half_a_step(name: str, data: st.DataObject) -> None:
+    codec = CODECS[name]
+    values: dict[str, float] = {}
+    for field, (low, high, _) in ends(codec).items():
+        values[field] = data.draw(st.floats(low, high))
+    found = codec.decode(codec.encode(**values))
+    for field, (_, _, fine) in ends(codec).items():
+        assert abs(found[field] - values[field]) <= fine, field
+
+
+@pytest.mark.parametrize("name", CODECS)
+def test_the_ends_of_a_range_are_reached_and_never_passed(name: str) -> None:
+    codec = CODECS[name]
+    for field, (low, high, fine) in ends(codec).items():
+        for value, end in ((low, low), (high, high)):
+            assert abs(codec.decode(codec.encode(**{field: value}))[field] - end) <= fine
+        if not isinstance(codec, Layout) or all(f.code != "f" for f in codec.fields):
+            for beyond, end in ((low - 1e9, low), (high + 1e12, high), (math.inf, high)):
+                assert abs(codec.decode(codec.encode(**{field: beyond}))[field] - end) <= fine
+
+
+@pytest.mark.parametrize("name", CODECS)
+@given(data=st.data())
+@settings(max_examples=20)
+def test_any_bytes_are_values_or_refused_and_go_back_as_they_came(
+    name: str, data: st.DataObject
+) -> None:
+    codec = CODECS[name]
+    raw = data.draw(st.binary(min_size=codec.size, max_size=codec.size))
+    try:
+        values = codec.decode(raw)
+    except ValueError:
+        assert isinstance(codec, Layout)  # a float that is not finite
+        return
+    assert all(math.isfinite(value) for value in values.values())
+    if isinstance(codec, Packed):
+        assert codec.encode(**values) == raw
+    for size in range(codec.size):
+        with pytest.raises(ValueError, match="are due"):
+            codec.decode(raw[:size])
+
+
+@pytest.mark.parametrize("name", CODECS)
+def test_what_is_not_a_number_is_refused(name: str) -> None:
+    codec = CODECS[name]
+    for field in codec.names:
+        with pytest.raises(ValueError, match="not a number"):
+            codec.encode(**{field: math.nan})
+    with pytest.raises(ValueError, match="no field"):
+        codec.encode(nonsense=1)
+
+
+def test_a_packed_payload_fills_whole_bytes() -> None:
+    with pytest.raises(ValueError, match="whole bytes"):
+        Packed(Span("a", 7))
+
+
+def test_a_float_that_may_be_missing_is_nan() -> None:
+    layout = Layout("<", Field("a", "f", nan=True))
+    assert math.isnan(layout.decode(layout.encode(a=math.nan))["a"])
+
+
+class NoBus:
+    """A bus that takes everything and has nobody on it."""
+
+    name, up, state = "none", True, "error_active"
+
+    def send(self, *_: Any, **__: Any) -> None:
+        """Drop it."""
+
+    def paced(self, *_: Any) -> bool:
+        return True
+
+
+frames = st.builds(
+    can.Message,
+    arbitration_id=st.integers(0, 0x7FF),
+    data=st.binary(max_size=8),
+    is_extended_id=st.just(False),
+)
+
+
+@pytest.mark.parametrize("name", PROFILES)
+@given(data=st.data())
+@settings(max_examples=60, deadline=None)
+def test_no_frame_upsets_a_drive_or_its_twin(name: str, data: st.DataObject) -> None:
+    kind, table = profile(name), MOTORS[name]
+    bus: Any = NoBus()
+    drive = kind.drive(table["node"], msgspec.convert(table.get("options", {}), kind.options), bus)
+    twin = make_twin(name, table["node"], **table.get("options", {}))
+    for _ in range(4):
+        route = data.draw(st.sampled_from(drive.routes()))
+        free = data.draw(st.integers(0, 0x1FFFFFFF if route.extended else 0x7FF))
+        message = can.Message(
+            arbitration_id=route.value | (free & ~route.mask),
+            is_extended_id=route.extended,
+            data=data.draw(st.binary(max_size=8)),
+        )
+        try:
+            drive.take(message)
+        except ValueError:
+            continue
+    status = drive.status
+    for value in (status.position, status.velocity, status.torque):
+        assert value is None or math.isfinite(value)
+    twin.take(data.draw(frames))
+    extended = data.draw(st.integers(0, 0x1FFFFF)) << 8 | table["node"]
+    size = data.draw(st.binary(max_size=8))
+    twin.take(can.Message(arbitration_id=extended, is_extended_id=True, data=size))
+    twin.tick(1.0)
+
+
+@given(st.integers(0, 0xFFFF))
+def test_any_statusword_is_a_state(word: int) -> None:
+    assert isinstance(state_of(word), str)
+
+
+def test_the_states_of_the_standard_are_told_apart() -> None:
+    words = {0x250: "switch_on_disabled", 0x231: "ready", 0x233: "switched_on", 0x237: "enabled"}
+    words |= {0x217: "quick_stop", 0x21F: "fault_reaction", 0x218: "fault", 0x200: "not_ready"}
+    for word, state in words.items():
+        assert state_of(word) == state

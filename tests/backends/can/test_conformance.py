@@ -1,0 +1,95 @@
+"""The CAN backend keeps what the house asks of a backend, whatever drive is on the bus."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncGenerator, Mapping, Sequence
+from contextlib import asynccontextmanager
+from typing import Any, ClassVar
+
+import can
+
+import rcp_can
+from backends.can.rig import MOTORS, channel
+from rcp_can.sim import Bench, make_twin
+from rcp_kernel.testing import BackendSuite, Goal, eventually
+from rcp_kernel.testing.backend import Robot
+
+
+class CanSuite(BackendSuite):
+    kind = next(iter(rcp_can.rcp_backends()))
+    profile: ClassVar[str]
+    complete_within = 20.0
+    cancel_within = 4.0
+
+    @asynccontextmanager
+    async def twin(self) -> AsyncGenerator[Bench]:
+        self.channel, table = channel(), MOTORS[self.profile]
+        protocol = can.CanProtocol.CAN_FD if self.profile == "moteus" else can.CanProtocol.CAN_20
+        line = can.Bus(self.channel, "virtual", protocol=protocol, ignore_config=True)
+        twin = make_twin(self.profile, table["node"], **table.get("options", {}))
+        with Bench(line, [twin]) as bench:
+            yield bench
+
+    def table(self) -> Mapping[str, Any]:
+        bus = {"interface": "virtual", "channel": self.channel, "statistics": 0.1}
+        bus["fd"] = self.profile == "moteus"
+        motor = {"bus": "can0", "profile": self.profile, "velocity": 4.0, **MOTORS[self.profile]}
+        return {"buses": {"can0": bus}, "motors": {"m": {**motor, "timeout": 0.2}}}
+
+    @asynccontextmanager
+    async def served_by_device(self) -> AsyncGenerator[Robot]:
+        async with super().served_by_device() as robot:
+            enabled = await robot.ask("execute", "service/m/enable")  # or nothing would be taken
+            assert enabled["status"] == "completed", enabled
+            yield robot
+
+    async def prepare(self, name: str) -> None:
+        await self.running.ask("execute", "service/m/enable")
+
+    async def truth(self, name: str) -> Any:
+        """Return the set-point that the drive has, once it stays the same."""
+        twin, mode = self.device.twins[0], name.rpartition("/")[2]
+        found: list[Any] = []
+        while len(found) < 4 or any(one != found[-1] for one in found[-4:]):
+            await asyncio.sleep(0.03)
+            taken = [value for kind, value in twin.commands if kind == mode]
+            found.append(round(taken[-1], 1) + 0.0 if taken else 0.0)
+        return found[-1]
+
+    def values(self, name: str) -> Sequence[Any]:
+        return (0.4, 0.2) if name.startswith("actuator/") else super().values(name)
+
+    async def confirms(self, name: str, result: Any) -> bool:
+        return abs(self.device.twins[0].plant.position - result["position"]) < 0.05
+
+    async def at_rest(self) -> bool:
+        return abs(self.device.twins[0].plant.velocity) < 0.1
+
+    def goals(self) -> Mapping[str, Goal]:
+        found: dict[str, Goal] = {}
+        if self.profile != "vesc":
+            goal = Goal(good={"position": 0.5}, long={"position": 7.0})
+            found["action/m/move_to"] = goal
+        if self.profile in ("cia402", "odrive"):
+            found["action/m/home"] = Goal(good=None)
+        return found
+
+    async def break_link(self) -> None:
+        self.device.twins[0].silent = True
+
+        async def lost() -> bool:
+            return not self.backend.axes["m"].online
+
+        await eventually(lost, "it is missed")
+
+    async def mend_link(self) -> None:
+        self.device.twins[0].silent = False
+
+
+class TestOdrive(CanSuite):
+    profile = "odrive"
+
+
+class TestCia402(CanSuite):
+    profile = "cia402"
