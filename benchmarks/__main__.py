@@ -19,6 +19,7 @@ ALL = (
     "tls",
     "guarded",
     "mavlink",
+    "can_axes",
     "beside_rosbridge",
 )
 

@@ -57,6 +57,8 @@ class Axis:
         self.stopping = False
         self.owner: str | None = None
         """The action that drives it now."""
+        self.gone: RcpError | None = None
+        """Why the last set-point was dropped."""
         self.leaving = False
         """Whether an action that is over still brings it to rest."""
         self.ended: Callable[[RcpError], None] | None = None
@@ -258,7 +260,7 @@ class Axis:
 
     def forget(self, reason: RcpError | None) -> None:
         """Drop the set-point that stands; an action that made it is told why."""
-        self.mode = None
+        self.mode, self.gone = None, reason
         ended, self.ended = self.ended, None
         if ended is not None and reason is not None:
             ended(reason)

@@ -150,9 +150,10 @@ class Drive:
         *,
         seconds: float = _ANSWER,
         again: Callable[[], object] | None = None,
+        every: float = _AGAIN,
         faults: bool = True,
     ) -> None:
-        """Wait until the status shows something; `again` sends the request, now and then anew.
+        """Wait until the status shows something; `again` sends the request, now and `every` so many s.
 
         :raises DeviceTimeout: it does not come to show it.
         :raises DeviceRejected: the drive goes into fault instead.
@@ -171,7 +172,7 @@ class Drive:
             self._waiters.append((done, future))
             self.look()
             left = end - loop.time()
-            pause = min(_AGAIN, left) if again is not None else left
+            pause = min(every, left) if again is not None else left
             await asyncio.wait((future,), timeout=max(0.0, pause))
             future.cancel()
             if holds():

@@ -132,8 +132,8 @@ class MotorPart(Part):
         axis.owner = f"action/{axis.name}/home"
         try:
             await _guarded(axis, axis.drive.home())
-        except (asyncio.CancelledError, RcpError):
-            await _abandon(axis)
+        except (asyncio.CancelledError, RcpError) as error:
+            await _abandon(axis, error)
             raise
         finally:
             axis.owner = axis.ended = None
@@ -152,8 +152,8 @@ class MotorPart(Part):
         axis.owner = name
         try:
             await drive_to(axis, move, progress)
-        except (asyncio.CancelledError, RcpError):
-            await _abandon(axis)
+        except (asyncio.CancelledError, RcpError) as error:
+            await _abandon(axis, error)
             raise
         finally:
             axis.owner = axis.ended = None
@@ -173,8 +173,11 @@ async def _guarded(axis: Axis, work: Coroutine[Any, Any, None]) -> None:
     try:
         await asyncio.wait((task,))
     finally:
-        task.cancel()
         axis.ended = None
+        while not task.done():
+            task.cancel()
+            with anyio.CancelScope(shield=True):
+                await asyncio.wait((task,), timeout=_LOOK)
     if reasons:
         raise reasons[0]
     task.result()
@@ -229,10 +232,10 @@ async def drive_to(axis: Axis, move: m.Move, progress: Progress) -> None:
             )
 
 
-async def _abandon(axis: Axis) -> None:
-    """Bring a joint to rest whose move is over, whatever else happens."""
+async def _abandon(axis: Axis, why: BaseException) -> None:
+    """Bring a joint to rest whose move is over, unless its drive is out of our hands already."""
     axis.ended = None
-    if axis.stopping or not axis.online or not axis.status.enabled:
+    if why is axis.gone or axis.stopping or not axis.online or not axis.status.enabled:
         return
     axis.rest()
     axis.leaving = True

@@ -152,7 +152,8 @@ class Sdo:
         self._answer = asyncio.get_running_loop().create_future()
         try:
             self._bus.send(0x600 + self._node, frame)
-            answer = await asyncio.wait_for(self._answer, _TIMEOUT)
+            async with asyncio.timeout(_TIMEOUT):  # `wait_for` may swallow a cancellation
+                answer = await self._answer
         except TimeoutError:
             if self._bus.up:
                 self._bus.send(

@@ -14,6 +14,8 @@ PROFILES = {
     "mit": "mit:MIT",
     "tmotor": "mit:TMOTOR",
     "damiao": "mit:DAMIAO",
+    "moteus": "moteus:PROFILE",
+    "vesc": "vesc:PROFILE",
     "cybergear": "cybergear:PROFILE",
 }
 """Module and name of each profile, below this package; imported when a motor asks for it."""

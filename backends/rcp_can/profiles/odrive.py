@@ -22,6 +22,7 @@ TURN = 2 * math.pi  # rad: ODrive counts turns
 _IDLE, _HOMING, _CLOSED_LOOP = 1, 11, 8
 _CONTROL: dict[Mode, int] = {"torque": 1, "velocity": 2, "position": 3}
 _PASSTHROUGH, _TRAPEZOID = 1, 5
+_SLOW = 0.4  # s between two requests for a state, which take their time
 _FAST = 0.05  # s: a set-point that could not leave within this is not worth sending
 
 
@@ -187,7 +188,9 @@ class OdriveDrive(Drive):
         self, name: str, *, urgent: bool = False, stale: float | None = None, **values: float
     ) -> None:
         command, layout = MESSAGES[name]
-        self.bus.send(self._base | command, layout.encode(**values), urgent=urgent, lifetime=stale)
+        # Eight bytes always: the field's tools and mocks take no less.
+        data = layout.encode(**values).ljust(8, b"\0")
+        self.bus.send(self._base | command, data, urgent=urgent, lifetime=stale)
 
     def poll(self, tick: int) -> None:
         """Ask for what is not sent unasked: temperatures and supply, now and then who answers."""
@@ -206,7 +209,7 @@ class OdriveDrive(Drive):
             self._say("velocity")
             self._say("state", state=_CLOSED_LOOP)
 
-        await self.until(lambda: self._state == _CLOSED_LOOP, "enabled", again=ask)
+        await self.until(lambda: self._state == _CLOSED_LOOP, "enabled", again=ask, every=_SLOW)
 
     async def disable(self) -> None:
         """Go idle."""
@@ -214,6 +217,7 @@ class OdriveDrive(Drive):
             lambda: self._state == _IDLE,
             "disabled",
             again=lambda: self._say("state", state=_IDLE),
+            every=_SLOW,
             faults=False,
         )
 

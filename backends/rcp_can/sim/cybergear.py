@@ -25,6 +25,7 @@ class CyberGearTwin(Twin):
         self.faults = 0
         self.parameters: dict[int, bytes] = {}
         self._quiet = 0.0
+        self._host = options.get("host", 0xFD)
 
     def boot(self) -> None:
         """Start anew; the watchdog is not armed any more."""
@@ -45,13 +46,15 @@ class CyberGearTwin(Twin):
         kind, word = identifier >> 24, identifier >> 8 & 0xFFFF
         host = word & 0xFF
         self._quiet = 0.0
+        if kind != 1:
+            self._host = host
         match kind:
             case 0:
                 self.send(self.node << 8 | 0xFE, b"CYBRGEAR", is_extended_id=True)
                 return
             case 1:
                 self._control(data, word)
-                host = self.options.get("host", 0xFD)
+                host = self._host
             case 3:
                 if not self.refuses and not self.faults:
                     self.enabled = True

@@ -164,6 +164,8 @@ MOTORS: dict[str, dict[str, Any]] = {
     "tmotor": {"node": 2, "options": {"model": "AK80-9"}},
     "damiao": {"node": 3},
     "cybergear": {"node": 4},
+    "moteus": {"node": 1},
+    "vesc": {"node": 7},
 }
 """A motor of each profile, as its table of the configuration."""
 

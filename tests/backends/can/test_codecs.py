@@ -14,13 +14,15 @@ from hypothesis import strategies as st
 
 from backends.can.rig import MOTORS
 from rcp_can.codec import Codec, Field, Layout, Packed, Span
-from rcp_can.profiles import PROFILES, cia402_objects, cybergear, mit, odrive, profile
+from rcp_can.profiles import PROFILES, cia402_objects, cybergear, mit, odrive, profile, vesc
+from rcp_can.profiles import moteus_wire as wire
 from rcp_can.profiles.cia402_objects import state_of
 from rcp_can.sim import make_twin
 
 CODECS: dict[str, Codec] = {
     **{f"odrive {name}": layout for name, (_, layout) in odrive.MESSAGES.items()},
     **{f"cia402 {name}": layout for name, (_, layout) in cia402_objects.MESSAGES.items()},
+    **{f"vesc {name}": layout for name, (_, layout) in vesc.MESSAGES.items()},
     **{f"command {name}": mit.command_codec(span) for name, span in mit.MODELS.items()},
     **{f"reply {name}": mit.reply_codec(span) for name, span in mit.MODELS.items()},
     "cybergear command": cybergear.COMMAND,
@@ -177,3 +179,47 @@ def test_the_states_of_the_standard_are_told_apart() -> None:
     words |= {0x217: "quick_stop", 0x21F: "fault_reaction", 0x218: "fault", 0x200: "not_ready"}
     for word, state in words.items():
         assert state_of(word) == state
+
+
+accesses = st.lists(
+    st.builds(
+        wire.Access,
+        st.sampled_from([wire.Kind.WRITE, wire.Kind.REPLY]),
+        st.sampled_from([register.number for register in wire.REGISTERS.values()]),
+        st.sampled_from(wire.Width),
+        st.floats(-0.25, 0.25, width=32),
+    ),
+    max_size=8,
+)
+
+
+@given(accesses)
+def test_moteus_registers_come_back_as_they_went(sent: list[wire.Access]) -> None:
+    found = wire.parse(wire.pad(wire.build(sent)))
+    assert [(a.kind, a.register, a.width) for a in found] == [
+        (a.kind, a.register, a.width) for a in sent
+    ]
+    for one, other in zip(sent, found, strict=True):
+        scale = 1e-6 if one.width == wire.Width.FLOAT else wire.step(one.register, one.width)
+        assert abs((one.value or 0) - (other.value or 0)) <= 0.501 * scale
+
+
+@given(st.binary(max_size=64))
+def test_any_moteus_payload_is_registers_or_refused(data: bytes) -> None:
+    try:
+        found = wire.parse(data)
+    except ValueError:
+        return
+    assert all(isinstance(access, wire.Access) for access in found)
+
+
+def test_a_moteus_value_that_is_missing_is_nan_in_every_width() -> None:
+    for width in wire.Width:
+        sent = wire.Access(wire.Kind.WRITE, 0x020, width, math.nan)
+        (found,) = wire.parse(wire.build([sent]))
+        assert found.value is not None
+        assert math.isnan(found.value)
+        beyond = wire.Access(wire.Kind.WRITE, 0x020, width, 1e30)
+        (found,) = wire.parse(wire.build([beyond]))
+        assert found.value is not None
+        assert found.value > 1.0

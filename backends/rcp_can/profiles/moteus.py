@@ -1,0 +1,269 @@
+"""mjbots moteus on CAN FD: id = reply wanted << 15 | source << 8 | destination, registers as payload."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Annotated
+
+from msgspec import Meta, Struct
+
+from rcp_can.bus import Bus, Route
+from rcp_can.drive import Drive, Fault, Profile
+from rcp_can.motor_messages import Mode as MotorMode
+from rcp_can.profiles.moteus_wire import REGISTERS, Access, Kind, Mode, Width, build, pad, parse
+
+if TYPE_CHECKING:
+    import can
+
+__all__ = ["PROFILE", "MoteusDrive", "MoteusOptions"]
+
+TURN = 2 * math.pi  # rad: moteus counts turns
+_FAST = 0.05  # s: a set-point that could not leave within this is not worth sending
+_ASKED = (
+    *(("mode", Width.INT8), ("position", Width.FLOAT), ("velocity", Width.FLOAT)),
+    *(("torque", Width.FLOAT), ("q_current", Width.FLOAT), ("motor_temperature", Width.INT16)),
+    *(("trajectory_complete", Width.INT8), ("voltage", Width.INT16)),
+    *(("temperature", Width.INT16), ("fault", Width.INT8)),
+    ("milliseconds", Width.INT32),
+)
+_QUERY = build(Access(Kind.READ, REGISTERS[name].number, width) for name, width in _ASKED)
+_STILL = {"command_position": math.nan, "command_velocity": 0.0}
+"""Hold velocity zero where it is."""
+_NAMES = {register.number: name for name, register in REGISTERS.items()}
+_ON = frozenset((Mode.POSITION, Mode.ZERO_VELOCITY, Mode.BRAKE, 13, 14))
+_WRAPS = 2**31 - 60_000  # ms: nearer to its end the clock may begin anew by itself
+_TOO_MANY = 4  # answers that nobody asked for
+
+_FAULTS = {
+    32: "calibration",
+    33: "driver fault",
+    34: "over-voltage",
+    35: "encoder",
+    36: "not configured",
+    37: "PWM cycle overrun",
+    38: "over-temperature",
+    39: "outside of its limits",
+    40: "under-voltage",
+    41: "configuration changed",
+    42: "theta invalid",
+    43: "position invalid",
+    44: "driver enable",
+    46: "timing violation",
+}
+
+
+class MoteusOptions(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Who we are, and the drive's own limits."""
+
+    source: Annotated[int, Meta(ge=0, le=127)] = 0
+    """Id of the gateway."""
+    watchdog: Annotated[int, Meta(ge=0, le=60_000)] = 500
+    """Silence after which the drive goes into its time-out mode, ms; 0 leaves it alone."""
+    max_torque: Annotated[float, Meta(gt=0)] | None = None
+    """N·m at the drive's shaft."""
+    switched: bool = True
+    """Send the data phase at its own bit rate."""
+
+
+class MoteusDrive(Drive):
+    """A moteus controller."""
+
+    moves = True
+    zeroes = True
+    holds = True
+
+    def __init__(self, node: int, options: MoteusOptions, bus: Bus) -> None:
+        super().__init__(node, options, bus)
+        self._mode = 0
+        self._spoken = self._moving = False
+        self._owed = 0
+        self._target: dict[str, float] = {}
+        self._clock = math.nan
+
+    def routes(self) -> tuple[Route, ...]:
+        """Take its answers to us."""
+        return tuple(
+            Route(self.node << 8 | self.options.source, 0x7FFF, extended=extended)
+            for extended in (True, False)
+        )
+
+    def take(self, message: can.Message) -> bool:
+        """Read an answer."""
+        values: dict[str, float] = {}
+        for access in parse(bytes(message.data)):
+            if access.kind == Kind.REPLY and access.register in _NAMES and access.value is not None:
+                values[_NAMES[access.register]] = access.value
+        self._count()
+        self._look_for_a_boot(values.get("milliseconds", math.nan))
+        status = self.status
+        for name, factor in (("position", TURN), ("velocity", TURN), ("torque", 1.0)):
+            if math.isfinite(value := values.get(name, math.nan)):
+                setattr(status, name, value * factor)
+        for name, field in _OTHERS.items():
+            if math.isfinite(value := values.get(name, math.nan)):
+                setattr(status, field, value)
+        if "mode" in values and math.isfinite(values["mode"]):
+            self._state(int(values["mode"]), int(values.get("fault", 0)))
+        done = values.get("trajectory_complete", 0)
+        status.reached = bool(done) if self._moving and self._mode == Mode.POSITION else None
+        status.moved += 1
+        status.told += 1
+        return True
+
+    def _look_for_a_boot(self, milliseconds: float) -> None:
+        """See that its clock goes on.
+
+        A set-point switches a moteus on that is off, so one that has booted is stopped at once.
+        """
+        before, self._clock = self._clock, milliseconds
+        if milliseconds < before < _WRAPS:
+            self.status.resets += 1
+            if self.status.enabled:
+                self._moving = False
+                self._write({"mode": Mode.STOPPED}, urgent=True)
+
+    def _state(self, mode: int, fault: int) -> None:
+        self._mode = mode
+        status = self.status
+        status.enabled = mode in _ON
+        if mode == Mode.FAULT:
+            text = _FAULTS.get(fault, f"fault {fault}")
+            status.faults = (Fault(text.replace(" ", "_"), text, fault),)
+        elif mode == Mode.TIMEOUT:
+            status.faults = (Fault("watchdog", "its watchdog has expired", mode),)
+        else:
+            status.faults = ()
+
+    def _count(self) -> None:
+        self._owed -= 1
+        if self._owed <= -_TOO_MANY:
+            self._owed = 0
+            self.status.twins += 1
+
+    def _write(self, values: dict[str, float], *, urgent: bool = False) -> None:
+        """Write registers, the mode first, and ask for the state in the same frame."""
+        writes = [
+            Access(
+                Kind.WRITE,
+                REGISTERS[name].number,
+                Width.INT8 if name == "mode" else Width.FLOAT,
+                value,
+            )
+            for name, value in values.items()
+        ]
+        self._spoken = True
+        self._owed = min(self._owed + 1, 2)
+        self.bus.send(
+            0x8000 | self.options.source << 8 | self.node,
+            pad(build(writes) + _QUERY),
+            extended=True,
+            fd=True,
+            switched=self.options.switched,
+            urgent=urgent,
+            lifetime=None if urgent else _FAST,
+        )
+
+    def _drive(self, values: dict[str, float], *, urgent: bool = False) -> None:
+        options = self.options
+        whole = {"mode": float(Mode.POSITION), **values}
+        if options.max_torque is not None:
+            whole["max_torque"] = options.max_torque
+        if options.watchdog:
+            whole["watchdog"] = options.watchdog / 1000
+        self._write(whole, urgent=urgent)
+
+    def poll(self, tick: int) -> None:
+        """Ask for its state where no set-point did; a move is kept alive by asking."""
+        spoken, self._spoken = self._spoken, False
+        if spoken:
+            return
+        if self._moving and self.status.enabled:
+            self._drive(self._target)
+        else:
+            self._write({})
+        self._spoken = False
+
+    async def enable(self) -> None:
+        """Hold where it is: position mode with no position and velocity zero."""
+        self._moving = False
+        await self.until(
+            lambda: bool(self.status.enabled),
+            "enabled",
+            again=lambda: self._drive(_STILL),
+        )
+
+    async def disable(self) -> None:
+        """Stop."""
+        self._moving = False
+        await self.until(
+            lambda: self._mode in (Mode.STOPPED, Mode.FAULT),
+            "disabled",
+            again=lambda: self._write({"mode": Mode.STOPPED}),
+            faults=False,
+        )
+
+    async def clear_faults(self) -> None:
+        """Stop: that clears the fault."""
+        self._moving = False
+        await self.until(
+            lambda: self._mode == Mode.STOPPED,
+            "free of faults",
+            again=lambda: self._write({"mode": Mode.STOPPED}),
+            faults=False,
+        )
+
+    async def set_zero(self) -> None:
+        """Make the present position zero."""
+        self._write({"set_output": 0.0})
+        await self.until(
+            lambda: abs(self.status.position or 0.0) < 0.05,
+            "at zero",
+            again=lambda: self._write({"set_output": 0.0}),
+        )
+
+    def command(self, mode: MotorMode, value: float, velocity: float) -> None:
+        """Send a set-point."""
+        self._moving = False
+        match mode:
+            case "position":
+                self._drive({"command_position": value / TURN, "command_velocity": velocity / TURN})
+            case "velocity":
+                self._drive({**_STILL, "command_velocity": value / TURN})
+            case "torque":
+                self._drive({**_STILL, "command_torque": value, "kp_scale": 0.0, "kd_scale": 0.0})
+
+    async def move(self, position: float, velocity: float, acceleration: float | None) -> None:
+        """Drive by its own trajectory."""
+        self._target = {
+            "command_position": position / TURN,
+            "command_velocity": 0.0,
+            "velocity_limit": velocity / TURN,
+        }
+        if acceleration is not None:
+            self._target["acceleration_limit"] = acceleration / TURN
+        self._drive(self._target)
+        self._moving = True
+        self.status.reached = None
+
+    def stop(self) -> None:
+        """Brake with all the torque there is, and hold velocity zero."""
+        self._moving = False
+        self._drive(_STILL, urgent=True)
+
+
+_OTHERS = {
+    "q_current": "current",
+    "voltage": "voltage",
+    "temperature": "drive_temperature",
+    "motor_temperature": "motor_temperature",
+}
+
+PROFILE = Profile(
+    "moteus",
+    "mjbots moteus, on CAN FD.",
+    MoteusOptions,
+    MoteusDrive,
+    "rcp_can.sim.moteus:MoteusTwin",
+    range(1, 127),
+    fd=True,
+)

@@ -1,0 +1,155 @@
+"""VESC: 29-bit identifiers, command << 8 | id, big-endian; it sends its state unasked."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Annotated
+
+from msgspec import Meta, Struct
+
+from rcp_can.bus import Bus, Route
+from rcp_can.codec import Field, Layout
+from rcp_can.drive import Drive, Profile
+from rcp_can.motor_messages import Mode
+
+if TYPE_CHECKING:
+    import can
+
+__all__ = ["MESSAGES", "PROFILE", "VescDrive", "VescOptions"]
+
+_FAST = 0.05  # s: a set-point that could not leave within this is not worth sending
+_STEPS = 6  # of the tachometer in one electrical turn
+
+MESSAGES: dict[str, tuple[int, Layout]] = {
+    "duty": (0, Layout(">", Field("duty", "i", 1e-5))),
+    "current": (1, Layout(">", Field("current", "i", 1e-3))),
+    "brake": (2, Layout(">", Field("current", "i", 1e-3))),
+    "rpm": (3, Layout(">", Field("erpm", "i"))),
+    "position": (4, Layout(">", Field("degrees", "i", 1e-6))),
+    "status": (
+        9,
+        Layout(">", Field("erpm", "i"), Field("current", "h", 0.1), Field("duty", "h", 1e-3)),
+    ),
+    "status_2": (14, Layout(">", Field("used", "i", 1e-4), Field("charged", "i", 1e-4))),
+    "status_3": (15, Layout(">", Field("used", "i", 1e-4), Field("charged", "i", 1e-4))),
+    "status_4": (
+        16,
+        Layout(
+            ">",
+            *(Field("drive", "h", 0.1), Field("motor", "h", 0.1)),
+            *(Field("input", "h", 0.1), Field("position", "h", 0.02)),
+        ),
+    ),
+    "status_5": (27, Layout(">", Field("tachometer", "i"), Field("voltage", "h", 0.1))),
+    "status_6": (
+        58,
+        Layout(">", *(Field(name, "h", 1e-3) for name in ("adc1", "adc2", "adc3", "ppm"))),
+    ),
+}
+"""Command and payload of each message."""
+
+
+class VescOptions(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """What the motor is, for the VESC counts electrical turns and knows no torque."""
+
+    pole_pairs: Annotated[int, Meta(ge=1, le=200)] = 7
+    torque_constant: Annotated[float, Meta(gt=0)] = 0.05
+    """N·m/A."""
+    brake_current: Annotated[float, Meta(gt=0, le=1000)] = 10.0
+    """A, of a quick stop."""
+
+
+class VescDrive(Drive):
+    """A VESC, which has no switch of its own: enabled is that set-points are sent.
+
+    It releases the motor half a second after the last one.
+    """
+
+    holds = True
+    modes = frozenset[Mode](("velocity", "torque"))
+
+    def __init__(self, node: int, options: VescOptions, bus: Bus) -> None:
+        super().__init__(node, options, bus)
+        self._on = False
+        self._read = {
+            MESSAGES[name][0]: (MESSAGES[name][1], getattr(self, f"_on_{name}"))
+            for name in ("status", "status_4", "status_5")
+        }
+        self._per_erpm = 2 * math.pi / 60 / options.pole_pairs
+
+    def routes(self) -> tuple[Route, ...]:
+        """Take all of its frames."""
+        return (Route(self.node, 0xFF, extended=True),)
+
+    def take(self, message: can.Message) -> bool:
+        """Read one frame."""
+        known = self._read.get(message.arbitration_id >> 8)
+        if known is None:
+            return False
+        layout, told = known
+        told(**layout.decode(message.data))
+        self.status.enabled = self._on
+        self.status.told += 1
+        return True
+
+    def _on_status(self, erpm: float, current: float, duty: float) -> None:
+        status = self.status
+        status.velocity = erpm * self._per_erpm
+        status.current = current
+        status.torque = current * self.options.torque_constant
+        status.moved += 1
+
+    def _on_status_4(self, drive: float, motor: float, input: float, position: float) -> None:  # noqa: A002
+        self.status.drive_temperature, self.status.motor_temperature = drive, motor
+
+    def _on_status_5(self, tachometer: float, voltage: float) -> None:
+        self.status.position = tachometer / (_STEPS * self.options.pole_pairs) * 2 * math.pi
+        self.status.voltage = voltage
+        self.status.moved += 1
+
+    def _say(self, name: str, *, urgent: bool = False, **values: float) -> None:
+        command, layout = MESSAGES[name]
+        self.bus.send(
+            command << 8 | self.node,
+            layout.encode(**values),
+            extended=True,
+            urgent=urgent,
+            lifetime=None if urgent else _FAST,
+        )
+
+    async def enable(self) -> None:
+        """Begin to take set-points, with the motor released."""
+        self._say("current")
+        self._on = True
+        await self.until(lambda: bool(self.status.enabled), "heard")
+
+    async def disable(self) -> None:
+        """Release the motor."""
+        self._on = False
+        self._say("current", urgent=True)
+        await self.until(lambda: self.status.enabled is False, "heard", faults=False)
+
+    async def clear_faults(self) -> None:
+        """Do nothing: a VESC leaves its faults by itself, and tells of none by these messages."""
+        await self.disable()
+
+    def command(self, mode: Mode, value: float, velocity: float) -> None:
+        """Send a set-point."""
+        if mode == "velocity":
+            self._say("rpm", erpm=value / self._per_erpm)
+        else:
+            self._say("current", current=value / self.options.torque_constant)
+
+    def stop(self) -> None:
+        """Brake."""
+        self._say("brake", urgent=True, current=self.options.brake_current)
+
+
+PROFILE = Profile(
+    "vesc",
+    "VESC speed controllers.",
+    VescOptions,
+    VescDrive,
+    "rcp_can.sim.vesc:VescTwin",
+    range(255),
+)

@@ -1,0 +1,48 @@
+"""Run simulated drives on a bus, in a process of their own: `python -m rcp_can.sim odrive:1 …`."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import threading
+from collections.abc import Sequence
+
+import can
+
+from rcp_can.profiles import PROFILES, profile
+from rcp_can.sim import Bench, Twin, make_twin
+
+__all__ = ["main"]
+
+
+def _twin(text: str) -> Twin:
+    name, _, node = text.partition(":")
+    if name not in PROFILES:
+        raise argparse.ArgumentTypeError(f"no profile {name!r}; there are {', '.join(PROFILES)}")
+    if not node.isdecimal() or int(node) not in profile(name).nodes:
+        raise argparse.ArgumentTypeError(f"{text!r} is not <profile>:<node>")
+    return make_twin(name, int(node))
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Parse the command line and run until interrupted, or for `--seconds`."""
+    parser = argparse.ArgumentParser(prog="python -m rcp_can.sim", description=__doc__)
+    parser.add_argument("drives", nargs="+", type=_twin, metavar="PROFILE:NODE")
+    parser.add_argument("--interface", default="udp_multicast", help="of python-can")
+    parser.add_argument("--channel", default="239.74.163.2")
+    parser.add_argument("--fd", action="store_true", help="CAN FD, which moteus needs")
+    parser.add_argument("--seconds", type=float, help="how long; for ever without it")
+    asked = parser.parse_args(arguments)
+    more = {} if asked.interface == "virtual" else {"fd": asked.fd}
+    bus = can.Bus(asked.channel, asked.interface, ignore_config=True, **more)
+    with Bench(bus, asked.drives):
+        sys.stdout.write(f"{len(asked.drives)} drives on {bus.channel_info}\n")
+        sys.stdout.flush()
+        try:
+            threading.Event().wait(asked.seconds)
+        except KeyboardInterrupt:
+            return
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,150 @@
+"""A simulated moteus."""
+
+from __future__ import annotations
+
+import math
+import time
+from typing import TYPE_CHECKING, Any
+
+from rcp_can.profiles.moteus_wire import REGISTERS, Access, Kind, Mode, build, pad, parse
+from rcp_can.sim.plant import Plant
+from rcp_can.sim.twin import Twin
+
+if TYPE_CHECKING:
+    import can
+
+__all__ = ["MoteusTwin"]
+
+TURN = 2 * math.pi
+_NAMES = {register.number: name for name, register in REGISTERS.items()}
+_COMMAND: dict[str, float] = {
+    "command_position": 0.0,
+    "command_velocity": 0.0,
+    "command_torque": 0.0,
+    "kp_scale": 1.0,
+    "kd_scale": 1.0,
+    "max_torque": math.nan,
+    "stop_position": math.nan,
+    "watchdog": math.nan,
+    "velocity_limit": math.nan,
+    "acceleration_limit": math.nan,
+}
+"""What a set-point is, where it does not say."""
+
+
+class MoteusTwin(Twin):
+    """One controller."""
+
+    def __init__(self, node: int, plant: Plant | None = None, **options: Any) -> None:
+        super().__init__(node, plant, **options)
+        self.mode = int(Mode.STOPPED)
+        self.fault = 0
+        self._command = dict(_COMMAND)
+        self._quiet = 0.0
+        self._booted = time.monotonic() - 10.0  # it was there before anybody looked
+
+    def boot(self) -> None:
+        """Start anew."""
+        super().boot()
+        self.mode, self.fault = int(Mode.STOPPED), 0
+        self._booted = time.monotonic()
+
+    def break_down(self) -> None:
+        """Trip by the driver chip, which over-current does."""
+        super().break_down()
+        self.mode, self.fault = int(Mode.FAULT), 33
+
+    def take(self, message: can.Message) -> None:
+        """Hear a frame, obey, and answer if that is wanted."""
+        identifier = message.arbitration_id
+        if identifier & 0x7F != self.node:
+            return
+        try:
+            accesses = parse(bytes(message.data))
+        except ValueError:
+            return
+        writes = [a for a in accesses if a.kind == Kind.WRITE]
+        if any(a.register == 0 for a in writes):
+            self._command = dict(_COMMAND)
+        for access in writes:
+            self._written(_NAMES.get(access.register, ""), access.value or 0.0)
+        if any(a.register == 0 for a in writes):
+            self._obey()
+        if identifier & 0x8000:
+            self._answer(identifier >> 8 & 0x7F, accesses, message)
+
+    def _written(self, name: str, value: float) -> None:
+        if name in self._command:
+            self._command[name] = value
+        elif name == "set_output":
+            self.plant.goal += value * TURN - self.plant.position
+            self.plant.position = value * TURN
+        elif name == "mode":
+            mode = int(value)
+            if mode == Mode.STOPPED:
+                self.mode, self.fault, self.enabled = mode, 0, False
+                self.plant.off()
+            elif self.mode not in (Mode.FAULT, Mode.TIMEOUT) and not self.refuses:
+                self.mode, self.enabled = mode, True
+
+    def _obey(self) -> None:
+        if not self.enabled:
+            return
+        self._quiet = 0.0
+        command, plant = self._command, self.plant
+        velocity = command["command_velocity"]
+        if self.mode != Mode.POSITION:
+            plant.hold()
+        elif command["kp_scale"] == 0.0 and command["kd_scale"] == 0.0:
+            plant.loop, plant.goal = "torque", command["command_torque"]
+            self.took("torque", plant.goal)
+        elif math.isnan(command["command_position"]):
+            plant.loop, plant.ramp = "velocity", None
+            plant.goal = 0.0 if math.isnan(velocity) else velocity * TURN
+            self.took("velocity", plant.goal)
+        else:
+            limit, ramp = command["velocity_limit"], command["acceleration_limit"]
+            plant.loop, plant.goal = "position", command["command_position"] * TURN
+            plant.speed = plant.velocity_limit if math.isnan(limit) else limit * TURN
+            plant.ramp = None if math.isnan(ramp) else ramp * TURN
+            self.took("position", plant.goal)
+
+    def tick(self, now: float) -> None:
+        """Expire the watchdog."""
+        self._quiet += 0.005
+        timeout = self._command["watchdog"]
+        if self.enabled and self._quiet > timeout:
+            self.enabled, self.mode = False, int(Mode.TIMEOUT)
+            self.plant.off()
+
+    def _read(self, name: str) -> float:
+        plant = self.plant
+        near = abs(plant.goal - plant.position) < 0.01 and abs(plant.velocity) < 0.1
+        values = {
+            "mode": float(self.mode),
+            "position": plant.position / TURN,
+            "velocity": plant.velocity / TURN,
+            "torque": plant.torque,
+            "q_current": plant.torque / 0.1,
+            "motor_temperature": plant.temperature,
+            "trajectory_complete": float(plant.loop == "position" and near),
+            "voltage": 24.0,
+            "temperature": 31.0,
+            "fault": float(self.fault),
+            "milliseconds": (time.monotonic() - self._booted) * 1000,
+        }
+        return values.get(name, 0.0)
+
+    def _answer(self, to: int, accesses: list[Access], message: can.Message) -> None:
+        replies = [
+            Access(Kind.REPLY, a.register, a.width, self._read(_NAMES.get(a.register, "")))
+            for a in accesses
+            if a.kind == Kind.READ
+        ]
+        self.send(
+            self.node << 8 | to,
+            pad(build(replies)),
+            is_extended_id=message.is_extended_id,
+            is_fd=True,
+            bitrate_switch=message.bitrate_switch,
+        )
