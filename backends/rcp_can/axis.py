@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 import structlog
 
 from rcp_can import motor_messages as m
+from rcp_can import views
 from rcp_can.bus import Bus
 from rcp_can.codec import clamp
 from rcp_can.config_motor import MotorConfig
@@ -68,7 +69,7 @@ class Axis:
         self._after_stop = 0
         self._seen = (0, 0, 0, 0)
         self._shown: m.MotorState | None = None
-        self._faults: dict[str, Fault] = {}
+        self.faults: dict[str, Fault] = {}
         self._own: dict[str, Fault] = {}
         self._ready = False
         self._configuring: asyncio.Task[None] | None = None
@@ -142,7 +143,7 @@ class Axis:
             self._dropped()
         self.drive.look()
         if status.moved != old[0]:
-            self._host.publish(f"sensor/{self.name}/motion", self.motion())
+            self._host.publish(f"sensor/{self.name}/motion", views.motion(self))
             if self._ready and status.position is not None:
                 self.first.set()
         self.show()
@@ -370,51 +371,22 @@ class Axis:
         value = m.MotorFault(fault=fault.name, text=fault.text, active=active, code=fault.code)
         self._host.publish(f"event/{self.name}/fault", value)
 
-    def motion(self) -> m.Motion:
-        """Return what the drive measured last."""
-        status = self.status
-        return m.Motion(
-            position=self.position,
-            velocity=self.velocity,
-            torque=None if status.torque is None else status.torque * self.ratio,
-            current=None if status.current is None else status.current * self.config.direction,
-        )
-
-    def health(self) -> m.Health:
-        """Return temperatures and supply."""
-        status = self.status
-        return m.Health(
-            drive_temperature=status.drive_temperature,
-            motor_temperature=status.motor_temperature,
-            voltage=status.voltage,
-        )
-
-    def told(self) -> m.MotorState:
-        """Return how it stands."""
-        return m.MotorState(
-            state=self.state,
-            mode=self.mode,
-            faults=sorted(self._faults),
-            reached=self.status.reached,
-            homed=self.status.homed,
-        )
-
     def show_health(self) -> None:
         """Publish temperatures and supply."""
         if self.online:
-            self._host.publish(f"sensor/{self.name}/health", self.health())
+            self._host.publish(f"sensor/{self.name}/health", views.health(self))
 
     def show(self) -> None:
         """Publish the state, and the faults that came or went, if something changed."""
         faults = {fault.name: fault for fault in self.status.faults} | self._own
-        if faults != self._faults:
+        if faults != self.faults:
             for name, fault in faults.items():
-                if self._faults.get(name) != fault:
+                if self.faults.get(name) != fault:
                     self._tell(fault, active=True)
-            for name in self._faults.keys() - faults.keys():
-                self._tell(self._faults[name], active=False)
-            self._faults = faults
-        value = self.told()
+            for name in self.faults.keys() - faults.keys():
+                self._tell(self.faults[name], active=False)
+            self.faults = faults
+        value = views.state(self)
         if value != self._shown:
             self._shown = value
             self._host.publish(f"sensor/{self.name}/state", value)

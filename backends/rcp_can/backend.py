@@ -15,6 +15,8 @@ from rcp_can.binding import Part
 from rcp_can.bus import Bus
 from rcp_can.config import CanConfig
 from rcp_can.crew import by_rate, heard, make_axes, run_axes, simulated
+from rcp_can.device import DevicePart
+from rcp_can.diff_drive import DiffDrivePart
 from rcp_can.health import Health
 from rcp_can.motor import MotorPart
 from rcp_can.raw import BusPart
@@ -89,7 +91,14 @@ async def open_buses(config: CanConfig, host: Host) -> AsyncGenerator[CanBackend
     axes = make_axes(config, buses, host, health)
     backend = CanBackend(host, buses, axes)
     lines = [BusPart(bus, host) for bus in buses.values()]
-    for part in (*lines, *map(MotorPart, axes.values())):
+    devices = [
+        DevicePart(name, device, buses[device.bus], host) for name, device in config.devices.items()
+    ]
+    drives = [
+        DiffDrivePart(name, drive, axes[drive.left], axes[drive.right])
+        for name, drive in config.diff_drives.items()
+    ]
+    for part in (*lines, *map(MotorPart, axes.values()), *devices, *drives):
         backend.add(part)
     try:
         async with anyio.create_task_group() as tasks:

@@ -7,6 +7,8 @@ from typing import Annotated, Any
 
 from msgspec import Meta, Struct
 
+from rcp_can.config_device import DeviceConfig
+from rcp_can.config_diff_drive import DiffDriveConfig
 from rcp_can.config_motor import MotorConfig
 from rcp_can.config_names import BusName, Name, Seconds
 
@@ -62,11 +64,20 @@ class CanConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
 
     buses: Annotated[dict[BusName, BusConfig], Meta(min_length=1)]
     motors: dict[Name, MotorConfig] = {}
+    devices: dict[Name, DeviceConfig] = {}
+    diff_drives: dict[Name, DiffDriveConfig] = {}
     grace: Annotated[float, Meta(ge=0, extra_json_schema={"unit": "s"})] = 1.0
     """For motors to be heard of, before the backend counts as open without them."""
 
     def __post_init__(self) -> None:
-        for name, motor in self.motors.items():
-            if motor.bus not in self.buses:
-                known = ", ".join(self.buses)
-                raise ValueError(f"motors.{name}.bus: there is no bus {motor.bus!r}, only {known}")
+        for name, drive in self.diff_drives.items():
+            for wheel in (drive.left, drive.right):
+                if wheel not in self.motors:
+                    raise ValueError(f"diff_drives.{name}: there is no motor {wheel!r}")
+        known = ", ".join(self.buses)
+        for table in ("motors", "devices"):
+            for name, on in getattr(self, table).items():
+                if on.bus not in self.buses:
+                    raise ValueError(
+                        f"{table}.{name}.bus: there is no bus {on.bus!r}, only {known}"
+                    )

@@ -10,6 +10,7 @@ from typing import Any
 import anyio
 
 from rcp_can import motor_messages as m
+from rcp_can import views
 from rcp_can.axis import Axis
 from rcp_can.binding import Part
 from rcp_can.motor_resources import motor_resources
@@ -64,13 +65,13 @@ class MotorPart(Part):
         axis = self.axis
         match name:
             case _ if name.endswith("/state"):
-                return axis.told()
+                return views.state(axis)
             case _ if name.endswith("/motion"):
                 axis.check_link()
-                return axis.motion()
+                return views.motion(axis)
             case _ if name.endswith("/health"):
                 axis.check_link()
-                return axis.health()
+                return views.health(axis)
             case _:
                 return await super().read(name)
 

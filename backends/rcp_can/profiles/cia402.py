@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import math
 import struct
-from typing import TYPE_CHECKING, Annotated, Literal
-
-from msgspec import Meta, Struct
+from typing import TYPE_CHECKING
 
 from rcp_can.bus import Bus, Route
 from rcp_can.drive import Drive, Fault, Profile, Reach
@@ -20,13 +18,14 @@ from rcp_can.profiles.cia402_objects import (
     emergency,
     state_of,
 )
+from rcp_can.profiles.cia402_options import Cia402Options
 from rcp_can.sdo import Sdo, SdoAborted
 from rcp_kernel.errors import DeviceRejected
 
 if TYPE_CHECKING:
     import can
 
-__all__ = ["PROFILE", "Cia402Drive", "Cia402Options"]
+__all__ = ["PROFILE", "Cia402Drive"]
 
 _PRE_OPERATIONAL, _OPERATIONAL, _START, _RESET = 0x7F, 0x05, 0x01, 0x81
 _REACHED, _LIMIT, _ACKNOWLEDGED, _HOMED, _HOMING_ERROR = 1 << 10, 1 << 11, 1 << 12, 1 << 12, 1 << 13
@@ -37,35 +36,6 @@ _PROBE = 0.3  # s between two looks for a node that says nothing by itself
 _SWITCHING = 2.0  # s for the way through the state machine
 _I32, _I16 = 2**31 - 1, 2**15 - 1
 _FAULTS = frozenset(("fault", "fault_reaction"))
-
-
-class Cia402Options(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """What the drive's own units are, and how it is to be talked to."""
-
-    counts: Annotated[float, Meta(gt=0)] = 4096.0
-    """Position units in one turn of the shaft; velocities are in the same, per second."""
-    velocity_scale: Annotated[float, Meta(gt=0)] = 1.0
-    """Velocity units for one position unit per second."""
-    rated_torque: Annotated[float, Meta(gt=0)] = 1.0
-    """N·m; torques are in thousandths of it."""
-    control: Literal["profile", "cyclic"] = "profile"
-    """Profile position and velocity, or the cyclic synchronous modes."""
-    homing_method: Annotated[int, Meta(ge=-128, le=127)] = 35
-    """As of CiA 402-2; 35 and 37 take the present position."""
-    feedback: Annotated[int, Meta(ge=1, le=10_000)] = 20
-    """Period of the drive's PDOs, ms."""
-    sync: Annotated[int, Meta(ge=0, le=10_000)] = 0
-    """Period of SYNC, ms, with which the drive's PDOs come instead of by their own; 0 sends none."""
-    heartbeat: Annotated[int, Meta(ge=0, le=10_000)] = 100
-    """Period of the drive's heartbeat, ms; 0 leaves it alone."""
-    watchdog: Annotated[int, Meta(ge=0, le=60_000)] = 500
-    """Silence of the gateway after which the drive reacts, ms; 0 leaves it alone."""
-    master: Annotated[int, Meta(ge=1, le=127)] = 126
-    """Node id of the gateway's own heartbeat."""
-    map_pdos: bool = True
-    """Map the PDOs; else they are taken to be mapped like that already."""
-    home_timeout: Annotated[float, Meta(gt=0)] = 60.0
-    """s"""
 
 
 class Cia402Drive(Drive):

@@ -1,0 +1,38 @@
+"""The options of a CiA 402 drive."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from msgspec import Meta, Struct
+
+__all__ = ["Cia402Options"]
+
+
+class Cia402Options(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """What the drive's own units are, and how it is to be talked to."""
+
+    counts: Annotated[float, Meta(gt=0)] = 4096.0
+    """Position units in one turn of the shaft; velocities are in the same, per second."""
+    velocity_scale: Annotated[float, Meta(gt=0)] = 1.0
+    """Velocity units for one position unit per second."""
+    rated_torque: Annotated[float, Meta(gt=0)] = 1.0
+    """N·m; torques are in thousandths of it."""
+    control: Literal["profile", "cyclic"] = "profile"
+    """Profile position and velocity, or the cyclic synchronous modes."""
+    homing_method: Annotated[int, Meta(ge=-128, le=127)] = 35
+    """As of CiA 402-2; 35 and 37 take the present position."""
+    feedback: Annotated[int, Meta(ge=1, le=10_000)] = 20
+    """Period of the drive's PDOs, ms."""
+    sync: Annotated[int, Meta(ge=0, le=10_000)] = 0
+    """Period of SYNC, ms, with which the drive's PDOs come instead of by their own; 0 sends none."""
+    heartbeat: Annotated[int, Meta(ge=0, le=10_000)] = 100
+    """Period of the drive's heartbeat, ms; 0 leaves it alone."""
+    watchdog: Annotated[int, Meta(ge=0, le=60_000)] = 500
+    """Silence of the gateway after which the drive reacts, ms; 0 leaves it alone."""
+    master: Annotated[int, Meta(ge=1, le=127)] = 126
+    """Node id of the gateway's own heartbeat."""
+    map_pdos: bool = True
+    """Map the PDOs; else they are taken to be mapped like that already."""
+    home_timeout: Annotated[float, Meta(gt=0)] = 60.0
+    """s"""

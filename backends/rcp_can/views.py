@@ -1,0 +1,44 @@
+"""What is shown of a motor, in the words of the motor model."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from rcp_can import motor_messages as m
+
+if TYPE_CHECKING:
+    from rcp_can.axis import Axis
+
+__all__ = ["health", "motion", "state"]
+
+
+def motion(axis: Axis) -> m.Motion:
+    """Return what the drive measured last, at the joint."""
+    status = axis.status
+    return m.Motion(
+        position=axis.position,
+        velocity=axis.velocity,
+        torque=None if status.torque is None else status.torque * axis.ratio,
+        current=None if status.current is None else status.current * axis.config.direction,
+    )
+
+
+def health(axis: Axis) -> m.Health:
+    """Return temperatures and supply."""
+    status = axis.status
+    return m.Health(
+        drive_temperature=status.drive_temperature,
+        motor_temperature=status.motor_temperature,
+        voltage=status.voltage,
+    )
+
+
+def state(axis: Axis) -> m.MotorState:
+    """Return how it stands."""
+    return m.MotorState(
+        state=axis.state,
+        mode=axis.mode,
+        faults=sorted(axis.faults),
+        reached=axis.status.reached,
+        homed=axis.status.homed,
+    )
