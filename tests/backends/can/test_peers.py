@@ -321,9 +321,9 @@ def test_cybergeardriver_drives_our_twin() -> None:
             listen()
             assert twin.plant.position == pytest.approx(1.0, abs=0.05)
             assert drive.state["position"] == pytest.approx(twin.plant.position, abs=0.1)
-            drive.set_zero_position()
-            until(lambda: abs(twin.plant.position) < 0.5)
             drive.stop()
             until(lambda: not twin.enabled)
+            drive.set_zero_position()
+            until(lambda: abs(twin.plant.position) < 0.1)
         finally:
             bus.shutdown()
