@@ -6,10 +6,10 @@ from collections.abc import Awaitable, Callable, Iterable, MutableMapping
 from math import ceil
 from typing import Any
 
+from rcp_kernel.access.peer import UNKNOWN, Peer
+from rcp_kernel.clients.sessions import Session
 from rcp_kernel.door import Door
 from rcp_kernel.errors import BY_CODE, BadRequest, RcpError
-from rcp_kernel.peer import UNKNOWN, Peer
-from rcp_kernel.sessions import Session
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import Reply, encode_reply, failure
 

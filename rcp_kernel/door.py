@@ -13,11 +13,12 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import msgspec
 
-from rcp_kernel.acl import Rights
-from rcp_kernel.command import Command
-from rcp_kernel.config import Limits
-from rcp_kernel.connections import Connection, Hello
-from rcp_kernel.discovery import Query
+from rcp_kernel.access.acl import Rights
+from rcp_kernel.access.identity import Principal
+from rcp_kernel.access.peer import UNKNOWN, Peer, Serial
+from rcp_kernel.clients.connections import Connection, Hello
+from rcp_kernel.clients.sessions import Answer, Session
+from rcp_kernel.config.file import Limits
 from rcp_kernel.errors import (
     AdapterUnavailable,
     Forbidden,
@@ -26,10 +27,9 @@ from rcp_kernel.errors import (
     RcpError,
     Unauthenticated,
 )
-from rcp_kernel.identity import Principal
 from rcp_kernel.model import Pattern
-from rcp_kernel.peer import UNKNOWN, Peer, Serial
-from rcp_kernel.sessions import Answer, Session
+from rcp_kernel.operations.command import Command
+from rcp_kernel.operations.discovery import Query
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import Reply, Request
 

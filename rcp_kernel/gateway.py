@@ -13,51 +13,51 @@ from typing import Any
 
 import msgspec
 
-from rcp_kernel.acl import Rules
-from rcp_kernel.admission import Admission
-from rcp_kernel.audit import Audit
-from rcp_kernel.audit_keeping import Keeping
-from rcp_kernel.batching import Batching
+from rcp_kernel.access.acl import Rules
+from rcp_kernel.access.conditions import Conditions
+from rcp_kernel.access.identities import Identities
+from rcp_kernel.access.identity import Principal
+from rcp_kernel.access.meter import free
+from rcp_kernel.access.quotas import Accounts
+from rcp_kernel.access.resolving import Resolver
+from rcp_kernel.clients.returning import Returning
+from rcp_kernel.clients.sessions import Answer, Handler, Session, Sessions
 from rcp_kernel.clock import iso, now
-from rcp_kernel.commands import Commands
-from rcp_kernel.conditions import Conditions
-from rcp_kernel.config import GatewayConfig
-from rcp_kernel.discovery import Discovery
-from rcp_kernel.envelopes import Envelopes
+from rcp_kernel.config.file import GatewayConfig
 from rcp_kernel.errors import (
     AdapterUnavailable,
     QueueFull,
     RcpError,
     UnsupportedOperation,
 )
-from rcp_kernel.executing import EstopLane, Executing, Service
-from rcp_kernel.filters import Options
-from rcp_kernel.history import History
-from rcp_kernel.hub import Hub
-from rcp_kernel.idempotency import Keys
-from rcp_kernel.identities import Identities
-from rcp_kernel.identity import Principal
-from rcp_kernel.inflight import InFlight
-from rcp_kernel.latches import Latches
-from rcp_kernel.leases import Leases
-from rcp_kernel.meter import free
-from rcp_kernel.metrics import Histogram
 from rcp_kernel.model import Operation, Pattern
-from rcp_kernel.pending import crash
-from rcp_kernel.quotas import Accounts
-from rcp_kernel.reading import Reading
-from rcp_kernel.recording import ACTS, DENIALS, Recorded, Recording
+from rcp_kernel.motion.envelopes import Envelopes
+from rcp_kernel.motion.latches import Latches
+from rcp_kernel.motion.leases import Leases
+from rcp_kernel.motion.safety import Deadman
+from rcp_kernel.operations.admission import Admission
+from rcp_kernel.operations.batching import Batching
+from rcp_kernel.operations.commands import Commands
+from rcp_kernel.operations.discovery import Discovery
+from rcp_kernel.operations.executing import EstopLane, Executing, Service
+from rcp_kernel.operations.idempotency import Keys
+from rcp_kernel.operations.inflight import InFlight
+from rcp_kernel.operations.pending import crash
+from rcp_kernel.operations.reading import Reading
+from rcp_kernel.operations.subscribing import Subscribing
+from rcp_kernel.operations.writing import Writing
+from rcp_kernel.process.metrics import Histogram
+from rcp_kernel.record.audit import Audit
+from rcp_kernel.record.history import History
+from rcp_kernel.record.keeping import Keeping
+from rcp_kernel.record.recording import ACTS, DENIALS, Recorded, Recording
+from rcp_kernel.record.store import Store
 from rcp_kernel.registry import Entry, Registry
-from rcp_kernel.resolving import Resolver
-from rcp_kernel.returning import Returning
-from rcp_kernel.safety import Deadman
-from rcp_kernel.samples import READ_PIECE
-from rcp_kernel.sessions import Answer, Handler, Session, Sessions
-from rcp_kernel.standing import Standing
-from rcp_kernel.store import Store
-from rcp_kernel.subscribing import Subscribing
+from rcp_kernel.streaming.filters import Options
+from rcp_kernel.streaming.hub import Hub
+from rcp_kernel.streaming.samples import READ_PIECE
+from rcp_kernel.streaming.standing import Standing
 from rcp_kernel.wire import Reply, Request, failure
-from rcp_kernel.writing import Writing
 
 __all__ = ["Gateway"]
 

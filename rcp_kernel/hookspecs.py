@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING
 import pluggy
 
 if TYPE_CHECKING:
-    from rcp_kernel.config import GatewayConfig
-    from rcp_kernel.identity import Principal
-    from rcp_kernel.sessions import Handler
+    from rcp_kernel.access.identity import Principal
+    from rcp_kernel.clients.sessions import Handler
+    from rcp_kernel.config.file import GatewayConfig
     from rcp_kernel.spi import AdapterKind, BackendKind, TransportKind
 
 __all__ = ["PROJECT", "hookimpl"]

@@ -18,7 +18,7 @@ import msgspec
 import pluggy
 
 from rcp_kernel import hookspecs
-from rcp_kernel.config import GatewayConfig
+from rcp_kernel.config.file import GatewayConfig
 from rcp_kernel.errors import ConfigError, PluginError
 from rcp_kernel.spi import AdapterKind, BackendKind, TransportKind
 

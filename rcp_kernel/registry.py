@@ -16,12 +16,12 @@ from typing import TYPE_CHECKING, Any, Protocol
 from rcp_kernel.clock import now
 from rcp_kernel.errors import PluginError, RcpError
 from rcp_kernel.model import BRANCHES, Kind, Operation, Pattern, Resource, full_path, kind_of
-from rcp_kernel.samples import Sample
 from rcp_kernel.spi import Backend
+from rcp_kernel.streaming.samples import Sample
 from rcp_kernel.values import ValueType, value_type
 
 if TYPE_CHECKING:
-    from rcp_kernel.latches import Latch
+    from rcp_kernel.motion.latches import Latch
 
 __all__ = ["Entry", "Listener", "Owner", "Registry"]
 

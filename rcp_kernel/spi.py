@@ -18,7 +18,7 @@ from rcp_kernel.errors import UnsupportedOperation
 from rcp_kernel.model import Resource
 
 if TYPE_CHECKING:
-    from rcp_kernel.config import GatewayConfig
+    from rcp_kernel.config.file import GatewayConfig
     from rcp_kernel.door import Door
 
 __all__ = [

@@ -12,16 +12,16 @@ from typing import Any
 import psutil
 from prometheus_client.core import Metric
 
-from rcp_kernel.acl import Rights
+from rcp_kernel.access.acl import Rights
+from rcp_kernel.clients.sessions import Session
 from rcp_kernel.clock import iso, now
 from rcp_kernel.gateway import Gateway
-from rcp_kernel.log import Recent
-from rcp_kernel.metrics import Histogram, Metrics, counter, gauge, histogram
 from rcp_kernel.model import tenant_of
+from rcp_kernel.process.log import Recent
+from rcp_kernel.process.metrics import Histogram, Metrics, counter, gauge, histogram
+from rcp_kernel.process.supervisor import WIRE_STATE, Slot
 from rcp_kernel.registry import Entry
-from rcp_kernel.sessions import Session
-from rcp_kernel.streams import Subscription
-from rcp_kernel.supervisor import WIRE_STATE, Slot
+from rcp_kernel.streaming.streams import Subscription
 
 __all__ = ["StatusReport", "gateway_version"]
 

@@ -9,18 +9,18 @@ from typing import Any
 
 import msgspec
 
-from rcp_kernel.audit import PATH
+from rcp_kernel.clients.sessions import Session
 from rcp_kernel.errors import RcpError, UnknownPath
-from rcp_kernel.estop import HALT_WAIT, Estop, EstopRequest, EstopState
 from rcp_kernel.gateway import Gateway
-from rcp_kernel.leasing import LeaseRequest, LeaseState, Leasing
-from rcp_kernel.log import Recent
 from rcp_kernel.model import Operation, Resource
+from rcp_kernel.motion.estop import HALT_WAIT, Estop, EstopRequest, EstopState
+from rcp_kernel.motion.leasing import LeaseRequest, LeaseState, Leasing
+from rcp_kernel.process.log import Recent
+from rcp_kernel.process.supervisor import Slot
+from rcp_kernel.record.audit import PATH
 from rcp_kernel.registry import Entry
-from rcp_kernel.sessions import Session
 from rcp_kernel.spi import Backend, BaseBackend, Progress
 from rcp_kernel.status import StatusReport
-from rcp_kernel.supervisor import Slot
 from rcp_kernel.types import Time
 
 __all__ = ["System"]

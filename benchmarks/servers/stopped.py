@@ -13,11 +13,11 @@ from contextlib import asynccontextmanager
 import msgspec
 import uvloop
 
-from rcp_kernel.config import BackendConfig, parse
-from rcp_kernel.garbage import collected_at_rest
-from rcp_kernel.log import configure
+from rcp_kernel.config.file import BackendConfig, parse
 from rcp_kernel.model import Resource
-from rcp_kernel.server import Prepared, prepare, running
+from rcp_kernel.process.garbage import collected_at_rest
+from rcp_kernel.process.log import configure
+from rcp_kernel.process.server import Prepared, prepare, running
 from rcp_kernel.spi import BackendKind, BaseBackend
 from rcp_kernel.types import Twist
 

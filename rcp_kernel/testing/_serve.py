@@ -9,11 +9,11 @@ from typing import Any
 import msgspec
 import structlog
 
-from rcp_kernel.config import GatewayConfig, KeyConfig, decode_table, parse
+from rcp_kernel.config.file import GatewayConfig, KeyConfig, decode_table, parse
 from rcp_kernel.plugins import Plugins
-from rcp_kernel.server import Prepared, Server, running
+from rcp_kernel.process.server import Prepared, Server, running
+from rcp_kernel.process.supervisor import Slot
 from rcp_kernel.spi import Backend, BackendKind, Host
-from rcp_kernel.supervisor import Slot
 from rcp_kernel.testing._client import MemoryClient
 from rcp_kernel.testing._recorder import Recorder
 from rcp_kernel.values import Encoding

@@ -15,10 +15,10 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from conformance.wires import HttpClient, WebSocketClient
-from rcp_kernel import inforce
-from rcp_kernel.config import parse
+from rcp_kernel.config.file import parse
 from rcp_kernel.errors import DeviceRejected
 from rcp_kernel.model import Resource
+from rcp_kernel.motion import inforce
 from rcp_kernel.spi import BackendKind, BaseBackend, Host, Progress
 from rcp_kernel.testing import Client, MemoryClient, serve
 from rcp_kernel.types import Real

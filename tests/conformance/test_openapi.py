@@ -9,7 +9,7 @@ from pathlib import Path
 import msgspec
 
 from conformance.wires import LISTENER, address
-from rcp_kernel.config import BackendConfig, GatewayConfig
+from rcp_kernel.config.file import BackendConfig, GatewayConfig
 from rcp_kernel.testing import OPERATOR, serve
 from rcp_kernel.testing.wire import DEAD, ROBOT, configuration
 

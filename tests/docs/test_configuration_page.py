@@ -11,8 +11,9 @@ import pytest
 
 from docs.pages import DOCS, ROOT, keys, rows, section
 from rcp_asgi.config import TlsConfig
-from rcp_kernel.acl import Role, Rule
-from rcp_kernel.config import (
+from rcp_kernel.access.acl import Role, Rule
+from rcp_kernel.config.envelopes import Bound, EnvelopeConfig, Fence
+from rcp_kernel.config.file import (
     Anonymous,
     AuditConfig,
     BackendConfig,
@@ -27,8 +28,7 @@ from rcp_kernel.config import (
     TenantConfig,
     parse,
 )
-from rcp_kernel.config_envelopes import Bound, EnvelopeConfig, Fence
-from rcp_kernel.config_safety import Safety
+from rcp_kernel.config.safety import Safety
 from rcp_kernel.plugins import Plugins
 
 PAGE = DOCS / "configuration.md"

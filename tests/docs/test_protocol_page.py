@@ -9,16 +9,16 @@ import msgspec
 import pytest
 
 from docs.pages import DOCS, keys, rows, section
-from rcp_kernel.config import GatewayConfig
-from rcp_kernel.connections import Hello
-from rcp_kernel.discovery import Query
+from rcp_kernel.clients.connections import Hello
+from rcp_kernel.config.file import GatewayConfig
 from rcp_kernel.errors import BY_CODE
-from rcp_kernel.filters import Options, Qos
 from rcp_kernel.gateway import Gateway
-from rcp_kernel.log import Recent
 from rcp_kernel.model import BRANCHES, Policy, operation_names
-from rcp_kernel.reading import ReadOptions
+from rcp_kernel.operations.discovery import Query
+from rcp_kernel.operations.reading import ReadOptions
+from rcp_kernel.process.log import Recent
 from rcp_kernel.status import StatusReport
+from rcp_kernel.streaming.filters import Options, Qos
 from rcp_kernel.system import EstopRequest, LeaseRequest, System
 from rcp_kernel.wire import Reply, Request, RequestType, Status
 

@@ -13,10 +13,10 @@ import msgspec
 import pytest
 
 from docs.pages import DOCS, keys, section
-from rcp_kernel.batching import plain_request
-from rcp_kernel.config import parse
+from rcp_kernel.config.file import parse
 from rcp_kernel.model import Resource
-from rcp_kernel.server import Prepared, running
+from rcp_kernel.operations.batching import plain_request
+from rcp_kernel.process.server import Prepared, running
 from rcp_kernel.wire import Reply
 
 PAGE = (DOCS / "write-a-backend.md").read_text(encoding="utf-8")

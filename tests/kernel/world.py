@@ -12,14 +12,14 @@ from typing import Any
 
 import msgspec
 
-from rcp_kernel.config import GatewayConfig, parse
+from rcp_kernel.config.file import GatewayConfig, parse
 from rcp_kernel.door import Door
 from rcp_kernel.errors import DeviceRejected
-from rcp_kernel.log import configure
 from rcp_kernel.model import Resource
-from rcp_kernel.server import Prepared, Server, running
+from rcp_kernel.process.log import configure
+from rcp_kernel.process.server import Prepared, Server, running
+from rcp_kernel.record.store import Store
 from rcp_kernel.spi import BackendKind, BaseBackend, Host, Progress
-from rcp_kernel.store import Store
 from rcp_kernel.types import Twist, quantity
 from rcp_kernel.values import Encoding
 

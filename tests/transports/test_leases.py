@@ -13,8 +13,8 @@ import msgspec
 import pytest
 
 from conformance.wires import BASE, LISTENER, HttpClient, SseClient, WebSocketClient
-from rcp_kernel.config import GatewayConfig, KeyConfig
-from rcp_kernel.server import Server
+from rcp_kernel.config.file import GatewayConfig, KeyConfig
+from rcp_kernel.process.server import Server
 from rcp_kernel.testing import OPERATOR, Client, Message, serve
 from rcp_kernel.testing.wire import DEAD, ROBOT, configuration
 from rcp_kernel.testing.wire._robot import WireRobot

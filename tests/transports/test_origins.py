@@ -6,9 +6,9 @@ from websockets.asyncio.client import connect
 from websockets.exceptions import InvalidStatus
 
 from rcp_asgi.origins import Origins
-from rcp_kernel.config import parse
+from rcp_kernel.config.file import parse
 from rcp_kernel.errors import ConfigError, Forbidden
-from rcp_kernel.server import prepare
+from rcp_kernel.process.server import prepare
 from transports.raw import answer, connected, handshake
 from transports.robot import Site, site
 

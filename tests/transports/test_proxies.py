@@ -7,10 +7,10 @@ import pytest
 
 from rcp_asgi.proxies import Proxies
 from rcp_kernel.asgi import peer_of, respond
-from rcp_kernel.config import parse
+from rcp_kernel.config.file import parse
 from rcp_kernel.door import Mount
 from rcp_kernel.errors import ConfigError
-from rcp_kernel.server import prepare
+from rcp_kernel.process.server import prepare
 from transports.robot import Site, site
 
 pytestmark = pytest.mark.anyio

@@ -20,10 +20,10 @@ from rcp_asgi.endless import Endless
 from rcp_asgi.seats import Seat
 from rcp_asgi.settings import Settings
 from rcp_asgi.upgrade import Upgrade
-from rcp_kernel.certificates import read_certificate
+from rcp_kernel.access.certificates import read_certificate
+from rcp_kernel.access.peer import UNKNOWN, Peer
 from rcp_kernel.door import Asgi
 from rcp_kernel.errors import BadRequest, PayloadTooLarge, RcpError
-from rcp_kernel.peer import UNKNOWN, Peer
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import encode_reply, failure
 

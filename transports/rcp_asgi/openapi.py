@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
+from rcp_kernel.clients.sessions import Session
 from rcp_kernel.door import Door
-from rcp_kernel.sessions import Session
 from rcp_kernel.status import gateway_version
 
 __all__ = ["document"]

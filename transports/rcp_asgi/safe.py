@@ -6,7 +6,7 @@ from rcp_asgi.config import AsgiConfig
 from rcp_asgi.origins import is_loopback
 from rcp_asgi.proxies import Proxies
 from rcp_asgi.tls import Tls
-from rcp_kernel.config import GatewayConfig
+from rcp_kernel.config.file import GatewayConfig
 from rcp_kernel.door import Door
 from rcp_kernel.errors import ConfigError
 

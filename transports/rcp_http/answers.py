@@ -10,7 +10,7 @@ from rcp_http.compress import compress
 from rcp_http.config import HttpConfig
 from rcp_http.negotiate import coding
 from rcp_kernel.asgi import MEDIA, Headers, Send, retry_after, status_of
-from rcp_kernel.pending import crash
+from rcp_kernel.operations.pending import crash
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import Reply, encode_reply, failure
 

@@ -14,10 +14,10 @@ from rcp_http.config import HttpConfig
 from rcp_http.context import Context, Follower
 from rcp_http.negotiate import body_encoding
 from rcp_kernel.asgi import Receive, Send, respond
+from rcp_kernel.clients.sessions import Session
 from rcp_kernel.clock import iso, now
 from rcp_kernel.door import Door
 from rcp_kernel.errors import BadRequest, RcpError, UnknownPath, UnsupportedOperation
-from rcp_kernel.sessions import Session
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import FINAL, Reply, Request, decode_request, encode_reply, failure, salvage
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 from rcp_http.openapi_calls import ERROR, REPLY, calls
-from rcp_kernel.discovery import Query
+from rcp_kernel.clients.sessions import Session
 from rcp_kernel.door import Door
-from rcp_kernel.sessions import Session
+from rcp_kernel.operations.discovery import Query
 
 __all__ = ["Described"]
 

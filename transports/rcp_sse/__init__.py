@@ -10,7 +10,7 @@ from rcp_kernel.asgi import Receive, Scope, Send, header, refuse, respond, retry
 from rcp_kernel.door import Asgi, Door, Mount
 from rcp_kernel.errors import BadRequest, UnknownPath, UnsupportedOperation
 from rcp_kernel.hookspecs import hookimpl
-from rcp_kernel.pending import crash
+from rcp_kernel.operations.pending import crash
 from rcp_kernel.spi import TransportKind
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import encode_reply

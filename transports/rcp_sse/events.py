@@ -7,15 +7,15 @@ from collections.abc import Callable
 import msgspec
 from msgspec import Raw
 
+from rcp_kernel.access.identity import Principal
 from rcp_kernel.asgi import Receive, Scope, Send, bearer, header, peer_of
+from rcp_kernel.clients.connections import Connection, Hello
+from rcp_kernel.clients.mailbox import Wrap
 from rcp_kernel.clock import iso, now
-from rcp_kernel.connections import Connection, Hello
 from rcp_kernel.door import Door
 from rcp_kernel.errors import Gap, RcpError
-from rcp_kernel.feeds import Feed
-from rcp_kernel.identity import Principal
-from rcp_kernel.mailbox import Wrap
-from rcp_kernel.samples import Sample
+from rcp_kernel.streaming.feeds import Feed
+from rcp_kernel.streaming.samples import Sample
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import Reply, Request, encode_frame
 from rcp_sse.config import SseConfig

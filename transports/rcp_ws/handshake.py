@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+from rcp_kernel.access.identity import Principal
 from rcp_kernel.asgi import Scope, bearer, header, peer_of
 from rcp_kernel.door import Door
 from rcp_kernel.errors import BadRequest, Unauthenticated
-from rcp_kernel.identity import Principal
 from rcp_kernel.values import Encoding
 
 __all__ = ["SUBPROTOCOLS", "choose", "identify"]

@@ -8,11 +8,11 @@ from collections.abc import Callable
 from time import perf_counter
 from typing import Any
 
-from rcp_kernel import peer
-from rcp_kernel.connections import Hello
+from rcp_kernel.access import peer
+from rcp_kernel.access.identity import Principal
+from rcp_kernel.clients.connections import Hello
 from rcp_kernel.door import Door
 from rcp_kernel.errors import BadRequest, PayloadTooLarge, RcpError, Unauthenticated
-from rcp_kernel.identity import Principal
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import failure, salvage
 from rcp_ws import segments

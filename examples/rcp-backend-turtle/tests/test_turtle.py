@@ -9,7 +9,7 @@ from typing import Any
 
 import msgspec
 import pytest
-from rcp_kernel.config import parse
+from rcp_kernel.config.file import parse
 from rcp_kernel.testing import BackendSuite, Goal, serve
 
 import rcp_turtle

@@ -10,7 +10,7 @@ import msgspec
 import pytest
 
 from rcp_kernel.model import BRANCHES, Kind, Operation, Resource, full_path
-from rcp_kernel.safety import MOVING
+from rcp_kernel.motion.safety import MOVING
 from rcp_kernel.spi import Backend, BackendKind
 from rcp_kernel.testing._client import Client, Message
 from rcp_kernel.testing._schemas import legal, same

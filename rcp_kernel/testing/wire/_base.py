@@ -9,8 +9,8 @@ from typing import Any, ClassVar
 import msgspec
 import pytest
 
-from rcp_kernel.config import GatewayConfig, StoreConfig, parse
-from rcp_kernel.server import Server
+from rcp_kernel.config.file import GatewayConfig, StoreConfig, parse
+from rcp_kernel.process.server import Server
 from rcp_kernel.testing._client import Client
 from rcp_kernel.testing._serve import ADMIN, OPERATOR, VIEWER, Served, serve
 from rcp_kernel.testing._suite import Suite

@@ -15,7 +15,7 @@ import websockets
 
 import rcp_mavlink
 from backends.mavlink.flying import agrees, airborne, twin
-from rcp_kernel.config import parse
+from rcp_kernel.config.file import parse
 from rcp_kernel.testing import eventually, serve
 from rcp_kernel.testing._serve import OPERATOR, serve_backend
 from rcp_mavlink.config import LinkSpec

@@ -12,7 +12,7 @@ from typing import Any
 import msgspec
 import pytest
 
-from rcp_kernel.config import GatewayConfig, load
+from rcp_kernel.config.file import GatewayConfig, load
 from rcp_kernel.testing import Client, Served, serve
 
 pytestmark = pytest.mark.anyio

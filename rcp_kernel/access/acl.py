@@ -1,0 +1,330 @@
+"""What a principal may do: roles of allow and deny rules, compiled to one bit mask for each path.
+
+Deny wins, and nothing is allowed that no rule allows. Roles are given per tenant: a rule reaches
+only into the tenant in which its role is held, whatever its pattern says, and into `/system/`.
+The mask of a path is worked out once for each set of roles and kept until the rules change, so a
+request costs one dictionary access. A rule with a condition is looked at only where the rest does
+not decide.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from typing import TYPE_CHECKING, Annotated, Literal, NamedTuple
+from weakref import WeakSet
+
+import msgspec
+from msgspec import Meta
+
+from rcp_kernel.access.conditions import Condition, condition
+from rcp_kernel.access.identity import Grants, Principal
+from rcp_kernel.config.limits import Quota
+from rcp_kernel.model import Operation, Pattern, tenant_of
+
+if TYPE_CHECKING:
+    from rcp_kernel.access.conditions import Conditions
+    from rcp_kernel.registry import Entry
+
+__all__ = ["BUILTIN_ROLES", "Rights", "Role", "Rule", "Rules", "reach"]
+
+OperationName = Literal["discover", "read", "write", "execute", "subscribe", "*"]
+_ALL = (
+    Operation.READ | Operation.WRITE | Operation.EXECUTE | Operation.SUBSCRIBE | Operation.DISCOVER
+)
+_MAX_KNOWN = 200_000  # paths whose masks are kept, of all sets of roles together
+_MAX_COMPILED = 1000  # sets of roles whose rights are kept at hand
+_NAMED = re.compile(r"/tenant/[\w./-]+")
+_RESOURCE = 4  # slashes of the path of a resource at least; what is shorter is a scope
+_PERHAPS = 8  # bits by which operations are shifted that hang on a condition
+
+
+class Rule(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Operations on the paths of some patterns."""
+
+    operations: tuple[OperationName, ...]
+    paths: tuple[str, ...]
+    when: str | None = None
+    """A condition: an `allow` counts only while it holds, a `deny` unless it certainly does not."""
+
+    @property
+    def mask(self) -> Operation:
+        """The operations as bits; whatever may be done may be discovered too."""
+        bits = Operation.NONE
+        for name in self.operations:
+            bits |= _ALL if name == "*" else Operation[name.upper()]
+        return bits
+
+
+class Role(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A named set of rules."""
+
+    allow: tuple[Rule, ...] = ()
+    deny: tuple[Rule, ...] = ()
+    reset: bool = False
+    """May reset a latched e-stop."""
+    priority: Annotated[int, Meta(ge=0, le=100)] = 50
+    """Who takes a lease from whom: a person (50) beats an agent (10)."""
+    quota: Quota | None = None
+    """What each principal with this role may have."""
+
+
+_LOOK: tuple[OperationName, ...] = ("discover", "read", "subscribe")
+_HEALTH = Rule(_LOOK, ("/system/status",))
+_ESTOP = Rule(("discover", "read", "subscribe", "execute"), ("/system/estop",))
+_OWN = Rule(_LOOK, ("/system/commands", "/system/sessions"))
+_LEASES = Rule((*_LOOK, "execute"), ("/system/leases",))
+BUILTIN_ROLES: dict[str, Role] = {
+    "viewer": Role(allow=(Rule(_LOOK, ("/**",)), _HEALTH, _ESTOP)),
+    "operator": Role(allow=(Rule(("*",), ("/**",)), _HEALTH, _ESTOP, _OWN, _LEASES)),
+    "agent": Role(allow=(Rule(("*",), ("/**",)), _HEALTH, _ESTOP, _OWN, _LEASES), priority=10),
+    "admin": Role(allow=(Rule(("*",), ("/**", "/system/**")),), reset=True, priority=60),
+}
+"""Roles that need no configuration: look, operate, operate as a program that gives way to people,
+and all of it with the gateway's own branch."""
+
+
+class _Reach(NamedTuple):
+    """A rule with one of its patterns, in the tenant where it counts (`*`: in all)."""
+
+    pattern: Pattern
+    bits: Operation
+    place: str
+    held: str
+    """The tenant of the role."""
+    when: Condition | None
+
+
+class _Terms(NamedTuple):
+    """What of the rules for one path hangs on conditions."""
+
+    allowed: Operation
+    """Allowed without one."""
+    allow: list[_Reach]
+    deny: list[_Reach]
+
+
+def reach(mask: int) -> int:
+    """Return the operations that a mask allows under some condition or none."""
+    return (mask | mask >> _PERHAPS) & _ALL
+
+
+class Rights:
+    """The compiled rules of one set of grants."""
+
+    __slots__ = (
+        "__weakref__",
+        "_allow",
+        "_conditions",
+        "_deny",
+        "_held",
+        "_room",
+        "_terms",
+        "grants",
+        "masks",
+        "tenants",
+    )
+
+    def __init__(
+        self,
+        grants: Grants,
+        roles: dict[str, Role],
+        conditions: Conditions | None = None,
+        room: Room | None = None,
+    ) -> None:
+        self.grants = grants
+        self.tenants = tuple(tenant for tenant, _ in grants)
+        self._held = [(t, roles[name]) for t, names in grants for name in names if name in roles]
+        self._allow = [
+            r for t, role in self._held for rule in role.allow for r in _reaches(rule, t)
+        ]
+        self._deny = [
+            r._replace(bits=r.bits if r.when is None else r.bits & ~Operation.DISCOVER)
+            for t, role in self._held
+            for rule in role.deny
+            for r in _reaches(rule, t)
+        ]
+        self._conditions = conditions
+        self._room = room or Room()
+        self._room.users.add(self)
+        self._terms: dict[str, _Terms] = {}
+        self.masks: dict[str | None, int] = {}
+        """What is known so far, by path."""
+
+    def may_reset(self, tenant: str | None) -> bool:
+        """Tell whether a latched e-stop of a tenant's robot may be reset."""
+        return any(role.reset for place, role in self._held if place in ("*", tenant))
+
+    def priority(self, tenant: str | None) -> int:
+        """Return the highest priority that a role gives in a tenant."""
+        return max((role.priority for t, role in self._held if t in ("*", tenant)), default=0)
+
+    def places(self, path: str, operation: Operation) -> tuple[str, ...]:
+        """List the tenants whose own roles allow an operation on a path of `/system/`.
+
+        Such a path is one for all tenants: what it shows has to be told apart by this.
+        """
+        if not self.mask(path) & operation:
+            return ()
+        return tuple(
+            dict.fromkeys(
+                r.held
+                for r in self._allow
+                if r.bits & operation and r.when is None and r.pattern.matches(path)
+            )
+        )
+
+    def mask(self, path: str) -> int:
+        """Return the operations that are allowed whatever the state, as bits of `Operation`.
+
+        Zero is a path that is hidden. Higher bits stand for what hangs on conditions: see `reach`.
+        """
+        mask = self.masks.get(path)
+        if mask is None:
+            mask = self.weigh(path)
+            self.remember(path, mask)
+        return mask
+
+    def hides(self, text: str) -> bool:
+        """Tell whether a text names a path, of a resource or of none, that is hidden."""
+        for found in _NAMED.findall(text):
+            path = found.rstrip(".")
+            if path.count("/") >= _RESOURCE and not (self.masks.get(path) or self.weigh(path)):
+                return True
+        return False
+
+    def remember(self, path: str, mask: int) -> None:
+        """Keep the mask of an existing path."""
+        if path not in self.masks:
+            self._room.take()
+        self.masks[path] = mask
+
+    def weigh(self, path: str) -> int:
+        """Work the mask of a path out, whether it exists or not."""
+        allow, deny = self._matching(self._allow, path), self._matching(self._deny, path)
+        sure = _bits(r for r in allow if r.when is None)
+        denied = _bits(r for r in deny if r.when is None)
+        if denied & Operation.DISCOVER:
+            return 0
+        possible = _bits(allow) & ~denied
+        if not possible:
+            return 0
+        sure &= ~denied & ~_bits(r for r in deny if r.when is not None)
+        perhaps = possible & ~sure & ~Operation.DISCOVER
+        return int(sure | Operation.DISCOVER) | int(perhaps) << _PERHAPS
+
+    @staticmethod
+    def _matching(rules: list[_Reach], path: str) -> list[_Reach]:
+        tenant = tenant_of(path)
+        return [r for r in rules if r.place in ("*", tenant) and r.pattern.matches(path)]
+
+    def permits(self, entry: Entry, operation: Operation) -> bool:
+        """Tell whether an operation is allowed now."""
+        mask = self.mask(entry.path)
+        if mask & operation:
+            return True
+        return bool(mask >> _PERHAPS & operation) and self.hindrance(entry, operation) is None
+
+    def depends(self, entry: Entry, operation: Operation) -> bool:
+        """Tell whether it hangs on a condition whether an operation is allowed."""
+        return bool(self.mask(entry.path) >> _PERHAPS & operation)
+
+    def hindrance(self, entry: Entry, operation: Operation) -> Condition | None:
+        """Return the condition for want of which an operation that hangs on one is refused now."""
+        conditions = self._conditions
+        terms = self._terms_of(entry.path)
+        for one in terms.deny:
+            unless = one.when if one.bits & operation else None
+            if unless and (conditions is None or conditions.holds(unless, entry) is not False):
+                return unless
+        if terms.allowed & operation:
+            return None
+        wanted = [r.when for r in terms.allow if r.bits & operation and r.when is not None]
+        if conditions is not None and any(conditions.holds(when, entry) for when in wanted):
+            return None
+        return wanted[0]
+
+    def _terms_of(self, path: str) -> _Terms:
+        terms = self._terms.get(path)
+        if terms is None:
+            allow, deny = self._matching(self._allow, path), self._matching(self._deny, path)
+            self._room.take()
+            terms = self._terms[path] = _Terms(
+                _bits(r for r in allow if r.when is None),
+                [r for r in allow if r.when is not None],
+                [r for r in deny if r.when is not None],
+            )
+        return terms
+
+    def shows(self, condition: Condition, entry: Entry) -> bool:
+        """Tell whether all values may be read that a condition is about."""
+        if self._conditions is None:
+            return False
+        found = [self._conditions.resource(ref, entry) for ref in condition.refs]
+        return all(one and self.mask(one[0].path) & Operation.READ for one in found)
+
+    def forget(self) -> None:
+        """Let go of what is known of single paths."""
+        self.masks.clear()
+        self._terms.clear()
+
+
+class Room:
+    """Bounds what all rights together keep of single paths."""
+
+    def __init__(self) -> None:
+        self.users: WeakSet[Rights] = WeakSet()
+        self._taken = 0
+
+    def take(self) -> None:
+        """Count one more path; one too many has all of them forgotten."""
+        self._taken += 1
+        if self._taken > _MAX_KNOWN:
+            self._taken = 1
+            for rights in self.users:
+                rights.forget()
+
+
+def _bits(rules: Iterable[_Reach]) -> Operation:
+    bits = Operation.NONE
+    for one in rules:
+        bits |= one.bits
+    return bits
+
+
+def _reaches(rule: Rule, tenant: str) -> list[_Reach]:
+    found: list[_Reach] = []
+    when = None if rule.when is None else condition(rule.when)
+    for text in rule.paths:
+        if text.startswith("/system/"):
+            found.append(_Reach(Pattern(text), rule.mask, "*", tenant, when))
+        elif text.startswith("/tenant/"):
+            found.append(_Reach(Pattern(text), rule.mask, tenant, tenant, when))
+        else:
+            found.append(
+                _Reach(Pattern(f"/tenant/{tenant}{text}"), rule.mask, tenant, tenant, when)
+            )
+    return found
+
+
+class Rules:
+    """The roles of the gateway, and the rights compiled from them."""
+
+    def __init__(self, roles: dict[str, Role], conditions: Conditions | None = None) -> None:
+        self.roles = {**BUILTIN_ROLES, **roles}
+        self._conditions = conditions
+        self._room = Room()
+        self._compiled: dict[Grants, Rights] = {}
+        if conditions is not None:
+            rules = [r for role in self.roles.values() for r in (*role.allow, *role.deny)]
+            conditions.use("rules", [condition(r.when) for r in rules if r.when is not None])
+
+    def rights(self, principal: Principal) -> Rights:
+        """Return the rights of a principal; the same object for the same grants."""
+        rights = self._compiled.get(principal.grants)
+        if rights is None:
+            if len(self._compiled) >= _MAX_COMPILED:
+                del self._compiled[next(iter(self._compiled))]
+            rights = Rights(principal.grants, self.roles, self._conditions, self._room)
+            self._compiled[principal.grants] = rights
+        return rights

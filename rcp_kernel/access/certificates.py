@@ -1,0 +1,190 @@
+"""Who a client certificate proves: what it says, and which principal that is.
+
+The transport verifies it (chain, time, key); this module reads it and looks it up. `cryptography`
+is imported when there is something to read, not before.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator
+from functools import lru_cache
+from typing import TYPE_CHECKING
+
+from rcp_kernel.access.identity import Principal
+from rcp_kernel.access.peer import Certificate, Serial
+from rcp_kernel.clock import now
+from rcp_kernel.errors import ConfigError, TokenExpired, Unauthenticated
+
+if TYPE_CHECKING:
+    from cryptography import x509
+
+    from rcp_kernel.config.file import CertificateConfig
+
+__all__ = ["Certificates", "read_certificate", "read_pem", "revoked_by"]
+
+_STOPS = {"DNS": ".", "URI": "/", "email": "@"}
+"""What a `*` in a pattern does not reach over."""
+_KNOWN = 4096  # certificates kept to see what they prove under a new configuration
+
+
+@lru_cache(maxsize=1024)
+def read_certificate(der: bytes) -> Certificate | None:
+    """Read a certificate; None if no sense can be made of it."""
+    from cryptography import x509
+    from cryptography.hazmat.primitives.hashes import SHA256
+    from cryptography.x509.oid import NameOID
+
+    try:
+        found = x509.load_der_x509_certificate(der)
+        names = found.subject.get_attributes_for_oid(NameOID.COMMON_NAME)
+        common = names[0].value if len(names) == 1 else None
+        return Certificate(
+            subject=found.subject.rfc4514_string(),
+            common_name=common if isinstance(common, str) else None,
+            sans=tuple(_sans(found)),
+            issuer=found.issuer.rfc4514_string(),
+            serial=found.serial_number,
+            expires=int(found.not_valid_after_utc.timestamp()) * 1_000_000_000,
+            fingerprint=found.fingerprint(SHA256()).hex(),
+        )
+    except ValueError:
+        return None
+
+
+def read_pem(pem: bytes) -> Certificate | None:
+    """Read the first certificate of a file; None if there is none."""
+    from cryptography import x509
+    from cryptography.hazmat.primitives.serialization import Encoding
+
+    try:
+        return read_certificate(x509.load_pem_x509_certificates(pem)[0].public_bytes(Encoding.DER))
+    except ValueError:
+        return None
+
+
+def _sans(found: x509.Certificate) -> Iterator[str]:
+    from cryptography import x509
+
+    try:
+        extension = found.extensions.get_extension_for_class(x509.SubjectAlternativeName)
+    except x509.ExtensionNotFound:
+        return
+    for name in extension.value:
+        if isinstance(name, x509.DNSName):
+            yield f"DNS:{name.value.lower()}"
+        elif isinstance(name, x509.UniformResourceIdentifier):
+            yield f"URI:{name.value}"
+        elif isinstance(name, x509.RFC822Name):
+            yield f"email:{name.value}"
+
+
+def revoked_by(pem: bytes) -> frozenset[Serial]:
+    """Read lists of revoked certificates, one behind the other.
+
+    :raises ValueError: one of them is none.
+    """
+    from cryptography import x509
+
+    begin = b"-----BEGIN X509 CRL-----"
+    found: set[Serial] = set()
+    for block in pem.split(begin)[1:]:
+        listed = x509.load_pem_x509_crl(begin + block)
+        found.update((listed.issuer.rfc4514_string(), one.serial_number) for one in listed)
+    return frozenset(found)
+
+
+class Certificates:
+    """The certificates of a configuration."""
+
+    def __init__(
+        self, configs: Iterable[CertificateConfig], before: Certificates | None = None
+    ) -> None:
+        """Compile the tables; `before` hands over what it knows.
+
+        :raises ConfigError: a table says something that no certificate has.
+        """
+        self._rules = [_Rule(config) for config in configs]
+        self.known: dict[str, Certificate] = {} if before is None else before.known
+        self.revoked: frozenset[Serial] = frozenset() if before is None else before.revoked
+        """Those that are not good any more."""
+
+    def find(self, certificate: Certificate) -> Principal | None:
+        """Return the principal of a certificate; None if no table names it.
+
+        :raises TokenExpired: its time is over, though its connection is still open.
+        :raises Unauthenticated: it was revoked.
+        """
+        if certificate.expires <= now():
+            raise TokenExpired(
+                "the client certificate has expired", remedy="Connect with a new one."
+            )
+        if (certificate.issuer, certificate.serial) in self.revoked:
+            raise Unauthenticated(
+                "the client certificate was revoked", remedy="Connect with a new one."
+            )
+        principal = self._look_up(certificate)
+        if principal is not None and certificate.fingerprint not in self.known:
+            if len(self.known) >= _KNOWN:
+                del self.known[next(iter(self.known))]
+            self.known[certificate.fingerprint] = certificate
+        return principal
+
+    def renewed(self, principal: Principal) -> Principal | None:
+        """Return what a principal's certificate proves now, or None if it proves nothing any more."""
+        certificate = self.known.get(principal.credential or "")
+        if certificate is None or (certificate.issuer, certificate.serial) in self.revoked:
+            return None
+        return self._look_up(certificate)
+
+    def _look_up(self, certificate: Certificate) -> Principal | None:
+        return next(
+            (rule.made(certificate) for rule in self._rules if rule.fits(certificate)), None
+        )
+
+
+class _Rule:
+    """One `[[certificates]]` table, compiled."""
+
+    def __init__(self, config: CertificateConfig) -> None:
+        subject = config.subject
+        self._whole = subject is not None and "=" in subject
+        self._subject = _canonical(config, subject) if self._whole else subject
+        self._issuer = _canonical(config, config.issuer)
+        self._san = None if config.san is None else _pattern(config.san)
+        self._config = config
+
+    def fits(self, certificate: Certificate) -> bool:
+        subject = certificate.subject if self._whole else certificate.common_name
+        return (
+            (self._subject is None or self._subject == subject)
+            and (self._issuer is None or self._issuer == certificate.issuer)
+            and (self._san is None or any(map(self._san.fullmatch, certificate.sans)))
+        )
+
+    def made(self, certificate: Certificate) -> Principal:
+        given = self._config
+        proved = certificate.fingerprint
+        return Principal(given.name, given.grants, "certificate", proved, certificate.expires)
+
+
+def _canonical(config: CertificateConfig, text: str | None) -> str | None:
+    if text is None:
+        return None
+    from cryptography import x509
+
+    try:
+        return x509.Name.from_rfc4514_string(text).rfc4514_string()
+    except ValueError:
+        raise ConfigError(
+            f"[[certificates]] '{config.name}': {text!r} is no name of RFC 4514: "
+            "write it as `openssl x509 -noout -subject -nameopt RFC2253` does"
+        ) from None
+
+
+def _pattern(text: str) -> re.Pattern[str]:
+    kind, _, rest = text.partition(":")
+    if kind == "DNS":
+        rest = rest.lower()
+    star = f"[^{re.escape(_STOPS[kind])}]+"
+    return re.compile(re.escape(kind + ":") + star.join(map(re.escape, rest.split("*"))))

@@ -1,0 +1,192 @@
+"""`rcpd token`: API keys made and taken back, also while the gateway runs."""
+
+from __future__ import annotations
+
+import re
+import sys
+from contextlib import closing
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NoReturn
+
+import click
+
+from rcp_kernel.errors import ConfigError
+
+if TYPE_CHECKING:
+    from rcp_kernel.access.identity import Grants
+    from rcp_kernel.access.tokens import Token, TokenFile
+    from rcp_kernel.config.file import GatewayConfig
+
+__all__ = ["token"]
+
+_UNITS = {"m": 60, "h": 3600, "d": 86_400, "w": 604_800}  # s
+_S = 1_000_000_000  # ns
+_NAME = r"[A-Za-z0-9_.@-]{1,64}"
+
+
+@click.group()
+def token() -> None:
+    """Make, list and take back API keys; a running gateway knows within two seconds."""
+
+
+def _where(command: Any) -> Any:
+    found = click.option(
+        "--config",
+        type=click.Path(path_type=Path),
+        help="The gateway's configuration (./rcp.toml if not given): roles, tenants, [store] path.",
+    )(command)
+    return click.option(
+        "--store", type=click.Path(path_type=Path), help="The store itself; nothing is checked."
+    )(found)
+
+
+@token.command()
+@click.argument("name")
+@_where
+@click.option("--role", "roles", multiple=True, help="A role; may be given again.")
+@click.option("--tenant", "tenants", multiple=True, help="Where; every tenant if not given.")
+@click.option("--grant", "grants", multiple=True, help="TENANT=ROLE, instead of the two above.")
+@click.option("--expires", help="30d, 12h, 2027-01-31 or a time of ISO 8601; never if not given.")
+def create(
+    name: str,
+    *,
+    config: Path | None,
+    store: Path | None,
+    roles: tuple[str, ...],
+    tenants: tuple[str, ...],
+    grants: tuple[str, ...],
+    expires: str | None,
+) -> None:
+    """Make a key for NAME and print it, once: only its hash is kept."""
+    from rcp_kernel.access.acl import BUILTIN_ROLES
+    from rcp_kernel.config.identity import check_grants
+
+    if not re.fullmatch(_NAME, name):
+        _fail("a NAME has 1 to 64 letters, digits and . _ @ -")
+    given = _granted(roles, tenants, grants)
+    try:
+        end = None if expires is None else _end(expires)
+        path, read = _found(config, store)
+        if read is not None:
+            check_grants(given, "the token", read.tenant_names, {**BUILTIN_ROLES, **read.roles})
+        with closing(_opened(path)) as table:
+            made, key = table.create(name, given, end)
+    except (ConfigError, ValueError) as error:
+        _fail(str(error))
+    click.echo(f"{_line(made)}\nThe key, which is shown this once:", err=True)
+    click.echo(key)
+
+
+@token.command("list")
+@_where
+@click.option("--all", "every", is_flag=True, help="Those too that are not good any more.")
+def list_(*, config: Path | None, store: Path | None, every: bool) -> None:
+    """List the keys, without the keys themselves."""
+    for one in _read(config, store):
+        if every or one.state == "good":
+            click.echo(_line(one))
+
+
+@token.command()
+@click.argument("named", metavar="NAME|ID")
+@_where
+def revoke(named: str, *, config: Path | None, store: Path | None) -> None:
+    """Take a key back by its ID, or all of a NAME; what they opened is closed."""
+    import difflib
+
+    try:
+        path, _ = _found(config, store)
+        with closing(_opened(path)) as table:
+            gone = table.revoke(named)
+            left = [t for t in table.every() if t.revoked is None]
+    except ConfigError as error:
+        _fail(str(error))
+    if not gone:
+        near = difflib.get_close_matches(named, [w for t in left for w in (t.name, t.id)], n=1)
+        advice = f"; did you mean '{near[0]}'?" if near else "; `rcpd token list` shows them"
+        _fail(f"there is no key '{named[:64]}' to take back{advice}")
+    for one in gone:
+        click.echo(f"revoked {one.id} {one.name}")
+
+
+def _opened(path: Path) -> TokenFile:
+    from rcp_kernel.access.tokens import TokenFile
+
+    table = TokenFile(path)
+    if table.warning is not None:
+        click.echo(f"rcpd: {table.warning}", err=True)
+    return table
+
+
+def _read(config: Path | None, store: Path | None) -> list[Token]:
+    try:
+        path, _ = _found(config, store)
+        with closing(_opened(path)) as table:
+            return table.every()
+    except ConfigError as error:
+        _fail(str(error))
+
+
+def _found(config: Path | None, store: Path | None) -> tuple[Path, GatewayConfig | None]:
+    """Return the store, and the configuration that names it."""
+    from rcp_kernel.access.identities import store_file
+    from rcp_kernel.config.file import load
+
+    if store is not None:
+        if config is not None:
+            raise ConfigError("give either --config or --store")
+        if not store.expanduser().exists():
+            raise ConfigError(f"there is no store '{store}'; --config makes it where it belongs")
+        return store.expanduser(), None
+    source = config or Path("rcp.toml")
+    read = load(source)
+    path = store_file(read)
+    if path is None:
+        raise ConfigError(
+            f"{source} keeps nothing, so no token either: add [store] with a `path`, "
+            "and start the gateway anew"
+        )
+    return path, read
+
+
+def _granted(roles: tuple[str, ...], tenants: tuple[str, ...], grants: tuple[str, ...]) -> Grants:
+    from rcp_kernel.access.identity import granted
+
+    if bool(roles) == bool(grants) or (tenants and grants):
+        _fail("give --role (and --tenant), or --grant TENANT=ROLE")
+    if roles:
+        return granted(tenants or ("*",), roles)
+    found: dict[str, list[str]] = {}
+    for grant in grants:
+        tenant, _, role = grant.partition("=")
+        if not tenant or not role:
+            _fail(f"--grant {grant[:64]}: write TENANT=ROLE")
+        found.setdefault(tenant, []).append(role)
+    return tuple((tenant, tuple(held)) for tenant, held in found.items())
+
+
+def _end(text: str) -> int:
+    from rcp_kernel.clock import now
+    from rcp_kernel.config.identity import instant
+
+    span = re.fullmatch(r"(\d{1,6})([mhdw])", text)
+    end = now() + int(span[1]) * _UNITS[span[2]] * _S if span else instant(text)
+    if end <= now():
+        raise ValueError(f"--expires {text[:40]} is past")
+    return end
+
+
+def _line(one: Token) -> str:
+    from rcp_kernel.clock import iso
+
+    grants = " ".join(f"{tenant}={','.join(roles)}" for tenant, roles in one.grants)
+    end = "never" if one.expires is None else iso(one.expires)[:19] + "Z"
+    return (
+        f"{one.id}  {one.name:<20} {one.state:<8} {grants:<30} "
+        f"created {iso(one.created)[:19]}Z  expires {end}"
+    )
+
+
+def _fail(text: str) -> NoReturn:
+    click.echo(f"rcpd: {text}", err=True)
+    sys.exit(1)

@@ -1,0 +1,304 @@
+"""Who asks: from a token, or the certificate of a connection, to a principal, and for how long.
+
+What is at hand is answered at once (`known`); a token whose issuer's keys have to be fetched is
+worth the wait (`wait`). A secret is neither kept nor shown: it is its hash that goes on.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import AsyncGenerator, Callable
+from contextlib import AsyncExitStack, asynccontextmanager, suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import structlog
+
+from rcp_kernel.access.acl import BUILTIN_ROLES
+from rcp_kernel.access.attempts import Attempts
+from rcp_kernel.access.certificates import Certificates
+from rcp_kernel.access.identity import Grants, Keyring, Principal, check_time, fingerprint
+from rcp_kernel.access.issuers import Issuer, Issuers
+from rcp_kernel.access.peer import UNKNOWN, Peer, Serial
+from rcp_kernel.access.tokens import Token, TokenWatch, changes
+from rcp_kernel.access.webtokens import is_jwt
+from rcp_kernel.clock import now
+from rcp_kernel.config.file import GatewayConfig
+from rcp_kernel.config.identity import instant
+from rcp_kernel.errors import (
+    ConfigError,
+    Forbidden,
+    InternalError,
+    RcpError,
+    TokenExpired,
+    Unauthenticated,
+)
+
+if TYPE_CHECKING:
+    from rcp_kernel.gateway import Gateway
+
+__all__ = ["Identities", "check_proofs", "store_file"]
+
+log = structlog.get_logger("rcp.identity")
+Authenticator = Callable[[str], Principal | None]
+
+
+def store_file(config: GatewayConfig) -> Path | None:
+    """Return where a configuration keeps what survives."""
+    given = config.store.path
+    return None if given is None else Path(os.path.expanduser(given))  # noqa: PTH111 - no I/O
+
+
+def check_proofs(config: GatewayConfig, source: str) -> None:
+    """Find the faults of what proves identities that only show when it is read.
+
+    :raises ConfigError: there is one.
+    """
+    try:
+        Certificates(config.certificates)
+        Issuers(config.jwt, config.tenant_names)
+    except ConfigError as error:
+        raise ConfigError(f"{source}: {error}") from None
+
+
+class Identities:
+    """Everything by which a gateway knows its clients. For the event loop's thread."""
+
+    def __init__(self, gateway: Gateway, authenticator: Authenticator | None) -> None:
+        self._gateway = gateway
+        self._authenticator = authenticator
+        config = gateway.config
+        self._tokens: list[Token] = []
+        self._certificates = Certificates(config.certificates)
+        self._issuers = Issuers(config.jwt, config.tenant_names)
+        self._keyring = _keyring(config, self._tokens)
+        self._attempts = Attempts(config.limits.failed_logins, gateway.loop.time)
+        self._running = False
+
+    # -- its own time --------------------------------------------------------------------------
+
+    @asynccontextmanager
+    async def running(self) -> AsyncGenerator[None]:
+        """Watch the tokens of the store and the issuers' keys while entered.
+
+        :raises ConfigError: the store cannot be opened.
+        """
+        async with AsyncExitStack() as stack:
+            path = store_file(self._gateway.config)
+            if path is not None:
+                loop = self._gateway.loop
+
+                def told(tokens: list[Token]) -> None:
+                    loop.call_soon_threadsafe(self._take, tokens)
+
+                watch = TokenWatch(path, told)
+                self._tokens = watch.tokens
+                self._keyring = _keyring(self._gateway.config, self._tokens)
+                watch.start()
+                stack.callback(watch.close)
+            self._running = True
+            stack.callback(self._stop)
+            self._issuers.start(self._review)
+            yield
+
+    def _stop(self) -> None:
+        self._running = False
+        self._issuers.stop()
+
+    def _review(self) -> None:
+        self._gateway.sessions.review()
+
+    def _take(self, tokens: list[Token]) -> None:
+        news, self._tokens = changes(self._tokens, tokens), tokens
+        self._keyring = _keyring(self._gateway.config, tokens)
+        for outcome, token in news:
+            log.info("token", name=token.name, id=token.id, outcome=outcome)
+            self._gateway.audit.note(
+                "token", principal=None, outcome=outcome, name=token.name, id=token.id
+            )
+        self._review()
+
+    def reconfigure(self, config: GatewayConfig) -> None:
+        """Take over the proofs of another configuration; sessions are reviewed by the caller."""
+        self._certificates = Certificates(config.certificates, self._certificates)
+        self._issuers.stop()
+        self._issuers = Issuers(config.jwt, config.tenant_names, self._issuers)
+        self._keyring = _keyring(config, self._tokens)
+        self._attempts.allowance = config.limits.failed_logins
+        if self._running:
+            self._issuers.start(self._review)
+
+    def revoke(self, serials: frozenset[Serial]) -> None:
+        """Have client certificates count for nothing, in open sessions too."""
+        if serials != self._certificates.revoked:
+            self._certificates.revoked = serials
+            self._review()
+
+    @property
+    def serves(self) -> bool:
+        """Whether somebody proves something that no table of the configuration says."""
+        return self._authenticator is not None or any(t.state == "good" for t in self._tokens)
+
+    @property
+    def facts(self) -> list[dict[str, Any]]:
+        """How the issuers are, for the health report."""
+        return [issuer.facts for issuer in self._issuers.issuers.values()]
+
+    # -- who -----------------------------------------------------------------------------------
+
+    def anonymous(self) -> Principal:
+        """Return the principal of those who prove nothing.
+
+        :raises Unauthenticated: the configuration gives them no role.
+        """
+        grants = self._gateway.config.anonymous.grants
+        if not any(roles for _, roles in grants):
+            raise Unauthenticated("this gateway serves nobody without a token")
+        return Principal("anonymous", grants)
+
+    def tenants_of(self, principal: Principal) -> list[str]:
+        """List the tenants that a principal acts in."""
+        known = self._gateway.config.tenant_names
+        return [t for t in known if "*" in principal.tenants or t in principal.tenants]
+
+    def tenant_for(self, principal: Principal, wanted: str | None) -> str | None:
+        """Return the tenant that relative paths mean.
+
+        :raises Forbidden: the principal does not act in the wanted one.
+        """
+        tenants = self.tenants_of(principal)
+        if wanted is None:
+            return tenants[0] if tenants else None
+        if wanted not in tenants:
+            raise Forbidden(f"{principal.name} does not act in the tenant '{wanted[:64]}'")
+        return wanted
+
+    def renewed(self, principal: Principal) -> Principal | None:
+        """Return what a principal's proof is worth now, or None if nothing any more."""
+        if principal.expires is not None and principal.expires <= now():
+            return None
+        if principal.anonymous:
+            with suppress(Unauthenticated):
+                return self.anonymous()
+            return None
+        if principal.proof == "certificate":
+            return self._certificates.renewed(principal)
+        if principal.proof in ("key", "token"):
+            return self._keyring.proves(principal.credential or "")
+        if principal.proof.startswith("jwt "):
+            return self._issuers.renewed(principal)
+        return principal
+
+    def known(self, token: str | None, peer: Peer = UNKNOWN) -> Principal | None:
+        """Return whom a token proves, else the peer's certificate, else who is anonymous.
+
+        None says that it takes a fetch to know. A token never falls back on the certificate, and
+        must not contradict it.
+
+        :raises Unauthenticated: the token is not known, or the certificate is somebody else's.
+        :raises TokenExpired: it was good once.
+        :raises RateLimited: the peer has tried too many that were not good.
+        """
+        return self._look(token, peer, self._by_token)
+
+    async def wait(self, token: str, peer: Peer = UNKNOWN) -> Principal:
+        """Return whom a token proves of which `known` could not tell, once that is fetched.
+
+        :raises AdapterUnavailable: the keys of the token's issuer cannot be fetched.
+        :raises RcpError: as `known` does.
+        """
+        with suppress(RcpError):
+            waited = self._issuers.find(token, fingerprint(token))
+            if isinstance(waited, Issuer):
+                await waited.ask()
+        found = self._look(token, peer, self._issuers.insist)
+        assert found is not None
+        return found
+
+    def _look(
+        self, token: str | None, peer: Peer, by: Callable[[str, str], Principal | None]
+    ) -> Principal | None:
+        certified = None
+        if peer.certificate is not None:
+            certified = self._certificates.find(peer.certificate)
+        if token is None:
+            return certified or self.anonymous()
+        digest = fingerprint(token)
+        self._attempts.check(peer.address, digest)
+        try:
+            principal = by(token, digest)
+            if principal is None:
+                return None
+            _agree(certified, check_time(principal, now()))
+        except TokenExpired:  # it was good: nobody guesses such a thing
+            raise
+        except Unauthenticated:
+            self._attempts.failed(peer.address, digest)
+            raise
+        self._attempts.succeeded(digest)
+        return principal
+
+    def _by_token(self, token: str, digest: str) -> Principal | None:
+        if self._authenticator is not None:
+            principal = self._ask(self._authenticator, token)
+            if principal is not None:
+                return principal
+        found = self._keyring.proves(digest)
+        if found is not None:
+            return found
+        if self._issuers.issuers and is_jwt(token):
+            principal = self._issuers.find(token, digest)
+            return principal if isinstance(principal, Principal) else None
+        raise Unauthenticated("the token is not known")
+
+    def _ask(self, authenticator: Authenticator, token: str) -> Principal | None:
+        """Ask a plugin; what it raises may hold the token, so only its kind and place are told."""
+        try:
+            return authenticator(token)
+        except RcpError:
+            raise
+        except Exception as error:
+            place = error.__traceback__
+            while place is not None and place.tb_next is not None:
+                place = place.tb_next
+            log.error(
+                "authenticator_failed",
+                error=type(error).__name__,
+                file=None if place is None else place.tb_frame.f_code.co_filename,
+                line=None if place is None else place.tb_lineno,
+            )
+        raise InternalError("the token could not be checked")
+
+
+def _agree(certified: Principal | None, principal: Principal) -> None:
+    if certified is not None and certified.name != principal.name:
+        raise Unauthenticated(
+            f"the token is that of '{principal.name}', the certificate that of '{certified.name}'",
+            remedy="Send the token of the certificate's owner, or none.",
+        )
+
+
+def _keyring(config: GatewayConfig, tokens: list[Token]) -> Keyring:
+    found: dict[str, Principal] = {}
+    for token in tokens:
+        if token.revoked is None:
+            found[token.hash] = token.principal(_there(token, config))
+    for key in config.keys:
+        digest = key.sha256 or fingerprint(key.key or "")
+        expires = None if key.expires is None else instant(key.expires)
+        found[digest] = Principal(key.name, key.grants, "key", digest, expires)
+    return Keyring(found)
+
+
+def _there(token: Token, config: GatewayConfig) -> Grants:
+    """Return the grants of a token whose tenants and roles the configuration still has."""
+    known = {**BUILTIN_ROLES, **config.roles}
+    tenants = ("*", *config.tenant_names)
+    held = tuple(
+        (tenant, tuple(role for role in roles if role in known))
+        for tenant, roles in token.grants
+        if tenant in tenants
+    )
+    if held != token.grants:
+        log.warning("token_grants_missing", name=token.name, id=token.id)
+    return held

@@ -1,0 +1,336 @@
+"""JSON Web Tokens: who issued them, by which key, and whom they prove (RFC 7519, RFC 8725).
+
+An issuer's keys are fetched in the background; a token whose key is not known yet waits for the
+next fetch. What was verified is kept by its hash, so a signature is checked once; it proves no more
+than the key that signed it does at present.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Iterable
+from contextlib import suppress
+from typing import Any
+from urllib.parse import urlsplit
+
+import msgspec
+import structlog
+
+from rcp_kernel._plain import is_map
+from rcp_kernel.access.identity import Principal
+from rcp_kernel.access.jwks import (
+    PublicKey,
+    Unreachable,
+    fetch,
+    read_document,
+    read_set,
+    read_static,
+)
+from rcp_kernel.access.webtokens import Claims, Read, principal_of, read_token, verify
+from rcp_kernel.clock import now
+from rcp_kernel.config.identity import JwtConfig, is_private_url
+from rcp_kernel.errors import AdapterUnavailable, ConfigError, RcpError, Unauthenticated
+
+__all__ = ["Issuer", "Issuers"]
+
+log = structlog.get_logger("rcp.jwt")
+_GAP = 3.0  # s between fetches that tokens with unknown keys ask for
+_RETRY = (1.0, 30.0)  # s after a first failure, and at most
+_WAIT = 9.0  # s that a login may wait: a gap, and a fetch
+_KNOWN = 20_000  # verified tokens
+_DISCOVERY = "/.well-known/openid-configuration"
+
+
+class Issuer:
+    """One `[[jwt]]` table and its keys."""
+
+    def __init__(self, config: JwtConfig, before: Issuer | None = None) -> None:
+        """Take the table; `before` hands its keys over if they are had from the same place.
+
+        :raises ConfigError: a static key is none.
+        """
+        self.config = config
+        where = f"[[jwt]] '{config.issuer}'"
+        self.keys: tuple[PublicKey, ...] = read_static(config.keys, where) if config.keys else ()
+        self.facts: dict[str, Any] = {"name": f"jwt {_shown(config.issuer)}", "state": "ready"}
+        """For the health report."""
+        self.fetched: float | None = None
+        self.stale = False
+        """Whether its keys were not had again for their `lifetime`: they prove nothing any more."""
+        self._lapse: asyncio.TimerHandle | None = None
+        self._changed: Callable[[], None] = _nobody
+        self._failures = 0
+        self._began = -_GAP
+        self._task: asyncio.Task[None] | None = None
+        self._wanted = asyncio.Event()
+        self._round: asyncio.Future[None] | None = None
+        if before is not None and _source(before.config) == _source(config) and not config.keys:
+            self.keys, self.fetched = before.keys, before.fetched
+
+    @property
+    def fetches(self) -> bool:
+        """Whether its keys are on a server."""
+        return not self.config.keys
+
+    def start(self, changed: Callable[[], None]) -> None:
+        """Fetch the keys now and then; `changed` is called when one proves nothing any more."""
+        if self.fetches:
+            self._changed = changed
+            self._watch()
+            self._round = asyncio.get_running_loop().create_future()
+            self._task = asyncio.create_task(self._run(), name=self.facts["name"])
+
+    def stop(self) -> None:
+        """Fetch no more."""
+        if self._lapse is not None:
+            self._lapse.cancel()
+            self._lapse = None
+        if self._task is not None:
+            self._task.cancel()
+            self._task = None
+        self._conclude()
+
+    def candidates(self, read: Read) -> list[PublicKey]:
+        """Return the keys that a token may be signed with."""
+        found = [key for key in self.keys if key.algorithm == read.algorithm]
+        if read.key is None:
+            return found
+        named = [key for key in found if key.id == read.key]
+        return named or [key for key in found if key.id is None]
+
+    @property
+    def reachable(self) -> bool:
+        """Whether what was fetched last still counts."""
+        return not self.fetches or (self.fetched is not None and not self.stale)
+
+    def holds(self, thumbprint: str) -> bool:
+        """Tell whether a key is one of the issuer's, as far as that is known at present."""
+        return self.reachable and any(key.thumbprint == thumbprint for key in self.keys)
+
+    def _watch(self) -> None:
+        """Have the keys lapse at the end of their `lifetime`, unless they are had again before."""
+        if self._lapse is not None:
+            self._lapse.cancel()
+        if self.fetched is None:
+            return
+        loop, end = asyncio.get_running_loop(), self.fetched + self.config.lifetime
+        self.stale = end <= loop.time()
+        self._lapse = None if self.stale else loop.call_at(end, self._lapsed)
+
+    def _lapsed(self) -> None:
+        self._lapse, self.stale = None, True
+        log.error("jwt_keys_lapsed", issuer=_shown(self.config.issuer), keys=len(self.keys))
+        self._changed()
+
+    async def ask(self) -> None:
+        """Have the keys fetched again soon, and wait for that within a bound."""
+        waited = self._round
+        if waited is not None:
+            self._wanted.set()
+            await asyncio.wait((waited,), timeout=_WAIT)
+
+    def _conclude(self) -> None:
+        waited, self._round = self._round, None
+        if waited is not None and not waited.done():
+            waited.set_result(None)
+
+    async def _run(self) -> None:
+        loop = asyncio.get_running_loop()
+        while True:
+            self._began = loop.time()
+            self._wanted.clear()
+            self._take(await self._fetch())
+            self._conclude()
+            self._round = loop.create_future()
+            with suppress(TimeoutError):
+                async with asyncio.timeout(self._pause()):
+                    await self._wanted.wait()
+            await asyncio.sleep(max(0.0, self._began + _GAP - loop.time()))
+
+    def _pause(self) -> float:
+        if not self._failures:
+            return self.config.refresh
+        return min(_RETRY[0] * 2 ** (self._failures - 1), _RETRY[1], self.config.refresh)
+
+    async def _fetch(self) -> tuple[PublicKey, ...] | str:
+        """Return the keys, or why there are none."""
+        try:
+            url = self.config.jwks_url or await self._discover()
+            try:
+                return read_set(read_document(await fetch(url)))
+            except ValueError as error:
+                return f"the key set at {_shown(url)} is none: {error}"
+        except Unreachable as error:
+            return str(error)
+
+    async def _discover(self) -> str:
+        issuer = self.config.issuer
+        try:
+            document = read_document(await fetch(issuer.rstrip("/") + _DISCOVERY))
+        except ValueError:
+            raise Unreachable("the discovery document is not JSON") from None
+        if not is_map(document) or document.get("issuer") != issuer:
+            raise Unreachable("the discovery document is of another issuer")
+        url: Any = document.get("jwks_uri")
+        if not isinstance(url, str) or not is_private_url(url):
+            raise Unreachable("the discovery document names no `jwks_uri` with https")
+        if urlsplit(url).scheme != "https" and urlsplit(issuer).scheme == "https":
+            raise Unreachable("the discovery document names a `jwks_uri` without https")
+        return url
+
+    def _take(self, found: tuple[PublicKey, ...] | str) -> None:
+        if isinstance(found, str):
+            self._failures += 1
+            if self._failures == 1:
+                log.warning("jwt_keys_unreachable", issuer=_shown(self.config.issuer), reason=found)
+            self.facts |= {"state": "down", "detail": f"its keys cannot be fetched: {found}"}
+            return
+        if self._failures:
+            log.info("jwt_keys_fetched", issuer=_shown(self.config.issuer), keys=len(found))
+        self._failures = 0
+        self.fetched = asyncio.get_running_loop().time()
+        self._watch()
+        self.facts["state"] = "ready"
+        self.facts.pop("detail", None)
+        gone = {key.thumbprint for key in self.keys} - {key.thumbprint for key in found}
+        self.keys = found
+        if gone:
+            self._changed()
+
+
+def _nobody() -> None:
+    """Stand in for who is told, before there is anybody."""
+
+
+def _source(config: JwtConfig) -> tuple[object, ...]:
+    return config.issuer, config.keys, config.jwks_url, config.discovery
+
+
+def _shown(url: str) -> str:
+    """Return a URL without what may be secret in it."""
+    return url.partition("?")[0].partition("#")[0][:200]
+
+
+class _Verified(msgspec.Struct, frozen=True):
+    claims: Claims
+    key: str
+    """Thumbprint of the key that signed it."""
+    read: Read
+    principal: Principal
+    tables: object
+    """The tables that it was last weighed by."""
+
+
+class Issuers:
+    """Every issuer, and the tokens that were verified."""
+
+    def __init__(
+        self, configs: Iterable[JwtConfig], tenants: list[str], before: Issuers | None = None
+    ) -> None:
+        """Compile the tables; `before` hands over what it knows.
+
+        :raises ConfigError: a static key is none, or two tables are of one issuer.
+        """
+        old = {} if before is None else before.issuers
+        self.issuers: dict[str, Issuer] = {}
+        for config in configs:
+            if config.issuer in self.issuers:
+                raise ConfigError(f"two [[jwt]] are of the issuer '{config.issuer}'")
+            self.issuers[config.issuer] = Issuer(config, old.get(config.issuer))
+        self._tenants = tenants
+        self._tables = object()
+        self.verified: dict[str, _Verified] = {} if before is None else before.verified
+
+    def start(self, changed: Callable[[], None]) -> None:
+        """Begin to fetch keys; `changed` is called after one has gone, or has lapsed."""
+        for issuer in self.issuers.values():
+            issuer.start(changed)
+
+    def stop(self) -> None:
+        """Fetch no more."""
+        for issuer in self.issuers.values():
+            issuer.stop()
+
+    def kept(self, digest: str) -> Principal | None:
+        """Return whom a token proved when it was verified, if its key still proves anything."""
+        found = self.verified.get(digest)
+        if found is None:
+            return None
+        issuer = self.issuers.get(found.read.issuer)
+        if issuer is None or not issuer.holds(found.key):
+            del self.verified[digest]
+            return None
+        if found.tables is not self._tables:
+            return self._weighed(digest, issuer.config)
+        return found.principal
+
+    def _weighed(self, digest: str, config: JwtConfig) -> Principal | None:
+        """Weigh a verified token by tables that have changed since: its signature still holds."""
+        found = self.verified.pop(digest)
+        taken = (config.audience,) if isinstance(config.audience, str) else config.audience
+        named: Any = found.claims["aud"]
+        meant = any(one in taken for one in ([named] if isinstance(named, str) else named))
+        if not meant or found.read.algorithm not in config.algorithms:
+            return None
+        with suppress(RcpError):  # it is told when the token comes again
+            return self._keep(config, digest, found.claims, found.key, found.read)
+        return None
+
+    def renewed(self, principal: Principal) -> Principal | None:
+        """Return what a token is worth under the present tables, or None if nothing any more."""
+        return self.kept(principal.credential or "")
+
+    def find(self, token: str, digest: str) -> Principal | Issuer:
+        """Return whom a token proves, or the issuer whose keys have to be fetched first.
+
+        :raises Unauthenticated: it is not good.
+        :raises Forbidden: it is, and gives no role here.
+        """
+        kept = self.kept(digest)
+        if kept is not None:
+            return kept
+        read = read_token(token)
+        issuer = self.issuers.get(read.issuer)
+        if issuer is None:
+            raise Unauthenticated("the token is of an issuer that is not known here")
+        if read.algorithm not in issuer.config.algorithms:
+            raise Unauthenticated("the token is signed by an algorithm that is not taken here")
+        keys = issuer.candidates(read) if issuer.reachable else []
+        if not keys:
+            if issuer.fetches:
+                return issuer
+            raise Unauthenticated("the token is signed by a key that is not known here")
+        claims, key = verify(token, keys, issuer.config)
+        return self._keep(issuer.config, digest, claims, key.thumbprint, read)
+
+    def insist(self, token: str, digest: str) -> Principal:
+        """Do as `find` does after the keys were fetched.
+
+        :raises AdapterUnavailable: they could not be.
+        """
+        found = self.find(token, digest)
+        if isinstance(found, Principal):
+            return found
+        if not found.reachable:
+            raise AdapterUnavailable(
+                "the keys of the token's issuer cannot be fetched at present",
+                retry_after=_RETRY[0],
+                remedy="Try again; if that goes on, the operator has to look at the issuer.",
+            )
+        raise Unauthenticated("the token is signed by a key that its issuer does not list")
+
+    def _keep(
+        self, config: JwtConfig, digest: str, claims: Claims, key: str, read: Read
+    ) -> Principal:
+        principal = principal_of(config, claims, digest, self._tenants)
+        if len(self.verified) >= _KNOWN:
+            self._make_room()
+        self.verified[digest] = _Verified(claims, key, read, principal, self._tables)
+        return principal
+
+    def _make_room(self) -> None:
+        moment = now()
+        for digest in [d for d, v in self.verified.items() if (v.principal.expires or 0) < moment]:
+            del self.verified[digest]
+        if len(self.verified) >= _KNOWN:
+            del self.verified[next(iter(self.verified))]

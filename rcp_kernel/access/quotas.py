@@ -1,0 +1,269 @@
+"""Quotas: how much each tenant, and each principal by itself, may have of the gateway.
+
+What an account holds is not counted up and down: its sessions are in a set, and what these hold is
+summed when somebody wants more of it, so that no way out of a session can be forgotten.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Iterable
+from time import perf_counter
+from typing import TYPE_CHECKING, Any
+
+from rcp_kernel.access.identity import Principal
+from rcp_kernel.access.meter import NONE, SWEEP, Account, Meter, Owner
+from rcp_kernel.clients.waiting import shed, waiting_bytes
+from rcp_kernel.config.limits import Quota
+from rcp_kernel.errors import QueueFull
+
+if TYPE_CHECKING:
+    from rcp_kernel.clients.sessions import Session
+    from rcp_kernel.gateway import Gateway
+    from rcp_kernel.operations.command import Command
+
+__all__ = ["Accounts"]
+
+_MANY = 10_000  # accounts, before idle ones are let go
+
+
+class Accounts:
+    """The accounts of all tenants and principals that have a quota."""
+
+    def __init__(self, gateway: Gateway) -> None:
+        self._gateway = gateway
+        self._known: dict[tuple[Owner, Any], Account] = {}
+        self._charged: dict[str, tuple[Account, ...]] = {}
+        self._timer: asyncio.TimerHandle | None = None
+
+    # -- who has which quota -------------------------------------------------------------------
+
+    def attach(self, session: Session) -> None:
+        """Give a session its meter, or none if no quota concerns it."""
+        config = self._gateway.config
+        accounts: list[Account] = []
+        principal = session.principal
+        quota = self._quota_of(principal)
+        if quota != NONE:
+            accounts.append(self._account("principal", principal.identity, principal.name, quota))
+        tenant = config.tenants.get(session.tenant or "")
+        if tenant is not None and tenant.quota is not None:
+            name = session.tenant or ""
+            accounts.append(self._account("tenant", name, name, tenant.quota))
+        known = session.meter.accounts if session.meter is not None else ()
+        if known != tuple(accounts):
+            session.meter = Meter(tuple(accounts)) if accounts else None
+
+    def _account(self, owner: Owner, key: Any, name: str, quota: Quota) -> Account:
+        account = self._known.get((owner, key))
+        if account is None:
+            if len(self._known) >= _MANY:
+                self._prune()
+            account = self._known[owner, key] = Account(owner, name, quota)
+        elif account.quota != quota:
+            account.adopt(quota)
+        if quota.queue_bytes is not None and self._timer is None:
+            self._timer = self._gateway.loop.call_later(SWEEP, self._look)
+        return account
+
+    def _quota_of(self, principal: Principal) -> Quota:
+        default = self._gateway.config.quotas.principal
+        roles = self._gateway.rules.roles
+        held = [roles[name].quota or default for name in principal.roles if name in roles]
+        return _most_generous(default, held or [default])
+
+    def _prune(self) -> None:
+        moment = perf_counter()
+        for key in [key for key, account in self._known.items() if account.idle(moment)]:
+            del self._known[key]
+
+    # -- sessions and what they hold -----------------------------------------------------------
+
+    def enter(self, session: Session) -> None:
+        """Count a new session.
+
+        Where the quota is reached only with those that wait for their client's return, the one that
+        has waited longest goes: but one, as this client may be about to come back to it.
+
+        :raises QueueFull: as many as allowed are connected.
+        """
+        self.attach(session)
+        if session.meter is None:
+            return
+        for account in session.meter.accounts:
+            self._check_session(account)
+        for account in session.meter.accounts:
+            account.sessions.add(session)
+
+    def _check_session(self, account: Account) -> None:
+        limit = account.quota.sessions
+        if limit is None:
+            return
+        if account.connected >= limit:
+            raise account.full("sessions", limit)
+        if len(account.sessions) > limit:
+            waiting = [session for session in account.sessions if session.cut is not None]
+            self._gateway.sessions.drop(min(waiting, key=lambda session: session.cut or 0))
+
+    def leave(self, session: Session) -> None:
+        """Count a session no more."""
+        if session.meter is not None:
+            for account in session.meter.accounts:
+                account.sessions.discard(session)
+
+    def move(self, session: Session) -> None:
+        """Bring a session under the quotas that concern it now."""
+        self.leave(session)
+        self.attach(session)
+        if session.meter is not None and session.id in self._gateway.sessions.known:
+            for account in session.meter.accounts:
+                account.sessions.add(session)
+
+    def change_tenant(self, session: Session, tenant: str | None) -> None:
+        """Have a session act for another tenant.
+
+        :raises QueueFull: that tenant has as many sessions as it may; nothing changed.
+        """
+        before, session.tenant = session.tenant, tenant
+        if before == tenant:
+            return
+        old = session.meter.accounts if session.meter is not None else ()
+        self.move(session)
+        try:
+            for account in session.meter.accounts if session.meter is not None else ():
+                limit = account.quota.sessions
+                if account not in old and limit is not None and account.connected > limit:
+                    raise account.full("sessions", limit)
+        except QueueFull:
+            session.tenant = before
+            self.move(session)
+            raise
+
+    def check_subscription(self, session: Session) -> None:
+        """Refuse one subscription too many.
+
+        :raises QueueFull: its tenant or principal has as many as it may.
+        """
+        if session.meter is not None:
+            for account in session.meter.accounts:
+                limit = account.quota.subscriptions
+                if limit is not None and account.subscriptions >= limit:
+                    raise account.full("subscriptions", limit)
+
+    def check_command(self, session: Session, path: str) -> None:
+        """Refuse one command too many; those of the gateway's own branch are past it.
+
+        :raises QueueFull: its tenant or principal has as many as it may.
+        """
+        if session.meter is not None and not path.startswith("/system/"):
+            for account in session.meter.accounts:
+                limit = account.quota.commands
+                if limit is not None and len(account.commands) >= limit:
+                    raise account.full("commands", limit)
+
+    def charge(self, session: Session, command: Command) -> None:
+        """Count a command until it ends."""
+        if session.meter is None or command.path.startswith("/system/"):
+            return
+        id_ = command.id
+        self._charged[id_] = session.meter.accounts
+        for account in session.meter.accounts:
+            account.commands.add(id_)
+        command.followers.append(lambda reply: self._release(id_) if reply.final else None)
+
+    def _release(self, id_: str) -> None:
+        for account in self._charged.pop(id_, ()):
+            account.commands.discard(id_)
+
+    def recount(self) -> None:
+        """Count the running commands afresh: the quotas have changed."""
+        for accounts in self._charged.values():
+            for account in accounts:
+                account.commands.clear()
+        self._charged.clear()
+        for command in self._gateway.commands.running.values():
+            if command.asker is not None:
+                self.move(command.asker)
+                self.charge(command.asker, command)
+
+    # -- what waits for slow clients -----------------------------------------------------------
+
+    def _look(self) -> None:
+        accounts = [a for a in self._known.values() if a.quota.queue_bytes is not None]
+        self._timer = self._gateway.loop.call_later(SWEEP, self._look) if accounts else None
+        for account in accounts:
+            _weigh(account, account.quota.queue_bytes or 0)
+
+    def close(self) -> None:
+        """Look at nothing any more."""
+        if self._timer is not None:
+            self._timer.cancel()
+
+    # -- for people ----------------------------------------------------------------------------
+
+    def plain(self, session: Session) -> dict[str, Any]:
+        """Describe the asker's own quota and use, and those of the tenants it acts in."""
+        tenants = session.rights.tenants
+        out: dict[str, Any] = {}
+        own = self._known.get(("principal", session.principal.identity))
+        if own is not None:
+            out["principal"] = own.usage()
+        shown = {
+            a.name: a.usage() for a in self.of("tenant") if "*" in tenants or a.name in tenants
+        }
+        return out | ({"tenants": shown} if shown else {})
+
+    def refused(self) -> dict[tuple[str, str, str], int]:
+        """Count refusals by owner, tenant and thing; all principals count together."""
+        sums: dict[tuple[str, str, str], int] = {}
+        for account in self._known.values():
+            tenant = account.name if account.owner == "tenant" else ""
+            for what, count in account.refused.items():
+                key = account.owner, tenant, what
+                sums[key] = sums.get(key, 0) + count
+        return sums
+
+    def of(self, owner: Owner) -> Iterable[Account]:
+        """Go through the accounts of tenants or principals."""
+        return [account for account in self._known.values() if account.owner == owner]
+
+
+def _weigh(account: Account, limit: int) -> None:
+    """Have the slowest clients give way until what waits is within the quota, or ask no more."""
+    held = sorted(((waiting_bytes(s), s) for s in account.sessions), key=_by_size, reverse=True)
+    total = sum(size for size, _ in held)
+    account.waiting = total
+    over = total - limit
+    for size, session in held:
+        if over > 0:
+            account.refused["queue_bytes"] = account.refused.get("queue_bytes", 0) + 1
+            over -= size - shed(session, account)
+        meter = session.meter
+        if meter is None:
+            continue
+        left = over > 0 and waiting_bytes(session) > 0
+        if left:
+            meter.choked = account
+            over -= waiting_bytes(session)
+        elif meter.choked is account:
+            meter.choked = None
+
+
+def _by_size(item: tuple[int, Any]) -> int:
+    return item[0]
+
+
+def _most_generous(default: Quota, quotas: list[Quota]) -> Quota:
+    """Join what several roles give: of each thing the most.
+
+    A role that does not name a thing gives of it what the default gives.
+    """
+    out: dict[str, Any] = {}
+    for what in ("sessions", "subscriptions", "commands", "queue_bytes", "requests"):
+        given = [getattr(q, what) or getattr(default, what) for q in quotas]
+        out[what] = None if None in given else max(given)
+    if out["requests"] is not None:
+        at_that_pace = [q for q in (*quotas, default) if q.requests == out["requests"]]
+        bursts = [q.burst or max(1, round(q.requests or 1)) for q in at_that_pace]
+        out["burst"] = max(bursts)
+    return Quota(**out)

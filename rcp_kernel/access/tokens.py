@@ -1,0 +1,188 @@
+"""API keys made and taken back while the gateway runs: a table of hashes beside what else is kept.
+
+`rcpd token` writes it from a process of its own; a thread of the gateway looks whether it changed.
+"""
+
+from __future__ import annotations
+
+import os
+import secrets
+import sqlite3
+import threading
+from collections.abc import Callable, Iterable
+from contextlib import closing, suppress
+from pathlib import Path
+
+import msgspec
+import structlog
+
+from rcp_kernel.access.identity import Grants, Principal, fingerprint
+from rcp_kernel.clock import now
+from rcp_kernel.errors import ConfigError
+from rcp_kernel.process.modes import check_store_modes
+
+__all__ = ["PREFIX", "Token", "TokenFile", "TokenWatch", "changes"]
+
+log = structlog.get_logger("rcp.tokens")
+PREFIX = "rcp_"
+"""What every key made here begins with, for those who look for leaked ones."""
+_SCHEMA = """
+CREATE TABLE IF NOT EXISTS tokens (
+    id TEXT PRIMARY KEY, name TEXT NOT NULL, hash TEXT NOT NULL UNIQUE, grants BLOB NOT NULL,
+    created INTEGER NOT NULL, expires INTEGER, revoked INTEGER, changed INTEGER NOT NULL
+);
+CREATE INDEX IF NOT EXISTS tokens_changed ON tokens (changed);
+"""
+_NEXT = "(SELECT coalesce(max(changed), 0) + 1 FROM tokens)"
+_BUSY = 5.0  # s to wait for another process
+_PERIOD = 0.5  # s between looks
+_FORGET = 90 * 86_400 * 1_000_000_000  # ns after which what is not good any more is deleted
+
+
+class Token(msgspec.Struct, frozen=True):
+    """One key, without the key."""
+
+    id: str
+    name: str
+    hash: str
+    grants: Grants
+    created: int
+    expires: int | None
+    revoked: int | None
+
+    @property
+    def state(self) -> str:
+        """`good`, `expired` or `revoked`."""
+        if self.revoked is not None:
+            return "revoked"
+        return "expired" if self.expires is not None and self.expires <= now() else "good"
+
+    def principal(self, grants: Grants) -> Principal:
+        """Return whom it proves, with what is left of its grants."""
+        return Principal(self.name, grants, "token", self.hash, self.expires)
+
+
+class TokenFile:
+    """The table, for one thread. Blocks."""
+
+    def __init__(self, path: Path) -> None:
+        """Open or create it.
+
+        :raises ConfigError: that cannot be done, or others may write it.
+        """
+        self.warning = check_store_modes(path)
+        """What to tell the operator of who may read it."""
+        try:
+            path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+            with suppress(FileExistsError):  # nobody else's to read
+                os.close(os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o600))
+            self._base = sqlite3.connect(path, timeout=_BUSY)
+            self._base.execute("PRAGMA journal_mode=WAL")
+            self._base.executescript(_SCHEMA)
+        except (OSError, sqlite3.Error) as error:
+            raise ConfigError(f"the store '{path}' cannot be opened: {error}") from None
+
+    def close(self) -> None:
+        """Close the database."""
+        self._base.close()
+
+    def create(self, name: str, grants: Grants, expires: int | None) -> tuple[Token, str]:
+        """Make a key; return what is kept of it, and the key, which is kept nowhere."""
+        key = PREFIX + secrets.token_urlsafe(32)
+        id_ = "t-" + secrets.token_hex(4)
+        token = Token(id_, name, fingerprint(key), grants, now(), expires, None)
+        with self._base:
+            self._base.execute(
+                "DELETE FROM tokens WHERE coalesce(revoked, expires, ?) < ?",
+                (token.created, token.created - _FORGET),
+            )
+            self._base.execute(
+                f"INSERT INTO tokens VALUES (?, ?, ?, ?, ?, ?, NULL, {_NEXT})",  # noqa: S608 - a constant
+                (id_, name, token.hash, msgspec.msgpack.encode(grants), token.created, expires),
+            )
+        return token, key
+
+    def revoke(self, named: str) -> list[Token]:
+        """Take back the key of an id, or all of a name; return those that were not yet."""
+        gone = [t for t in self.every() if t.revoked is None and named in (t.id, t.name)]
+        with self._base:
+            self._base.executemany(
+                f"UPDATE tokens SET revoked = ?, changed = {_NEXT} WHERE id = ?",  # noqa: S608 - a constant
+                [(now(), token.id) for token in gone],
+            )
+        return gone
+
+    def every(self) -> list[Token]:
+        """List all keys, oldest first."""
+        rows = self._base.execute(
+            "SELECT id, name, hash, grants, created, expires, revoked FROM tokens ORDER BY created"
+        )
+        return [
+            Token(id_, name, hash_, msgspec.msgpack.decode(grants, type=Grants), *times)
+            for id_, name, hash_, grants, *times in rows
+        ]
+
+    def version(self) -> int:
+        """Return a number that grows with every change."""
+        return self._base.execute("SELECT coalesce(max(changed), 0) FROM tokens").fetchone()[0]
+
+
+class TokenWatch:
+    """Tells of the keys that are there: once when made, then whenever they change."""
+
+    def __init__(self, path: Path, told: Callable[[list[Token]], None]) -> None:
+        """Read the table, then watch it on a thread, which calls `told`.
+
+        :raises ConfigError: the store cannot be opened.
+        """
+        self._path = path
+        self._told = told
+        self._closing = threading.Event()
+        with closing(TokenFile(path)) as table:
+            self._version = table.version()
+            self.tokens = table.every()
+            """As they were when the watch began."""
+        self._thread = threading.Thread(target=self._watch, name="rcp-tokens", daemon=True)
+
+    def start(self) -> None:
+        """Begin to watch."""
+        self._thread.start()
+
+    def close(self) -> None:
+        """Stop."""
+        self._closing.set()
+        if self._thread.is_alive():
+            self._thread.join(timeout=10)
+
+    def _watch(self) -> None:
+        table: TokenFile | None = None
+        broken = False
+        while not self._closing.wait(_PERIOD):
+            try:
+                table = table or TokenFile(self._path)
+                version = table.version()
+                if version != self._version:
+                    self._told(table.every())
+                    self._version = version
+                broken = False
+            except (ConfigError, sqlite3.Error, msgspec.DecodeError) as error:
+                if not broken:  # what was known goes on
+                    log.error("tokens_unreadable", path=str(self._path), error=str(error))
+                broken = True
+                if table is not None:
+                    table.close()
+                    table = None
+        if table is not None:
+            table.close()
+
+
+def changes(before: Iterable[Token], after: Iterable[Token]) -> list[tuple[str, Token]]:
+    """Tell which keys were `created` or `revoked` between two looks."""
+    known = {token.id: token.revoked for token in before}
+    found: list[tuple[str, Token]] = []
+    for token in after:
+        if token.id not in known:
+            found.append(("created", token))
+        if token.revoked is not None and known.get(token.id, token.revoked) is None:
+            found.append(("revoked", token))
+    return found

@@ -1,0 +1,161 @@
+"""One JSON Web Token: what it says of itself, whether it holds, and which principal it makes."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import msgspec
+
+from rcp_kernel._plain import is_list, is_map
+from rcp_kernel.access.identity import Grants, Principal, check_time
+from rcp_kernel.access.jwks import PublicKey
+from rcp_kernel.clock import now
+from rcp_kernel.config.identity import JwtConfig
+from rcp_kernel.errors import Forbidden, TokenExpired, Unauthenticated
+
+__all__ = ["Claims", "Read", "is_jwt", "principal_of", "read_token", "verify"]
+
+Claims = dict[str, Any]
+_LONGEST = 16_384  # characters
+_NAME = 128  # characters
+_TRIED = 8  # keys, for a token that names none
+_S = 1_000_000_000  # ns
+_LAST = 253_402_300_799  # s: the end of the year 9999
+
+
+class Read(msgspec.Struct, frozen=True):
+    """What a token says before anything of it is proved."""
+
+    issuer: str
+    algorithm: str
+    key: str | None
+
+
+def is_jwt(token: str) -> bool:
+    """Tell whether a token has the form of a JWT."""
+    return token.startswith("eyJ") and token.count(".") == 2
+
+
+def read_token(token: str) -> Read:
+    """Read head and issuer of a token.
+
+    :raises Unauthenticated: it is malformed, or wants what is not understood here.
+    """
+    import jwt
+
+    if len(token) > _LONGEST:
+        raise Unauthenticated(f"the token is longer than {_LONGEST} characters")
+    try:
+        head: Any = jwt.get_unverified_header(token)
+        claims: Any = jwt.decode(token, options={"verify_signature": False})
+    except Exception:  # the library reads a stranger's bytes: whatever it says, they are not good
+        raise _malformed() from None
+    issuer, algorithm, key = claims.get("iss"), head.get("alg"), head.get("kid")
+    if not isinstance(issuer, str) or not isinstance(algorithm, str):
+        raise _malformed()
+    if "crit" in head:  # RFC 7515, 4.1.11: what is not understood must be refused
+        raise Unauthenticated("the token has critical extensions, and none is understood here")
+    return Read(issuer, algorithm, key if isinstance(key, str) else None)
+
+
+def _malformed() -> Unauthenticated:
+    return Unauthenticated("the token is malformed")
+
+
+def verify(token: str, keys: list[PublicKey], config: JwtConfig) -> tuple[Claims, PublicKey]:
+    """Check signature and claims; return the claims and the key that signed.
+
+    :raises TokenExpired: it was good once.
+    :raises Unauthenticated: it is not good.
+    """
+    import jwt
+
+    audience = config.audience
+    for key in keys[:_TRIED]:
+        try:
+            claims = jwt.decode(
+                token,
+                key.key,
+                algorithms=[key.algorithm],
+                audience=[audience] if isinstance(audience, str) else list(audience),
+                issuer=config.issuer,
+                leeway=config.leeway,
+                options={"require": ["exp", "iss", "aud"]},
+            )
+        except jwt.InvalidSignatureError:
+            continue
+        except jwt.ExpiredSignatureError:
+            raise TokenExpired("the token has expired") from None
+        except jwt.ImmatureSignatureError:
+            raise Unauthenticated(
+                "the token is not good yet: its `nbf` or `iat` lies ahead",
+                remedy="Check that the clocks of the issuer and of the gateway agree.",
+            ) from None
+        except jwt.InvalidAudienceError:
+            raise Unauthenticated("the token is not for this gateway: see its `aud`") from None
+        except jwt.MissingRequiredClaimError:
+            raise Unauthenticated("the token needs the claims `exp`, `iss` and `aud`") from None
+        except Exception:  # as in `read_token`
+            raise _malformed() from None
+        return claims, key
+    raise Unauthenticated("the signature of the token is wrong")
+
+
+def principal_of(config: JwtConfig, claims: Claims, digest: str, tenants: list[str]) -> Principal:
+    """Make the principal of a verified token.
+
+    :raises TokenExpired: it is older than `max_age`.
+    :raises Unauthenticated: a claim that is needed is not there.
+    :raises Forbidden: its claims give no role.
+    """
+    name = _claim(claims, config.name_claim)
+    if not isinstance(name, str) or not 0 < len(name) <= _NAME or not name.isprintable():
+        raise Unauthenticated(f"the claim `{config.name_claim}` of the token is no name")
+    end = min(int(claims["exp"]), _LAST)
+    if config.max_age is not None:
+        begun: Any = claims.get("iat")
+        if not isinstance(begun, (int, float)):
+            raise Unauthenticated("the token needs the claim `iat`")
+        end = min(end, begun + config.max_age)
+    grants = _grants(config, claims, tenants)
+    if not any(roles for _, roles in grants):
+        raise Forbidden(
+            f"the token of {config.prefix}{name} gives no role here",
+            remedy="Ask the operator which claims give a role.",
+        )
+    expires = int((end + config.leeway) * _S)
+    made = Principal(config.prefix + name, grants, f"jwt {config.issuer}", digest, expires)
+    return check_time(made, now())
+
+
+def _claim(claims: Claims, name: str) -> Any:
+    """Return a claim by its name or, with dots, by the way to it."""
+    if name in claims:
+        return claims[name]
+    found: Any = claims
+    for step in name.split("."):
+        if not is_map(found):
+            return None
+        found = found.get(step)
+    return found
+
+
+def _texts(value: Any) -> list[str]:
+    return [one for one in (value if is_list(value) else [value]) if isinstance(one, str)]
+
+
+def _grants(config: JwtConfig, claims: Claims, tenants: list[str]) -> Grants:
+    given = [config.grants]
+    if config.role_claim is not None:
+        held = _texts(_claim(claims, config.role_claim))
+        given += [config.by_claim[value].grants for value in held if value in config.by_claim]
+    only: list[str] | None = None
+    if config.tenant_claim is not None:
+        # A claim names tenants, it does not open all of them: `*` is none.
+        only = [t for t in _texts(_claim(claims, config.tenant_claim)) if t in tenants]
+    found: dict[str, dict[str, None]] = {}
+    for tenant, roles in (pair for grants in given for pair in grants):
+        places = [tenant] if only is None else [t for t in only if tenant in ("*", t)]
+        for place in places:
+            found.setdefault(place, {}).update(dict.fromkeys(roles))
+    return tuple((tenant, tuple(roles)) for tenant, roles in found.items())

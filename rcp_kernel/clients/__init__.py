@@ -1,0 +1,1 @@
+"""Sessions, the connections they come in by, and the way out to them."""

@@ -1,0 +1,248 @@
+"""The connections that sessions come in by: whole messages in, replies and updates out."""
+
+from __future__ import annotations
+
+import asyncio
+from collections import deque
+from collections.abc import Callable
+from functools import partial
+from typing import TYPE_CHECKING, Annotated, Any
+
+import msgspec
+from msgspec import Meta
+
+from rcp_kernel.access.identity import Principal
+from rcp_kernel.access.peer import UNKNOWN, Peer
+from rcp_kernel.clients.mailbox import Mailbox
+from rcp_kernel.clock import iso, now
+from rcp_kernel.errors import QueueFull, RcpError
+from rcp_kernel.operations.pending import crash
+from rcp_kernel.values import Encoding, value_type
+from rcp_kernel.wire import (
+    NO_BODY,
+    Reply,
+    Request,
+    check_size,
+    decode_request,
+    encode_reply,
+    failure,
+    salvage,
+)
+
+if TYPE_CHECKING:
+    from rcp_kernel.clients.sessions import Session
+    from rcp_kernel.gateway import Gateway
+
+__all__ = ["Connection", "Hello"]
+
+_HELD = 256  # messages that wait for a `hello`
+
+
+class Hello(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """The body of `hello`."""
+
+    token: Annotated[str, Meta(max_length=16_384)] | None = None
+    session: Annotated[str, Meta(max_length=128)] | None = None
+    resume_token: Annotated[str, Meta(max_length=128)] | None = None
+    resume_from: int | dict[str, int] | None = None
+    """What the client has: the last `seq`, of its one path or of each path."""
+    client: Annotated[str, Meta(max_length=256)] | None = None
+    tenant: Annotated[str, Meta(max_length=128)] | None = None
+    """Which of the principal's tenants relative paths mean."""
+    segment_size: Annotated[int, Meta(ge=1024, le=64 * 1024 * 1024)] | None = None
+
+
+_HELLO = value_type(Hello)
+
+
+class Connection:
+    """The gateway's end of one client connection.
+
+    The transport feeds `receive` with whole messages, is called by `flush` when there is
+    something to send, and takes it with `mailbox.collect`. All on the event loop's thread.
+    """
+
+    __slots__ = (
+        "_gateway",
+        "_held",
+        "_identifying",
+        "_splices",
+        "closed",
+        "encoding",
+        "expelled",
+        "greetings",
+        "incoming",
+        "mailbox",
+        "on_hello",
+        "peer",
+        "session",
+    )
+
+    def __init__(
+        self,
+        gateway: Gateway,
+        session: Session,
+        encoding: Encoding,
+        flush: Callable[[], None],
+        peer: Peer = UNKNOWN,
+    ) -> None:
+        self._gateway = gateway
+        self.peer = peer
+        self.encoding = encoding
+        self.mailbox = Mailbox(gateway.hub.ticker, encoding, flush)
+        self.session = session
+        self.closed = False
+        self.expelled = False
+        """The session was ended by the gateway; the transport closes once it has said so."""
+        self.greetings = 0
+        self.on_hello: Callable[[Hello], dict[str, Any]] | None = None
+        """The transport's part of `hello`: what it adopts, and the limits it answers with."""
+        self.incoming: Callable[[bytes], None] = self.receive
+        """Takes what came while `hello` waited; a transport that looks at messages first sets its own."""
+        self._held: deque[bytes] | None = None
+        """Messages since a `hello` that is not answered yet."""
+        self._identifying: asyncio.Task[None] | None = None
+        self._splices = encoding is Encoding.JSON and gateway.quick
+        session.connection = self
+        session.encoding = encoding
+
+    @property
+    def holds(self) -> bool:
+        """Whether a `hello` is not answered yet, and everything else waits for it."""
+        return self._held is not None
+
+    def receive(self, data: bytes) -> None:
+        """Handle one whole message from the client; every reply goes through the mailbox."""
+        if self._held is not None:
+            self._hold(data)
+            return
+        gateway = self._gateway
+        try:
+            if len(data) > gateway.limits.message:
+                check_size(data, gateway.limits.message)
+            request = decode_request(data, self.encoding)
+        except RcpError as error:
+            type_, id_ = salvage(data, self.encoding) if len(data) < 1_000_000 else ("error", None)
+            gateway.count(self.session.transport, type_, error.code)
+            self.send(failure(error, type_, id_))
+            return
+        if request.type == "hello":
+            self._hello(request)
+            return
+        session = self.session
+        if request.type == "read" and self._splices:
+            reply = gateway.read_at_once(session, request)
+            if reply is not None:
+                mailbox = self.mailbox
+                mailbox.control.append(reply)
+                if not mailbox.dirty:
+                    mailbox.mark()
+                return
+        gateway.handle(session, request, session.deliver)
+
+    def send(self, reply: Reply) -> None:
+        """Queue a reply; feedback that a slow client has not taken yet gives way to newer."""
+        if self.closed:
+            return
+        mailbox = self.mailbox
+        if reply.command is not None:
+            if reply.status == "in_progress":
+                mailbox.feedback[reply.command] = partial(self._encode_feedback, reply)
+                mailbox.mark()
+                return
+            last = mailbox.feedback.pop(reply.command, None)
+            if last is not None:
+                mailbox.control.append(last())
+        mailbox.control.append(self.encode(reply))
+        if not mailbox.dirty:
+            mailbox.mark()
+
+    def encode(self, reply: Reply) -> bytes:
+        """Write a reply; one whose body cannot be written becomes the error that says so."""
+        try:
+            return encode_reply(reply, self.encoding)
+        except Exception as error:
+            told = crash(error, path=reply.path)
+            said = failure(told, reply.type, reply.id, reply.path, command=reply.command)
+            return encode_reply(said, self.encoding)
+
+    def _encode_feedback(self, reply: Reply) -> bytes:
+        """Write feedback, which never ends its command: without the body if that cannot be written."""
+        try:
+            return encode_reply(reply, self.encoding)
+        except Exception as error:
+            crash(error, path=reply.path)
+            reply.body, reply.custom = NO_BODY, None
+            return encode_reply(reply, self.encoding)
+
+    def _hello(self, request: Request) -> None:
+        gateway = self._gateway
+        try:
+            self.greetings += 1
+            if self.greetings > 1:  # the first one is free: who wants to stop a robot must get in
+                gateway.pay(self.session)
+            hello = request.decode_body(_HELLO, "hello") if request.body else Hello()
+            token = gateway.sessions.offered(hello)
+            principal = None
+            if token is not None:
+                principal = gateway.identities.known(token, self.peer)
+                if principal is None:
+                    self._held = deque()
+                    self._identifying = gateway.loop.create_task(
+                        self._identify(request, hello, token)
+                    )
+                    return
+            self._greet(request, hello, principal)
+        except Exception as error:
+            self._unwelcome(request, error)
+
+    def _greet(self, request: Request, hello: Hello, principal: Principal | None) -> None:
+        gateway = self._gateway
+        body = gateway.sessions.greet(self, hello, principal)
+        gateway.count(self.session.transport, "hello", "ok")
+        reply = Reply(type="hello", id=request.id, body=body, timestamp=iso(now()))
+        # Ahead of what a resumed session has to say: the client must know first whose it is.
+        self.mailbox.control.insert(0, encode_reply(reply, self.encoding))
+        self.mailbox.mark()
+
+    def _unwelcome(self, request: Request, error: Exception) -> None:
+        gateway = self._gateway
+        told = crash(error)
+        gateway.count(self.session.transport, "hello", told.code)
+        reply = failure(told, "hello", request.id)
+        gateway.recording.unwelcome(self.session, reply, self.send)(reply)
+
+    async def _identify(self, request: Request, hello: Hello, token: str) -> None:
+        """Find out whose token it is, while what the client says next waits for that."""
+        try:
+            principal = await self._gateway.identities.wait(token, self.peer)
+            if not self.closed:
+                self._greet(request, hello, principal)
+        except Exception as error:
+            self._unwelcome(request, error)
+        held, self._held = self._held or deque(), None
+        while held and not self.closed:
+            self.incoming(held.popleft())
+            if self._held is not None:  # another `hello` that has to wait
+                self._held.extend(held)
+                return
+
+    def _hold(self, data: bytes) -> None:
+        held = self._held
+        assert held is not None
+        if len(held) < _HELD and sum(map(len, held)) + len(data) <= self._gateway.limits.message:
+            held.append(data)
+            return
+        type_, id_ = salvage(data, self.encoding) if len(data) < 1_000_000 else ("error", None)
+        self._gateway.count(self.session.transport, type_, QueueFull.code)
+        self.send(failure(QueueFull("`hello` is not answered yet"), type_, id_))
+
+    def close(self) -> None:
+        """Tell the gateway that the client is gone."""
+        if not self.closed:
+            self.closed = True
+            if self._identifying is not None:
+                self._identifying.cancel()
+            self._gateway.sessions.tally(self)
+            self.mailbox.close()
+            self._gateway.sessions.cut(self.session)

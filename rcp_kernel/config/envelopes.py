@@ -1,0 +1,198 @@
+"""`[[envelopes]]`: inside which limits whose commands must stay."""
+
+from __future__ import annotations
+
+import difflib
+import math
+from collections.abc import Iterable, Sequence
+from typing import Annotated
+
+import msgspec
+from msgspec import Meta
+
+from rcp_kernel.access.acl import Role
+from rcp_kernel.access.conditions import condition
+from rcp_kernel.errors import ConfigError, InvalidPath
+from rcp_kernel.model import BRANCHES, Kind, Operation, Pattern, kind_of
+from rcp_kernel.motion.polygon import Corner, Polygon
+
+__all__ = ["Bound", "EnvelopeConfig", "Fence", "check_envelopes", "patterns"]
+
+_COMMANDED = [
+    kind.value
+    for kind, offered in BRANCHES.items()
+    if offered & (Operation.WRITE | Operation.EXECUTE)
+]
+_Corners = Annotated[tuple[Corner, ...], Meta(max_length=256)]
+
+
+class Bound(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """What one field may hold."""
+
+    min: float | None = None
+    """The least, in the field's unit."""
+    max: float | None = None
+    """The most."""
+    allow: tuple[bool | int | float | str, ...] = ()
+    """The only values there are, instead of the other two."""
+    optional: bool = False
+    """Whether the field may be left empty, so that the robot chooses."""
+
+
+class Fence(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Areas in a plane; their edges belong to them."""
+
+    inside: dict[str, _Corners] = {}
+    """By name: the point must lie in one of these."""
+    outside: dict[str, _Corners] = {}
+    """By name: and in none of these."""
+    point: tuple[str, str] = ("position.x", "position.y")
+    """The two fields that say where."""
+    of: str | None = None
+    """The robot's own sensor that has them (`sensor/pose`); without it they are the command's."""
+    max_age: Annotated[float, Meta(gt=0)] = 1.0
+    """Seconds after which that sensor's word counts as unknown."""
+
+
+class EnvelopeConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Limits of commands, for some paths and roles."""
+
+    name: Annotated[str, Meta(min_length=1, max_length=100)]
+    """Told to the client."""
+    paths: Annotated[tuple[str, ...], Meta(min_length=1)]
+    """Patterns; without `/tenant/` in front they count in every tenant."""
+    roles: tuple[str, ...] = ()
+    """Whose commands: of those who hold one of these roles there. None: everybody's."""
+    bounds: dict[str, Bound] = {}
+    """By field."""
+    rate: dict[str, Annotated[float, Meta(gt=0)]] = {}
+    """The most that a field may change in a second, by field."""
+    fence: Fence | None = None
+    when: str | None = None
+    """A condition on what the robot says of itself."""
+    modes: tuple[str, ...] = ()
+    """What `sensor/mode` must say, one of these."""
+    reason: Annotated[str, Meta(max_length=500)] | None = None
+    """Told to the client."""
+
+
+def patterns(paths: Iterable[str]) -> list[Pattern]:
+    """Return the patterns of an envelope; one without a tenant counts in all.
+
+    :raises InvalidPath: one is none, or stands for nothing that takes commands.
+    """
+    return [_pattern(text) for text in paths]
+
+
+def _pattern(text: str) -> Pattern:
+    if not text.startswith("/"):
+        raise InvalidPath(f"{text!r} does not begin with '/'")
+    steps = text[1:].split("/")
+    if steps[0] == "tenant":
+        steps = steps[2:]
+    branch = steps[0] if steps else ""
+    if branch not in (*_COMMANDED, "*", "**"):
+        near = difflib.get_close_matches(branch, _COMMANDED, n=1)
+        advice = f"did you mean '{near[0]}'?" if near else f"these do: {', '.join(_COMMANDED)}"
+        raise InvalidPath(f"nothing at {text!r} takes commands; {advice}")
+    return Pattern(text if text.startswith("/tenant/") else f"/tenant/*{text}")
+
+
+def check_envelopes(
+    tables: Sequence[EnvelopeConfig], source: str, roles: dict[str, Role], tenants: list[str]
+) -> None:
+    """Find what decoding leaves open.
+
+    :raises ConfigError: naming the envelope and the key.
+    """
+    names = [table.name for table in tables]
+    for table in tables:
+        where = f"{source}: [[envelopes]] '{table.name}'"
+        if names.count(table.name) > 1:
+            raise ConfigError(f"{where}: two have this `name`: give each one of its own")
+        _check_reach(table, where, roles, tenants)
+        _check_limits(table, where)
+
+
+def _check_limits(table: EnvelopeConfig, where: str) -> None:
+    if not (table.bounds or table.rate or table.fence or table.when or table.modes):
+        raise ConfigError(
+            f"{where} limits nothing: give it `bounds`, `rate`, `fence`, `when` or `modes`"
+        )
+    for field, bound in table.bounds.items():
+        _check_bound(bound, f"{where}: bounds.{_quoted(field)}")
+    for field, most in table.rate.items():
+        _check_finite(most, f"{where}: rate.{_quoted(field)}")
+    if table.fence is not None:
+        _check_fence(table.fence, f"{where}: fence")
+    if table.when is not None:
+        try:
+            condition(table.when)
+        except ConfigError as error:
+            raise ConfigError(f"{where}: when: {error}") from None
+
+
+def _check_reach(
+    table: EnvelopeConfig, where: str, roles: dict[str, Role], tenants: list[str]
+) -> None:
+    for path in table.paths:
+        try:
+            _pattern(path)
+        except InvalidPath as error:
+            raise ConfigError(f"{where}: paths: {error.message}") from None
+        tenant = path.split("/")[2] if path.startswith("/tenant/") else "*"
+        if tenant not in ("*", "**", *tenants):
+            raise ConfigError(f"{where}: paths: {path!r} names the unknown tenant '{tenant}'")
+    for role in table.roles:
+        if role not in roles:
+            near = difflib.get_close_matches(role, roles, n=1)
+            known = f"did you mean '{near[0]}'?" if near else f"there are {', '.join(roles)}"
+            raise ConfigError(f"{where}: roles: there is no role '{role}'; {known}")
+
+
+def _check_bound(bound: Bound, where: str) -> None:
+    if bound.allow:
+        if bound.min is not None or bound.max is not None:
+            raise ConfigError(f"{where} has `allow` beside `min` or `max`: one of them says it all")
+        return
+    if bound.min is None and bound.max is None:
+        raise ConfigError(f"{where} bounds nothing: give it `min`, `max` or `allow`")
+    for limit in (bound.min, bound.max):
+        if limit is not None:
+            _check_finite(limit, where)
+    if bound.min is not None and bound.max is not None and bound.min > bound.max:
+        raise ConfigError(f"{where}: `min` {bound.min:g} lies above `max` {bound.max:g}")
+
+
+def _check_finite(number: float, where: str) -> None:
+    if not math.isfinite(number):
+        raise ConfigError(f"{where}: {number} is not a finite number")
+
+
+def _check_fence(fence: Fence, where: str) -> None:
+    if not fence.inside and not fence.outside:
+        raise ConfigError(f"{where} has no area: give it `inside` or `outside`")
+    for side, areas in (("inside", fence.inside), ("outside", fence.outside)):
+        for name, corners in areas.items():
+            try:
+                Polygon(corners)
+            except ValueError as error:
+                raise ConfigError(f"{where}.{side}.{_quoted(name)} {error}") from None
+    for field in fence.point:
+        if "*" in field.split("."):
+            raise ConfigError(f"{where}.point: '{field}' stands for several fields; name one")
+    both = fence.inside.keys() & fence.outside.keys()
+    if both:
+        raise ConfigError(f"{where} has '{min(both)}' in `inside` and in `outside`")
+    if fence.of is not None:
+        try:
+            good = kind_of(fence.of) is Kind.SENSOR
+        except InvalidPath:
+            good = False
+        if not good:
+            raise ConfigError(f"{where}.of = '{fence.of}' is no sensor: write 'sensor/<name>'")
+    _check_finite(fence.max_age, f"{where}.max_age")
+
+
+def _quoted(key: str) -> str:
+    return key if key.isidentifier() else f'"{key}"'

@@ -1,0 +1,338 @@
+"""One TOML file, decoded strictly: a wrong key or type is an error with file, table and way out.
+
+Each plugin's table is decoded by the type that the plugin declares, so that no plugin parses.
+`${NAME}` in a text is taken from the environment, for secrets.
+"""
+
+from __future__ import annotations
+
+import difflib
+import os
+import re
+import tomllib
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import msgspec
+from msgspec import Meta
+
+from rcp_kernel._plain import is_list, is_map
+from rcp_kernel.access.acl import BUILTIN_ROLES, Role
+from rcp_kernel.config.envelopes import EnvelopeConfig, check_envelopes
+from rcp_kernel.config.identity import (
+    Anonymous,
+    CertificateConfig,
+    Granting,
+    JwtConfig,
+    KeyConfig,
+    check_grants,
+    check_identity,
+)
+from rcp_kernel.config.limits import Limits, Quota, Quotas
+from rcp_kernel.config.roles import check_pattern, check_roles
+from rcp_kernel.config.safety import Safety
+from rcp_kernel.errors import ConfigError
+
+__all__ = [
+    "Anonymous",
+    "AuditConfig",
+    "BackendConfig",
+    "CertificateConfig",
+    "GatewayConfig",
+    "Granting",
+    "JwtConfig",
+    "KeyConfig",
+    "Limits",
+    "LogConfig",
+    "Quota",
+    "Quotas",
+    "StoreConfig",
+    "TenantConfig",
+    "decode_table",
+    "load",
+    "parse",
+]
+
+_Name = Annotated[str, Meta(pattern=r"^[A-Za-z0-9_.-]+$", max_length=64)]
+_SECRET = re.compile(r"\$\{([A-Za-z_][A-Za-z0-9_]*)\}")
+
+
+class Table(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Base of the tables of the configuration: no unknown keys."""
+
+
+class TenantConfig(Table, frozen=True):
+    """A tenant; one that only stands in `[[backends]]` needs no table of its own."""
+
+    description: str = ""
+    quota: Quota | None = None
+    """What all its principals may have together."""
+
+
+class BackendConfig(Table, frozen=True):
+    """One robot (or several) behind one plugin; further keys belong to the plugin."""
+
+    use: str
+    """The plugin's word: `sim`, `ros2`, …"""
+    name: _Name
+    tenant: _Name
+    robot: _Name | None = None
+    """Puts the robot one level deeper: `/tenant/<tenant>/sensor/<robot>/…`."""
+    options: dict[str, Any] = {}
+    """The keys that the plugin's own type decodes."""
+
+
+class LogConfig(Table, frozen=True):
+    """Logging: a console on a terminal, JSON lines otherwise."""
+
+    level: Literal["debug", "info", "warning", "error"] = "info"
+    format: Literal["auto", "console", "json"] = "auto"
+
+
+class StoreConfig(Table, frozen=True):
+    """Where everything that survives is kept; without a path only in memory."""
+
+    path: str | None = None
+
+
+class AuditConfig(Table, frozen=True):
+    """How much of the record is kept."""
+
+    keep_days: Annotated[float, Meta(gt=0)] | None = 365.0
+    """Records older than that are deleted."""
+    keep_mb: Annotated[float, Meta(ge=1)] | None = 1024.0
+    """The oldest are deleted while the store is larger than that."""
+    denials: Annotated[int, Meta(ge=1)] = 10
+    """Refusals of one principal in a second that have a record each; more are counted in one."""
+
+
+class GatewayConfig(Table, frozen=True):
+    """The whole file."""
+
+    name: str = "rcp-gateway"
+    tenants: dict[_Name, TenantConfig] = {}
+    backends: tuple[BackendConfig, ...] = ()
+    transports: dict[str, dict[str, Any]] = {}
+    plugins: dict[str, dict[str, Any]] = {}
+    roles: dict[str, Role] = {}
+    keys: tuple[KeyConfig, ...] = ()
+    certificates: tuple[CertificateConfig, ...] = ()
+    jwt: tuple[JwtConfig, ...] = ()
+    anonymous: Anonymous = Anonymous()
+    envelopes: tuple[EnvelopeConfig, ...] = ()
+    limits: Limits = Limits()
+    safety: Safety = Safety()
+    quotas: Quotas = Quotas()
+    log: LogConfig = LogConfig()
+    store: StoreConfig = StoreConfig()
+    audit: AuditConfig = AuditConfig()
+
+    @property
+    def closed(self) -> bool:
+        """Whether strangers may do nothing: they have no role, or only such that allow nothing."""
+        return not self._allows(self.anonymous)
+
+    @property
+    def serves(self) -> bool:
+        """Whether somebody who proves something by this file alone may do anything."""
+        return any(
+            self._allows(given)
+            for given in (
+                *self.keys,
+                *self.certificates,
+                *self.jwt,
+                *(one for issuer in self.jwt for one in issuer.by_claim.values()),
+            )
+        )
+
+    def _allows(self, given: Granting) -> bool:
+        known = {**BUILTIN_ROLES, **self.roles}
+        held = {role for _, roles in given.grants for role in roles}
+        return any(known[role].allow for role in held if role in known)
+
+    @property
+    def tenant_names(self) -> list[str]:
+        """Every tenant, those named only by a backend included, in order of appearance."""
+        return list(dict.fromkeys([*self.tenants, *(b.tenant for b in self.backends)]))
+
+
+def load(path: Path) -> GatewayConfig:
+    """Read a configuration file.
+
+    :raises ConfigError: it is not there, not TOML, or says something that is not allowed.
+    """
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{path}: cannot be read: {error}") from None
+    return parse(text, str(path))
+
+
+def parse(text: str, source: str) -> GatewayConfig:
+    """Read a configuration from text; `source` is named in errors.
+
+    :raises ConfigError: as `load` does.
+    """
+    try:
+        raw = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise ConfigError(f"{source}: not TOML: {error}") from None
+    raw = _with_secrets(raw, source, "")
+    backends = raw.get("backends", [])
+    if not is_list(backends):
+        raise ConfigError(f"{source}: write [[backends]] in double brackets, once for each robot")
+    raw["backends"] = [_split(table, i, source) for i, table in enumerate(backends)]
+    _default_transports(raw)
+    if raw.get("anonymous") is False:
+        raw["anonymous"] = {"role": None}
+    for group in ("transports", "plugins"):
+        tables: Any = raw.get(group, {})
+        if not is_map(tables) or not all(is_map(table) for table in tables.values()):
+            raise ConfigError(f"{source}: [{group}] holds tables: write [{group}.<name>]")
+    config = decode_table(raw, GatewayConfig, f"{source}: ")
+    _check(config, source)
+    return config
+
+
+_TRANSPORTS = ("http", "ws", "sse", "asgi")
+
+
+def _default_transports(raw: dict[str, Any]) -> None:
+    """Serve every transport of the house unless `[transports] <name> = false` takes it out."""
+    tables = raw.setdefault("transports", {})
+    if is_map(tables):
+        for name in _TRANSPORTS:
+            tables.setdefault(name, {})
+        raw["transports"] = {name: t for name, t in tables.items() if t is not False}
+
+
+_KERNEL_KEYS = ("use", "name", "tenant", "robot")
+
+
+def _split(table: Any, place: int, source: str) -> dict[str, Any]:
+    if not is_map(table):
+        raise ConfigError(f"{source}: [[backends]] number {place + 1} is not a table")
+    kept = {key: item for key, item in table.items() if key in _KERNEL_KEYS}
+    kept.setdefault("name", kept.get("use"))
+    kept["options"] = {key: item for key, item in table.items() if key not in _KERNEL_KEYS}
+    return kept
+
+
+class _Secret(str):
+    """A text that came from the environment, or stands where secrets do: errors do not show it."""
+
+    __slots__ = ()
+
+
+def _with_secrets(node: Any, source: str, where: str) -> Any:
+    if is_map(node):
+        return {
+            k: _with_secrets(v, source, f"{where}.{k}" if where else k) for k, v in node.items()
+        }
+    if is_list(node):
+        return [_with_secrets(item, source, f"{where}[{i}]") for i, item in enumerate(node)]
+    if not isinstance(node, str):
+        return node
+
+    def found(match: re.Match[str]) -> str:
+        value = os.environ.get(match[1])
+        if value is None:
+            raise ConfigError(
+                f"{source}: {where} wants the environment variable {match[1]}, which is not set"
+            )
+        return value
+
+    text = _SECRET.sub(found, node)
+    return text if text == node else _Secret(text)
+
+
+_UNKNOWN = re.compile(r"unknown field `(?P<key>[^`]*)`(?: - at `\$(?P<at>[^`]*)`)?")
+_DEAR = re.compile(r"(key|keys|sha256|token|secret|password|passphrase)(\[\d*\.*\])?$")
+"""Keys of tables, the kernel's or a plugin's, whose texts are secrets by their name."""
+_AT = re.compile(r"(?P<what>.*?) - at `\$\.?(?P<at>[^`]*)`", re.DOTALL)
+
+
+def decode_table(raw: Any, type_: type[Any], where: str) -> Any:
+    """Decode a table by its type.
+
+    :raises ConfigError: a key is unknown (with the nearest right one) or a value does not fit.
+    """
+    try:
+        return msgspec.convert(raw, type_, strict=True)
+    except msgspec.ValidationError as error:
+        raise ConfigError(where + _explain(str(error), raw, type_)) from None
+
+
+def _explain(text: str, raw: Any, type_: type[Any]) -> str:
+    unknown = _UNKNOWN.search(text)
+    if unknown is None:
+        match = _AT.match(text)
+        if match is None:
+            return text
+        if "..." in match["at"]:  # below a key that msgspec does not name
+            return f"{match['at']}: {match['what']}"
+        value = _Secret() if _DEAR.search(match["at"]) else _follow(raw, match["at"])
+        return f"{match['at']} = {_shown(value)}: {match['what']}"
+    table = (unknown["at"] or "").lstrip(".")
+    allowed = _keys_at(type_, table)
+    near = difflib.get_close_matches(unknown["key"], allowed, n=1, cutoff=0.5)
+    place = f"[{table}] has" if table else "there is"
+    advice = f"; did you mean `{near[0]}`?" if near else ""
+    return f"{place} an unknown key `{unknown['key']}`{advice} Allowed: {', '.join(allowed)}."
+
+
+def _follow(raw: Any, at: str) -> Any:
+    for step in re.findall(r"[^.\[\]]+", at):
+        if is_map(raw):
+            raw = raw.get(step)
+        elif is_list(raw) and step.isdigit() and int(step) < len(raw):
+            raw = raw[int(step)]
+    return raw
+
+
+def _shown(value: Any) -> str:
+    if isinstance(value, _Secret):
+        return "a text from the environment" if value else "…"
+    return repr(value) if len(repr(value)) <= 60 else type(value).__name__
+
+
+def _keys_at(type_: Any, at: str) -> list[str]:
+    info: Any = msgspec.inspect.type_info(type_)
+    for step in re.findall(r"\.{3}|[^.\[\]]+", at):
+        info = _step(info, step)
+    while isinstance(info, msgspec.inspect.Metadata):
+        info = info.type
+    if isinstance(info, msgspec.inspect.UnionType):
+        info = next((t for t in info.types if hasattr(t, "fields")), info)
+    return sorted(f.encode_name for f in getattr(info, "fields", ()) if f.encode_name != "options")
+
+
+def _step(info: Any, step: str) -> Any:
+    while isinstance(info, msgspec.inspect.Metadata):
+        info = info.type
+    if isinstance(info, msgspec.inspect.UnionType):
+        info = next((t for t in info.types if hasattr(t, "fields")), info)
+    if isinstance(info, msgspec.inspect.DictType):
+        return info.value_type
+    if hasattr(info, "item_type"):
+        return info.item_type
+    return next((f.type for f in getattr(info, "fields", ()) if f.encode_name == step), info)
+
+
+def _check(config: GatewayConfig, source: str) -> None:
+    names = [backend.name for backend in config.backends]
+    for name in names:
+        if names.count(name) > 1:
+            raise ConfigError(
+                f"{source}: two [[backends]] are named '{name}': give each a `name` of its own"
+            )
+    roles = {**BUILTIN_ROLES, **config.roles}
+    found = check_identity(config.keys, config.certificates, config.jwt, source)
+    for given, where in [*found, (config.anonymous, f"{source}: anonymous")]:
+        check_grants(given.grants, where, config.tenant_names, roles)
+    for path in config.safety.lease_required:
+        check_pattern(path, f"{source}: [safety] lease_required")
+    if config.safety.lease_ttl > config.safety.lease_ttl_max:
+        raise ConfigError(f"{source}: [safety] lease_ttl is longer than lease_ttl_max")
+    check_roles(config.roles, source)
+    check_envelopes(config.envelopes, source, roles, config.tenant_names)

@@ -1,0 +1,50 @@
+"""What must be true of `[roles.<name>]`."""
+
+from __future__ import annotations
+
+from rcp_kernel.access.acl import Role, Rule
+from rcp_kernel.access.conditions import condition
+from rcp_kernel.errors import ConfigError, InvalidPath
+from rcp_kernel.model import Pattern
+
+__all__ = ["check_pattern", "check_roles"]
+
+
+def check_roles(roles: dict[str, Role], source: str) -> None:
+    """Refuse rules for no path, and conditions that are none.
+
+    :raises ConfigError: with the file, the role and the rule.
+    """
+    for name, role in roles.items():
+        for kind, rules in (("allow", role.allow), ("deny", role.deny)):
+            for place, rule in enumerate(rules):
+                _check(rule, f"{source}: [roles.{name}] {kind}[{place}]", deny=kind == "deny")
+
+
+def _check(rule: Rule, where: str, *, deny: bool) -> None:
+    for path in rule.paths:
+        check_pattern(path, where)
+    if rule.when is None:
+        return
+    try:
+        condition(rule.when)
+    except ConfigError as error:
+        raise ConfigError(f"{where} when: {error}") from None
+    if deny and "discover" in rule.operations:
+        raise ConfigError(
+            f"{where} denies `discover` under a condition: what is there must not change with the "
+            "state; deny it without `when`, or deny other operations (`*` is all but discover)"
+        )
+
+
+def check_pattern(path: str, where: str) -> None:
+    """Refuse what is no pattern.
+
+    :raises ConfigError: it is none.
+    """
+    try:
+        if not path.startswith("/"):
+            raise InvalidPath(f"{path!r} does not begin with '/'")
+        Pattern(path)
+    except InvalidPath as error:
+        raise ConfigError(f"{where} has a rule for no path: {error.message}") from None

@@ -1,0 +1,130 @@
+"""Watches where robots are while they are driven, and brings one to rest that leaves its fence.
+
+It keeps every sensor running that an envelope asks for, so that its present value is known when a
+command comes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import TYPE_CHECKING, Any
+
+import structlog
+
+from rcp_kernel.model import Kind
+from rcp_kernel.registry import Entry
+
+if TYPE_CHECKING:
+    from rcp_kernel.clients.sessions import Session
+    from rcp_kernel.gateway import Gateway
+    from rcp_kernel.motion.envelopes import Bound
+    from rcp_kernel.streaming.samples import Sample
+
+__all__ = ["FenceGuard"]
+
+log = structlog.get_logger("rcp.envelopes")
+
+
+class _Watcher:
+    """Listens to one sensor for the paths that ask for it."""
+
+    __slots__ = ("_guard", "bound")
+
+    def __init__(self, guard: FenceGuard) -> None:
+        self._guard = guard
+        self.bound: list[Bound] = []
+
+    def offer(self, sample: Sample) -> None:
+        """Look whether the robot may go on."""
+        for bound in self.bound:
+            self._guard.look(bound, sample)
+
+
+class FenceGuard:
+    """Who drives what, and the sensors that say where that is."""
+
+    def __init__(self, gateway: Gateway, bound: dict[str, Bound]) -> None:
+        self._gateway = gateway
+        self._bound = bound
+        self._drivers: dict[str, Session] = {}
+        """Whose value is in force, by the path of the actuator."""
+        self._watchers: dict[str, _Watcher] = {}
+
+    def watch(self, wanted: Iterable[tuple[str, Bound]]) -> None:
+        """Listen to these sensors from now on, each for what is bound to it."""
+        entries, hub = self._gateway.registry.entries, self._gateway.hub
+        by_sensor: dict[str, list[Bound]] = {}
+        for path, bound in wanted:
+            by_sensor.setdefault(path, []).append(bound)
+        for path in [path for path in self._watchers if path not in by_sensor]:
+            watcher = self._watchers.pop(path)
+            if (entry := entries.get(path)) is not None:
+                hub.unlisten(entry, watcher)
+        for path, several in by_sensor.items():
+            watcher = self._watchers.setdefault(path, _Watcher(self))
+            watcher.bound = several
+            if (entry := entries.get(path)) is not None and watcher not in entry.listeners:
+                hub.listen(entry, watcher)
+        for path in [path for path in self._drivers if path not in self._bound]:
+            del self._drivers[path]
+
+    def drives(self, session: Session, bound: Bound, value: Any) -> None:
+        """Note whose value goes to an actuator that can be brought to rest."""
+        if bound.safe is None or value == bound.safe:
+            self._drivers.pop(bound.entry.path, None)
+        else:
+            self._drivers[bound.entry.path] = session
+
+    def rests(self, path: str) -> None:
+        """Note that an actuator is at rest."""
+        self._drivers.pop(path, None)
+
+    def look(self, bound: Bound, sample: Sample) -> None:
+        """Stop what drives a robot that is where its driver may not have it."""
+        entry = bound.entry
+        driver = self._drivers.get(entry.path)
+        if driver is not None and (why := _trouble(bound, driver, sample)) is not None:
+            self._drivers.pop(entry.path)
+            self._gateway.deadman.stop(entry)
+            self._tell(driver, entry, *why)
+        elif entry.kind is Kind.ACTION:
+            self._look_at_commands(bound, sample)
+
+    def _look_at_commands(self, bound: Bound, sample: Sample) -> None:
+        commands = self._gateway.commands
+        for command in list(commands.running.values()):
+            if command.path != bound.entry.path or command.asker is None or command.task is None:
+                continue
+            why = None if command.cancelling else _trouble(bound, command.asker, sample)
+            if why is not None:
+                self._tell(command.asker, bound.entry, *why)
+                commands.cancel(command, why[1])
+
+    def _tell(self, session: Session, entry: Entry, envelope: str, why: str) -> None:
+        log.warning("fence_left", path=entry.path, envelope=envelope, reason=why)
+        text = f"{entry.path} was brought to rest: {why}"
+        facts = {"path": entry.path, "envelope": envelope, "message": text}
+        self._gateway.sessions.tell(session.holder, "fence_left", **facts)
+        self._gateway.audit.note(
+            "fence",
+            principal=session.principal,
+            tenant=entry.tenant,
+            path=entry.path,
+            outcome="stopped",
+            session=session,
+            envelope=envelope,
+            reason=why,
+        )
+
+
+def _trouble(bound: Bound, driver: Session, sample: Sample) -> tuple[str, str] | None:
+    """Return the envelope that the robot has left and how, or None."""
+    for envelope in bound.held(driver.principal.grants):
+        place = envelope.place
+        if place is None or place.sensor != sample.entry.path:
+            continue
+        where = place.of_sample(sample)
+        trouble = None if where is None else place.trouble(*where)
+        if trouble is not None:
+            return envelope.table.name, f"the robot {trouble[1]}{envelope.why}"
+    return None

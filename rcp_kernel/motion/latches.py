@@ -1,0 +1,116 @@
+"""Which e-stops are latched: for a robot, a tenant or the whole gateway; they survive the process.
+
+A latch of a tenant or of the gateway holds also the robots that appear later. One robot (or
+tenant) can be freed from it without the others.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from typing import Any
+
+from rcp_kernel.clock import iso, now
+from rcp_kernel.record.store import Store
+
+__all__ = ["GATEWAY", "Latch", "Latches", "tenant_key"]
+
+GATEWAY = "*"
+_TABLE = "latches"
+
+
+class Latch:
+    """A latched e-stop: who, when and why."""
+
+    __slots__ = ("by", "freed", "reason", "since")
+
+    def __init__(
+        self, by: str, reason: str | None, since: int | None = None, freed: Iterable[str] = ()
+    ) -> None:
+        self.by = by
+        self.reason = reason
+        self.since = since or now()
+        self.freed = set(freed)
+        """Narrower keys that it holds no longer."""
+
+    def plain(self) -> dict[str, Any]:
+        """Describe the latch."""
+        return {"by": self.by, "reason": self.reason, "since": iso(self.since)}
+
+
+def tenant_key(tenant: str) -> str:
+    """Return the key of a tenant's latch; a robot's is its backend's name."""
+    return f"/tenant/{tenant}"
+
+
+class Latches:
+    """Every latched e-stop, by key."""
+
+    def __init__(self, store: Store) -> None:
+        self._store = store
+        self.changed: Callable[[], None] = lambda: None
+        """Called after every change."""
+        self._held = {key: _read(kept) for key, kept in store.load(_TABLE, unreadable={}).items()}
+
+    def of(self, robot: str, tenant: str) -> Latch | None:
+        """Return what holds a robot, the narrowest first."""
+        held = self._held
+        if not held:
+            return None
+        if (own := held.get(robot)) is not None:
+            return own
+        place = tenant_key(tenant)
+        latch = held.get(place)
+        if latch is not None and robot not in latch.freed:
+            return latch
+        latch = held.get(GATEWAY)
+        if latch is None or robot in latch.freed or place in latch.freed:
+            return None
+        return latch
+
+    @property
+    def wide(self) -> dict[str, Latch]:
+        """The latches of tenants and of the gateway, by key."""
+        return {key: latch for key, latch in self._held.items() if _wide(key)}
+
+    def set(self, key: str, by: str, reason: str | None) -> None:
+        """Latch; an older latch of the same key stands, and holds again whom it let go."""
+        latch = self._held.get(key)
+        if latch is None:
+            latch = self._held[key] = Latch(by, reason)
+        latch.freed.clear()
+        self._keep(key, latch)
+
+    def reset(self, key: str, tenant: str | None) -> None:
+        """Let go of whom a key stands for: a robot of `tenant`, a whole tenant, everything."""
+        for narrower in self._within(key):
+            del self._held[narrower]
+            self._keep(narrower, None)
+        for wider in (GATEWAY, "" if tenant is None else tenant_key(tenant)):
+            latch = self._held.get(wider)
+            if latch is not None and wider != key:
+                latch.freed.add(key)
+                self._keep(wider, latch)
+
+    def _within(self, key: str) -> list[str]:
+        if key == GATEWAY:
+            return list(self._held)
+        return [key] if key in self._held else []
+
+    def _keep(self, key: str, latch: Latch | None) -> None:
+        kept: dict[str, Any] | None = None
+        if latch is not None:
+            freed = sorted(latch.freed)
+            kept = {"by": latch.by, "reason": latch.reason, "since": latch.since, "freed": freed}
+        self._store.put(_TABLE, key, kept)
+        self.changed()
+
+
+def _read(kept: Any) -> Latch:
+    try:
+        return Latch(kept["by"], kept["reason"], int(kept["since"]), kept["freed"])
+    except (KeyError, TypeError, ValueError):  # somebody had latched it: that is what matters
+        return Latch("the gateway", "what the store holds of this e-stop cannot be read")
+
+
+def _wide(key: str) -> bool:
+    return key == GATEWAY or key.startswith("/")

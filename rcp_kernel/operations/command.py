@@ -1,0 +1,170 @@
+"""One command: its steps from the request to the one final status, and how these are told."""
+
+from __future__ import annotations
+
+import asyncio
+import secrets
+from collections.abc import Awaitable, Callable
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import structlog
+
+from rcp_kernel.clock import iso, now
+from rcp_kernel.errors import (
+    AdapterUnavailable,
+    Cancelled,
+    DeviceRejected,
+    InternalError,
+    RcpError,
+    Refused,
+)
+from rcp_kernel.registry import Entry
+from rcp_kernel.values import to_plain
+from rcp_kernel.wire import FINAL, NO_BODY, Reply, Status
+
+if TYPE_CHECKING:
+    from rcp_kernel.clients.sessions import Session
+
+__all__ = ["Command", "Record", "outcome_of", "status_of"]
+
+log = structlog.get_logger("rcp.commands")
+Follower = Callable[[Reply], None]
+
+
+@dataclass(slots=True)
+class Record:
+    """What is remembered of one step of a command."""
+
+    status: Status
+    time: int
+    body: Any = field(default_factory=lambda: NO_BODY)
+    progress: float | None = None
+    message: str | None = None
+    error: dict[str, Any] | None = None
+
+    def plain(self) -> dict[str, Any]:
+        """Write the step as plain data."""
+        out: dict[str, Any] = {"status": self.status, "timestamp": iso(self.time)}
+        if self.body is not NO_BODY:
+            out["body"] = to_plain(self.body)
+        for key in ("progress", "message", "error"):
+            if (value := getattr(self, key)) is not None:
+                out[key] = value
+        return out
+
+
+@dataclass(slots=True, eq=False)
+class Command:
+    """One execute, from request to its one final status."""
+
+    id: str
+    path: str
+    principal: str
+    tenant: str | None
+    proof: str = "none"
+    """How the principal proved itself."""
+    request_id: str | None = None
+    custom: dict[str, Any] | None = None
+    timestamp: str | float | None = None
+    """When the client says that it sent it."""
+    input: Any = None
+    created: int = field(default_factory=now)
+    finished: int | None = None
+    history: list[Record] = field(default_factory=list[Record])
+    session: str | None = None
+    asker: Session | None = None
+    """In whose name it runs; None once it has ended."""
+    ready: Callable[[], Awaitable[None]] | None = None
+    """Awaited before the robot is told."""
+    entry: Entry | None = None
+    task: asyncio.Task[Any] | None = None
+    followers: list[Follower] = field(default_factory=list[Follower])
+    cancelling: str | None = None
+    """Why a cancel was asked for."""
+    expired: bool = False
+    timer: asyncio.TimerHandle | None = None
+    """Ends the command at its deadline."""
+
+    @property
+    def status(self) -> Status:
+        """The present status."""
+        return self.history[-1].status
+
+    @property
+    def final(self) -> bool:
+        """Whether the command has ended."""
+        return self.status in FINAL
+
+    def reply(self, record: Record | None = None) -> Reply:
+        """Write a step (the latest if not given) as a reply envelope."""
+        record = record or self.history[-1]
+        return Reply(
+            type="execute",
+            id=self.request_id,
+            path=self.path,
+            status=record.status,
+            body=record.body,
+            message=record.message,
+            error=record.error,
+            command=self.id,
+            progress=record.progress,
+            timestamp=iso(record.time),
+            custom=self.custom,
+        )
+
+    def plain(self) -> dict[str, Any]:
+        """Write the command with its history as plain data, for lists and `/system/commands`."""
+        last = self.history[-1]
+        out: dict[str, Any] = {
+            "command": self.id,
+            "path": self.path,
+            "status": last.status,
+            "principal": self.principal,
+            "created": iso(self.created),
+            "updated": iso(last.time),
+        }
+        facts = {"id": self.request_id, "finished": self.finished and iso(self.finished)}
+        facts |= {"progress": self.progress, "message": last.message, "error": last.error}
+        out |= {key: value for key, value in facts.items() if value is not None}
+        if last.body is not NO_BODY:
+            out["body"] = to_plain(last.body)
+        if self.input is not None:
+            out["input"] = to_plain(self.input)
+        out["history"] = [record.plain() for record in self.history]
+        return out | (self.custom or {})
+
+    @property
+    def progress(self) -> float | None:
+        """The last fraction that the backend reported, 0…1."""
+        return next((r.progress for r in reversed(self.history) if r.progress is not None), None)
+
+
+def outcome_of(command: Command, task: asyncio.Task[Any]) -> Any:
+    """Return what a command's task came to: its result, or the error that is told."""
+    if task.cancelled():
+        reason = command.cancelling or "the backend gave it up"
+        return Cancelled(f"{command.path} was cancelled: {reason}", path=command.path)
+    error = task.exception()
+    if error is None:
+        return task.result()
+    if isinstance(error, RcpError):
+        return error
+    if isinstance(error, (ConnectionError, TimeoutError)):
+        return AdapterUnavailable(f"the link to the robot failed: {error or type(error).__name__}")
+    trace = secrets.token_hex(8)
+    log.error(
+        "command_crashed", command=command.id, path=command.path, trace_id=trace, exc_info=error
+    )
+    failure = InternalError("the backend failed; the gateway's log has the reason")
+    failure.trace_id = trace
+    return failure
+
+
+def status_of(command: Command, error: RcpError) -> Status:
+    """A refusal by the robot before anything was seen to move is `rejected`, later it is `failed`."""
+    if isinstance(error, Cancelled):
+        return "cancelled"
+    moved = any(record.status == "in_progress" for record in command.history)
+    refused = isinstance(error, (DeviceRejected, Refused))
+    return "rejected" if refused and not moved else "failed"

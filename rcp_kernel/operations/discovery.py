@@ -1,0 +1,215 @@
+"""Discovery: the catalogue of what a principal may see, with schemas, examples, paging, search."""
+
+from __future__ import annotations
+
+import base64
+import binascii
+from bisect import bisect_right
+from collections.abc import Iterator
+from typing import Annotated, Any, NamedTuple
+from weakref import WeakKeyDictionary
+
+import msgspec
+from msgspec import Meta
+
+from rcp_kernel.access.acl import Rights, reach
+from rcp_kernel.clock import now
+from rcp_kernel.errors import BadRequest
+from rcp_kernel.model import Kind, Operation, Pattern, Resource, operation_names
+from rcp_kernel.motion.envelopes import Envelopes
+from rcp_kernel.registry import Entry, Registry
+from rcp_kernel.values import ValueType, to_plain, value_type
+from rcp_kernel.wire import Request
+
+__all__ = ["Discovery", "Query"]
+
+_LIMIT = 1000
+_COMMANDED = Operation.WRITE | Operation.EXECUTE
+
+
+class Query(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """The body of `discover`; everything is optional."""
+
+    kind: Kind | None = None
+    op: Annotated[str, Meta(max_length=16)] | None = None
+    q: Annotated[str, Meta(max_length=200)] | None = None
+    """Words that must all stand in the path or the description."""
+    limit: Annotated[int, Meta(ge=1, le=_LIMIT)] = 100
+    cursor: Annotated[str, Meta(max_length=1024)] | None = None
+    schemas: bool = True
+    """Whether schemas are written out; their ids always are."""
+
+
+class _Seen(NamedTuple):
+    """What somebody saw of the tree at one of its generations."""
+
+    generation: int
+    visible: dict[str, Resource]
+    number: int
+
+
+_QUERY = value_type(Query | None)
+
+
+class Discovery:
+    """Answers `discover` from the registry; descriptions are written once for each entry."""
+
+    def __init__(self, registry: Registry, envelopes: Envelopes) -> None:
+        self._registry = registry
+        self._envelopes = envelopes
+        self._known: dict[str, tuple[Entry, dict[str, Any]]] = {}
+        self._seen: WeakKeyDictionary[Rights, _Seen] = WeakKeyDictionary()
+        registry.on_removed.append(self._forget)
+
+    def _forget(self, entry: Entry) -> None:
+        self._known.pop(entry.path, None)
+
+    def generation(self, rights: Rights) -> int:
+        """Return a number that rises when what may be seen of the tree changes, and only then."""
+        seen = self._seen.get(rights)
+        if seen is not None and seen.generation == self._registry.generation:
+            return seen.number
+        entries = self._registry.entries.values()
+        visible = {e.path: e.resource for e in entries if rights.mask(e.path)}
+        number = 0 if seen is None else seen.number
+        if seen is None or seen.visible != visible:
+            number = max(number + 1, now() // 1_000_000)  # a count would tell of others' changes
+        self._seen[rights] = _Seen(self._registry.generation, visible, number)
+        return number
+
+    def answer(self, rights: Rights, tenant: str | None, request: Request) -> dict[str, Any]:
+        """Carry out a `discover` request.
+
+        :raises InvalidPath: the pattern is none.
+        :raises BadRequest: the cursor or operation is none.
+        """
+        query: Query = request.decode_body(_QUERY, "discover") or Query()
+        text = request.path
+        if text is None:
+            text = "/**" if tenant is None else f"/tenant/{tenant}/**"
+        return self.find(rights, Pattern(text, tenant), query)
+
+    def find(self, rights: Rights, pattern: Pattern, query: Query) -> dict[str, Any]:
+        """List what matches and may be seen, one page of it."""
+        wanted = _operation(query.op)
+        words = query.q.casefold().split() if query.q else []
+        after = _decode(query.cursor) if query.cursor else ""
+        page: list[dict[str, Any]] = []
+        for entry in self._from(pattern, after):
+            mask = reach(rights.mask(entry.path))
+            if not mask or (query.kind is not None and entry.kind is not query.kind):
+                continue
+            if wanted and not entry.operations & mask & wanted:
+                continue
+            if words and not _has(entry, words):
+                continue
+            if len(page) == query.limit:
+                cursor = base64.urlsafe_b64encode(page[-1]["path"].encode()).decode()
+                return {
+                    "resources": page,
+                    "cursor": cursor,
+                    "generation": self.generation(rights),
+                }
+            facts = self.describe(entry, mask, schemas=query.schemas)
+            if entry.operations & mask & _COMMANDED:
+                facts |= self._envelopes.told(rights, entry, schemas=query.schemas)
+            page.append(facts)
+        return {"resources": page, "generation": self.generation(rights)}
+
+    def _from(self, pattern: Pattern, after: str) -> Iterator[Entry]:
+        if not after:
+            yield from self._registry.match(pattern)
+            return
+        index = self._registry.index
+        for path in index[bisect_right(index, after) :]:
+            if pattern.matches(path):
+                yield self._registry.entries[path]
+
+    def describe(self, entry: Entry, mask: int, *, schemas: bool = True) -> dict[str, Any]:
+        """Write one resource as the catalogue does, with the operations that `mask` allows."""
+        known = self._known.get(entry.path)
+        if known is None or known[0] is not entry:
+            known = self._known[entry.path] = (entry, _describe(entry))
+        facts = dict(known[1])
+        if not schemas:
+            facts.pop("schema", None)
+            facts.pop("schemas", None)
+        facts["operations"] = operation_names(Operation(entry.operations & mask))
+        facts["state"] = _state(entry)
+        return facts
+
+    def schemas(self, rights: Rights) -> dict[str, dict[str, Any]]:
+        """Return every schema of what may be seen, by id."""
+        found: dict[str, dict[str, Any]] = {}
+        for entry in self._registry.entries.values():
+            if rights.mask(entry.path):
+                for type_ in _types(entry).values():
+                    found[type_.schema_id] = type_.schema
+        return found
+
+
+def _operation(name: str | None) -> Operation:
+    if name is None:
+        return Operation.NONE
+    try:
+        return Operation[name.upper()]
+    except KeyError:
+        allowed = ", ".join(operation_names(Operation(31)))
+        raise BadRequest(f"{name!r} is no operation", remedy=f"Name one of {allowed}.") from None
+
+
+def _decode(cursor: str) -> str:
+    try:
+        return base64.urlsafe_b64decode(cursor.encode()).decode()
+    except (binascii.Error, ValueError):
+        raise BadRequest("the cursor is not one that this gateway gave out") from None
+
+
+def _has(entry: Entry, words: list[str]) -> bool:
+    text = f"{entry.path} {entry.resource.description}".casefold()
+    return all(word in text for word in words)
+
+
+def _state(entry: Entry) -> str:
+    if entry.owner.backend is None:
+        return "down"
+    if entry.kind in (Kind.ACTION, Kind.SERVICE):
+        return "ready"
+    if entry.latest is None:
+        return "never"
+    return "stale" if entry.stale else "fresh"
+
+
+def _types(entry: Entry) -> dict[str, ValueType]:
+    if entry.kind not in (Kind.ACTION, Kind.SERVICE):
+        return {"value": entry.value_type}
+    parts = {
+        "input": (entry.resource.input, entry.input_type),
+        "output": (entry.resource.output, entry.output_type),
+        "feedback": (entry.resource.feedback, entry.feedback_type),
+    }
+    return {name: type_ for name, (declared, type_) in parts.items() if declared is not None}
+
+
+def _describe(entry: Entry) -> dict[str, Any]:
+    resource = entry.resource
+    types = _types(entry)
+    facts: dict[str, Any] = {
+        "path": entry.path,
+        "kind": entry.kind.value,
+        "operations": [],
+        "description": resource.description,
+        "schemas": {name: type_.schema for name, type_ in types.items()},
+        "schema_ids": {name: type_.schema_id for name, type_ in types.items()},
+        "examples": [to_plain(example) for example in resource.examples],
+        "backend": entry.owner.name,
+    }
+    if "value" in types and (unit := types["value"].schema.get("unit")) is not None:
+        facts["unit"] = unit
+    names = ("deadline", "timeout", "policy", "max_age", "valid_for", "native")
+    facts |= {n: v for n in names if (v := getattr(resource, n)) is not None}
+    if resource.safe is not None:
+        facts["safe"] = to_plain(resource.safe)
+    if resource.meta:
+        facts["meta"] = resource.meta
+    return facts

@@ -1,0 +1,86 @@
+"""Requests in flight: those whose answer comes later, each in a place that its session has."""
+
+from __future__ import annotations
+
+import secrets
+from collections.abc import Callable
+from time import perf_counter
+from typing import TYPE_CHECKING, Any
+
+from rcp_kernel.clients.sessions import Answer, Session
+from rcp_kernel.errors import DuplicateRequest, QueueFull, RcpError
+from rcp_kernel.operations.pending import Pace, Pending, crash
+from rcp_kernel.wire import Reply, Request, failure
+
+if TYPE_CHECKING:
+    from rcp_kernel.gateway import Gateway
+
+__all__ = ["InFlight"]
+
+
+class InFlight:
+    """Keeps the places, and answers when the work is done."""
+
+    def __init__(self, gateway: Gateway) -> None:
+        self._gateway = gateway
+        self._pace = Pace(gateway.loop)
+
+    def later(
+        self,
+        session: Session,
+        request: Request,
+        answer: Answer,
+        work: Any,
+        make: Callable[[Any], Reply],
+        timeout: float,
+        path: str | None,
+        *,
+        urgent: bool = False,
+    ) -> None:
+        """Answer a request when `work` is done, or its deadline passes.
+
+        An urgent one (the e-stop) is past every limit.
+
+        :raises DuplicateRequest: the request's id is in flight in this session.
+        :raises QueueFull: too many requests are in flight.
+        """
+        started = perf_counter()
+        try:
+            key = f"\0{secrets.token_hex(8)}" if urgent else self.claim(session, request)
+        except RcpError:
+            work.close()
+            raise
+
+        def settle(result: Any, error: RcpError | None) -> None:
+            session.inflight.pop(key, None)
+            try:
+                reply = make(result) if error is None else None
+            except Exception as trouble:
+                reply, error = None, crash(trouble, path=path)
+            if reply is None:
+                assert error is not None
+                reply = failure(error, request.type, request.id, path)
+            reply.custom = request.custom
+            self._gateway.conclude(session, reply, started)
+            answer(reply)
+
+        pace = None if urgent else self._pace
+        session.inflight[key] = Pending(self._gateway.loop, work, timeout, settle, path, pace)
+
+    def claim(self, session: Session, request: Request) -> str:
+        """Reserve a place among the session's unanswered requests.
+
+        :raises DuplicateRequest: the id is in use.
+        :raises QueueFull: there is no place left.
+        """
+        inflight = session.inflight
+        if len(inflight) >= self._gateway.limits.in_flight:
+            raise QueueFull(f"{len(inflight)} requests of this session are unanswered already")
+        if request.id is None or session.stateless:
+            key = f"\0{secrets.token_hex(8)}"
+        else:
+            key = request.id
+            if key in inflight:
+                raise DuplicateRequest(f"a request with the id '{key}' is still in flight")
+        inflight[key] = None
+        return key

@@ -1,0 +1,232 @@
+"""Reads that the latest sample cannot answer at once: from the robot, of fields, of patterns."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from time import perf_counter
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+
+from rcp_kernel.clients.sessions import Answer, Session
+from rcp_kernel.clock import iso, now
+from rcp_kernel.errors import (
+    AdapterUnavailable,
+    FilterUnsupported,
+    RcpError,
+    UnsupportedOperation,
+)
+from rcp_kernel.model import Operation, Pattern
+from rcp_kernel.operations.pending import blame, crash
+from rcp_kernel.registry import Entry
+from rcp_kernel.spi import Backend, BaseBackend
+from rcp_kernel.streaming.samples import Sample, project
+from rcp_kernel.values import to_plain, value_type
+from rcp_kernel.wire import Reply, Request, error_body
+
+if TYPE_CHECKING:
+    from rcp_kernel.gateway import Gateway
+
+__all__ = ["ReadOptions", "Reading"]
+
+_MANY = 1000  # resources that one read pattern answers
+
+
+class ReadOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """The body of `read`; everything is optional."""
+
+    fields: tuple[str, ...] | None = None
+    """Projection: only these fields of the value."""
+    fresh: bool = False
+    """Ask the robot, even where a sample is at hand."""
+
+
+_OPTIONS = value_type(ReadOptions | None)
+
+
+class Reading:
+    """The slower half of `read`."""
+
+    def __init__(self, gateway: Gateway) -> None:
+        self._gateway = gateway
+
+    def read(self, session: Session, request: Request, answer: Answer) -> Reply | None:
+        """Answer from the latest sample where it will do, else from the backend."""
+        options = request.decode_body(_OPTIONS, "read") or ReadOptions()
+        if request.path is not None and "*" in request.path:
+            return self._read_many(session, request, answer, options)
+        entry = self._gateway.resolve(session, request.path, Operation.READ)
+        for field in options.fields or ():
+            if not entry.value_type.has_field(field):
+                raise FilterUnsupported(f"{entry.path} has no field '{field}'", path=entry.path)
+        if (view := self._gateway.views.get(entry.path)) is not None:
+            return _viewed(request, entry, view(session), options)
+        if (shows := self._gateway.sieves.get(entry.path)) is not None:
+            return _reply(request, entry, _last_shown(entry, session, shows), options)
+        if (sample := _at_hand(entry, options)) is not None:
+            return _reply(request, entry, sample, options)
+        timeout = self._gateway.deadline(request, entry)
+        self._gateway.later(
+            session,
+            request,
+            answer,
+            self.fetch(entry),
+            lambda sample: _reply(request, entry, sample, options),
+            timeout,
+            entry.path,
+        )
+        return None
+
+    async def fetch(self, entry: Entry) -> Sample:
+        """Ask the backend for a value; wait for the next sample where it can only publish."""
+        backend = entry.owner.backend
+        if backend is None:
+            raise entry.owner.unavailable()
+        started = perf_counter()
+        try:
+            value = await backend.read(entry.name)
+        except UnsupportedOperation:
+            return await _first(entry, backend)
+        except RcpError as error:
+            error.origin = error.origin or entry.owner.name
+            raise
+        except Exception as error:
+            raise blame(error, entry.owner.name, entry.path) from error
+        entry.owner.latency = perf_counter() - started
+        return entry.publish(value, None)
+
+    def _read_many(
+        self, session: Session, request: Request, answer: Answer, options: ReadOptions
+    ) -> Reply | None:
+        gateway = self._gateway
+        pattern = Pattern(request.path or "", session.tenant)
+        entries: list[Entry] = []
+        for entry in gateway.registry.match(pattern):
+            if entry.path in gateway.views or entry.path in gateway.sieves:
+                continue
+            if entry.operations & Operation.READ and session.rights.permits(entry, Operation.READ):
+                entries.append(entry)
+                if len(entries) == _MANY:
+                    break
+        limit = min(request.deadline or gateway.limits.deadline, gateway.limits.deadline) * 0.9
+        gateway.later(
+            session,
+            request,
+            answer,
+            self._fetch_many(entries, options, limit),
+            lambda body: Reply(
+                type="read", id=request.id, path=pattern.text, body=body, timestamp=iso(now())
+            ),
+            request.deadline or gateway.limits.deadline,
+            pattern.text,
+        )
+        return None
+
+    async def _fetch_many(
+        self, entries: list[Entry], options: ReadOptions, limit: float
+    ) -> list[dict[str, Any]]:
+        async def one(entry: Entry) -> dict[str, Any]:
+            try:
+                sample = _at_hand(entry, options)
+                if sample is None:
+                    sample = await asyncio.wait_for(self.fetch(entry), limit)
+                return _item(entry, sample, options)
+            except Exception as error:
+                told = crash(error, path=entry.path)
+                return {"path": entry.path, "status": told.status, "error": error_body(told)}
+
+        return await asyncio.gather(*(one(entry) for entry in entries))
+
+
+def _at_hand(entry: Entry, options: ReadOptions) -> Sample | None:
+    if options.fresh or entry.latest is None or entry.owner.backend is None:
+        return None
+    if entry.live or entry.listeners:
+        return entry.latest
+    # An actuator's value is the last one commanded, which nobody knows better than the gateway.
+    return entry.latest if entry.kind == "actuator" else None
+
+
+def _last_shown(entry: Entry, session: Session, shows: Callable[[Session, Any], bool]) -> Sample:
+    for sample in reversed(entry.ring):
+        if shows(session, sample.value):
+            return sample
+    raise AdapterUnavailable(
+        f"nothing that you may see has happened at {entry.path} yet",
+        path=entry.path,
+        remedy="Subscribe to it.",
+    )
+
+
+def _viewed(request: Request, entry: Entry, value: Any, options: ReadOptions) -> Reply:
+    body = project(value, options.fields) if options.fields else value
+    moment = iso(now())
+    return Reply(
+        type=request.type,
+        id=request.id,
+        path=entry.path,
+        body=body,
+        source_timestamp=moment,
+        state="fresh",
+        timestamp=moment,
+        custom=request.custom,
+    )
+
+
+def _reply(request: Request, entry: Entry, sample: Sample, options: ReadOptions) -> Reply:
+    body: Any = sample
+    if options.fields:
+        body = project(sample.value, options.fields)
+    return Reply(
+        type=request.type,
+        id=request.id,
+        path=entry.path,
+        body=body,
+        seq=sample.seq,
+        source_timestamp=sample.time,
+        state="stale" if entry.stale else "fresh",
+        timestamp=iso(now()),
+        custom=request.custom,
+    )
+
+
+def _item(entry: Entry, sample: Sample, options: ReadOptions) -> dict[str, Any]:
+    value = sample.value
+    body = project(value, options.fields) if options.fields else to_plain(value)
+    return {
+        "path": entry.path,
+        "status": "completed",
+        "body": body,
+        "seq": sample.seq,
+        "timestamp": sample.time,
+        "state": "stale" if entry.stale else "fresh",
+    }
+
+
+class _Waiter:
+    def __init__(self) -> None:
+        self.arrived: asyncio.Future[Sample] = asyncio.get_running_loop().create_future()
+
+    def offer(self, sample: Sample) -> None:
+        if not self.arrived.done():
+            self.arrived.set_result(sample)
+
+
+async def _first(entry: Entry, backend: Backend) -> Sample:
+    """Watch until the first sample comes; what is published unasked has to have come already."""
+    if type(backend).watch is BaseBackend.watch:
+        raise AdapterUnavailable(
+            f"no value of {entry.path} has arrived yet",
+            path=entry.path,
+            origin=entry.owner.name,
+            remedy="Wait for the robot to send it, or subscribe to it.",
+        )
+    waiter = _Waiter()
+    entry.listeners.append(waiter)
+    try:
+        async with backend.watch(entry.name, None):
+            return await waiter.arrived
+    finally:
+        if waiter in entry.listeners:
+            entry.listeners.remove(waiter)

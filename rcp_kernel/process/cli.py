@@ -1,0 +1,219 @@
+"""`rcpd`, the gateway: demo, serve, check, plugins, new, audit, token, version."""
+
+from __future__ import annotations
+
+import asyncio
+import signal
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, NoReturn
+
+import click
+
+from rcp_kernel.access.cli import token
+from rcp_kernel.config.file import GatewayConfig, load, parse
+from rcp_kernel.errors import ConfigError, StartupError
+from rcp_kernel.record.cli import audit
+
+if TYPE_CHECKING:
+    from rcp_kernel.process.demo import Demo
+    from rcp_kernel.process.log import Recent
+    from rcp_kernel.process.server import Prepared
+
+__all__ = ["main"]
+
+_FAILED = 1
+
+
+@click.group(context_settings={"help_option_names": ["-h", "--help"]})
+def main() -> None:
+    """Run the RCP gateway: one server between robots and everybody who talks to them."""
+
+
+main.add_command(audit)
+main.add_command(token)
+
+
+@main.command()
+@click.option("--port", type=click.IntRange(0, 65535), default=8080, show_default=True)
+@click.option("--verbose", is_flag=True, help="Log what the gateway does, not only warnings.")
+def demo(*, port: int, verbose: bool) -> None:
+    """Serve simulated robots on loopback: no hardware, no configuration, no second terminal."""
+    from rcp_kernel.process.demo import Demo
+
+    made = Demo(port)
+    config = parse(made.config("info" if verbose else "warning"), "demo")
+    _run(config, "demo", None, made)
+
+
+@main.command()
+@click.argument("config", type=click.Path(path_type=Path), default="rcp.toml")
+def serve(config: Path) -> None:
+    """Serve the robots of a configuration file (./rcp.toml if not given).
+
+    SIGHUP reads the file again: roles, keys, certificates, limits and backends change at once;
+    listeners need a restart. SIGTERM or Ctrl-C brings the robots to rest and stops.
+    """
+    _run(_loaded(config), str(config), config, None)
+
+
+@main.command()
+@click.argument("config", type=click.Path(path_type=Path))
+def check(config: Path) -> None:
+    """Find every fault of a configuration without opening a robot or a socket."""
+    from rcp_kernel.process.server import prepare
+
+    try:
+        prepared = prepare(load(config), str(config))
+    except StartupError as error:
+        _fail(str(error))
+    for missing in prepared.plugins.missing:
+        click.echo(
+            f"warning: {missing.group} '{missing.name}' cannot be imported: {missing.reason}; "
+            f"try: {missing.remedy}",
+            err=True,
+        )
+    found = prepared.config
+    robots = ", ".join(f"{b.name} ({b.use}, tenant {b.tenant})" for b in found.backends) or "none"
+    click.echo(f"{config}: good")
+    click.echo(f"  backends      {robots}")
+    click.echo(f"  transports    {', '.join(found.transports) or 'none'}")
+    click.echo(f"  plugins       {', '.join(found.plugins) or 'none'}")
+    click.echo(f"  keys          {', '.join(key.name for key in found.keys) or 'none'}")
+    named = dict.fromkeys(one.name for one in found.certificates)
+    click.echo(f"  certificates  {', '.join(named) or 'none'}")
+    click.echo(f"  issuers       {', '.join(one.issuer for one in found.jwt) or 'none'}")
+    strangers = sorted({role for _, roles in found.anonymous.grants for role in roles})
+    click.echo(f"  anonymous     {', '.join(strangers) or 'refused'}")
+    if prepared.plugins.missing:
+        sys.exit(_FAILED)
+
+
+@main.command()
+def plugins() -> None:
+    """List the installed plugins, those that cannot be imported included."""
+    import importlib
+
+    from rcp_kernel.plugins import GROUPS, installed
+
+    for group in GROUPS:
+        for name, point in sorted(installed(group).items()):
+            source = f"{point.dist.name} {point.dist.version}" if point.dist else "?"
+            try:
+                module = importlib.import_module(point.value)
+                text = (module.__doc__ or "").strip().partition("\n")[0]
+            except ImportError as error:
+                text = f"unavailable: {error}"
+            click.echo(f"{group:<11} {name:<10} {source:<20} {text}")
+
+
+@main.group()
+def new() -> None:
+    """Write the beginning of something new."""
+
+
+@new.command("backend")
+@click.argument("name")
+@click.option(
+    "--into",
+    type=click.Path(path_type=Path),
+    default=Path(),
+    help="Folder to make it in; the present one if not given.",
+)
+def new_backend(name: str, into: Path) -> None:
+    """Write a backend plugin of its own distribution that passes the public suite."""
+    from rcp_kernel.process.scaffold import write_backend
+
+    try:
+        made = write_backend(name, into)
+    except StartupError as error:
+        _fail(str(error))
+    click.echo(f"Wrote {made}. Next:")
+    click.echo(f"  pip install -e {made}[test]")
+    click.echo(f"  pytest {made}")
+
+
+@main.command()
+def version() -> None:
+    """Print the gateway's and the protocol's version."""
+    from rcp_kernel.status import gateway_version
+    from rcp_kernel.wire import VERSION
+
+    click.echo(f"rcp-gateway {gateway_version()} (protocol RCP/{VERSION})")
+
+
+def _loaded(path: Path) -> GatewayConfig:
+    try:
+        return load(path)
+    except ConfigError as error:
+        _fail(str(error))
+
+
+def _fail(text: str) -> NoReturn:
+    click.echo(f"rcpd: {text}", err=True)
+    sys.exit(_FAILED)
+
+
+def _run(config: GatewayConfig, source: str, path: Path | None, demo: Demo | None) -> None:
+    from rcp_kernel.process.log import configure
+    from rcp_kernel.process.memory import keep_freed_memory
+    from rcp_kernel.process.server import prepare
+
+    keep_freed_memory()
+    recent = configure(config.log.level, config.log.format)
+    try:
+        prepared = prepare(config, source)
+    except StartupError as error:
+        _fail(str(error))
+    with asyncio.Runner(loop_factory=_loop_factory()) as runner:
+        try:
+            runner.run(_serve(prepared, recent, path, demo))
+        except StartupError as error:
+            _fail(str(error))
+        except OSError as error:
+            _fail(f"cannot start: {error.strerror or error}")
+
+
+def _loop_factory() -> Callable[[], asyncio.AbstractEventLoop] | None:
+    try:
+        import uvloop
+    except ImportError:  # Windows has none
+        return None
+    return uvloop.new_event_loop
+
+
+async def _serve(prepared: Prepared, recent: Recent, path: Path | None, demo: Demo | None) -> None:
+    from rcp_kernel.process.garbage import collected_at_rest
+    from rcp_kernel.process.reload import reload
+    from rcp_kernel.process.server import running
+
+    loop = asyncio.get_running_loop()
+    stop = asyncio.Event()
+
+    def ask(name: str) -> None:
+        if stop.is_set():
+            click.echo("rcpd: stopped without waiting", err=True)
+            signal.raise_signal(signal.SIGKILL)
+        click.echo(f"rcpd: {name}: bringing the robots to rest", err=True)
+        stop.set()
+
+    for number in (signal.SIGINT, signal.SIGTERM):
+        loop.add_signal_handler(number, ask, number.name)
+    async with running(prepared, recent) as server:
+        gateway = server.gateway
+        tasks: set[asyncio.Task[None]] = set()
+        if path is not None:
+            loop.add_signal_handler(
+                signal.SIGHUP, lambda: tasks.add(loop.create_task(reload(server, path)))
+            )
+        with collected_at_rest(loop, lambda: gateway.moving):
+            if demo is not None:
+                with demo.credentials(server):
+                    click.echo(demo.banner(server))
+                    await stop.wait()
+            else:
+                for facts in server.status.transports:
+                    if "url" in facts:
+                        click.echo(f"rcpd: serving on {facts['url']}", err=True)
+                await stop.wait()

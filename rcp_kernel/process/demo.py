@@ -1,0 +1,116 @@
+"""`rcpd demo`: two tenants with a rover each, keys made for this run, and where to look."""
+
+from __future__ import annotations
+
+import os
+import secrets
+import shutil
+import sys
+from collections.abc import Generator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from rcp_kernel.process.server import Server
+
+__all__ = ["Demo", "token_file"]
+
+_CONFIG = """
+name = "rcp-demo"
+
+[transports.asgi]
+port = {port}
+
+[log]
+level = "{level}"
+
+[[backends]]
+use = "sim"
+name = "rover-alpha"
+tenant = "alpha"
+seed = 1
+
+[[backends]]
+use = "sim"
+name = "rover-beta"
+tenant = "beta"
+seed = 2
+
+[[keys]]
+name = "demo-operator"
+role = "operator"
+key = "{operator}"
+
+[[keys]]
+name = "demo-admin"
+role = "admin"
+key = "{admin}"
+"""
+
+
+def token_file(host: str, port: int) -> Path:
+    """Return where the demo leaves its key for `rcpctl` of the same user."""
+    base = os.environ.get("XDG_RUNTIME_DIR") or str(Path.home() / ".cache")
+    return Path(base) / "rcp" / f"{host}_{port}.token"
+
+
+class Demo:
+    """The demo's configuration and what it prints."""
+
+    def __init__(self, port: int) -> None:
+        self._port = port
+        self._operator = "rcp_op_" + secrets.token_urlsafe(18)
+        self._admin = "rcp_ad_" + secrets.token_urlsafe(18)
+
+    def config(self, level: str) -> str:
+        """Write the configuration as TOML."""
+        return _CONFIG.format(
+            port=self._port, level=level, operator=self._operator, admin=self._admin
+        )
+
+    def url(self, server: Server) -> str:
+        """Return the address that the listener really has."""
+        found = [facts["url"] for facts in server.status.transports if "url" in facts]
+        return found[0] if found else f"http://127.0.0.1:{self._port}"
+
+    @contextmanager
+    def credentials(self, server: Server) -> Generator[None]:
+        """Keep the operator's key where `rcpctl` of the same user finds it, while the demo runs."""
+        host, _, port = self.url(server).rpartition("/")[2].partition(":")
+        path = token_file(host, int(port or 80))
+        try:
+            path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+            path.unlink(missing_ok=True)
+            handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+            with os.fdopen(handle, "w") as file:
+                file.write(self._operator + "\n")
+        except OSError:
+            yield
+            return
+        try:
+            yield
+        finally:
+            with suppress(OSError):
+                path.unlink()
+
+    def banner(self, server: Server) -> str:
+        """Say what runs and what to try first."""
+        url = self.url(server)
+        beside = Path(sys.argv[0]).with_name("rcpctl")
+        rcpctl = "rcpctl" if shutil.which("rcpctl") or not beside.exists() else beside
+        return f"""\
+RCP gateway demo: simulated rovers of the tenants alpha and beta
+  {url}/                  where to look
+  {url}/rcp/v1/discovery  everything there is
+  {url}/metrics           for Prometheus
+
+  operator key  {self._operator}   (reads, writes, commands)
+  admin key     {self._admin}   (and resets an e-stop)
+  Without one you may look, not move. rcpctl finds the first one by itself, for this user.
+
+Try:
+  {rcpctl} --url {url} read /tenant/alpha/sensor/pose
+  {rcpctl} --url {url} execute /tenant/beta/action/move_to '{{"position": {{"x": 2, "y": 1, "z": 0}}}}'
+  curl {url}/rcp/v1/context/tenant/alpha/sensor/pose
+  curl -X PUT -H "Authorization: Bearer {self._operator}" -d 0.8 {url}/rcp/v1/context/tenant/alpha/param/speed_limit
+  curl -N "{url}/rcp/v1/events?path=/tenant/*/sensor/pose&rate=2"
+Ready. Ctrl-C stops it."""

@@ -1,0 +1,54 @@
+"""Read the configuration again, on SIGHUP, and change what can be changed while running."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import msgspec
+import structlog
+
+from rcp_kernel.config.file import load
+from rcp_kernel.errors import StartupError
+from rcp_kernel.process.server import Prepared, Server, prepare, retire, start_backend
+
+__all__ = ["apply", "reload"]
+
+log = structlog.get_logger("rcp.reload")
+_FIXED = ("transports", "plugins", "store", "log", "name")
+"""What a running gateway cannot change."""
+
+
+async def reload(server: Server, path: Path) -> None:
+    """Apply a configuration file; a faulty one changes nothing and is logged.
+
+    Its rules have to be safe with its own listeners, and with those that go on as they are.
+    """
+    running = server.gateway.config
+    try:
+        fresh = load(path)
+        prepare(fresh, str(path))
+        kept = {part: getattr(running, part) for part in _FIXED}
+        prepared = prepare(msgspec.structs.replace(fresh, **kept), str(path))
+    except StartupError as error:
+        log.error("reload_refused", reason=str(error))
+        server.gateway.audit.note("reload", principal=None, outcome="refused")
+        return
+    for part in _FIXED:
+        if getattr(running, part) != getattr(fresh, part):
+            log.warning("reload_needs_restart", part=part)
+    await apply(server, prepared)
+
+
+async def apply(server: Server, prepared: Prepared) -> None:
+    """Change rules, keys, limits and backends of a running gateway to those of a configuration."""
+    gateway = server.gateway
+    new = prepared.config
+    gone = [slot for slot in server.slots if slot.config not in new.backends]
+    await retire(server, gone)
+    gateway.reconfigure(new)
+    kept = {slot.config.name for slot in server.slots}
+    for backend, table in zip(new.backends, prepared.backends, strict=True):
+        if backend.name not in kept:
+            start_backend(server, prepared, backend, table)
+    gateway.audit.note("reload", principal=None, backends=[slot.name for slot in server.slots])
+    log.info("reloaded", backends=len(server.slots), stopped=[slot.name for slot in gone])

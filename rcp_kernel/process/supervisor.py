@@ -1,0 +1,273 @@
+"""One task for each backend: open, ready, degraded, backoff, close. A crash changes a state only.
+
+    declared → opening → ready ⇄ degraded → closing → closed,  and  unavailable, failed
+
+`NotReady` and crashes mean again with backoff, `ConfigError` means stop for good. Adapters and
+transports are opened after the backends were started and closed before them, in reverse; motion is
+halted, with a bound, before anything closes.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from typing import Any, Literal
+
+import structlog
+
+from rcp_kernel.clock import iso, now
+from rcp_kernel.config.file import BackendConfig
+from rcp_kernel.errors import AdapterUnavailable, ConfigError, NotReady, PluginError, RcpError
+from rcp_kernel.gateway import Gateway
+from rcp_kernel.model import Resource, full_path
+from rcp_kernel.motion.latches import Latch
+from rcp_kernel.motion.safety import halt
+from rcp_kernel.registry import Entry
+from rcp_kernel.spi import Backend, BackendKind, Publication
+
+__all__ = ["Slot", "State"]
+
+log = structlog.get_logger("rcp.supervisor")
+State = Literal[
+    "declared", "opening", "ready", "degraded", "down", "closing", "closed", "unavailable", "failed"
+]
+_FIRST_RETRY = 0.25  # s
+_LAST_RETRY = 10.0  # s
+_FAULTS = 1.0  # s between log records of one backend's bad values
+WIRE_STATE = {
+    "declared": "starting",
+    "opening": "starting",
+    "ready": "ready",
+    "degraded": "degraded",
+}
+"""The states of `/system/status`; every other one is `down` there."""
+
+
+class Slot:
+    """One backend of the configuration, over all its lives. It is the `Host` of its plugin."""
+
+    def __init__(self, gateway: Gateway, config: BackendConfig) -> None:
+        self._gateway = gateway
+        self.config = config
+        self.name = config.name
+        self.tenant = config.tenant
+        self.robot = config.robot
+        self.state: State = "declared"
+        self.detail: str | None = None
+        self.since = now()
+        self.last_error: str | None = None
+        self.latency: float | None = None
+        """Seconds that the last call of the robot took."""
+        self.samples = 0
+        self.faults = 0
+        self.stops = 0
+        self.released = 0
+        self._retired: Latch | None = None
+        self.entries: dict[str, Entry] = {}
+        self.settled = asyncio.Event()
+        """Set once the first attempt to open has ended, well or not."""
+        self._backend: Backend | None = None
+        self._closing = asyncio.Event()
+        self._told = 0.0
+
+    # -- Owner ---------------------------------------------------------------------------------
+
+    @property
+    def backend(self) -> Backend | None:
+        """The open backend, or None while there is none that works."""
+        return self._backend if self.state in ("ready", "degraded", "closing") else None
+
+    @property
+    def latch(self) -> Latch | None:
+        """The e-stop that holds it, or None."""
+        return self._retired or self._gateway.latches.of(self.name, self.tenant)
+
+    def unavailable(self) -> RcpError:
+        """Return the error that says why there is no backend now."""
+        why = f": {self.detail}" if self.detail else ""
+        return AdapterUnavailable(
+            f"backend '{self.name}' is not connected ({self.state}){why}",
+            origin=self.name,
+            retry_after=1.0 if self.state in ("opening", "down") else None,
+        )
+
+    def fault(self, detail: str) -> None:
+        """Note a bad value; a stream of them is logged once a second."""
+        self.faults += 1
+        self.last_error = detail
+        if time.monotonic() - self._told > _FAULTS:
+            self._told = time.monotonic()
+            log.warning("backend_fault", backend=self.name, detail=detail, faults=self.faults)
+
+    # -- Host ----------------------------------------------------------------------------------
+
+    def declare(self, *resources: Resource) -> None:
+        """Put resources into the tree."""
+        for resource in resources:
+            entry = self._gateway.registry.declare(
+                self, resource, tenant=self.tenant, robot=self.robot
+            )
+            self.entries[resource.name] = entry
+
+    def withdraw(self, *names: str) -> None:
+        """Take resources out of the tree; commands that run on them end."""
+        for name in names:
+            entry = self.entries.pop(name, None)
+            if entry is not None:
+                gone = AdapterUnavailable(f"{entry.path} was withdrawn by its backend")
+                self._gateway.commands.interrupt(entry.path, gone)
+                self._gateway.registry.withdraw(entry.path)
+
+    def publish(self, name: str, value: Any, timestamp: int | None = None) -> None:
+        """Hand a value over; an undeclared name is a fault."""
+        entry = self.entries.get(name)
+        if entry is None:
+            self.fault(f"published '{name}', which it has not declared")
+            return
+        entry.publish(value, timestamp)
+
+    def publish_batch(self, batch: Sequence[Publication]) -> None:
+        """Hand values over from any thread."""
+        self.call_soon(self._publish_all, batch)
+
+    def _publish_all(self, batch: Sequence[Publication]) -> None:
+        for item in batch:
+            self.publish(item.name, item.value, item.timestamp)
+
+    def call_soon(self, function: Callable[..., object], *args: Any) -> None:
+        """Run a function on the event loop, from any thread."""
+        gather = self._gateway.hub.ticker.gather
+        self._gateway.loop.call_soon_threadsafe(gather, function, *args)
+
+    def report(self, detail: str | None, *, down: bool = False) -> None:
+        """Change the state of an open backend."""
+        if self._backend is None or self.state not in ("ready", "degraded", "down"):
+            return
+        if detail is None:
+            self._enter("ready", None)
+        else:
+            self._enter("down" if down else "degraded", detail)
+            if down:
+                self._interrupt(detail)
+
+    # -- life ----------------------------------------------------------------------------------
+
+    def fail(self, state: State, detail: str) -> None:
+        """Settle a backend that cannot even be tried."""
+        self._enter(state, detail)
+        self.settled.set()
+
+    async def run(self, kind: BackendKind, config: Any) -> None:
+        """Keep the backend open until `close`; returns when it is closed or has failed for good."""
+        wait = _FIRST_RETRY
+        while not self._closing.is_set():
+            started = time.monotonic()
+            if self.state != "down":
+                self._enter("opening", None)
+            try:
+                await self._live(kind, config)
+            except (ConfigError, PluginError) as error:
+                self._backend = None
+                self._enter("failed", str(error))
+                self._interrupt(str(error))
+                return
+            except Exception as error:
+                self._down(error)
+            finally:
+                self.settled.set()
+            if self._closing.is_set():
+                break
+            if time.monotonic() - started > _LAST_RETRY:
+                wait = _FIRST_RETRY
+            with suppress(TimeoutError):
+                await asyncio.wait_for(self._closing.wait(), wait)
+            wait = min(wait * 2, _LAST_RETRY)
+        self._enter("closed", None)
+
+    async def _live(self, kind: BackendKind, config: Any) -> None:
+        async with kind.open(config, self) as backend:
+            self._backend = backend
+            self._enter("ready", None)
+            if self.latch is not None:
+                await asyncio.wait_for(halt(self), _LAST_RETRY)
+            self.settled.set()
+            try:
+                await self._closing.wait()
+            finally:
+                if not self._closing.is_set():
+                    self._enter("down", self.detail or "the backend stopped")
+        self._backend = None
+
+    def _down(self, error: Exception) -> None:
+        self._backend = None
+        text = _sentence(error)
+        self.last_error = text
+        known = isinstance(error, (NotReady, RcpError, ConnectionError, TimeoutError))
+        if known:
+            log.warning("backend_not_ready", backend=self.name, reason=text)
+        else:
+            log.error("backend_crashed", backend=self.name, exc_info=error)
+        self._enter("down", text)
+        self._interrupt(text)
+
+    def _interrupt(self, why: str) -> None:
+        for entry in self.entries.values():
+            error = AdapterUnavailable(
+                f"the link to backend '{self.name}' was lost: {why}", origin=self.name
+            )
+            self._gateway.commands.interrupt(entry.path, error)
+
+    def _enter(self, state: State, detail: str | None) -> None:
+        changed = state != self.state
+        self.state, self.detail = state, detail
+        if detail is not None:
+            self.last_error = detail
+        if not changed:
+            return
+        self.since = now()
+        level = log.warning if state in ("degraded", "down", "failed", "unavailable") else log.info
+        level("backend_state", backend=self.name, state=state, detail=detail)
+        if not self._gateway.closing:
+            self._gateway.hub.watches.backend_changed(list(self.entries.values()))
+
+    def retire(self) -> None:
+        """Let nothing move any more: the configuration has this backend no longer."""
+        self._retired = Latch("the gateway", "the backend is being closed")
+        self._interrupt("the configuration has it no longer")
+
+    def close(self) -> None:
+        """Have `run` end; the backend is closed by leaving its context."""
+        if self.state in ("ready", "degraded"):
+            self._enter("closing", None)
+        self._closing.set()
+
+    def plain(self) -> dict[str, Any]:
+        """Describe the backend for `/system/status`."""
+        return {
+            "name": self.name,
+            "plugin": self.config.use,
+            "tenant": self.tenant,
+            "robot": self.robot,
+            "state": WIRE_STATE.get(self.state, "down"),
+            "since": iso(self.since),
+            "detail": self.detail,
+            "latency": self.latency,
+            "last_error": self.last_error,
+            "resources": len(self.entries),
+            "samples": self.samples,
+            "faults": self.faults,
+            "estop": self.latch.plain() if self.latch is not None else None,
+        }
+
+    def path(self, name: str) -> str:
+        """Return the full path of one of the backend's own names."""
+        return full_path(self.tenant, self.robot, name)
+
+
+def _sentence(error: BaseException) -> str:
+    inner: Any = error
+    while (several := getattr(inner, "exceptions", None)) is not None:
+        inner = several[0]
+    return str(inner) or type(inner).__name__

@@ -1,0 +1,172 @@
+"""`rcpd audit`: verify the record's chain, export it."""
+
+from __future__ import annotations
+
+import sqlite3
+import sys
+from collections.abc import Iterator
+from contextlib import closing
+from pathlib import Path
+from typing import Any, NoReturn
+
+import click
+
+from rcp_kernel.clock import parse_time
+from rcp_kernel.config.file import load
+from rcp_kernel.errors import BadRequest, ConfigError
+from rcp_kernel.record.audit import decoded
+from rcp_kernel.record.chain import Head, Row, Verdict, parse_head, verify, written
+from rcp_kernel.record.file import FAULTS, ROWS, head_beside, open_read_only
+from rcp_kernel.record.keeping import anchor_of
+
+__all__ = ["audit", "examined"]
+
+_FAILED = 1
+
+
+def _head(text: str) -> Head:
+    try:
+        return parse_head(text)
+    except ValueError:
+        raise click.BadParameter("a head is SEQ:HASH, as `rcpd audit verify` prints it") from None
+
+
+def _moment(text: str) -> int:
+    try:
+        return parse_time(text + "T00:00:00Z" if len(text) == 10 else text)
+    except BadRequest as error:
+        raise click.BadParameter(error.message) from None
+
+
+@click.group()
+def audit() -> None:
+    """Verify or export the record of a gateway, also while it runs."""
+
+
+_config = click.argument("config", type=click.Path(path_type=Path), default="rcp.toml")
+_store = click.option(
+    "--store", type=click.Path(path_type=Path), help="The database, instead of a configuration."
+)
+
+
+@audit.command("verify")
+@_config
+@_store
+@click.option(
+    "--head",
+    "heads",
+    type=_head,
+    multiple=True,
+    metavar="SEQ:HASH",
+    help="A head that was kept elsewhere: the chain must still have it.",
+)
+def verify_command(config: Path, store: Path | None, heads: tuple[Head, ...]) -> None:
+    """Find changed, removed, inserted or reordered records; print the head.
+
+    Exit code 1 if there are any. A record cut off from the end is missed where a later head is
+    known: from the file beside the database, or from --head.
+    """
+    path = store or _path_of(config)
+    try:
+        verdict = examined(path, heads)
+    except ConfigError as error:
+        _fail(str(error))
+    for seq, what in verdict.findings:
+        click.echo(f"record {seq}: {what}")
+    last = verdict.head[0]
+    click.echo(f"{verdict.count} records, {verdict.first} to {last}; head {written(verdict.head)}")
+    if verdict.findings:
+        sys.exit(_FAILED)
+
+
+def examined(path: Path, heads: tuple[Head, ...] = ()) -> Verdict:
+    """Verify the record of a store.
+
+    :raises ConfigError: it cannot be read.
+    """
+    beside = head_beside(path)  # before the database: a gateway that runs goes on meanwhile
+    with closing(open_read_only(path)) as base:
+        base.execute("BEGIN")
+        try:
+            known = heads if beside is None else (*heads, beside)
+            return verify(_rows(base), anchor_of(base), known)
+        except FAULTS as error:
+            raise ConfigError(f"the store '{path}' cannot be read: {error}") from None
+
+
+def _rows(base: sqlite3.Connection) -> Iterator[Row]:
+    for seq, digest, data in base.execute(f"{ROWS} ORDER BY seq"):
+        # A spoilt file may hold any type in any column.
+        if not (isinstance(seq, int) and isinstance(digest, bytes) and isinstance(data, bytes)):
+            raise sqlite3.DatabaseError("a row of the record has not the form of one")
+        yield seq, digest, data
+
+
+@audit.command()
+@_config
+@_store
+@click.option(
+    "--since", type=_moment, metavar="TIME", help="ISO 8601 in UTC, or a date: not before."
+)
+@click.option("--until", type=_moment, metavar="TIME", help="ISO 8601 in UTC, or a date: before.")
+@click.option("--tenant", help="Only of this tenant.")
+@click.option("--what", multiple=True, help="Only these: write, command, denial, …")
+def export(
+    config: Path,
+    store: Path | None,
+    since: int | None,
+    until: int | None,
+    tenant: str | None,
+    what: tuple[str, ...],
+) -> None:
+    """Write records as JSON lines."""
+    path = store or _path_of(config)
+    try:
+        base = open_read_only(path)
+    except ConfigError as error:
+        _fail(str(error))
+    with closing(base):
+        try:
+            for seq, _, data in _rows(base):
+                record = decoded(data)
+                if record is None:
+                    click.echo(f"rcpd: record {seq} cannot be read: verify", err=True)
+                elif _wanted(record, since, until, tenant, what):
+                    click.echo(data)
+        except FAULTS as error:
+            _fail(f"the store '{path}' cannot be read any further: {error}")
+
+
+def _wanted(
+    record: dict[str, Any],
+    since: int | None,
+    until: int | None,
+    tenant: str | None,
+    what: tuple[str, ...],
+) -> bool:
+    if tenant is not None and record.get("tenant") != tenant:
+        return False
+    if what and record.get("what") not in what:
+        return False
+    if since is None and until is None:
+        return True
+    try:
+        moment = parse_time(str(record.get("time")))
+    except BadRequest:
+        return True
+    return (since is None or moment >= since) and (until is None or moment < until)
+
+
+def _path_of(config: Path) -> Path:
+    try:
+        path = load(config).store.path
+    except ConfigError as error:
+        _fail(str(error))
+    if path is None:
+        _fail(f"{config} has no [store] path: nothing is kept")
+    return Path(path).expanduser()
+
+
+def _fail(text: str) -> NoReturn:
+    click.echo(f"rcpd: {text}", err=True)
+    sys.exit(_FAILED)

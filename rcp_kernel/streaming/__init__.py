@@ -1,0 +1,1 @@
+"""From a sample to everybody who subscribed to it."""

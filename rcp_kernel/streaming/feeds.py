@@ -1,0 +1,325 @@
+"""A feed is one path of one subscription: what waits to be sent, and how it is put into updates.
+
+The plain feed, which every 50 Hz pose rides on, does a list access and a deque append for a sample.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterable
+from typing import TYPE_CHECKING, Any
+
+from rcp_kernel.clock import now
+from rcp_kernel.errors import Overrun, RcpError
+from rcp_kernel.registry import Entry
+from rcp_kernel.streaming.samples import NATIVE, Sample
+from rcp_kernel.values import Encoding
+from rcp_kernel.wire import encode_frame
+
+if TYPE_CHECKING:
+    from rcp_kernel.clients.mailbox import Framing, Mailbox, Wrap
+    from rcp_kernel.streaming.streams import Subscription
+
+__all__ = ["SHARED", "Feed"]
+
+_CBOR_MAP = 0xA0
+SHARED = 16_384  # bytes; a longer update is not copied into a frame that its receivers share
+_MSGPACK_MAP = 0x80
+
+
+_shares: dict[Any, object] = {}
+_MANY = 100_000  # after which sharing starts afresh: it costs a frame, no more
+
+
+class Feed:
+    """One path of one subscription, without filters."""
+
+    __slots__ = (
+        "_heads",
+        "_lifespan",
+        "_plain",
+        "backlog",
+        "depth",
+        "dropped",
+        "entry",
+        "fields",
+        "heard",
+        "mailbox",
+        "marked",
+        "missed",
+        "named",
+        "native",
+        "paused",
+        "priority",
+        "queue",
+        "reliable",
+        "sent",
+        "share",
+        "skipped",
+        "subscription",
+    )
+
+    def __init__(self, subscription: Subscription, entry: Entry, mailbox: Mailbox | None) -> None:
+        options = subscription.options
+        self.subscription = subscription
+        self.entry = entry
+        self.mailbox = mailbox
+        self.queue: deque[Sample] = deque()
+        self.backlog: deque[Sample] | None = None
+        """Samples to replay before the queue; not subject to its depth."""
+        self.depth = options.depth
+        self.reliable = options.qos.reliability == "reliable"
+        self.priority = options.qos.priority
+        self.native = options.encoding == "native"
+        self.named = not self.native
+        """Whether the client knows the name of the native type, if it wants native bytes."""
+        self.dropped = 0
+        """Samples skipped since the last update that went out."""
+        self.skipped = 0
+        """Samples skipped ever."""
+        self.sent = entry.seq
+        """Number of the last sample that the client has, or has no claim to: what came before it
+        subscribed is not missed."""
+        self.heard = 0.0
+        """Monotonic time of the last sample, kept where a deadline was asked for."""
+        self.missed = False
+        self.marked = False
+        self.paused = False
+        """The rules do not allow it at present."""
+        self.fields = NATIVE if self.native else options.fields
+        self._lifespan = options.qos.lifespan
+        self._plain = self._lifespan is None and options.count is None
+        self._heads: tuple[Encoding, bytes, bytes] | None = None
+        self.share: object = None
+        """Under what a sample keeps the frame that all feeds with the same head send."""
+
+    @property
+    def waiting(self) -> int:
+        """How many samples wait to be collected."""
+        return len(self.queue) + (len(self.backlog) if self.backlog else 0)
+
+    def offer(self, sample: Sample) -> None:
+        """Queue a sample; a full queue lets its oldest go, or ends a reliable subscription."""
+        queue = self.queue
+        if len(queue) >= self.depth:
+            if self.reliable:
+                self.subscription.overrun(self)
+                return
+            queue.popleft()
+            self.dropped += 1
+            self.skipped += 1
+        queue.append(sample)
+        if not self.marked:
+            self.mark()
+
+    def conflate(self) -> None:
+        """Let go of all that waits but the newest."""
+        old = self.waiting - 1
+        if old > 0:
+            if self.backlog and not self.queue:
+                self.queue.append(self.backlog[-1])
+            self.backlog = None
+            while len(self.queue) > 1:
+                self.queue.popleft()
+            self.dropped += old
+            self.skipped += old
+
+    def mark(self) -> None:
+        """Have the mailbox collect this feed in the coming tick."""
+        mailbox = self.mailbox
+        if mailbox is not None:
+            self.marked = True
+            mailbox.pending.append(self)
+            if not mailbox.dirty:
+                mailbox.mark()
+
+    def replay(self, samples: Iterable[Sample]) -> None:
+        """Queue earlier samples ahead of everything else."""
+        self.backlog = deque(samples)
+        if self.backlog:
+            self.sent = min(self.sent, self.backlog[0].seq - 1)
+        if self.backlog and not self.marked:
+            self.mark()
+
+    def admit(self, sample: Sample) -> bool:
+        """Tell whether an earlier sample passes the filters, for history and resume."""
+        return True
+
+    def prime(self, sample: Sample) -> None:
+        """Take the present value as known, without sending it."""
+
+    def drain(self, out: list[bytes], budget: int, wrap: Wrap | None, big: int | None) -> int:
+        """Move queued samples to `out` as framed updates; return how many bytes that were."""
+        if self._plain and big is None and not self.backlog and self.named:
+            return self._drain_plain(out, budget, wrap)
+        size = 0
+        remaining = self.subscription.remaining
+        if remaining is not None and remaining <= 0:  # another path had the last of the count
+            self.queue.clear()
+            self.backlog = None
+            return 0
+        while size < budget:
+            queue = self.backlog or self.queue
+            if not queue:
+                break
+            sample = queue[0]
+            if self._lifespan is not None and now() - sample.received > self._lifespan * 1e9:
+                queue.popleft()
+                self.dropped += 1
+                self.skipped += 1
+                continue
+            try:
+                data = self._frame(sample)
+            except RcpError:  # reported as the backend's fault where it was found
+                queue.popleft()
+                continue
+            if big is not None and len(data) > big:
+                break
+            queue.popleft()
+            self.dropped = 0
+            self.sent = sample.seq
+            size += len(data)
+            mailbox = self.mailbox
+            assert mailbox is not None
+            if wrap is not None:
+                data = wrap(data, self, sample)
+            elif mailbox.framing is not None:
+                data = mailbox.framing(len(data), data[:1] == b"{") + data
+            out.append(data)
+            mailbox.updates += 1
+            if self.subscription.remaining is not None and self.subscription.delivered():
+                self.queue.clear()
+                self.backlog = None
+                break
+        return size
+
+    def _drain_plain(self, out: list[bytes], budget: int, wrap: Wrap | None) -> int:
+        """Drain a feed that has nothing to look at but its queue: the hot loop of every fan-out."""
+        mailbox = self.mailbox
+        if mailbox is None:  # it ended after it was marked
+            return 0
+        encoding, head, _ = self._heads or self._make_heads()
+        if mailbox.framing is not None and wrap is None:
+            return self._drain_framed(out, budget, mailbox, mailbox.framing)
+        key = encoding if self.fields is None else (encoding, self.fields)
+        queue = self.queue
+        size = 0
+        while queue and size < budget:
+            sample = queue.popleft()
+            try:
+                tail = sample.tails.get(key) or sample.tail(encoding, self.fields)
+                data = self._frame(sample) if self.dropped else head + tail
+            except RcpError:  # reported as the backend's fault where it was found
+                continue
+            self.dropped = 0
+            self.sent = sample.seq
+            size += len(data)
+            out.append(data if wrap is None else wrap(data, self, sample))
+            mailbox.updates += 1
+        return size
+
+    def _drain_framed(
+        self, out: list[bytes], budget: int, mailbox: Mailbox, framing: Framing
+    ) -> int:
+        """Drain with frames of the transport's own making, made once for all alike receivers."""
+        share = self.share
+        queue = self.queue
+        size = count = 0
+        while queue and size < budget:
+            sample = queue.popleft()
+            data = None if self.dropped else sample.tails.get(share)
+            if data is None:
+                try:
+                    data = self._make_frame(sample, out, framing)
+                except RcpError:  # reported as the backend's fault where it was found
+                    continue
+            self.sent = sample.seq
+            size += len(data)
+            count += 1
+            out.append(data)
+        mailbox.updates += count
+        return size
+
+    @property
+    def head(self) -> tuple[Encoding, bytes]:
+        """The encoding, and what every update that skips nothing begins with."""
+        encoding, head, _ = self._heads or self._make_heads()
+        return encoding, head
+
+    def _make_frame(self, sample: Sample, out: list[bytes], framing: Framing) -> bytes:
+        """Return an update as a frame; of a long one the head goes to `out` before it."""
+        encoding, head, _ = self._heads or self._make_heads()
+        text = encoding is Encoding.JSON
+        if self.dropped:
+            data = self._frame(sample)
+            self.dropped = 0
+            return framing(len(data), text) + data
+        tail = sample.tail(encoding, self.fields)
+        start = framing(len(head) + len(tail), text) + head
+        if len(tail) > SHARED:
+            out.append(start)
+            return tail
+        data = sample.tails[self.share] = start + tail
+        return data
+
+    def _frame(self, sample: Sample) -> bytes:
+        encoding, head, head_dropped = self._heads or self._make_heads()
+        if not self.named:
+            return self._first_native_frame(sample, encoding)
+        tail = sample.tail(encoding, self.fields)
+        if not self.dropped:
+            return head + tail
+        return (
+            head_dropped
+            + encode_frame({"dropped": self.dropped}, b"", encoding)[
+                1 : -1 if encoding is Encoding.JSON else None
+            ]
+            + (b"," + tail if encoding is Encoding.JSON else tail)
+        )
+
+    def _make_heads(self) -> tuple[Encoding, bytes, bytes]:
+        assert self.mailbox is not None
+        encoding = self.subscription.options.splice or self.mailbox.encoding
+        facts = {"type": "update", "id": self.subscription.id, "path": self.entry.path}
+        if self.native:
+            facts["encoding"] = "native"
+        head = encode_frame(facts, b"", encoding)
+        self.share = _shares.setdefault((head, self.fields, self.mailbox.framing), object())
+        if len(_shares) > _MANY:
+            _shares.clear()
+        if encoding is Encoding.JSON:
+            head = head[:-1] + b","
+            self._heads = encoding, head, head
+            return self._heads
+        base = _CBOR_MAP if encoding is Encoding.CBOR else _MSGPACK_MAP
+        rest = head[1:]
+        count = base + len(facts) + 3  # with number, time and body
+        self._heads = encoding, bytes((count,)) + rest, bytes((count + 1,)) + rest
+        return self._heads
+
+    def _first_native_frame(self, sample: Sample, encoding: Encoding) -> bytes:
+        if sample.native is None:
+            raise Overrun("the sample has no native form")
+        self.named = True
+        facts: dict[str, Any] = {
+            "type": "update",
+            "id": self.subscription.id,
+            "path": self.entry.path,
+            "seq": sample.seq,
+            "timestamp": sample.time,
+            "encoding": "native",
+            "native_type": self.entry.resource.native,
+        }
+        if self.dropped:
+            facts["dropped"] = self.dropped
+        facts["body"] = bytes(sample.native.data)
+        return encode_frame(facts, b"", encoding)
+
+    def leave(self) -> None:
+        """Forget what waits; the connection is gone."""
+        self.queue.clear()
+        self.backlog = None
+        self.marked = False
+        self.mailbox = None
+        self._heads = None
+        self.named = not self.native

@@ -1,0 +1,20 @@
+"""Notices: what a client is told that it did not ask for."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from rcp_kernel.clients.mailbox import Mailbox
+from rcp_kernel.clock import iso, now
+from rcp_kernel.wire import encode_frame
+
+__all__ = ["notice"]
+
+
+def notice(mailbox: Mailbox | None, code: str, **facts: Any) -> None:
+    """Tell a client something it did not ask for; without a connection nobody is told."""
+    if mailbox is None:
+        return
+    kept = {key: value for key, value in facts.items() if value is not None}
+    fields = {"type": "notice", "code": code, **kept, "timestamp": iso(now())}
+    mailbox.push(encode_frame(fields, b"", mailbox.encoding))

@@ -1,0 +1,68 @@
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rcp_kernel.access.attempts import Attempts
+from rcp_kernel.errors import RateLimited
+
+
+class Clock:
+    def __init__(self) -> None:
+        self.now = 100.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
+@given(st.lists(st.floats(0, 30), max_size=60), st.integers(1, 20))
+def test_nobody_is_locked_out_for_good(pauses: list[float], allowance: int) -> None:
+    clock = Clock()
+    attempts = Attempts(allowance, clock)
+    for pause in pauses:
+        clock.now += pause
+        attempts.failed("192.0.2.1", "wrong")
+    clock.now += 60.0 / allowance + 0.001
+    attempts.check("192.0.2.1", "fresh")
+
+
+def test_what_is_refused_unseen_does_not_count() -> None:
+    clock = Clock()
+    attempts = Attempts(3, clock)
+    for _ in range(3):
+        attempts.failed("192.0.2.1", "wrong")
+    for _ in range(1000):
+        with pytest.raises(RateLimited):
+            attempts.check("192.0.2.1", "wrong")
+    clock.now += 20.001
+    attempts.check("192.0.2.1", "wrong")
+
+
+@pytest.mark.parametrize(
+    ("one", "other", "same"),
+    [
+        ("2001:db8::1", "2001:db8::ffff", True),
+        ("2001:db8::1", "2001:db8:0:1::1", False),
+        ("::ffff:192.0.2.1", "192.0.2.1", True),
+        ("192.0.2.1", "192.0.2.2", False),
+    ],
+)
+def test_a_network_of_one_party_counts_as_one(one: str, other: str, *, same: bool) -> None:
+    attempts = Attempts(1, Clock())
+    attempts.failed(one, "wrong")
+    if same:
+        with pytest.raises(RateLimited):
+            attempts.check(other, "fresh")
+    else:
+        attempts.check(other, "fresh")
+
+
+def test_what_was_good_and_is_not_any_more_counts_as_wrong() -> None:
+    attempts = Attempts(1, Clock())
+    attempts.succeeded("good")
+    attempts.failed("192.0.2.1", "wrong")
+    attempts.check("192.0.2.1", "good")
+    attempts.failed("192.0.2.1", "good")
+    with pytest.raises(RateLimited):
+        attempts.check("192.0.2.1", "good")

@@ -1,0 +1,168 @@
+from __future__ import annotations
+
+import sys
+from contextlib import closing
+from pathlib import Path
+
+import anyio
+import pytest
+from click.testing import CliRunner
+
+from kernel.world import CONFIG, world_of
+from rcp_kernel.access.cli import token
+from rcp_kernel.access.identity import fingerprint
+from rcp_kernel.access.tokens import PREFIX, TokenFile
+from rcp_kernel.errors import RateLimited, TokenExpired, Unauthenticated
+
+pytestmark = pytest.mark.anyio
+
+_RCPD = "from rcp_kernel.process.cli import main; main()"
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> Path:
+    return tmp_path / "store.db"
+
+
+@pytest.fixture
+def text(store: Path) -> str:
+    return f'[store]\npath = "{store}"\n' + CONFIG
+
+
+@pytest.fixture
+def config(tmp_path: Path, text: str) -> Path:
+    file = tmp_path / "rcp.toml"
+    file.write_text(text)
+    return file
+
+
+async def rcpd(*words: str) -> str:
+    """Run the command line in a process of its own; return what it prints."""
+    done = await anyio.run_process([sys.executable, "-c", _RCPD, "token", *words])
+    return done.stdout.decode()
+
+
+async def test_a_token_is_good_and_is_taken_back_while_the_gateway_runs(
+    config: Path, text: str
+) -> None:
+    async with world_of(text) as world:
+        key = (await rcpd("create", "arm", "--config", str(config), "--role", "operator")).strip()
+        assert key.startswith(PREFIX)
+        assert len(key) >= 40
+        with anyio.fail_after(2):
+            while True:
+                try:
+                    client = world.client(key)
+                    break
+                except Unauthenticated:
+                    await anyio.sleep(0.02)
+        hello = await client.ask(type="hello")
+        assert (hello["body"]["principal"], hello["body"]["roles"]) == ("arm", ["operator"])
+        assert (await client.ask(type="write", path="/param/limit", body=1.0))[
+            "status"
+        ] == "completed"
+        await client.ask(type="subscribe", path="/sensor/level", id="s")
+        listed = await rcpd("list", "--config", str(config))
+        assert "arm" in listed
+        assert key not in listed
+        assert "revoked" in await rcpd("revoke", "arm", "--config", str(config))
+        with anyio.fail_after(2):
+            ended = await client.notice("subscription_ended")
+        assert (ended["id"], ended["error"]["code"]) == ("s", "token_expired")
+        assert (await client.final(None))["error"]["code"] == "token_expired"
+        assert client.connection.expelled
+        with pytest.raises(Unauthenticated):
+            world.client(key)
+
+
+def test_only_the_hash_of_a_key_is_kept(store: Path) -> None:
+    with closing(TokenFile(store)) as table:
+        made, key = table.create("arm", (("*", ("viewer",)),), None)
+        assert made.hash == fingerprint(key)
+        assert store.stat().st_mode & 0o077 == 0
+    assert key.encode() not in b"".join(f.read_bytes() for f in store.parent.iterdir())
+
+
+async def test_an_expired_token_says_so(text: str, store: Path) -> None:
+    with closing(TokenFile(store)) as table:
+        _, key = table.create("arm", (("*", ("viewer",)),), 1)
+    async with world_of(text) as world:
+        with pytest.raises(TokenExpired):
+            world.client(key)
+
+
+async def test_a_role_that_the_configuration_lost_gives_nothing(text: str, store: Path) -> None:
+    with closing(TokenFile(store)) as table:
+        _, key = table.create("arm", (("alpha", ("viewer", "gone")), ("lost", ("admin",))), None)
+    async with world_of(text) as world:
+        hello = await world.client(key).ask(type="hello")
+        assert (hello["body"]["roles"], hello["body"]["tenants"]) == (["viewer"], ["alpha"])
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["create", "arm", "--role", "operatr"], "did you mean 'operator'?"),
+        (["create", "arm", "--role", "viewer", "--tenant", "alpah"], "did you mean 'alpha'?"),
+        (["create", "arm", "--grant", "alpha"], "write TENANT=ROLE"),
+        (["create", "arm"], "--grant TENANT=ROLE"),
+        (["create", "a b", "--role", "viewer"], "a NAME has"),
+        (["create", "arm", "--role", "viewer", "--expires", "soon"], "is no day or time"),
+        (["create", "arm", "--role", "viewer", "--expires", "2020-01-01"], "is past"),
+        (["revoke", "arm"], "there is no key 'arm'"),
+    ],
+)
+def test_a_mistake_is_told_with_the_way_out(config: Path, words: list[str], said: str) -> None:
+    done = CliRunner().invoke(token, [*words, "--config", str(config)])
+    assert done.exit_code == 1
+    assert said in done.output
+
+
+def test_without_a_store_there_are_no_tokens(tmp_path: Path) -> None:
+    file = tmp_path / "rcp.toml"
+    file.write_text(CONFIG)
+    done = CliRunner().invoke(token, ["list", "--config", str(file)])
+    assert done.exit_code == 1
+    assert "add [store] with a `path`" in done.output
+
+
+def test_a_second_token_of_a_name_outlives_the_first(config: Path) -> None:
+    run = CliRunner()
+    for _ in range(2):
+        made = run.invoke(token, ["create", "arm", "--role", "viewer", "--config", str(config)])
+        assert made.exit_code == 0, made.output
+    first, second = run.invoke(token, ["list", "--config", str(config)]).output.splitlines()
+    done = run.invoke(token, ["revoke", first.split()[0], "--config", str(config)])
+    assert done.exit_code == 0, done.output
+    left = run.invoke(token, ["list", "--config", str(config)]).output.splitlines()
+    assert left == [second]
+    everything = run.invoke(token, ["list", "--all", "--config", str(config)]).output
+    assert "revoked" in everything
+
+
+async def test_a_key_of_the_configuration_expires() -> None:
+    text = CONFIG + '[[keys]]\nname = "old"\nrole = "viewer"\nkey = "key-that-is-old-now"\n'
+    async with world_of(text + 'expires = "2020-01-01"\n') as world:
+        with pytest.raises(TokenExpired):
+            world.client("key-that-is-old-now")
+    async with world_of(text + 'expires = "2200-01-01"\n') as world:
+        world.client("key-that-is-old-now")
+
+
+async def test_guessing_is_slowed_and_who_was_good_goes_on() -> None:
+    from rcp_kernel.access.peer import Peer
+
+    async with world_of(CONFIG + "[limits]\nfailed_logins = 5\n") as world:
+        door = world.server.door
+        here, there = Peer("192.0.2.1"), Peer("192.0.2.2")
+        door.authenticate("operator-operator", here)
+        for number in range(5):
+            with pytest.raises(Unauthenticated):
+                door.authenticate(f"guess-{number}", here)
+        with pytest.raises(RateLimited) as limited:
+            door.authenticate("admin-admin-admin", here)
+        assert 0 < (limited.value.retry_after or 0) <= 12
+        assert door.authenticate("operator-operator", here).name == "operator"
+        assert door.authenticate(None, here).anonymous
+        assert door.authenticate("admin-admin-admin", there).name == "admin"
+        assert door.authenticate("admin-admin-admin", here).name == "admin"

@@ -1,0 +1,213 @@
+"""Receivers of the same bytes share their making, and nothing of each other's fate."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from typing import Any
+
+import pytest
+
+from kernel.world import World
+from rcp_kernel.model import Resource
+from rcp_kernel.streaming.chorus import Chorus
+from rcp_kernel.values import Encoding
+
+pytestmark = pytest.mark.anyio
+LEVEL = "/tenant/alpha/sensor/level"
+
+
+class Socket:
+    """A transport that frames messages and takes them only when it is told to."""
+
+    def __init__(
+        self, world: World, depth: int, id_: str = "s", path: str = LEVEL, **body: Any
+    ) -> None:
+        door = world.server.door
+        self.connection = door.connect(door.authenticate(None), Encoding.JSON, lambda: None)
+        self.connection.mailbox.framing = lambda size, _text: b"%04d" % size
+        envelope = {
+            "type": "subscribe",
+            "id": id_,
+            "path": path,
+            "body": {"qos": {"depth": depth}, **body},
+        }
+        self.connection.receive(json.dumps(envelope).encode())
+        self.take()
+
+    def take(self) -> list[Any]:
+        """Collect what waits, and cut it where the frames say."""
+        return _cut(b"".join(self.connection.mailbox.collect()))
+
+
+def _cut(data: bytes) -> list[Any]:
+    out: list[Any] = []
+    while data:
+        size = int(data[:4])
+        out.append(json.loads(data[4 : 4 + size]))
+        data = data[4 + size :]
+    return out
+
+
+def publish(world: World, *values: float) -> None:
+    for value in values:
+        world.robot.host.publish("sensor/level", value)
+
+
+async def test_receivers_of_the_same_bytes_are_served_from_one_ring(world: World) -> None:
+    sockets = [Socket(world, 8) for _ in range(3)]
+    listeners = world.server.gateway.registry.entries[LEVEL].listeners
+    assert [type(listener) for listener in listeners] == [Chorus]
+    publish(world, 1.0, 2.0)
+    taken = [socket.take() for socket in sockets]
+    assert [m["body"] for m in taken[0]] == [1.0, 2.0]
+    assert taken[0] == taken[1] == taken[2]
+
+
+async def test_one_that_falls_behind_skips_alone_and_is_told(world: World) -> None:
+    quick, slow = Socket(world, 4), Socket(world, 4)
+    seen: list[float] = []
+    for value in range(10):
+        publish(world, float(value))
+        seen += [m["body"] for m in quick.take()]
+    assert seen == [float(value) for value in range(10)]
+    late = slow.take()
+    assert [m["body"] for m in late] == [6.0, 7.0, 8.0, 9.0]
+    assert [m.get("dropped") for m in late] == [6, None, None, None]
+    publish(world, 10.0)
+    assert slow.take() == quick.take()
+
+
+async def test_a_newcomer_hears_only_what_comes_after_it(world: World) -> None:
+    first = Socket(world, 8)
+    publish(world, 1.0)
+    second = Socket(world, 8)
+    publish(world, 2.0)
+    assert [m["body"] for m in first.take()] == [1.0, 2.0]
+    assert [m["body"] for m in second.take()] == [2.0]
+
+
+async def test_those_who_leave_are_forgotten(world: World) -> None:
+    sockets = [Socket(world, 8) for _ in range(2)]
+    listeners = world.server.gateway.registry.entries[LEVEL].listeners
+    sockets[0].connection.close()
+    publish(world, 1.0)
+    assert [m["body"] for m in sockets[1].take()] == [1.0]
+    sockets[1].connection.close()
+    assert listeners == []
+
+
+async def test_a_bad_value_is_left_out_for_all(world: World) -> None:
+    sockets = [Socket(world, 8) for _ in range(2)]
+    publish(world, 1.0, float("nan"), 2.0)
+    assert [[m["body"] for m in socket.take()] for socket in sockets] == [[1.0, 2.0]] * 2
+
+
+class Direct(Socket):
+    """A transport that takes frames at once, unless its socket is full."""
+
+    def __init__(self, world: World, depth: int, **body: Any) -> None:
+        super().__init__(world, depth, **body)
+        self.got: list[bytes] = []
+        self.full = False
+        self.connection.mailbox.direct = self.pass_on
+
+    def pass_on(self, parts: list[bytes]) -> bool:
+        if not self.full:
+            self.got += parts
+        return not self.full
+
+    def bodies(self) -> list[float]:
+        """Take apart what was passed on."""
+        data, self.got = b"".join(self.got), []
+        return [message["body"] for message in _cut(data)]
+
+
+async def turn() -> None:
+    """Let a tick pass."""
+    for _ in range(2):
+        await asyncio.sleep(0)
+
+
+async def test_who_takes_frames_at_once_need_not_collect_them(world: World) -> None:
+    sockets = [Direct(world, 8) for _ in range(3)]
+    publish(world, 1.0, 2.0)
+    await turn()
+    publish(world, 3.0)
+    await turn()
+    assert [socket.bodies() for socket in sockets] == [[1.0, 2.0, 3.0]] * 3
+    assert [socket.take() for socket in sockets] == [[], [], []]
+
+
+async def test_a_full_socket_is_passed_nothing_before_it_has_collected(world: World) -> None:
+    full, other = Direct(world, 4), Direct(world, 4)
+    full.full = True
+    publish(world, 1.0)
+    await turn()
+    full.full = False
+    publish(world, 2.0)
+    await turn()
+    assert full.got == []
+    assert [m["body"] for m in full.take()] == [1.0, 2.0]
+    publish(world, 3.0)
+    await turn()
+    assert full.bodies() == [3.0]
+    assert other.bodies() == [1.0, 2.0, 3.0]
+
+
+async def test_replies_that_wait_go_out_before_what_is_published_later(world: World) -> None:
+    socket = Direct(world, 4)
+    socket.connection.receive(b'{"type":"ping","id":"p"}')
+    publish(world, 1.0)
+    await turn()
+    assert socket.got == []
+    assert [m["type"] for m in socket.take()] == ["ping", "update"]
+
+
+async def test_what_a_backend_publishes_in_one_call_goes_out_at_its_end(world: World) -> None:
+    socket = Direct(world, 8)
+    found: asyncio.Future[list[float]] = asyncio.get_running_loop().create_future()
+
+    def both() -> None:
+        asyncio.get_running_loop().call_soon(lambda: found.set_result(socket.bodies()))
+        publish(world, 1.0, 2.0)
+
+    world.robot.host.call_soon(both)
+    assert await found == [1.0, 2.0]
+
+
+class Frame:
+    """A value in a form of its robot's own."""
+
+    def __init__(self, data: bytes) -> None:
+        self.data = data
+
+    def decode(self) -> str:
+        return self.data.decode()
+
+
+async def test_native_bytes_are_shared_too_and_named_once(world: World) -> None:
+    world.robot.host.declare(
+        Resource(name="sensor/frame", description="A frame.", value=str, native="frame", live=True)
+    )
+    path = "/tenant/alpha/sensor/frame"
+    sockets = [Direct(world, 2, path=path, encoding="native") for _ in range(2)]
+
+    async def told(*data: bytes) -> list[list[dict[str, Any]]]:
+        for one in data:
+            world.robot.host.publish("sensor/frame", Frame(one))
+        await turn()
+        return [socket.take() or _cut(b"".join(socket.got)) for socket in sockets]
+
+    first, second = (one for (one,) in await told(b"one"))
+    assert first == second
+    assert (first["encoding"], first["native_type"], first["body"]) == ("native", "frame", "b25l")
+    again = await told(b"two")
+    assert again[0] == again[1]
+    assert [(m["body"], m["encoding"], m.get("native_type")) for m in again[0]] == [
+        ("dHdv", "native", None)
+    ]
+    for socket in sockets:
+        socket.got.clear()
+    behind = await told(b"1", b"2", b"3")
+    assert [(m["body"], m.get("dropped")) for m in behind[0]] == [("Mg==", 1), ("Mw==", None)]
