@@ -108,6 +108,7 @@ async def open_mavlink(config: MavlinkConfig, host: Host) -> AsyncGenerator[Mavl
         try:
             yield backend
         finally:
+            hub.found = hub.changed = lambda _: None
             looking.cancel()
             await asyncio.gather(looking, return_exceptions=True)
             for robot in backend.robots.values():

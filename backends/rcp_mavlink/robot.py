@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import AsyncGenerator, Awaitable, Callable
+from collections.abc import AsyncGenerator, Awaitable, Callable, Coroutine
 from contextlib import AbstractAsyncContextManager, asynccontextmanager, suppress
 from fnmatch import fnmatchcase
 from typing import Any
@@ -68,6 +68,7 @@ class Robot:
             self._paths.setdefault(number, []).append((self.name(sensor.name), sensor.live))
         self._declared: set[str] = set()
         self._tasks: set[asyncio.Task[None]] = set()
+        self._closed = False
         self._clock = 0
         self.telling = Telling(hub, vehicle, self._publish)
         missions = Missions(vehicle, self._commands, self.plans, self.motion)
@@ -131,6 +132,7 @@ class Robot:
 
     async def close(self) -> None:
         """Let go of it."""
+        self._closed = True
         self.setpoints.end()
         for task in list(self._tasks):
             task.cancel()
@@ -140,7 +142,10 @@ class Robot:
         self.vehicle.on_frame.clear()
         self.vehicle.on_text.clear()
 
-    def _start(self, work: Any) -> None:
+    def _start(self, work: Coroutine[Any, Any, None]) -> None:
+        if self._closed:  # the vehicle may be heard again before the links are closed
+            work.close()
+            return
         task = asyncio.get_running_loop().create_task(work)
         self._tasks.add(task)
         task.add_done_callback(self._tasks.discard)

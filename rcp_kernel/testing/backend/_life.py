@@ -19,7 +19,7 @@ __all__ = ["LifeTests"]
 
 _POOLS = ("AnyIO worker thread", "asyncio_")  # of the event loop, which keeps them
 
-_LETTING_GO = 1.0  # s
+_LETTING_GO = 5.0  # s
 
 
 def _threads() -> set[threading.Thread]:
