@@ -19,6 +19,7 @@ from rcp_can.bus import Bus
 from rcp_can.codec import clamp
 from rcp_can.config_motor import MotorConfig
 from rcp_can.drive import Drive, Fault
+from rcp_can.faultbook import FaultBook
 from rcp_can.health import Health
 from rcp_can.ramp import Ramp
 from rcp_kernel.errors import AdapterUnavailable, ModeForbids, RcpError
@@ -30,9 +31,8 @@ if TYPE_CHECKING:
 __all__ = ["Axis"]
 
 log = structlog.get_logger("rcp.can")
-_RESTING = (
-    0.02  # rad/s at the drive's shaft, below which it rests, beside the motor's own tolerance
-)
+_RESTING = 0.02  # rad/s at the drive's shaft, below which it rests, whatever the motor's tolerance
+_LAG = 0.2  # s that a joint may be behind its ramp, and still stop where that stops
 _RETRY = 1.0  # s between two attempts to configure a drive
 
 
@@ -69,8 +69,7 @@ class Axis:
         self._after_stop = 0
         self._seen = (0, 0, 0, 0)
         self._shown: m.MotorState | None = None
-        self.faults: dict[str, Fault] = {}
-        self._own: dict[str, Fault] = {}
+        self.faults = FaultBook(name, host)
         self._ready = False
         self._configuring: asyncio.Task[None] | None = None
         self._tick = 0
@@ -150,7 +149,7 @@ class Axis:
 
     def _appear(self) -> None:
         self.online = True
-        self._own.pop("feedback_lost", None)
+        self.faults.take_back("feedback_lost")
         self._health.say(self.name, None)
         self._configure()
 
@@ -167,7 +166,7 @@ class Axis:
                 self.fault("configuration", f"it could not be configured: {error.message}")
                 await asyncio.sleep(_RETRY)
             else:
-                self._own.pop("configuration", None)
+                self.faults.take_back("configuration")
                 self._ready = True
                 if self.status.position is not None:
                     self.first.set()
@@ -227,17 +226,19 @@ class Axis:
         if not self._ready and self._configuring is not None:
             await asyncio.wait((self._configuring,), timeout=_RETRY)
         if not self._ready:
-            fault = self._own.get("configuration")
+            fault = self.faults.own("configuration")
             raise AdapterUnavailable(
                 f"motor '{self.name}': " + (fault.text if fault else "it is being configured")
             )
 
-    def command(self, mode: m.Mode, value: float) -> None:
-        """Make a set-point stand, until the next."""
+    def command(
+        self, mode: m.Mode, value: float, path: Callable[[], tuple[float, float]] | None = None
+    ) -> None:
+        """Make a set-point stand, until the next; a path tells how it is reached."""
         self.stopping = False
         if mode != self.mode:
             self.ramp.start(self.position or 0.0, self.velocity or 0.0)
-        self.ramp.limit = self.velocity_limit
+        self.ramp.limit, self.ramp.path = self.velocity_limit, path
         self.mode, self.goal = mode, value
         if self._step_due:
             self._step_due = False
@@ -250,6 +251,16 @@ class Axis:
             self.command("velocity" if "velocity" in self.drive.modes else "torque", 0.0)
         else:
             self.forget(None)
+
+    def hold(self) -> None:
+        """Come to rest by the ramp, and keep to the position where that is."""
+        if self.mode == "position" and self.position is not None:
+            here, ramp = self.position, self.ramp
+            near = abs(ramp.velocity) * _LAG + self.config.tolerance
+            goal = clamp(ramp.position, here - near, here + near) + ramp.braking
+            self.command("position", clamp(goal, self.low, self.high))
+        elif self.mode is not None:
+            self.rest()
 
     def stop(self) -> None:
         """Quick stop: brake hard, again and again until the drive says that it rests."""
@@ -357,19 +368,16 @@ class Axis:
         """Tell of a fault that the gateway sees; a lasting one stands until it is taken back."""
         fault = Fault(name, text)
         if lasting:
-            self._own[name] = fault
+            self.faults.note(fault)
             self.show()
         else:
-            self._tell(fault, active=True)
+            self.faults.tell(fault, active=True)
 
-    def absolve(self) -> None:
-        """Take back the faults that the gateway itself has seen, but for a link that is lost."""
-        self._own = {k: v for k, v in self._own.items() if k in ("feedback_lost", "configuration")}
+    async def clear_faults(self) -> None:
+        """Have the drive acknowledge its faults, and take back those that the gateway has seen."""
+        await self.drive.clear_faults()
+        self.faults.absolve()
         self.show()
-
-    def _tell(self, fault: Fault, *, active: bool) -> None:
-        value = m.MotorFault(fault=fault.name, text=fault.text, active=active, code=fault.code)
-        self._host.publish(f"event/{self.name}/fault", value)
 
     def show_health(self) -> None:
         """Publish temperatures and supply."""
@@ -378,14 +386,7 @@ class Axis:
 
     def show(self) -> None:
         """Publish the state, and the faults that came or went, if something changed."""
-        faults = {fault.name: fault for fault in self.status.faults} | self._own
-        if faults != self.faults:
-            for name, fault in faults.items():
-                if self.faults.get(name) != fault:
-                    self._tell(fault, active=True)
-            for name in self.faults.keys() - faults.keys():
-                self._tell(self.faults[name], active=False)
-            self.faults = faults
+        self.faults.update(self.status.faults)
         value = views.state(self)
         if value != self._shown:
             self._shown = value

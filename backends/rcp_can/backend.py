@@ -18,6 +18,7 @@ from rcp_can.crew import by_rate, heard, make_axes, run_axes, simulated
 from rcp_can.device import DevicePart
 from rcp_can.diff_drive import DiffDrivePart
 from rcp_can.health import Health
+from rcp_can.joint_group import JointGroupPart
 from rcp_can.motor import MotorPart
 from rcp_can.raw import BusPart
 from rcp_kernel.errors import ConfigError, UnknownPath
@@ -98,7 +99,11 @@ async def open_buses(config: CanConfig, host: Host) -> AsyncGenerator[CanBackend
         DiffDrivePart(name, drive, axes[drive.left], axes[drive.right])
         for name, drive in config.diff_drives.items()
     ]
-    for part in (*lines, *map(MotorPart, axes.values()), *devices, *drives):
+    groups = [
+        JointGroupPart(name, group, [axes[joint] for joint in group.joints], host)
+        for name, group in config.joint_groups.items()
+    ]
+    for part in (*lines, *map(MotorPart, axes.values()), *devices, *drives, *groups):
         backend.add(part)
     try:
         async with anyio.create_task_group() as tasks:

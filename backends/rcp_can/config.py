@@ -9,6 +9,7 @@ from msgspec import Meta, Struct
 
 from rcp_can.config_device import DeviceConfig
 from rcp_can.config_diff_drive import DiffDriveConfig
+from rcp_can.config_joints import JointGroupConfig
 from rcp_can.config_motor import MotorConfig
 from rcp_can.config_names import BusName, Name, Seconds
 
@@ -66,6 +67,7 @@ class CanConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     motors: dict[Name, MotorConfig] = {}
     devices: dict[Name, DeviceConfig] = {}
     diff_drives: dict[Name, DiffDriveConfig] = {}
+    joint_groups: dict[Name, JointGroupConfig] = {}
     grace: Annotated[float, Meta(ge=0, extra_json_schema={"unit": "s"})] = 1.0
     """For motors to be heard of, before the backend counts as open without them."""
 
@@ -74,6 +76,10 @@ class CanConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
             for wheel in (drive.left, drive.right):
                 if wheel not in self.motors:
                     raise ValueError(f"diff_drives.{name}: there is no motor {wheel!r}")
+        for name, group in self.joint_groups.items():
+            for joint in group.joints:
+                if joint not in self.motors:
+                    raise ValueError(f"joint_groups.{name}.joints: there is no motor {joint!r}")
         known = ", ".join(self.buses)
         for table in ("motors", "devices"):
             for name, on in getattr(self, table).items():

@@ -24,7 +24,7 @@ from rcp_kernel.errors import (
 from rcp_kernel.model import Resource
 from rcp_kernel.spi import Progress
 
-__all__ = ["MotorPart", "drive_to", "rested"]
+__all__ = ["MotorPart", "abandon", "drive_to", "released", "rested"]
 
 _FEEDBACK = 0.1  # s between two reports of a move
 _SETTLE = 3.0  # s that the joint may need after its set-point has arrived
@@ -80,7 +80,7 @@ class MotorPart(Part):
         axis = self.axis
         verb = name.rpartition("/")[2]
         await axis.ready()
-        await _released(axis)
+        await released(axis)
         if axis.owner is not None and verb in ("enable", "set_zero", "home", "move_to"):
             raise ModeForbids(f"motor '{axis.name}' is driven by {axis.owner}")
         match verb:
@@ -89,8 +89,7 @@ class MotorPart(Part):
             case "disable":
                 await axis.disable()
             case "clear_faults":
-                await axis.drive.clear_faults()
-                axis.absolve()
+                await axis.clear_faults()
             case "set_zero":
                 await self._zero()
             case "home":
@@ -134,7 +133,7 @@ class MotorPart(Part):
         try:
             await _guarded(axis, axis.drive.home())
         except (asyncio.CancelledError, RcpError) as error:
-            await _abandon(axis, error)
+            await abandon(axis, error)
             raise
         finally:
             axis.owner = axis.ended = None
@@ -154,7 +153,7 @@ class MotorPart(Part):
         try:
             await drive_to(axis, move, progress)
         except (asyncio.CancelledError, RcpError) as error:
-            await _abandon(axis, error)
+            await abandon(axis, error)
             raise
         finally:
             axis.owner = axis.ended = None
@@ -233,7 +232,7 @@ async def drive_to(axis: Axis, move: m.Move, progress: Progress) -> None:
             )
 
 
-async def _abandon(axis: Axis, why: BaseException) -> None:
+async def abandon(axis: Axis, why: BaseException) -> None:
     """Bring a joint to rest whose move is over, unless its drive is out of our hands already."""
     axis.ended = None
     if why is axis.gone or axis.stopping or not axis.online or not axis.status.enabled:
@@ -249,7 +248,7 @@ async def _abandon(axis: Axis, why: BaseException) -> None:
         axis.leaving = False
 
 
-async def _released(axis: Axis) -> None:
+async def released(axis: Axis) -> None:
     """Wait for an action that is over to let go of the motor."""
     while axis.leaving:  # noqa: ASYNC110  # it is let go of by a task that nobody wakes for
         await asyncio.sleep(_LOOK)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 from rcp_can.codec import clamp
 
@@ -20,11 +21,20 @@ class Ramp:
         self._limit, self._acceleration = velocity, acceleration
         self.limit = velocity
         """The velocity in force, rad/s; a move may ask for less."""
+        self.path: Callable[[], tuple[float, float]] | None = None
+        """What prescribes position and velocity in its stead, where something does."""
+
+    @property
+    def braking(self) -> float:
+        """How far it goes on until it can be at rest, with its sign."""
+        if self._acceleration is None:
+            return 0.0
+        return self.velocity * abs(self.velocity) / 2 / self._acceleration
 
     def start(self, position: float, velocity: float) -> None:
         """Begin where the joint is, as it moves."""
         self.position, self.velocity = position, velocity
-        self.limit = self._limit
+        self.limit, self.path = self._limit, None
 
     def to_velocity(self, target: float, dt: float) -> float:
         """Advance towards a velocity; return the set-point."""
@@ -33,6 +43,9 @@ class Ramp:
 
     def to_position(self, target: float, dt: float) -> float:
         """Advance towards a position; return the set-point."""
+        if self.path is not None:
+            self.position, self.velocity = self.path()
+            return self.position
         left = target - self.position
         acceleration = self._acceleration
         wanted = self.limit

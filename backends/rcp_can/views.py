@@ -38,7 +38,7 @@ def state(axis: Axis) -> m.MotorState:
     return m.MotorState(
         state=axis.state,
         mode=axis.mode,
-        faults=sorted(axis.faults),
+        faults=sorted(axis.faults.standing),
         reached=axis.status.reached,
         homed=axis.status.homed,
     )

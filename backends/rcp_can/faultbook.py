@@ -1,0 +1,58 @@
+"""The faults of one motor, by whoever sees them: told when they come, and when they go."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from rcp_can import motor_messages as m
+from rcp_can.drive import Fault
+from rcp_kernel.spi import Host
+
+__all__ = ["FaultBook"]
+
+_STAYING = frozenset(("feedback_lost", "heartbeat_lost", "configuration"))
+"""Faults that end when what they tell of does, and not by being acknowledged."""
+
+
+class FaultBook:
+    """What stands now; published as `event/<motor>/fault`."""
+
+    def __init__(self, motor: str, host: Host) -> None:
+        self.standing: dict[str, Fault] = {}
+        self._own: dict[str, Fault] = {}
+        self._event, self._host = f"event/{motor}/fault", host
+
+    def note(self, fault: Fault) -> None:
+        """Have a fault that the gateway sees stand until it is taken back."""
+        self._own[fault.name] = fault
+
+    def own(self, name: str) -> Fault | None:
+        """Return a fault that the gateway sees, if it stands."""
+        return self._own.get(name)
+
+    def take_back(self, *names: str) -> None:
+        """End faults that the gateway has seen."""
+        for name in names:
+            self._own.pop(name, None)
+
+    def absolve(self) -> None:
+        """End what the gateway has seen, but for what goes on."""
+        self._own = {name: fault for name, fault in self._own.items() if name in _STAYING}
+
+    def update(self, of_the_drive: Iterable[Fault]) -> None:
+        """Tell what has come and gone since the last time."""
+        faults = {fault.name: fault for fault in of_the_drive} | self._own
+        old = self.standing
+        if faults == old:
+            return
+        self.standing = faults
+        for name, fault in faults.items():
+            if old.get(name) != fault:
+                self.tell(fault, active=True)
+        for name in old.keys() - faults.keys():
+            self.tell(old[name], active=False)
+
+    def tell(self, fault: Fault, *, active: bool) -> None:
+        """Publish that a fault has come, or gone."""
+        value = m.MotorFault(fault=fault.name, text=fault.text, active=active, code=fault.code)
+        self._host.publish(self._event, value)

@@ -1,0 +1,307 @@
+"""Several motors as one robot: joint positions as they come, and moves that all joints make together."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Coroutine, Iterable, Sequence
+from typing import Any
+
+import anyio
+
+from rcp_can import motor_messages as m
+from rcp_can.axis import Axis
+from rcp_can.binding import Part
+from rcp_can.config_joints import JointGroupConfig
+from rcp_can.joint_types import joint_types
+from rcp_can.motor import abandon, drive_to, released, rested
+from rcp_can.path import Leg, Path
+from rcp_kernel.errors import AdapterUnavailable, ConfigError, InvalidValue, ModeForbids, RcpError
+from rcp_kernel.model import Resource
+from rcp_kernel.spi import Host, Progress
+
+__all__ = ["JointGroupPart"]
+
+_LOOK = 0.01  # s
+_FEEDBACK = 0.1  # s between two reports of a move
+_MOVE = 120.0  # s
+
+
+class JointGroupPart(Part):
+    """One joint group; its joints stay motors of their own, too.
+
+    :raises ConfigError: one of the motors takes no positions.
+    """
+
+    def __init__(
+        self, name: str, config: JointGroupConfig, axes: Sequence[Axis], host: Host
+    ) -> None:
+        for axis in axes:
+            if "position" not in axis.drive.modes:
+                raise ConfigError(
+                    f"joint_groups.{name}.joints: '{axis.name}' ({axis.config.profile}) takes no "
+                    "positions; leave it out"
+                )
+        self._name, self._config, self._axes, self._host = name, config, tuple(axes), host
+        self._types = joint_types(self._axes)
+        self._states = f"sensor/{name}/joints"
+        self._ended: list[RcpError] | None = None
+        """Where the move that is under way is told that it is over."""
+        self._seen = 0
+        for bus in {axis.bus for axis in axes}:
+            bus.after_batch(self._batch)
+
+    def resources(self) -> list[Resource]:
+        """Offer joint positions and moves."""
+        name, types = self._name, self._types
+        middle = {axis.name: _near_rest(axis) for axis in self._axes}
+        meta = {"joints": [axis.name for axis in self._axes]}
+        return [
+            Resource(
+                name=self._states,
+                description=f"Positions and velocities of all joints of '{name}'.",
+                value=types.states,
+                live=True,
+                deadline=max(axis.config.timeout for axis in self._axes),
+                meta=meta,
+            ),
+            Resource(
+                name=f"actuator/{name}/joints",
+                description="Where the joints go; one that is not named stays where it is.",
+                value=types.targets,
+                examples=(middle, {}),
+                max_age=1.0,
+                valid_for=self._config.valid_for,
+                safe={},
+                meta=meta,
+            ),
+            Resource(
+                name=f"action/{name}/move_joints",
+                description="Move joints together in a straight line; done when every drive says so.",
+                input=types.move,
+                output=types.moved,
+                feedback=types.feedback,
+                examples=({"positions": middle}, {"positions": middle, "speed": 0.5}),
+                timeout=_MOVE,
+                max_age=1.0,
+                meta=meta,
+            ),
+            *(
+                Resource(
+                    name=f"service/{name}/{verb}",
+                    description=f"Joints of '{name}': {text}",
+                    timeout=10.0,
+                )
+                for verb, text in _SERVICES.items()
+            ),
+        ]
+
+    def _batch(self) -> None:
+        seen = sum(axis.status.moved for axis in self._axes)
+        if seen != self._seen and all(axis.online for axis in self._axes):
+            self._seen = seen
+            if (value := self._value()) is not None:
+                self._host.publish(self._states, value)
+
+    def _value(self) -> Any:
+        positions, velocities = self._positions(), [axis.velocity for axis in self._axes]
+        if positions is None or None in velocities:
+            return None
+        kind = self._types.states
+        speeds = _type_of(kind, "velocities")
+        return kind(positions=positions, velocities=_filled(speeds, velocities))
+
+    def _positions(self) -> Any:
+        found = [axis.position for axis in self._axes]
+        kind = _type_of(self._types.states, "positions")
+        return None if None in found else _filled(kind, found)
+
+    async def read(self, name: str) -> Any:
+        """Return what the drives said last, if all of them still say something."""
+        if name != self._states:
+            return await super().read(name)
+        for axis in self._axes:
+            axis.check_link()
+        if (value := self._value()) is None:
+            raise AdapterUnavailable(f"not every joint of '{self._name}' has told its position yet")
+        return value
+
+    async def write(self, name: str, value: Any) -> None:
+        """Make positions stand, for all that are named or for none; the other joints stay."""
+        targets = self._targets(value)
+        if not targets and self._ended is not None:
+            self._ended.append(ModeForbids("a stop of the joints ended the move"))
+            return
+        for axis in self._axes:
+            self._check(axis, moves=bool(targets))
+        for axis in self._axes:
+            if axis in targets:
+                axis.command("position", targets[axis])
+            elif axis.status.enabled and not axis.stopping:
+                axis.hold()
+
+    def _targets(self, value: Any) -> dict[Axis, float]:
+        found = zip(self._axes, value.__struct_fields__, strict=True)
+        wanted = {axis: getattr(value, field) for axis, field in found}
+        return {axis: position for axis, position in wanted.items() if position is not None}
+
+    def _check(self, axis: Axis, *, moves: bool) -> None:
+        if not moves:
+            axis.check_link()
+            if axis.owner is not None:
+                axis.forget(ModeForbids(f"a stop of '{self._name}' ended the move"))
+            return
+        if axis.owner is not None:
+            raise ModeForbids(
+                f"motor '{axis.name}' is driven by {axis.owner}", remedy="Cancel that first."
+            )
+        axis.check()
+
+    async def execute(self, name: str, value: Any, progress: Progress) -> Any:
+        """Move together, or switch all joints."""
+        verb = name.rpartition("/")[2]
+        for axis in self._axes:
+            await axis.ready()
+            await released(axis)
+        match verb:
+            case "enable":
+                await _together(axis.enable() for axis in self._axes if not axis.status.enabled)
+            case "disable":
+                await _together(axis.disable() for axis in self._axes)
+            case "clear_faults":
+                await _together(axis.clear_faults() for axis in self._axes)
+            case _:
+                return await self._move(value, name, progress)
+        return None
+
+    # Moves
+
+    async def _move(self, move: Any, name: str, progress: Progress) -> Any:
+        targets = self._targets(move.positions)
+        if not targets:
+            raise InvalidValue("no joint is to be moved", details={"pointer": "/positions"})
+        for axis in targets:
+            self._check(axis, moves=True)
+        legs = {axis: self._leg(axis, goal, move.speed) for axis, goal in targets.items()}
+        path = Path(legs.values())
+        self._ended = ended = []
+        started = time.monotonic()
+        for axis in legs:
+            axis.owner = name
+        try:
+            await self._go(legs, path, ended, progress)
+            await self._arrive(legs, ended)
+        except (asyncio.CancelledError, RcpError) as error:
+            self._ended = None
+            await _halted(legs, path, error)
+            raise
+        finally:
+            self._ended = None
+            for axis in legs:
+                axis.owner = axis.ended = None
+        duration = time.monotonic() - started
+        return self._types.moved(positions=self._positions(), duration=duration)
+
+    def _leg(self, axis: Axis, goal: float, speed: float) -> Leg:
+        acceleration = axis.config.acceleration or self._config.acceleration
+        start = axis.position
+        assert start is not None  # or it would not be ready
+        return Leg(start, goal, axis.velocity_limit * speed, acceleration)
+
+    async def _go(
+        self, legs: dict[Axis, Leg], path: Path, ended: list[RcpError], progress: Progress
+    ) -> None:
+        for axis, leg in legs.items():
+            axis.ended = ended.append
+            axis.command("position", leg.goal, path.follow(leg))
+        told = 0.0
+        while not path.over:
+            if time.monotonic() - told >= _FEEDBACK and (here := self._positions()) is not None:
+                told = time.monotonic()
+                left = max(abs(leg.goal - (axis.position or 0.0)) for axis, leg in legs.items())
+                feedback = self._types.feedback(positions=here, left=left)
+                progress(feedback, fraction=path.advance()[0])
+            await asyncio.sleep(_LOOK)
+            if ended:
+                raise ended[0]
+
+    async def _arrive(self, legs: dict[Axis, Leg], ended: list[RcpError]) -> None:
+        """Have every drive say that it is at its goal."""
+        ways = _together(
+            drive_to(axis, m.Move(position=leg.goal), _silently) for axis, leg in legs.items()
+        )
+        arriving = asyncio.ensure_future(ways)
+        try:
+            while not arriving.done():
+                await asyncio.wait((arriving,), timeout=_LOOK)
+                if ended:
+                    raise ended[0]
+            arriving.result()
+        finally:
+            arriving.cancel()
+            with anyio.CancelScope(shield=True):
+                await asyncio.wait((arriving,))
+
+
+_SERVICES = {
+    "enable": "switch the power stages on, at rest.",
+    "disable": "switch the power stages off.",
+    "clear_faults": "acknowledge the faults; they stay switched off.",
+}
+
+
+async def _halted(legs: dict[Axis, Leg], path: Path, why: BaseException) -> None:
+    """Brake on the way that the joints share, and see each of them at rest."""
+    with anyio.CancelScope(shield=True):
+        path.brake()
+        for axis in legs:
+            axis.ended, axis.leaving = None, True
+        while not path.over and any(axis.mode == "position" for axis in legs):  # noqa: ASYNC110
+            await asyncio.sleep(_LOOK)
+        await _together(_settle(axis, why) for axis in legs)
+
+
+async def _settle(axis: Axis, why: BaseException) -> None:
+    try:
+        if axis.mode == "position" and why is not axis.gone:
+            await rested(axis)  # and it keeps to the place where it has braked
+        else:
+            await abandon(axis, why)
+    except RcpError:
+        axis.stop()
+    finally:
+        axis.leaving = False
+
+
+async def _together(work: Iterable[Coroutine[Any, Any, None]]) -> None:
+    """Do all at once; the first failure ends the rest, and is raised."""
+    tasks = [asyncio.ensure_future(each) for each in work]
+    if not tasks:
+        return
+    try:
+        await asyncio.wait(tasks, return_when=asyncio.FIRST_EXCEPTION)
+    finally:
+        for task in tasks:
+            task.cancel()
+        with anyio.CancelScope(shield=True):
+            await asyncio.wait(tasks)
+    for task in tasks:
+        if not task.cancelled() and (error := task.exception()) is not None:
+            raise error
+
+
+def _silently(*_: Any, **__: Any) -> None:
+    """Leave the reports to the group."""
+
+
+def _near_rest(axis: Axis) -> float:
+    low, high = max(axis.low, -1.0), min(axis.high, 1.0)
+    return round(low + 0.55 * (high - low), 4)
+
+
+def _type_of(struct: Any, field: str) -> Any:
+    return struct.__annotations__[field]
+
+
+def _filled(kind: Any, values: Sequence[Any]) -> Any:
+    return kind(**dict(zip(kind.__struct_fields__, values, strict=True)))

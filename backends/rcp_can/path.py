@@ -1,0 +1,89 @@
+"""A straight way that several joints go together: one trapezoid that all of them share."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterable
+from typing import NamedTuple
+
+__all__ = ["Leg", "Path"]
+
+_LATE = 0.1  # s: a longer gap counts as this, so that no joint leaps
+
+
+class Leg(NamedTuple):
+    """The part of one joint; rad, rad/s and rad/s² at the joint."""
+
+    start: float
+    goal: float
+    velocity: float
+    acceleration: float
+
+    @property
+    def way(self) -> float:
+        """How far it goes, with its sign."""
+        return self.goal - self.start
+
+
+class Path:
+    """The parts begin, speed up, brake and end at the same moments, each within its own limits.
+
+    Time goes on with each look at it.
+    """
+
+    def __init__(self, legs: Iterable[Leg], clock: Callable[[], float] = time.monotonic) -> None:
+        ways = [leg for leg in legs if leg.way]
+        speed = min((leg.velocity / abs(leg.way) for leg in ways), default=math.inf)
+        self._acceleration = min((leg.acceleration / abs(leg.way) for leg in ways), default=1.0)
+        self._peak = min(speed, math.sqrt(self._acceleration))
+        self._clock = clock
+        self._last = clock()
+        self._elapsed = 0.0
+        self._braked: tuple[float, float, float] | None = None
+        self.duration = 1 / self._peak + self._peak / self._acceleration if ways else 0.0
+        """Seconds it takes, unless it is braked."""
+
+    def follow(self, leg: Leg) -> Callable[[], tuple[float, float]]:
+        """Return what tells the position and velocity of one joint now."""
+
+        def now() -> tuple[float, float]:
+            part, speed = self.advance()
+            return leg.start + leg.way * part, leg.way * speed
+
+        return now
+
+    def advance(self) -> tuple[float, float]:
+        """Return how far it is, 0 to 1, and how much of it is gone in a second."""
+        now = self._clock()
+        self._elapsed += min(now - self._last, _LATE)
+        self._last = now
+        return self._at(self._elapsed)
+
+    @property
+    def over(self) -> bool:
+        """Whether it has come to its end, or to rest on the way."""
+        self.advance()
+        return self._elapsed >= self.duration
+
+    def brake(self) -> None:
+        """Come to rest on the way, as early as it may."""
+        part, speed = self.advance()
+        if self._braked is None and self._elapsed < self.duration:
+            self._braked = self._elapsed, part, speed
+            self.duration = min(self.duration, self._elapsed + speed / self._acceleration)
+
+    def _at(self, moment: float) -> tuple[float, float]:
+        moment = min(moment, self.duration)
+        acceleration = self._acceleration
+        if self._braked is not None:
+            since, part, speed = self._braked
+            gone = moment - since
+            return part + speed * gone - acceleration * gone * gone / 2, speed - acceleration * gone
+        rise = self._peak / acceleration
+        if moment < rise:
+            return acceleration * moment * moment / 2, acceleration * moment
+        left = self.duration - moment
+        if left < rise:
+            return 1 - acceleration * left * left / 2, acceleration * left
+        return self._peak * (moment - rise / 2), self._peak
