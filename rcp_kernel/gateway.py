@@ -121,11 +121,11 @@ class Gateway:
         self.latches = Latches(self.store)
         self.leases = Leases(self)
         self.executing = Executing(self)
-        self._reading = Reading(self)
+        self._reading, self._writing = Reading(self), Writing(self)
         self._subscribing = Subscribing(self)
         self._table: dict[str, Callable[[Session, Request, Answer], Reply | None]] = {
             "read": self._read,
-            "write": Writing(self).write,
+            "write": self._writing.write,
             "execute": self.executing.execute,
             "subscribe": self._subscribing.subscribe,
             "unsubscribe": self._subscribing.unsubscribe,
@@ -156,7 +156,14 @@ class Gateway:
         started = perf_counter()
         try:
             meter = session.meter
-            if meter is not None and not free(request) and not meter.take(started):
+            if (
+                meter is not None
+                and not free(request)
+                and not meter.take(started)
+                # Its parts pay for themselves, and one may be a stop.
+                and request.type != "batch"
+                and not self._writing.stops(session, request)
+            ):
                 raise meter.refusal(started)
             reply = self._table[request.type](session, request, answer)
         except Exception as error:

@@ -69,6 +69,18 @@ class Writing:
             raise
         return None
 
+    def stops(self, session: Session, request: Request) -> bool:
+        """Tell whether a request brings an actuator to rest, which no rate may keep it from."""
+        if request.type != "write":
+            return False
+        try:
+            entry = self._gateway.resolve(session, request.path, Operation.WRITE)
+            if entry.resource.safe is None:
+                return False
+            return request.decode_body(entry.value_type, entry.label) == safe_value(entry)
+        except RcpError:
+            return False
+
     async def _bring_into_force(
         self,
         session: Session,

@@ -113,6 +113,33 @@ async def test_what_stops_something_is_never_limited_and_costs_nothing(slow: Wor
     assert stop["status"] == "completed"
 
 
+async def test_an_actuator_is_brought_to_rest_at_any_rate_and_driven_at_the_quotas(
+    slow: World,
+) -> None:
+    client = slow.client(ANN)
+    write = {"type": "write", "path": "/actuator/drive"}
+    driven = [await client.ask(**write, body={"linear": {"x": 0.1}}) for _ in range(4)]
+    assert [r["status"] for r in driven] == ["completed"] * 3 + ["rejected"]
+    for body in ({}, {"linear": {"x": 0.0}}):
+        assert (await client.ask(**write, body=body))["status"] == "completed"
+    for body in ({"linear": {"x": 0.1}}, {"linear": {"x": "fast"}}):
+        assert (await client.ask(**write, body=body))["error"]["code"] == "rate_limited"
+    unseen = await client.ask(type="write", path="/tenant/beta/actuator/drive", body={})
+    assert unseen["error"]["code"] == "rate_limited"
+
+
+async def test_a_stop_in_a_batch_over_the_rate_is_carried_out(slow: World) -> None:
+    client = slow.client(ANN)
+    for _ in range(3):
+        await client.ask(type="ping")
+    parts = [
+        {"type": "ping", "id": "p"},
+        {"type": "execute", "id": "s", "path": "/system/estop", "body": {}},
+    ]
+    reply = await client.ask(type="batch", body=parts)
+    assert [part["status"] for part in reply["body"]] == ["rejected", "completed"]
+
+
 @pytest.mark.parametrize("encoding", list(Encoding))
 async def test_a_lease_is_let_go_of_at_any_time_and_taken_at_the_pace_of_the_quota(
     slow: World, encoding: Encoding
