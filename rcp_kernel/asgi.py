@@ -7,7 +7,7 @@ from math import ceil
 from typing import Any
 
 from rcp_kernel.access.peer import UNKNOWN, Peer
-from rcp_kernel.clients.sessions import Session
+from rcp_kernel.clients.session import Session
 from rcp_kernel.door import Door
 from rcp_kernel.errors import BY_CODE, BadRequest, RcpError
 from rcp_kernel.values import Encoding

@@ -17,7 +17,7 @@ from rcp_kernel.access.acl import Rights
 from rcp_kernel.access.identity import Principal
 from rcp_kernel.access.peer import UNKNOWN, Peer, Serial
 from rcp_kernel.clients.connections import Connection, Hello
-from rcp_kernel.clients.sessions import Answer, Session
+from rcp_kernel.clients.session import Answer, Session
 from rcp_kernel.config.file import Limits
 from rcp_kernel.errors import (
     AdapterUnavailable,
@@ -188,7 +188,7 @@ class Door:
         :raises Gap: the session is not there any more.
         :raises Unauthenticated: it belongs to somebody else.
         """
-        return self._gateway.sessions.greet(connection, hello)
+        return self._gateway.sessions.greeting.greet(connection, hello)
 
     def session(
         self, principal: Principal, tenant: str | None = None, peer: Peer = UNKNOWN

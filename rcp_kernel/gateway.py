@@ -21,7 +21,8 @@ from rcp_kernel.access.meter import free
 from rcp_kernel.access.quotas import Accounts
 from rcp_kernel.access.resolving import Resolver
 from rcp_kernel.clients.returning import Returning
-from rcp_kernel.clients.sessions import Answer, Handler, Session, Sessions
+from rcp_kernel.clients.session import Answer, Handler, Session
+from rcp_kernel.clients.sessions import Sessions
 from rcp_kernel.clock import iso, now
 from rcp_kernel.config.file import GatewayConfig
 from rcp_kernel.errors import (

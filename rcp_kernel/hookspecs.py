@@ -13,7 +13,7 @@ import pluggy
 
 if TYPE_CHECKING:
     from rcp_kernel.access.identity import Principal
-    from rcp_kernel.clients.sessions import Handler
+    from rcp_kernel.clients.session import Handler
     from rcp_kernel.config.file import GatewayConfig
     from rcp_kernel.spi import AdapterKind, BackendKind, TransportKind
 

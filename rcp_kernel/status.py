@@ -13,7 +13,7 @@ import psutil
 from prometheus_client.core import Metric
 
 from rcp_kernel.access.acl import Rights
-from rcp_kernel.clients.sessions import Session
+from rcp_kernel.clients.session import Session
 from rcp_kernel.clock import iso, now
 from rcp_kernel.gateway import Gateway
 from rcp_kernel.model import tenant_of

@@ -9,7 +9,7 @@ from typing import Any
 
 import msgspec
 
-from rcp_kernel.clients.sessions import Session
+from rcp_kernel.clients.session import Session
 from rcp_kernel.errors import RcpError, UnknownPath
 from rcp_kernel.gateway import Gateway
 from rcp_kernel.model import Operation, Resource

@@ -10,7 +10,7 @@ from rcp_kernel.clock import iso, now
 from rcp_kernel.streaming.notices import notice
 
 if TYPE_CHECKING:
-    from rcp_kernel.clients.sessions import Session
+    from rcp_kernel.clients.session import Session
 
 __all__ = ["Lapsing"]
 

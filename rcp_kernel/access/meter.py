@@ -16,7 +16,7 @@ from rcp_kernel.values import value_type
 from rcp_kernel.wire import Request
 
 if TYPE_CHECKING:
-    from rcp_kernel.clients.sessions import Session
+    from rcp_kernel.clients.session import Session
 
 __all__ = ["NONE", "SWEEP", "Account", "Meter", "Owner", "free"]
 

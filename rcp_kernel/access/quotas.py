@@ -18,7 +18,7 @@ from rcp_kernel.config.limits import Quota
 from rcp_kernel.errors import QueueFull
 
 if TYPE_CHECKING:
-    from rcp_kernel.clients.sessions import Session
+    from rcp_kernel.clients.session import Session
     from rcp_kernel.gateway import Gateway
     from rcp_kernel.operations.command import Command
 

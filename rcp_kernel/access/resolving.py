@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from rcp_kernel.clients.sessions import Session
+from rcp_kernel.clients.session import Session
 from rcp_kernel.errors import BadRequest, Forbidden, UnknownPath, UnsupportedOperation
 from rcp_kernel.model import Operation, operation_names, parse_path
 from rcp_kernel.registry import Entry, Registry

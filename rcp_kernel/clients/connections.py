@@ -30,7 +30,7 @@ from rcp_kernel.wire import (
 )
 
 if TYPE_CHECKING:
-    from rcp_kernel.clients.sessions import Session
+    from rcp_kernel.clients.session import Session
     from rcp_kernel.gateway import Gateway
 
 __all__ = ["Connection", "Hello"]
@@ -182,7 +182,7 @@ class Connection:
             if self.greetings > 1:  # the first one is free: who wants to stop a robot must get in
                 gateway.pay(self.session)
             hello = request.decode_body(_HELLO, "hello") if request.body else Hello()
-            token = gateway.sessions.offered(hello)
+            token = gateway.sessions.greeting.offered(hello)
             principal = None
             if token is not None:
                 principal = gateway.identities.known(token, self.peer)
@@ -198,7 +198,7 @@ class Connection:
 
     def _greet(self, request: Request, hello: Hello, principal: Principal | None) -> None:
         gateway = self._gateway
-        body = gateway.sessions.greet(self, hello, principal)
+        body = gateway.sessions.greeting.greet(self, hello, principal)
         gateway.count(self.session.transport, "hello", "ok")
         reply = Reply(type="hello", id=request.id, body=body, timestamp=iso(now()))
         # Ahead of what a resumed session has to say: the client must know first whose it is.

@@ -20,7 +20,7 @@ from rcp_kernel.streaming.filters import Options
 from rcp_kernel.streaming.notices import notice
 
 if TYPE_CHECKING:
-    from rcp_kernel.clients.sessions import Session
+    from rcp_kernel.clients.session import Session
     from rcp_kernel.gateway import Gateway
     from rcp_kernel.streaming.streams import Subscription
 

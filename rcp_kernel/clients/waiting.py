@@ -12,7 +12,7 @@ from rcp_kernel.errors import RcpError
 
 if TYPE_CHECKING:
     from rcp_kernel.access.meter import Account
-    from rcp_kernel.clients.sessions import Session
+    from rcp_kernel.clients.session import Session
     from rcp_kernel.streaming.feeds import Feed
 
 __all__ = ["shed", "waiting_bytes"]

@@ -20,7 +20,7 @@ from rcp_kernel.motion.place import Place
 
 if TYPE_CHECKING:
     from rcp_kernel.access.acl import Rights
-    from rcp_kernel.clients.sessions import Session
+    from rcp_kernel.clients.session import Session
     from rcp_kernel.registry import Entry, Registry
 
 __all__ = ["Envelope", "within"]

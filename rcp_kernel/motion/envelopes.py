@@ -14,7 +14,7 @@ import structlog
 from rcp_kernel.access.acl import Rights
 from rcp_kernel.access.conditions import condition
 from rcp_kernel.access.identity import Grants
-from rcp_kernel.clients.sessions import Session
+from rcp_kernel.clients.session import Session
 from rcp_kernel.config.envelopes import EnvelopeConfig, patterns
 from rcp_kernel.model import Kind, Operation, Pattern, tenant_of
 from rcp_kernel.motion.envelope import Envelope

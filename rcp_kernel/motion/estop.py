@@ -13,7 +13,7 @@ from typing import Annotated, Any
 import msgspec
 from msgspec import Meta
 
-from rcp_kernel.clients.sessions import Session
+from rcp_kernel.clients.session import Session
 from rcp_kernel.clock import now
 from rcp_kernel.errors import DeviceTimeout, Forbidden, UnknownPath
 from rcp_kernel.gateway import Gateway

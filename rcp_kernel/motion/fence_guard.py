@@ -15,7 +15,7 @@ from rcp_kernel.model import Kind
 from rcp_kernel.registry import Entry
 
 if TYPE_CHECKING:
-    from rcp_kernel.clients.sessions import Session
+    from rcp_kernel.clients.session import Session
     from rcp_kernel.gateway import Gateway
     from rcp_kernel.motion.envelopes import Bound
     from rcp_kernel.streaming.samples import Sample

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import structlog
 
 from rcp_kernel.access.acl import reach
-from rcp_kernel.clients.sessions import Session
+from rcp_kernel.clients.session import Session
 from rcp_kernel.clock import iso, now
 from rcp_kernel.errors import BadRequest, LeaseLost, LeaseRequired, RcpError
 from rcp_kernel.model import Kind, Operation, Pattern

@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 import msgspec
 from msgspec import Meta
 
-from rcp_kernel.clients.sessions import Session
+from rcp_kernel.clients.session import Session
 from rcp_kernel.clock import iso
 from rcp_kernel.errors import BadRequest, Forbidden, LeaseLost, OutOfRange, UnknownPath
 from rcp_kernel.gateway import Gateway

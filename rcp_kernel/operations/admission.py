@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from rcp_kernel.clients.sessions import Session
+from rcp_kernel.clients.session import Session
 from rcp_kernel.model import Operation
 from rcp_kernel.motion.safety import check_age, check_motion
 from rcp_kernel.registry import Entry

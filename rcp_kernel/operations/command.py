@@ -24,7 +24,7 @@ from rcp_kernel.values import to_plain
 from rcp_kernel.wire import FINAL, NO_BODY, Reply, Status
 
 if TYPE_CHECKING:
-    from rcp_kernel.clients.sessions import Session
+    from rcp_kernel.clients.session import Session
 
 __all__ = ["Command", "Record", "outcome_of", "status_of"]
 

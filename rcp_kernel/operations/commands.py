@@ -31,7 +31,7 @@ from rcp_kernel.spi import Backend
 from rcp_kernel.wire import FINAL, NO_BODY, error_body
 
 if TYPE_CHECKING:
-    from rcp_kernel.clients.sessions import Session
+    from rcp_kernel.clients.session import Session
 
 __all__ = ["Commands", "Keeper"]
 

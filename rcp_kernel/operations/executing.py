@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import msgspec
 
 from rcp_kernel.access.acl import reach
-from rcp_kernel.clients.sessions import Answer, Session
+from rcp_kernel.clients.session import Answer, Session
 from rcp_kernel.clock import iso, now
 from rcp_kernel.errors import UnknownPath
 from rcp_kernel.model import Kind, Operation

@@ -15,7 +15,7 @@ from typing import Any
 import msgspec
 import structlog
 
-from rcp_kernel.clients.sessions import Session
+from rcp_kernel.clients.session import Session
 from rcp_kernel.clock import now
 from rcp_kernel.errors import DuplicateRequest, InternalError
 from rcp_kernel.model import tenant_of

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
-from rcp_kernel.clients.sessions import Answer, Session
+from rcp_kernel.clients.session import Answer, Session
 from rcp_kernel.errors import DuplicateRequest, QueueFull, RcpError
 from rcp_kernel.operations.pending import Pace, Pending, crash
 from rcp_kernel.wire import Reply, Request, failure

@@ -16,7 +16,7 @@ import msgspec
 
 from rcp_kernel.access.acl import Rights, Role
 from rcp_kernel.access.identity import Grants, Principal
-from rcp_kernel.clients.sessions import Session
+from rcp_kernel.clients.session import Session
 from rcp_kernel.clock import iso, now
 from rcp_kernel.config.file import AuditConfig
 from rcp_kernel.model import Operation, tenant_of

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from rcp_kernel.access.identity import Principal
 from rcp_kernel.access.peer import Peer
-from rcp_kernel.clients.sessions import Answer, Session
+from rcp_kernel.clients.session import Answer, Session
 from rcp_kernel.errors import DeadlineExceeded, QueueFull, RcpError
 from rcp_kernel.motion.safety import safe_value
 from rcp_kernel.record.audit import FULL, bounded, value_of

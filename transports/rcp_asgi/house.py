@@ -11,7 +11,7 @@ from litestar.exceptions import HTTPException, MethodNotAllowedException, NotFou
 from rcp_asgi.index import index_page
 from rcp_asgi.openapi import document
 from rcp_kernel.asgi import Scope, retry_after, session_of, status_of
-from rcp_kernel.clients.sessions import Session
+from rcp_kernel.clients.session import Session
 from rcp_kernel.door import Asgi, Door
 from rcp_kernel.errors import (
     BadRequest,

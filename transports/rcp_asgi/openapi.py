@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from rcp_kernel.clients.sessions import Session
+from rcp_kernel.clients.session import Session
 from rcp_kernel.door import Door
 from rcp_kernel.status import gateway_version
 

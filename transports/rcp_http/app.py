@@ -13,7 +13,7 @@ from rcp_http.config import HttpConfig
 from rcp_http.context import Context
 from rcp_http.octets import range_headers
 from rcp_kernel.asgi import MEDIA, Headers, Receive, Scope, Send, respond, retry_after
-from rcp_kernel.clients.sessions import Session
+from rcp_kernel.clients.session import Session
 from rcp_kernel.door import Door
 from rcp_kernel.errors import RcpError, UnknownPath, UnsupportedOperation
 from rcp_kernel.operations.pending import crash

@@ -14,7 +14,7 @@ from msgspec import Raw
 from rcp_http.negotiate import accepted, body_encoding
 from rcp_kernel.access.identity import Principal
 from rcp_kernel.asgi import Receive, Scope, bearer, peer_of
-from rcp_kernel.clients.sessions import Session
+from rcp_kernel.clients.session import Session
 from rcp_kernel.door import Door
 from rcp_kernel.errors import BadRequest, DeadlineExceeded, PayloadTooLarge
 from rcp_kernel.values import Encoding, parse

@@ -14,7 +14,7 @@ from rcp_http.config import HttpConfig
 from rcp_http.context import Context, Follower
 from rcp_http.negotiate import body_encoding
 from rcp_kernel.asgi import Receive, Send, respond
-from rcp_kernel.clients.sessions import Session
+from rcp_kernel.clients.session import Session
 from rcp_kernel.clock import iso, now
 from rcp_kernel.door import Door
 from rcp_kernel.errors import BadRequest, RcpError, UnknownPath, UnsupportedOperation

@@ -12,7 +12,7 @@ from rcp_http.asked import Asked, flag
 from rcp_http.config import HttpConfig
 from rcp_http.octets import bytes_of, send_octets
 from rcp_kernel.asgi import Receive, Send, respond
-from rcp_kernel.clients.sessions import Session
+from rcp_kernel.clients.session import Session
 from rcp_kernel.door import Door
 from rcp_kernel.errors import BadRequest, RcpError, UnknownPath
 from rcp_kernel.operations.discovery import Query

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from rcp_http.openapi_calls import ERROR, REPLY, calls
-from rcp_kernel.clients.sessions import Session
+from rcp_kernel.clients.session import Session
 from rcp_kernel.door import Door
 from rcp_kernel.operations.discovery import Query
 

@@ -21,7 +21,7 @@ from hypothesis.stateful import (
 from kernel.access.test_quotas import AGENT, ANN, BOB, LEVEL, at_home
 from kernel.world import Client, World, prepared, world_of
 from rcp_kernel.access.meter import Account
-from rcp_kernel.clients.sessions import Session
+from rcp_kernel.clients.session import Session
 from rcp_kernel.config.file import parse
 from rcp_kernel.errors import QueueFull
 from rcp_kernel.process.reload import apply

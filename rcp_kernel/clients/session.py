@@ -1,0 +1,185 @@
+"""One client over time: what it subscribed to, what it commanded, and what it has not been told yet."""
+
+from __future__ import annotations
+
+import asyncio
+import secrets
+from collections import deque
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, Protocol
+
+from rcp_kernel.access.acl import Rights
+from rcp_kernel.access.identity import Principal
+from rcp_kernel.clock import iso, now
+from rcp_kernel.errors import RcpError
+from rcp_kernel.streaming.notices import notice
+from rcp_kernel.streaming.streams import Subscription
+from rcp_kernel.values import Encoding
+from rcp_kernel.wire import Reply, Request, encode_reply
+
+if TYPE_CHECKING:
+    from rcp_kernel.access.meter import Meter
+    from rcp_kernel.clients.connections import Connection
+    from rcp_kernel.operations.command import Command
+    from rcp_kernel.operations.pending import Pending
+
+__all__ = ["Answer", "Handler", "Session"]
+
+Answer = Callable[[Reply], None]
+_MISSED = 4096  # replies kept for a client that is away
+_NEWS = 256  # notices kept for a client that is away
+_MISSED_BYTES = 16 * 1024 * 1024  # that these may have together
+
+
+class Handler(Protocol):
+    """Handle one request: `answer` is called for each reply, the last one final."""
+
+    def __call__(self, session: Session, request: Request, answer: Answer, /) -> None:
+        """Take the request in; never raises, never blocks."""
+        ...
+
+
+class Session:
+    """One principal's subscriptions, commands and replies not yet delivered."""
+
+    __slots__ = (
+        "commands",
+        "connection",
+        "created",
+        "cut",
+        "encoding",
+        "endings",
+        "expiry",
+        "greeted",
+        "id",
+        "inflight",
+        "lapse",
+        "listening",
+        "meter",
+        "missed",
+        "missed_bytes",
+        "news",
+        "overflowed",
+        "principal",
+        "read_key",
+        "rights",
+        "secret",
+        "shared",
+        "subscriptions",
+        "tenant",
+        "transport",
+    )
+
+    def __init__(
+        self,
+        principal: Principal,
+        rights: Rights,
+        tenant: str | None,
+        transport: str,
+        *,
+        shared: bool = False,
+    ) -> None:
+        self.id = "s-" + secrets.token_hex(16)
+        self.secret = secrets.token_urlsafe(24)
+        self.shared = shared
+        """All requests of a principal without a connection share it (HTTP)."""
+        self.principal = principal
+        self.rights = rights
+        self.tenant = tenant
+        self.transport = transport
+        self.read_key = (transport, "read", "ok")
+        """Under what the gateway counts a read that went well."""
+        self.encoding = Encoding.JSON
+        self.connection: Connection | None = None
+        self.subscriptions: dict[str, Subscription] = {}
+        self.commands: dict[str, Command] = {}
+        self.inflight: dict[str, Pending | None] = {}
+        self.created = now()
+        self.cut: int | None = None
+        """When the connection was lost, ns; None while there is one."""
+        self.expiry: asyncio.TimerHandle | None = None
+        self.greeted = False
+        """The client knows the session's id, so it may come back to it."""
+        self.listening = False
+        """Its connection takes no requests (SSE): it is told things, and commands nothing."""
+        self.meter: Meter | None = None
+        """What its requests are counted by; None if no quota concerns it."""
+        self.missed: deque[tuple[Reply, int]] = deque()
+        """Replies for a client that is away, and about how long each is."""
+        self.missed_bytes = 0
+        self.news: deque[tuple[str, dict[str, Any]]] = deque(maxlen=_NEWS)
+        """Notices for the client's return."""
+        self.overflowed = 0
+        self.lapse: asyncio.TimerHandle | None = None
+        """The next look at how long the principal's proof holds."""
+        self.endings: set[Callable[[RcpError], None]] = set()
+        """Whom to tell that the proof is not good any more, beside the connection."""
+
+    @property
+    def holder(self) -> str:
+        """As whom the session acquires leases: itself, or its principal if it is shared."""
+        return self.holders[0]
+
+    @property
+    def holders(self) -> tuple[str, ...]:
+        """Whose leases are the session's: its own, and those of its principal as a whole."""
+        whole = f"{self.principal.proof}:{self.principal.name}"
+        return (whole,) if self.shared else (self.id, whole)
+
+    @property
+    def stateless(self) -> bool:
+        """Whether the session belongs to a transport without connections (HTTP)."""
+        return self.connection is None and self.cut is None
+
+    def deliver(self, reply: Reply) -> None:
+        """Send a reply now, or keep it for the client's return."""
+        if self.connection is not None:
+            self.connection.send(reply)
+            return
+        if reply.status == "in_progress" and reply.command is not None:
+            for old in [kept for kept in self.missed if _replaces(reply, kept[0])]:
+                self.missed.remove(old)
+                self.missed_bytes -= old[1]
+        size = _length(reply)
+        self.missed.append((reply, size))
+        self.missed_bytes += size
+        while len(self.missed) > _MISSED or self.missed_bytes > _MISSED_BYTES:
+            self.lose()
+
+    def lose(self) -> None:
+        """Let go of the oldest reply that waits for a client that is away; it will be told."""
+        self.missed_bytes -= self.missed.popleft()[1]
+        self.overflowed += 1
+
+    def tell(self, code: str, **facts: Any) -> None:
+        """Send a notice now, or keep it for the client's return."""
+        if self.connection is not None:
+            notice(self.connection.mailbox, code, **facts)
+        elif self.cut is not None:
+            self.news.append((code, facts))
+
+    def plain(self) -> dict[str, Any]:
+        """Describe the session for `/system/sessions`."""
+        return {
+            "session": self.id[:8],  # whoever knows the whole id may come back to the session
+            "principal": self.principal.name,
+            "tenant": self.tenant,
+            "transport": self.transport,
+            "connected": self.connection is not None,
+            "created": iso(self.created),
+            "subscriptions": len(self.subscriptions),
+            "commands": sum(1 for c in self.commands.values() if not c.final),
+            "backlog": self.connection.mailbox.backlog if self.connection else len(self.missed),
+        }
+
+
+def _replaces(newer: Reply, older: Reply) -> bool:
+    return older.command == newer.command and not older.final
+
+
+def _length(reply: Reply) -> int:
+    """Return about how many bytes a reply is; one that cannot be written becomes a short error."""
+    try:
+        return len(encode_reply(reply, Encoding.JSON))
+    except Exception:
+        return 256
