@@ -29,9 +29,9 @@ class Discovery(Wire):
 
     @proves("discover.facts")
     async def test_it_tells_all_about_a_resource(self, world: World) -> None:
-        world.publish("sensor/level", 1.0)
         for encoding in self.encodings:
             client = await world.client(encoding=encoding)
+            world.publish("sensor/level", 1.0)
             (level,) = await _found(client, "/sensor/level")
             assert level["path"] == "/tenant/alpha/sensor/level"
             assert (level["kind"], level["backend"], level["state"]) == ("sensor", "main", "fresh")
