@@ -14,7 +14,7 @@ NEEDS := pyproject.toml constraints.txt
 .PHONY: help demo test lint format bench constraints picture clean
 
 help:
-	@echo "make demo [PORT=8080]   serve two simulated robots and say where to look"
+	@echo "make demo [PORT=8080]   serve simulated rovers and a drone and say where to look"
 	@echo "make test [ARGS=...]    run the tests; ARGS goes to pytest"
 	@echo "make lint               ruff, pyright, import-linter"
 	@echo "make format             have ruff lay the code out"
@@ -74,7 +74,7 @@ $(MADE):
 # What was installed for the tests serves the demo too.
 $(DEMO): $(NEEDS) | $(MADE)
 	@echo "Installing what the demo needs"
-	@$(PIP) -c constraints.txt -e .
+	@$(PIP) -c constraints.txt -e '.[mavlink]'
 	@touch $@
 
 $(TEST): $(NEEDS) | $(MADE)

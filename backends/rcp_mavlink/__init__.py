@@ -10,9 +10,9 @@ from collections.abc import Iterable
 from rcp_kernel.hookspecs import hookimpl
 from rcp_kernel.spi import BackendKind
 from rcp_mavlink.backend import MavlinkBackend, open_mavlink
-from rcp_mavlink.config import MavlinkConfig
+from rcp_mavlink.config import MavlinkConfig, TwinConfig
 
-__all__ = ["MavlinkBackend", "MavlinkConfig", "open_mavlink", "rcp_backends"]
+__all__ = ["MavlinkBackend", "MavlinkConfig", "TwinConfig", "open_mavlink", "rcp_backends"]
 
 
 @hookimpl

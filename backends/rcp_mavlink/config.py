@@ -7,9 +7,10 @@ from typing import Annotated, Literal
 
 from msgspec import Meta, Struct
 
-__all__ = ["LinkSpec", "MavlinkConfig"]
+__all__ = ["LinkSpec", "MavlinkConfig", "TwinConfig"]
 
 _NET = re.compile(r"(udpin|udpout|tcp|tcpin):(?:\[([^\]]+)\]|([^:\[\]]+)):(\d{1,5})\Z")
+_SIM = re.compile(r"sim:(copter)\Z")
 _SERIAL = re.compile(r"serial:(/[^:]+)(?::(\d+))?\Z")
 _SEGMENT = re.compile(r"[A-Za-z0-9_.-]+\Z")
 
@@ -22,7 +23,7 @@ class LinkSpec(Struct, frozen=True):
 
     kind: str
     host: str
-    """Or the device."""
+    """Or the device, or the kind of vehicle that is simulated."""
     port: int
     """Or the bits a second."""
 
@@ -36,10 +37,34 @@ class LinkSpec(Struct, frozen=True):
             return cls(net[1], net[2] or net[3], int(net[4]))
         if (serial := _SERIAL.match(text)) is not None:
             return cls("serial", serial[1], int(serial[2] or 57600))
+        if (sim := _SIM.match(text)) is not None:
+            return cls("sim", sim[1], 0)
         raise ValueError(
-            f"{text!r} is no link: write udpin, udpout, tcp or tcpin, host and port, or "
-            "serial:DEVICE:BAUD"
+            f"{text!r} is no link: write udpin, udpout, tcp or tcpin, host and port, "
+            "serial:DEVICE:BAUD, or sim:copter"
         )
+
+
+class TwinConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """The vehicles that `sim:` links simulate."""
+
+    home: tuple[
+        Annotated[float, Meta(ge=-90, le=90, extra_json_schema={"unit": "deg"})],
+        Annotated[float, Meta(ge=-180, le=180, extra_json_schema={"unit": "deg"})],
+        Annotated[float, Meta(extra_json_schema={"unit": "m"})],
+    ] = (-35.3632621, 149.1652374, 584.0)
+    """Latitude, longitude and height above the sea of where the first one stands."""
+    heading: Annotated[float, Meta(ge=-360, le=360, extra_json_schema={"unit": "deg"})] = 0.0
+    warmup: Annotated[float, Meta(ge=0, le=600, extra_json_schema={"unit": "s"})] = 40.0
+    """From boot until it can be armed in a mode that flies by position."""
+    speed: Annotated[float, Meta(gt=0, le=50, extra_json_schema={"unit": "1"})] = 1.0
+    """Simulated seconds in a real one."""
+    wind: tuple[float, float] = (0.0, 0.0)
+    """Where it blows to, m/s north and east."""
+    charge: Annotated[float, Meta(ge=0, le=1, extra_json_schema={"unit": "1"})] = 1.0
+    """Of the battery at first."""
+    parameters: dict[str, float] = {}
+    """Other values of the vehicle's parameters than usual."""
 
 
 class MavlinkConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -74,6 +99,8 @@ class MavlinkConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     """For the first heartbeat, when the gateway starts."""
     estop: Literal["hold", "land", "disarm"] = "hold"
     """What an e-stop does in the air; `disarm` lets it fall."""
+    twin: TwinConfig = TwinConfig()
+    """Of the vehicles that `sim:` links simulate."""
     max_speed: Annotated[float, Meta(gt=0, le=100, extra_json_schema={"unit": "m/s"})] = 15.0
     """Bound of `actuator/velocity`."""
 

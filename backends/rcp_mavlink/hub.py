@@ -15,6 +15,7 @@ from rcp_mavlink.frames import Frame, Framer
 from rcp_mavlink.links import Link
 from rcp_mavlink.signing import Signing, key_of
 from rcp_mavlink.texts import Texts
+from rcp_mavlink.twins import orders
 from rcp_mavlink.vehicle import Vehicle
 
 __all__ = ["Hub", "open_hub"]
@@ -52,6 +53,8 @@ class Hub:
         ]
         for link in self.links:
             link.joined = self.beat
+            if link.spec.kind == "sim":
+                link.twin = orders(config, link.number)
             sink = _Sink()
             mav = dialect.module.MAVLink(sink, config.source_system, config.source_component)
             if self._signing is not None:

@@ -12,6 +12,7 @@ from typing import Any
 from rcp_mavlink.config import LinkSpec
 from rcp_mavlink.frames import Frame, Framer
 from rcp_mavlink.serial_port import SerialPort
+from rcp_mavlink.twins import keep_twin
 
 __all__ = ["Link", "Take"]
 
@@ -40,6 +41,8 @@ class Link:
         self._datagrams: asyncio.DatagramTransport | None = None
         self._server: asyncio.Server | None = None
         self._task: asyncio.Task[None] | None = None
+        self.twin: dict[str, object] = {}
+        """What a simulated vehicle is made with."""
         self.joined: Callable[[], None] = lambda: None
         """Called when somebody can be called who could not be before."""
         self.error: str | None = None
@@ -59,17 +62,22 @@ class Link:
         :raises OSError: a port to wait at cannot be had.
         """
         loop, spec = asyncio.get_running_loop(), self.spec
-        if spec.kind == "udpin":
-            address = (spec.host, spec.port)
+        if spec.kind in ("udpin", "sim"):
+            address = ("127.0.0.1", 0) if spec.kind == "sim" else (spec.host, spec.port)
             self._datagrams, _ = await loop.create_datagram_endpoint(
                 lambda: _Datagrams(self), local_addr=address
             )
             found: Any = self._datagrams.get_extra_info("socket")
             found.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVED)
+            if spec.kind == "sim":
+                self._task = loop.create_task(keep_twin(self.twin, self.port, self._failed))
         elif spec.kind == "tcpin":
             self._server = await loop.create_server(lambda: _Stream(self), spec.host, spec.port)
         else:
             self._task = loop.create_task(self._keep())
+
+    def _failed(self, why: str) -> None:
+        self.error = why
 
     async def close(self) -> None:
         """End."""

@@ -1,4 +1,4 @@
-"""`rcpd demo`: two tenants with a rover each, keys made for this run, and where to look."""
+"""`rcpd demo`: two tenants with a rover each, one with a drone, keys made for this run, and where to look."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import shutil
 import sys
 from collections.abc import Generator
 from contextlib import contextmanager, suppress
+from importlib.util import find_spec
 from pathlib import Path
 
 from rcp_kernel.process.server import Server
@@ -34,7 +35,7 @@ use = "sim"
 name = "rover-beta"
 tenant = "beta"
 seed = 2
-
+{drone}
 [[keys]]
 name = "demo-operator"
 role = "operator"
@@ -44,6 +45,15 @@ key = "{operator}"
 name = "demo-admin"
 role = "admin"
 key = "{admin}"
+"""
+
+_DRONE = """
+[[backends]]
+use = "mavlink"
+name = "drone-gamma"
+tenant = "gamma"
+links = ["sim:copter"]
+twin = { warmup = 2 }
 """
 
 
@@ -60,11 +70,16 @@ class Demo:
         self._port = port
         self._operator = "rcp_op_" + secrets.token_urlsafe(18)
         self._admin = "rcp_ad_" + secrets.token_urlsafe(18)
+        self._drone = find_spec("pymavlink") is not None
 
     def config(self, level: str) -> str:
         """Write the configuration as TOML."""
         return _CONFIG.format(
-            port=self._port, level=level, operator=self._operator, admin=self._admin
+            port=self._port,
+            level=level,
+            operator=self._operator,
+            admin=self._admin,
+            drone=_DRONE if self._drone else "",
         )
 
     def url(self, server: Server) -> str:
@@ -97,8 +112,14 @@ class Demo:
         url = self.url(server)
         beside = Path(sys.argv[0]).with_name("rcpctl")
         rcpctl = "rcpctl" if shutil.which("rcpctl") or not beside.exists() else beside
+        where = "simulated rovers of the tenants alpha and beta"
+        fly = "  A drone flies too after: pip install 'rcp-gateway[mavlink]'"
+        if self._drone:
+            where += ", a drone of gamma"
+            does = f"  {rcpctl} --url {url} execute /tenant/gamma/action"
+            fly = f"{does}/arm\n{does}/takeoff\n{does}/land"
         return f"""\
-RCP gateway demo: simulated rovers of the tenants alpha and beta
+RCP gateway demo: {where}
   {url}/                  where to look
   {url}/rcp/v1/discovery  everything there is
   {url}/metrics           for Prometheus
@@ -110,6 +131,7 @@ RCP gateway demo: simulated rovers of the tenants alpha and beta
 Try:
   {rcpctl} --url {url} read /tenant/alpha/sensor/pose
   {rcpctl} --url {url} execute /tenant/beta/action/move_to '{{"position": {{"x": 2, "y": 1, "z": 0}}}}'
+{fly}
   curl {url}/rcp/v1/context/tenant/alpha/sensor/pose
   curl -X PUT -H "Authorization: Bearer {self._operator}" -d 0.8 {url}/rcp/v1/context/tenant/alpha/param/speed_limit
   curl -N "{url}/rcp/v1/events?path=/tenant/*/sensor/pose&rate=2"

@@ -10,6 +10,7 @@ __all__ = ["Options"]
 class Options(msgspec.Struct, frozen=True, kw_only=True):
     """One simulated vehicle."""
 
+    vehicle: str = "copter"
     system: int = 1
     """MAVLink system id; its component is 1, the autopilot."""
     home: tuple[float, float, float] = (-35.3632621, 149.1652374, 584.0)

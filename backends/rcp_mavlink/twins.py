@@ -1,0 +1,73 @@
+"""Links to vehicles that are simulated: each flies in a process of its own and calls the gateway."""
+
+from __future__ import annotations
+
+import asyncio
+import sys
+from collections.abc import Callable
+from contextlib import suppress
+
+import msgspec
+
+from rcp_mavlink.config import LinkSpec, MavlinkConfig
+from rcp_mavlink.signing import key_of
+
+__all__ = ["keep_twin", "orders"]
+
+_AGAIN = 1.0  # s until one that ended is started anew
+_PATIENCE = 2.0  # s for one to end by itself
+_APART = 5e-5  # deg between two that start side by side
+
+
+def orders(config: MavlinkConfig, number: int) -> dict[str, object]:
+    """Return what the simulated vehicle behind a link is made with."""
+    mine = [at for at, text in enumerate(config.links) if text.startswith("sim:")]
+    place = mine.index(number)
+    lat, lon, height = config.twin.home
+    given = msgspec.to_builtins(config.twin)
+    return given | {
+        "vehicle": LinkSpec.of(config.links[number]).host,
+        "system": (config.system or 1) + place,
+        "home": (lat, lon + place * _APART, height),
+        "key": None if config.key is None else key_of(config.key),
+    }
+
+
+async def keep_twin(options: dict[str, object], port: int, failed: Callable[[str], None]) -> None:
+    """Keep a vehicle flying that calls a port of loopback, until cancelled.
+
+    `failed` is told why one ended. It ends with the gateway, however that ends: its standard input
+    does.
+    """
+    line = msgspec.json.encode({"options": options, "links": [f"udpout:127.0.0.1:{port}"]})
+    while True:
+        process = await asyncio.create_subprocess_exec(
+            sys.executable, "-m", "rcp_mavlink.sim.child",
+            stdin=asyncio.subprocess.PIPE,
+            stdout=asyncio.subprocess.DEVNULL,
+            stderr=asyncio.subprocess.PIPE,
+            start_new_session=True,  # Ctrl-C is the gateway's, which lands it first
+        )  # fmt: skip
+        assert process.stdin is not None
+        assert process.stderr is not None
+        try:
+            process.stdin.write(line + b"\n")
+            said = await process.stderr.read()
+            status = await process.wait()
+        finally:
+            await _end(process)
+        last = said.decode(errors="replace").strip().rpartition("\n")[2]
+        failed(f"the simulated vehicle ended with {status}: {last}")
+        await asyncio.sleep(_AGAIN)
+
+
+async def _end(process: asyncio.subprocess.Process) -> None:
+    assert process.stdin is not None
+    process.stdin.close()
+    try:
+        async with asyncio.timeout(_PATIENCE):
+            await process.wait()
+    except TimeoutError:
+        with suppress(ProcessLookupError):
+            process.kill()
+        await process.wait()

@@ -1,0 +1,121 @@
+"""A link can simulate its vehicle, in a process that ends with the gateway whatever ends that."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import rcp_mavlink
+from rcp_kernel.errors import NotReady
+from rcp_kernel.testing import eventually
+from rcp_kernel.testing._serve import OPERATOR, serve_backend
+from rcp_mavlink.config import MavlinkConfig
+from rcp_mavlink.dialect import dialect
+from rcp_mavlink.hub import open_hub
+
+KIND = next(iter(rcp_mavlink.rcp_backends()))
+QUICK = {"warmup": 0.0, "speed": 10.0}
+_GATEWAY = """
+import asyncio
+from rcp_mavlink.config import MavlinkConfig, TwinConfig
+from rcp_mavlink.dialect import dialect
+from rcp_mavlink.hub import open_hub
+
+async def main():
+    async with open_hub(MavlinkConfig(links=("sim:copter",)), dialect("ardupilotmega")) as hub:
+        await hub.first()
+        print("heard", flush=True)
+        await asyncio.Event().wait()
+
+asyncio.run(main())
+"""
+
+
+def children(parent: int) -> list[int]:
+    path = Path(f"/proc/{parent}/task/{parent}/children")
+    return [int(word) for word in path.read_text().split()]
+
+
+def alive(process: int) -> bool:
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    return "Z" not in Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0]
+
+
+async def test_two_simulated_vehicles_are_robots_and_one_is_flown() -> None:
+    table = {"links": ["sim:copter", "sim:copter"], "discover": True, "params": [], "twin": QUICK}
+    async with serve_backend(KIND, table) as served:
+        client = served.client(OPERATOR)
+
+        async def both() -> bool:
+            replies = [
+                await client.request("read", f"/tenant/t/sensor/vehicle{n}/mode") for n in (1, 2)
+            ]
+            return [r["status"] for r in replies] == ["completed"] * 2
+
+        await eventually(both, "both are heard", 10.0)
+        for action in ("arm", "takeoff", "land"):
+            reply = await client.request("execute", f"/tenant/t/action/vehicle2/{action}")
+            assert reply["status"] == "completed", reply
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
+def test_a_gateway_that_is_killed_leaves_no_vehicle_behind() -> None:
+    with subprocess.Popen(
+        [sys.executable, "-c", _GATEWAY], stdout=subprocess.PIPE, text=True
+    ) as gateway:
+        assert gateway.stdout is not None
+        assert gateway.stdout.readline() == "heard\n"
+        (vehicle,) = children(gateway.pid)
+        gateway.send_signal(signal.SIGKILL)
+
+    async def gone() -> bool:
+        return not alive(vehicle)
+
+    asyncio.run(eventually(gone, "the vehicle ended", 10.0))
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
+async def test_a_vehicle_that_fails_is_started_anew() -> None:
+    config = MavlinkConfig(links=("sim:copter",), silence=1.0)
+    before = set(children(os.getpid()))
+    async with open_hub(config, dialect("ardupilotmega")) as hub:
+        await hub.first()
+        (first,) = set(children(os.getpid())) - before
+        os.kill(first, signal.SIGKILL)
+        vehicle = hub.vehicles[1]
+        await eventually(lambda: _is(vehicle.lost), "it is lost", 10.0)
+        await eventually(lambda: _is(not vehicle.lost), "another one is heard", 10.0)
+    assert set(children(os.getpid())) <= before
+
+
+async def _is(value: Any) -> bool:
+    return bool(value)
+
+
+async def test_a_vehicle_that_cannot_start_says_why() -> None:
+    config = MavlinkConfig(
+        links=("sim:copter",), connect=10.0, twin=rcp_mavlink.TwinConfig(parameters={"NONE": 1.0})
+    )
+    async with open_hub(config, dialect("ardupilotmega")) as hub:
+        await eventually(lambda: _is(hub.links[0].error), "it is told", 10.0)
+        assert "it has no parameter NONE" in str(hub.links[0].error)
+
+
+async def test_a_signed_link_has_a_vehicle_that_signs() -> None:
+    config = MavlinkConfig(links=("sim:copter",), connect=10.0, key="secret")
+    async with open_hub(config, dialect("ardupilotmega")) as hub:
+        try:
+            await hub.first()
+        except NotReady as error:
+            pytest.fail(str(error))
+        assert not hub.links[0].framer.stats.rejected
