@@ -10,6 +10,17 @@ from msgspec import Meta, structs
 from rcp_kernel.model import Resource
 from rcp_kernel.types import quantity
 from rcp_mavlink import messages as m
+from rcp_mavlink.files import (
+    Check,
+    Entry,
+    FilePath,
+    FilePiece,
+    FileRange,
+    FileWrite,
+    Remove,
+    Rename,
+    Written,
+)
 from rcp_mavlink.hub import Hub
 from rcp_mavlink.logs import LogPiece, LogRange, OnBoard
 from rcp_mavlink.metadata import about
@@ -60,7 +71,7 @@ def resources(
         )
         for sensor in sensors
     ]
-    found += [*_made(), *_events(), *_actuators(hub), *_actions(), *_services()]
+    found += [*_made(), *_events(), *_actuators(hub), *_actions(), *_services(), *_files()]
     return [structs.replace(resource, name=name(resource.name)) for resource in found]
 
 
@@ -155,4 +166,16 @@ def _services() -> list[Resource]:
         Resource(name="service/param/read", description="Ask for any parameter by name, also one without a path.", input=m.ReadParam, output=m.ParamValue, examples=({"name": "RTL_ALT"},)),
         Resource(name="service/param/save", description="Have the vehicle keep its parameters."),
         Resource(name="service/reboot", description="Start the autopilot anew; refused while armed.", timeout=90),
+    ]  # fmt: skip
+
+
+def _files() -> list[Resource]:
+    return [
+        Resource(name="service/ftp/list", description="List a directory on board.", input=FilePath, output=list[Entry], timeout=60),
+        Resource(name="service/ftp/read", description="Return a part of a file on board, 4 MiB at most.", input=FileRange, output=FilePiece, timeout=1800),
+        Resource(name="service/ftp/write", description="Write a part of a file on board, 4 MiB at most; from its beginning, the file is made anew.", input=FileWrite, output=Written, timeout=1800),
+        Resource(name="service/ftp/crc", description="Have the vehicle count the CRC-32 of a file.", input=FilePath, output=Check, timeout=60),
+        Resource(name="service/ftp/remove", description="Remove a file on board, or an empty directory.", input=Remove, timeout=30),
+        Resource(name="service/ftp/mkdir", description="Make a directory on board.", input=FilePath, timeout=30),
+        Resource(name="service/ftp/rename", description="Call a file on board otherwise.", input=Rename, timeout=30),
     ]  # fmt: skip

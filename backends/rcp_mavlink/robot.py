@@ -18,6 +18,7 @@ from rcp_kernel.errors import (
 from rcp_kernel.spi import Host, Progress
 from rcp_mavlink import messages as m
 from rcp_mavlink.commands import Command, Commands
+from rcp_mavlink.files import Files
 from rcp_mavlink.frames import Frame
 from rcp_mavlink.hub import Hub
 from rcp_mavlink.intervals import FASTEST, Intervals
@@ -97,6 +98,7 @@ class Robot:
             "service/rally/download": lambda _, __: self._download(RALLY),
             "service/log/list": logs.list,
             "service/log/read": logs.read,
+            **Files(hub, vehicle).verbs(),
             "service/param/read": self._read_parameter,
             "service/param/save": self._save,
             "service/reboot": self._reboot,

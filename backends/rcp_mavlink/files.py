@@ -1,0 +1,231 @@
+"""The files on board as services: listed, read and written in ranges, removed, compared."""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Awaitable, Callable
+from typing import Annotated, Any, Literal
+
+from msgspec import Meta, Struct
+
+from rcp_kernel.errors import DeviceRejected, InvalidValue, NotImplementedByRobot
+from rcp_kernel.spi import Progress
+from rcp_mavlink.ftp import PIECE, Ftp, Op
+from rcp_mavlink.gaps import Gaps
+from rcp_mavlink.hub import Hub
+from rcp_mavlink.vehicle import Vehicle
+
+__all__ = ["Check", "Entry", "FilePath", "FilePiece", "FileRange", "FileWrite", "Files", "Remove", "Rename", "Written"]  # fmt: skip
+
+Verb = Callable[[Any, Progress], Awaitable[Any]]
+
+MOST = 4 << 20  # bytes at once
+_MOST_ENTRIES = 10_000
+_END = 6
+_COUNTING = 3.0  # s that a vehicle may count a sum before it is asked again
+_LARGEST = 2**32 - 1
+
+Path = Annotated[
+    str,
+    Meta(
+        min_length=1,
+        max_length=PIECE - 1,
+        pattern=r"^[^\x00]+$",
+        examples=["/APM/scripts/hello.lua", "@SYS/threads.txt"],
+    ),
+]
+Bytes = Annotated[int, Meta(ge=0, le=_LARGEST, extra_json_schema={"unit": "By"})]
+Sum = Annotated[int, Meta(ge=0, le=_LARGEST, extra_json_schema={"unit": "1"})]
+
+
+class FilePath(Struct, frozen=True, forbid_unknown_fields=True):
+    """Which file or directory on board."""
+
+    path: Path
+
+
+class Entry(Struct, frozen=True):
+    """One file or directory."""
+
+    name: str
+    kind: Literal["file", "directory"]
+    size: Bytes
+    """0 of a directory."""
+
+
+class FileRange(Struct, frozen=True, forbid_unknown_fields=True):
+    """Which part of which file."""
+
+    path: Path
+    offset: Bytes = 0
+    count: Annotated[int, Meta(ge=1, le=MOST, extra_json_schema={"unit": "By"})] = MOST
+
+
+class FilePiece(Struct, frozen=True):
+    """A part of a file."""
+
+    path: str
+    offset: Bytes
+    end: bool
+    """Whether the file ends with it."""
+    data: bytes
+
+
+class FileWrite(Struct, frozen=True, forbid_unknown_fields=True):
+    """What to write where; from 0 on the file is made anew, elsewhere it must be there."""
+
+    path: Path
+    data: Annotated[bytes, Meta(max_length=MOST)]
+    offset: Bytes = 0
+
+
+class Written(Struct, frozen=True):
+    """How long the file is now, as far as it was written."""
+
+    path: str
+    size: Bytes
+    crc: Sum | None
+    """Of the whole file on board; None: the vehicle does not count it."""
+
+
+class Check(Struct, frozen=True):
+    """The CRC-32 of a file, begun at 0 and not inverted."""
+
+    path: str
+    crc: Sum
+
+
+class Remove(Struct, frozen=True, forbid_unknown_fields=True):
+    """What to remove."""
+
+    path: Path
+    directory: bool = False
+    """An empty directory in place of a file."""
+
+
+class Rename(Struct, frozen=True, forbid_unknown_fields=True):
+    """What is to be called otherwise."""
+
+    path: Path
+    to: Path
+
+
+def checksum(data: bytes) -> int:
+    """Return the CRC-32 as the vehicles count it: begun at 0 and not inverted."""
+    return zlib.crc32(data, 0xFFFFFFFF) ^ 0xFFFFFFFF
+
+
+class Files:
+    """The files of one vehicle."""
+
+    def __init__(self, hub: Hub, vehicle: Vehicle) -> None:
+        self._ftp = Ftp(hub, vehicle)
+
+    def verbs(self) -> dict[str, Verb]:
+        """Return what each path runs."""
+        return {
+            "service/ftp/list": self.list,
+            "service/ftp/read": self.read,
+            "service/ftp/write": self.write,
+            "service/ftp/crc": self.crc,
+            "service/ftp/remove": self.remove,
+            "service/ftp/mkdir": self.mkdir,
+            "service/ftp/rename": self.rename,
+        }
+
+    async def list(self, given: FilePath, _: Progress) -> list[Entry]:
+        """List a directory; ask for more until there is no more."""
+        found: list[Entry] = []
+        path, what, at = _encoded(given.path), f"list of {given.path}", 0
+        async with self._ftp.turn():
+            while len(found) < _MOST_ENTRIES:
+                reply = await self._ftp.ask(Op.LIST, 0, at, path)
+                if reply.error == _END:
+                    break
+                if reply.error:
+                    reply = await self._ftp.do(Op.LIST, what, path, at)
+                names = [name for name in reply.data.split(b"\0") if name]
+                if not names:
+                    break
+                at += len(names)
+                found += [entry for name in names if (entry := _entry(name)) is not None]
+        return sorted(found, key=lambda entry: entry.name)
+
+    async def read(self, given: FileRange, progress: Progress) -> FilePiece:
+        """Return a part of a file."""
+        what, path = f"read of {given.path}", _encoded(given.path)
+        ftp = self._ftp
+        async with ftp.turn(), ftp.opened(Op.OPEN_TO_READ, path, what) as (session, size):
+            # Files that are made while they are read say 0, or more than they have.
+            stop = given.offset + given.count
+            gaps = Gaps(given.offset, min(stop, size) if size else stop)
+            await ftp.read(session, gaps, what, lambda part: progress(fraction=part))
+        data = gaps.data
+        last = given.offset + len(data)
+        return FilePiece(given.path, given.offset, last < stop or last == size, data)
+
+    async def write(self, given: FileWrite, progress: Progress) -> Written:
+        """Write a part of a file; done when the vehicle's own sum agrees, where it counts one."""
+        what, path = f"write of {given.path}", _encoded(given.path)
+        ftp, data = self._ftp, given.data
+        op = Op.OPEN_TO_WRITE if given.offset else Op.CREATE
+        async with ftp.turn():
+            async with ftp.opened(op, path, what) as (session, _):
+                await ftp.write(
+                    session, given.offset, data, what, lambda part: progress(fraction=part)
+                )
+            crc = await self._crc(path, what)
+        if crc is not None and not given.offset and crc != checksum(data):
+            raise DeviceRejected(f"{what}: what is on board now is not what was sent")
+        return Written(given.path, given.offset + len(data), crc)
+
+    async def _crc(self, path: bytes, what: str) -> int | None:
+        try:
+            reply = await self._ftp.do(Op.CRC, what, path, wait=_COUNTING)
+        except NotImplementedByRobot:
+            return None
+        return int.from_bytes(reply.data[:4], "little")
+
+    async def crc(self, given: FilePath, _: Progress) -> Check:
+        """Have the vehicle count the sum of a file."""
+        what = f"sum of {given.path}"
+        async with self._ftp.turn():
+            reply = await self._ftp.do(Op.CRC, what, _encoded(given.path), wait=_COUNTING)
+        return Check(given.path, int.from_bytes(reply.data[:4], "little"))
+
+    async def remove(self, given: Remove, _: Progress) -> None:
+        """Remove a file, or an empty directory."""
+        op = Op.REMOVE_DIRECTORY if given.directory else Op.REMOVE
+        await self._simple(op, f"removal of {given.path}", _encoded(given.path))
+
+    async def mkdir(self, given: FilePath, _: Progress) -> None:
+        """Make a directory."""
+        await self._simple(Op.MAKE_DIRECTORY, f"directory {given.path}", _encoded(given.path))
+
+    async def rename(self, given: Rename, _: Progress) -> None:
+        """Call a file otherwise."""
+        both = _encoded(given.path) + b"\0" + _encoded(given.to)
+        if len(both) > PIECE:
+            raise InvalidValue(f"both paths together are longer than {PIECE - 1} bytes")
+        await self._simple(Op.RENAME, f"renaming of {given.path}", both)
+
+    async def _simple(self, op: int, what: str, data: bytes) -> None:
+        async with self._ftp.turn():
+            await self._ftp.do(op, what, data)
+
+
+def _encoded(path: str) -> bytes:
+    data = path.encode()
+    if len(data) > PIECE - 1:
+        raise InvalidValue(f"a path has {PIECE - 1} bytes at most", details={"pointer": "/path"})
+    return data
+
+
+def _entry(text: bytes) -> Entry | None:
+    """Read `Fname<tab>size` or `Dname`; None: what is to be left out, and the way up."""
+    kind, (name, _, size) = text[:1], text[1:].decode("utf-8", "replace").partition("\t")
+    if kind == b"D" and name not in (".", ".."):
+        return Entry(name, "directory", 0)
+    if kind == b"F":
+        return Entry(name, "file", int(size) if size.isdigit() else 0)
+    return None
