@@ -9,13 +9,16 @@ MADE := .venv/.made
 DEMO := .venv/.demo
 TEST := .venv/.test
 PIP := $(BIN)/python -m pip install -qq --disable-pip-version-check
-NEEDS := pyproject.toml constraints.txt
+WEB := plugins/rcp_dashboard/web
+PAGES := $(shell find $(WEB) -name node_modules -prune -o -type f ! -name .made -print)
+NEEDS := pyproject.toml constraints.txt $(PAGES)
 
-.PHONY: help demo test lint format bench constraints picture clean
+.PHONY: help demo test dashboard lint format bench constraints picture clean
 
 help:
 	@echo "make demo [PORT=8080]   serve simulated rovers and a drone and say where to look"
 	@echo "make test [ARGS=...]    run the tests; ARGS goes to pytest"
+	@echo "make dashboard          build the dashboard's pages, where that failed before"
 	@echo "make lint               ruff, pyright, import-linter"
 	@echo "make format             have ruff lay the code out"
 	@echo "make bench              measure; prints tables"
@@ -28,6 +31,10 @@ demo: $(DEMO)
 
 test: $(TEST)
 	$(BIN)/python -m pytest $(ARGS)
+
+dashboard: $(MADE)
+	$(BIN)/python -m pip install -v --no-deps -e .
+	@test -f plugins/rcp_dashboard/static/index.html
 
 lint: $(TEST)
 	$(BIN)/ruff check .
@@ -51,6 +58,7 @@ picture: $(TEST)
 
 clean:
 	rm -rf .venv .pytest_cache .ruff_cache .hypothesis .import_linter_cache build dist
+	rm -rf plugins/rcp_dashboard/static $(WEB)/node_modules $(WEB)/.made
 
 $(MADE):
 	@found=; \
@@ -71,13 +79,21 @@ $(MADE):
 	@$(BIN)/python -m pip --version >/dev/null 2>&1 || $(BIN)/python -m ensurepip >/dev/null
 	@touch $@
 
+define told
+test -f plugins/rcp_dashboard/static/index.html || \
+	echo "The dashboard's pages could not be built (npm has to reach its registry):" \
+		"all else works. \`make dashboard\` tries again and says more."
+endef
+
 # What was installed for the tests serves the demo too.
 $(DEMO): $(NEEDS) | $(MADE)
 	@echo "Installing what the demo needs"
 	@$(PIP) -c constraints.txt -e '.[mavlink]'
+	@$(told)
 	@touch $@
 
 $(TEST): $(NEEDS) | $(MADE)
 	@echo "Installing what the tests need (some hundred MB, once)"
 	@$(PIP) -c constraints.txt -e '.[test]'
+	@$(told)
 	@touch $(DEMO) $@

@@ -1,4 +1,4 @@
-"""Check that a built wheel has only packages of ours at its top level, and all of them."""
+"""Check that a built wheel has only packages of ours at its top level, all of them, and the pages."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import zipfile
 from pathlib import Path
 
 ROOT = Path(__file__).parent.parent
+_DASHBOARD = "rcp_dashboard/"
 
 
 def expected() -> set[str]:
@@ -23,6 +24,11 @@ def main() -> int:
     packages = {name for name in found if not name.endswith(".dist-info")}
     if packages != expected():
         print(f"top level of {wheel.name}: {sorted(packages)}, expected {sorted(expected())}")
+        return 1
+    pages = [name for name in names if name.startswith(_DASHBOARD + "static/")]
+    sources = [name for name in names if name.startswith(_DASHBOARD + "web/")]
+    if _DASHBOARD + "static/index.html" not in pages or sources:
+        print(f"{wheel.name} has {len(pages)} files of the dashboard and its sources {sources}")
         return 1
     print(f"{wheel.name}: {len(names)} files in {', '.join(sorted(packages))}")
     return 0

@@ -126,12 +126,13 @@ async def refuse(
     path: str | None = None,
     encoding: Encoding = Encoding.JSON,
     status: int | None = None,
+    headers: Iterable[tuple[bytes, bytes]] = (),
 ) -> None:
     """Answer with the envelope of an error."""
     reply = failure(error, type_, id_, path)
-    headers: Headers = []
+    fields: Headers = [*headers]
     if error.http == 401:
-        headers.append((b"www-authenticate", b"Bearer"))
-    headers += retry_after(error.retry_after)
+        fields.append((b"www-authenticate", b"Bearer"))
+    fields += retry_after(error.retry_after)
     body = encode_reply(reply, encoding)
-    await respond(send, status or error.http, body, MEDIA[encoding], headers)
+    await respond(send, status or error.http, body, MEDIA[encoding], fields)

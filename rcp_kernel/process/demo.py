@@ -21,6 +21,8 @@ name = "rcp-demo"
 [transports.asgi]
 port = {port}
 
+[plugins.dashboard]
+
 [log]
 level = "{level}"
 
@@ -120,13 +122,14 @@ class Demo:
             fly = f"{does}/arm\n{does}/takeoff\n{does}/land"
         return f"""\
 RCP gateway demo: {where}
-  {url}/                  where to look
+  {url}/                  the dashboard: open it in a browser
   {url}/rcp/v1/discovery  everything there is
   {url}/metrics           for Prometheus
 
   operator key  {self._operator}   (reads, writes, commands)
   admin key     {self._admin}   (and resets an e-stop)
-  Without one you may look, not move. rcpctl finds the first one by itself, for this user.
+  Without one you may look, not move: the dashboard takes one where it says "Log in"; rcpctl
+  finds the first one by itself, for this user.
 
 Try:
   {rcpctl} --url {url} read /tenant/alpha/sensor/pose

@@ -366,7 +366,7 @@ def test_the_demo_leaves_its_key_for_the_same_user() -> None:
     ) as demo:
         assert demo.stdout is not None
         for line in demo.stdout:
-            if "where to look" in line:
+            if "the dashboard" in line and "://" in line:
                 where = line.split()[0].rstrip("/")
             if line.startswith("Ready."):
                 break

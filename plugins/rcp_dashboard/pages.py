@@ -1,0 +1,125 @@
+"""The built pages, from memory: files whose names carry their hash stay with the browser for good."""
+
+from __future__ import annotations
+
+import hashlib
+import mimetypes
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import structlog
+
+from rcp_kernel.asgi import Headers, Receive, Scope, Send, header, refuse, respond
+from rcp_kernel.errors import UnknownPath, UnsupportedOperation
+
+__all__ = ["STATIC", "Pages"]
+
+log = structlog.get_logger("rcp.dashboard")
+STATIC = Path(__file__).with_name("static")
+_POLICY = (
+    "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data: blob:; "
+    "font-src 'self'; connect-src 'self'; worker-src 'self'; manifest-src 'self'; "
+    "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+)
+_SAFE: Headers = [
+    (b"content-security-policy", _POLICY.encode()),
+    (b"referrer-policy", b"no-referrer"),
+    (b"cross-origin-opener-policy", b"same-origin"),
+    (b"permissions-policy", b"camera=(), microphone=(), geolocation=(), payment=(), usb=()"),
+]
+_FOREVER = (b"cache-control", b"public, max-age=31536000, immutable")
+_ASK = (b"cache-control", b"no-cache")
+_VARY = (b"vary", b"accept-encoding")
+_UNBUILT = b"""<!doctype html><html lang="en"><meta charset="utf-8"><title>RCP gateway</title>
+<h1>RCP gateway</h1>
+<p>The gateway runs; the pages of its dashboard are not part of this installation.</p>
+<p>In a clone, <code>make dashboard</code> builds them (it fetches packages with npm); a wheel made
+without <code>RCP_DASHBOARD=off</code> has them. Then start the gateway again.</p>
+<p>Everything else is at <a href="rcp/v1">/rcp/v1</a>.</p></html>
+"""
+
+
+class File(msgspec.Struct, frozen=True):
+    """One file, with what is said about it."""
+
+    body: bytes
+    packed: bytes | None
+    """The same, compressed with gzip when it was built."""
+    media: bytes
+    etag: bytes
+    cache: tuple[bytes, bytes]
+
+    @classmethod
+    def of(cls, body: bytes, name: str, packed: bytes | None = None) -> File:
+        """Describe what is sent under a name."""
+        media = mimetypes.guess_type(name)[0] or "application/octet-stream"
+        if media.startswith("text/") or name.endswith((".js", ".json", ".svg")):
+            media += "; charset=utf-8"
+        etag = b'"%s"' % hashlib.sha256(body).hexdigest()[:20].encode()
+        cache = _FOREVER if name.startswith("/assets/") else _ASK
+        return cls(body, packed, media.encode(), etag, cache)
+
+
+class Pages:
+    """Serves them, as a plain ASGI application at `/`."""
+
+    def __init__(self, static: Path = STATIC) -> None:
+        self._files = dict(_load(static))
+        self.built = "/index.html" in self._files
+        """Whether the pages are there at all."""
+        if not self.built:
+            log.warning("dashboard_not_built", remedy="make dashboard")
+        index = self._files.pop("/index.html", None) or File.of(_UNBUILT, "/index.html")
+        self._files["/"] = index
+
+    def facts(self) -> dict[str, Any]:
+        """Tell of them in `/system/status`."""
+        return {} if self.built else {"detail": "its pages were not built: `make dashboard`"}
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Serve one request."""
+        path, method = scope["path"], scope["method"]
+        file = self._files.get(path)
+        if file is None:
+            told = UnknownPath(f"nothing is at {path}", remedy="The pages begin at `/`.")
+            await refuse(send, told)
+            return
+        if method not in ("GET", "HEAD"):
+            told = UnsupportedOperation(f"{path} does not take {method}")
+            allow: Headers = [(b"allow", b"GET, HEAD, OPTIONS")]
+            if method == "OPTIONS":
+                await respond(send, 204, b"", headers=allow)
+            else:
+                await refuse(send, told, headers=allow)
+            return
+        root = scope.get("root_path", "").encode()
+        if root and scope["raw_path"] == root:  # what is relative would begin one level too high
+            await respond(send, 308, b"", headers=[(b"location", root + b"/"), *_SAFE])
+            return
+        await _give(scope, send, file)
+
+
+async def _give(scope: Scope, send: Send, file: File) -> None:
+    headers = [*_SAFE, file.cache, _VARY, (b"etag", file.etag)]
+    known = header(scope, b"if-none-match") or b""
+    if any(part.strip().removeprefix(b"W/") in (file.etag, b"*") for part in known.split(b",")):
+        await respond(send, 304, b"", headers=headers)
+        return
+    body = file.body
+    if file.packed is not None and b"gzip" in (header(scope, b"accept-encoding") or b""):
+        body = file.packed
+        headers.append((b"content-encoding", b"gzip"))
+    await respond(send, 200, body, file.media, headers)
+
+
+def _load(static: Path) -> list[tuple[str, File]]:
+    found: list[tuple[str, File]] = []
+    for path in static.rglob("*"):
+        if not path.is_file() or path.suffix == ".gz":
+            continue
+        name = "/" + path.relative_to(static).as_posix()
+        packed = path.with_name(path.name + ".gz")
+        body = packed.read_bytes() if packed.is_file() else None
+        found.append((name, File.of(path.read_bytes(), name, body)))
+    return found

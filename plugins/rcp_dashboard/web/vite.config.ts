@@ -1,0 +1,15 @@
+import { svelte } from "@sveltejs/vite-plugin-svelte";
+import { defineConfig } from "vite";
+
+export default defineConfig({
+  base: "./", // the page works below any prefix
+  plugins: [svelte()],
+  build: {
+    outDir: "../static",
+    emptyOutDir: true,
+    target: "es2022",
+    assetsInlineLimit: 0, // nothing inline: the Content-Security-Policy allows only files
+    modulePreload: { polyfill: false },
+  },
+  server: { proxy: { "/rcp": { target: "http://127.0.0.1:8080", ws: true }, "/dashboard": "http://127.0.0.1:8080" } },
+});
