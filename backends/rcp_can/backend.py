@@ -17,10 +17,12 @@ from rcp_can.config import CanConfig
 from rcp_can.crew import by_rate, heard, make_axes, run_axes, simulated
 from rcp_can.device import DevicePart
 from rcp_can.diff_drive import DiffDrivePart
+from rcp_can.eds_node import EdsPart
 from rcp_can.health import Health
 from rcp_can.joint_group import JointGroupPart
 from rcp_can.motor import MotorPart
 from rcp_can.raw import BusPart
+from rcp_can.sdo import Sdo
 from rcp_kernel.errors import ConfigError, UnknownPath
 from rcp_kernel.spi import BaseBackend, Host, Progress
 
@@ -95,6 +97,10 @@ async def open_buses(config: CanConfig, host: Host) -> AsyncGenerator[CanBackend
     devices = [
         DevicePart(name, device, buses[device.bus], host) for name, device in config.devices.items()
     ]
+    nodes = [
+        EdsPart(name, node, buses[node.bus], _sdo(buses[node.bus], node.node, axes.values()), host)
+        for name, node in config.nodes.items()
+    ]
     drives = [
         DiffDrivePart(name, drive, axes[drive.left], axes[drive.right])
         for name, drive in config.diff_drives.items()
@@ -103,7 +109,7 @@ async def open_buses(config: CanConfig, host: Host) -> AsyncGenerator[CanBackend
         JointGroupPart(name, group, [axes[joint] for joint in group.joints], host)
         for name, group in config.joint_groups.items()
     ]
-    for part in (*lines, *map(MotorPart, axes.values()), *devices, *drives, *groups):
+    for part in (*lines, *map(MotorPart, axes.values()), *devices, *nodes, *drives, *groups):
         backend.add(part)
     try:
         async with anyio.create_task_group() as tasks:
@@ -123,6 +129,17 @@ async def open_buses(config: CanConfig, host: Host) -> AsyncGenerator[CanBackend
         if more:
             raise
         raise first from None
+
+
+def _sdo(bus: Bus, node: int, axes: Iterable[Axis]) -> Sdo:
+    """Return the one client of a node's SDO server: that of its motor, if it is one."""
+    for axis in axes:
+        server = axis.drive.server
+        if server is not None and axis.bus is bus and axis.drive.node == node:
+            return server
+    sdo = Sdo(bus, node)
+    bus.listen(sdo.take, sdo.route)
+    return sdo
 
 
 async def _start(tasks: TaskGroup, buses: Iterable[Bus]) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from typing import Annotated, Any
 
 from msgspec import Meta, Struct
@@ -11,12 +10,12 @@ from rcp_can.config_device import DeviceConfig
 from rcp_can.config_diff_drive import DiffDriveConfig
 from rcp_can.config_joints import JointGroupConfig
 from rcp_can.config_motor import MotorConfig
-from rcp_can.config_names import BusName, Name, Seconds
+from rcp_can.config_names import BusName, IdRange, Name, Seconds, id_ranges
+from rcp_can.config_node import NodeConfig
 
 __all__ = ["BusConfig", "CanConfig"]
 
 Bitrate = Annotated[int, Meta(ge=1000, le=20_000_000, extra_json_schema={"unit": "bit/s"})]
-IdRange = Annotated[str, Meta(pattern=r"^0x[0-9A-Fa-f]{1,8}(-0x[0-9A-Fa-f]{1,8})?$")]
 
 
 class BusConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -53,11 +52,7 @@ class BusConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     @property
     def ranges(self) -> list[tuple[int, int]]:
         """The identifiers of `frames` as closed ranges."""
-        found: list[tuple[int, int]] = []
-        for text in self.frames:
-            first, *last = (int(part, 16) for part in re.split("-", text))
-            found.append((first, last[0] if last else first))
-        return found
+        return id_ranges(self.frames)
 
 
 class CanConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -66,6 +61,7 @@ class CanConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     buses: Annotated[dict[BusName, BusConfig], Meta(min_length=1)]
     motors: dict[Name, MotorConfig] = {}
     devices: dict[Name, DeviceConfig] = {}
+    nodes: dict[Name, NodeConfig] = {}
     diff_drives: dict[Name, DiffDriveConfig] = {}
     joint_groups: dict[Name, JointGroupConfig] = {}
     grace: Annotated[float, Meta(ge=0, extra_json_schema={"unit": "s"})] = 1.0
@@ -81,7 +77,7 @@ class CanConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
                 if joint not in self.motors:
                     raise ValueError(f"joint_groups.{name}.joints: there is no motor {joint!r}")
         known = ", ".join(self.buses)
-        for table in ("motors", "devices"):
+        for table in ("motors", "devices", "nodes"):
             for name, on in getattr(self, table).items():
                 if on.bus not in self.buses:
                     raise ValueError(

@@ -17,6 +17,8 @@ from rcp_kernel.errors import DeviceRejected, DeviceTimeout
 if TYPE_CHECKING:
     import can
 
+    from rcp_can.sdo import Sdo
+
 __all__ = ["Drive", "Fault", "Profile", "Reach", "Status"]
 
 _ANSWER = 1.0  # s in which a drive is in the state that it was asked to take
@@ -81,6 +83,11 @@ class Drive:
         self.node, self.options, self.bus = node, options, bus
         self.status = Status()
         self._waiters: list[tuple[Callable[[], bool], asyncio.Future[None]]] = []
+
+    @property
+    def server(self) -> Sdo | None:
+        """Its SDO server as seen from here, where it has one."""
+        return None
 
     def routes(self) -> tuple[Route, ...]:
         """Say which frames are this drive's."""

@@ -62,6 +62,11 @@ class Cia402Drive(Drive):
         self._emergencies: dict[int, Fault] = {}
         self._layouts = {MESSAGES[name][0]: (name, MESSAGES[name][1]) for name in MESSAGES}
 
+    @property
+    def server(self) -> Sdo:
+        """Its SDO server, of which there is one client."""
+        return self.sdo
+
     def routes(self) -> tuple[Route, ...]:
         """Take its PDOs, emergencies, heartbeats and SDO answers."""
         cobs = (0x080, 0x180, 0x280, 0x580, 0x700)

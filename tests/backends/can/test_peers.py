@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import math
 import struct
-import threading
 import time
 import warnings
 from collections.abc import AsyncGenerator, Callable, Iterator
@@ -17,6 +15,7 @@ import anyio
 import can
 import pytest
 
+from backends.can.peers import durand_network
 from backends.can.rig import RecordingHost, channel, opened
 from rcp_can.bus import Bus
 from rcp_can.config import BusConfig
@@ -108,29 +107,16 @@ def test_canopens_own_402_master_drives_our_twin() -> None:
 def durand_node(name: str) -> Iterator[Any]:
     """Run a node of durand's."""
     import durand
-    from durand.scheduler import SyncScheduler, get_scheduler
 
-    scheduler = SyncScheduler()
-    durand.set_scheduler(scheduler)
-    turning = threading.Thread(target=scheduler.run, daemon=True)
-    line = can.Bus(name, "virtual", ignore_config=True)
-    network = durand.CANBusNetwork(line)
-    od = durand.object_dictionary.ObjectDictionary()
-    kind = durand.DatatypeEnum
-    od[0x2000] = durand.Variable(kind.UNSIGNED32, "rw", 7)
-    od[0x2001] = durand.Variable(kind.VISIBLE_STRING, "rw", b"a text that needs several segments")
-    od[0x2002] = durand.Variable(kind.UNSIGNED8, "ro", 3)
-    od[0x2003] = durand.Variable(kind.INTEGER16, "rw", 0, minimum=-5, maximum=5)
-    node = durand.Node(network, 9, od)
-    turning.start()
-    try:
-        yield node
-    finally:
-        with contextlib.suppress(Exception):
-            get_scheduler().stop()
-        network.stop()
-        line.shutdown()
-        turning.join(2)
+    with durand_network(name) as network:
+        od = durand.object_dictionary.ObjectDictionary()
+        kind = durand.DatatypeEnum
+        od[0x2000] = durand.Variable(kind.UNSIGNED32, "rw", 7)
+        text = b"a text that needs several segments"
+        od[0x2001] = durand.Variable(kind.VISIBLE_STRING, "rw", text)
+        od[0x2002] = durand.Variable(kind.UNSIGNED8, "ro", 3)
+        od[0x2003] = durand.Variable(kind.INTEGER16, "rw", 0, minimum=-5, maximum=5)
+        yield durand.Node(network, 9, od)
 
 
 async def test_our_sdo_client_reads_and_writes_durands_objects() -> None:

@@ -1,0 +1,140 @@
+"""A CANopen node by its EDS: the objects of its dictionary as parameters, read and written by SDO."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Generator, Iterator
+from contextlib import AbstractContextManager, contextmanager, suppress
+from typing import TYPE_CHECKING, Any
+
+from rcp_can.binding import Part
+from rcp_can.bus import Bus
+from rcp_can.config_node import NodeConfig
+from rcp_can.eds_types import Entry, entry_of, slug
+from rcp_can.sdo import Sdo
+from rcp_kernel.errors import ConfigError, RcpError
+from rcp_kernel.model import Operation, Resource
+from rcp_kernel.spi import Host
+
+if TYPE_CHECKING:
+    from canopen.objectdictionary import ObjectDictionary, ODVariable
+
+__all__ = ["EdsPart", "load_eds"]
+
+_PERIOD = 1.0  # s between two looks at a parameter that somebody watches
+_COMMANDS = frozenset((0x6040, 0x6060, 0x6071, 0x607A, 0x60B0, 0x60B1, 0x60B2, 0x60C1, 0x60FF))
+"""Objects that move a drive: they are the motor model's, and only shown here."""
+
+
+class EdsPart(Part):
+    """The parameters of one node.
+
+    :raises ConfigError: the file cannot be read, or has no such objects.
+    """
+
+    def __init__(self, name: str, config: NodeConfig, bus: Bus, sdo: Sdo, host: Host) -> None:
+        self._name, self._config, self._bus, self._host = name, config, bus, host
+        self._sdo = sdo
+        self._entries: dict[str, Entry] = {}
+        self._texts: dict[str, str] = {}
+        for path, text, variable in _variables(load_eds(f"nodes.{name}", config.eds, config.node)):
+            entry = entry_of(variable)
+            if entry is None or not any(a <= entry.index <= b for a, b in config.ranges):
+                continue
+            full = f"param/{name}/{path}"
+            if full in self._entries:
+                full += f"_{entry.index:04x}_{entry.sub}"
+            self._entries[full], self._texts[full] = entry, text
+        if not self._entries:
+            raise ConfigError(f"nodes.{name}.objects: {config.eds} has none of these objects")
+
+    def resources(self) -> list[Resource]:
+        """List the objects."""
+        found: list[Resource] = []
+        for path, entry in self._entries.items():
+            may = Operation.NONE
+            if entry.readable:
+                may |= Operation.READ | Operation.SUBSCRIBE
+            if entry.writable and entry.index not in _COMMANDS:
+                may |= Operation.WRITE
+            found.append(
+                Resource(
+                    name=path,
+                    description=f"{self._texts[path]}.",
+                    value=entry.type,
+                    operations=may,
+                    meta={
+                        "bus": self._bus.name,
+                        "node": self._config.node,
+                        "index": f"0x{entry.index:04X}",
+                        "subindex": entry.sub,
+                    },
+                )
+            )
+        return [resource for resource in found if resource.operations]
+
+    async def read(self, name: str) -> Any:
+        """Ask the node."""
+        entry = self._entries[name]
+        return entry.unpack(await self._sdo.upload(entry.index, entry.sub))
+
+    async def write(self, name: str, value: Any) -> Any:
+        """Have the node take a value, and return the one that it has then."""
+        entry = self._entries[name]
+        await self._sdo.download(entry.index, entry.sub, entry.pack(value))
+        if not entry.readable:
+            return value
+        taken = await self.read(name)
+        self._host.publish(name, taken)
+        return taken
+
+    def watch(self, name: str) -> AbstractContextManager[object]:
+        """Look at an object again and again while somebody wants to know."""
+        return self._watched(name) if name in self._entries else super().watch(name)
+
+    @contextmanager
+    def _watched(self, name: str) -> Generator[None]:
+        looking = asyncio.create_task(self._look(name), name=f"can watch {name}")
+        try:
+            yield
+        finally:
+            looking.cancel()
+
+    async def _look(self, name: str) -> None:
+        while True:
+            with suppress(RcpError):  # it is told to whoever reads
+                self._host.publish(name, await self.read(name))
+            await asyncio.sleep(_PERIOD)
+
+
+def load_eds(where: str, file: str, node: int) -> ObjectDictionary:
+    """Read an EDS or DCF.
+
+    :raises ConfigError: it cannot be read.
+    """
+    import canopen
+
+    try:
+        found: Any = canopen.import_od(file, node)
+    except Exception as error:
+        raise ConfigError(f"{where}.eds: {file}: {error}") from error
+    if not len(found):
+        raise ConfigError(f"{where}.eds: {file} describes no objects; it must end in .eds or .dcf")
+    return found
+
+
+def _variables(dictionary: ObjectDictionary) -> Iterator[tuple[str, str, ODVariable]]:
+    """Return every value with its path below the node and its name in words."""
+    from canopen.objectdictionary import ODVariable
+
+    for each in dictionary.values():
+        if isinstance(each, ODVariable):
+            yield slug(each.name), each.name, each
+            continue
+        for sub, variable in each.items():
+            if sub:
+                yield (
+                    f"{slug(each.name)}/{slug(variable.name)}",
+                    f"{each.name}: {variable.name}",
+                    variable,
+                )
