@@ -1,0 +1,8 @@
+export { Client, type CommandOptions, type Reading, type ReadOptions, type WriteOptions } from "./client.ts";
+export type { Clock } from "./clock.ts";
+export { Command, type Feedback } from "./command.ts";
+export { ConnectionLost, RcpError } from "./errors.ts";
+export { Lease } from "./lease.ts";
+export type { SessionOptions, State } from "./session.ts";
+export { type Handlers, Subscription } from "./subscription.ts";
+export * from "./wire.ts";

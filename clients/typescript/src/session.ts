@@ -1,0 +1,343 @@
+import { Clock } from "./clock.ts";
+import type { Command } from "./command.ts";
+import { ConnectionLost, RcpError } from "./errors.ts";
+import { Backoff, Link, type Incoming } from "./link.ts";
+import type { Subscription } from "./subscription.ts";
+import { FINAL, type Hello, type Notice, type Reply, type Request, type Update } from "./wire.ts";
+
+export type State = "connecting" | "open" | "waiting" | "refused" | "closed";
+
+export interface SessionOptions {
+  /** The gateway, as http(s) or ws(s), with a path prefix where it stands behind one. */
+  url: string;
+  token?: string;
+  tenant?: string;
+  /** Name and version, for the operator of the gateway. */
+  name?: string;
+  /** Seconds between round trips that measure latency and clock. */
+  ping?: number;
+}
+
+interface Waiting {
+  take: (reply: Reply) => boolean;
+  lose: (why: string) => void;
+  /** Whether it was sent over a connection that was cut since. */
+  cut: boolean;
+}
+
+const DEADLINE = 10; // s, the gateway's own default
+const GRACE = 2; // s beyond a deadline before the answer is given up here
+const SETTLE = 3000; // ms after a resume within which what was missed has come
+const SILENCE = 6000; // ms without any answer after which a connection is dead
+const REFUSALS = new Set(["unauthenticated", "token_expired", "forbidden", "version_unsupported"]);
+
+/** What a client holds at the gateway, over as many connections as it takes. */
+export class Session {
+  state: State = "connecting";
+  hello: Hello | undefined;
+  /** Why there is no connection. */
+  problem: RcpError | undefined;
+  readonly clock = new Clock();
+  readonly subscriptions = new Map<string, Subscription>();
+  /** Call back with each notice, and when the state or the latency changes. */
+  onnotice: ((notice: Notice) => void) | undefined;
+  onchange: (() => void) | undefined;
+  /** Call back when the session is a new one, so that nothing of an earlier one stands. */
+  onfresh: (() => void) | undefined;
+  #options: SessionOptions;
+  #link: Link | undefined;
+  #backoff = new Backoff();
+  #retry: ReturnType<typeof setTimeout> | undefined;
+  #pinging: ReturnType<typeof setInterval> | undefined;
+  #waiting = new Map<string, Waiting>();
+  /** Subscriptions that are wanted no more, which the gateway has not been told yet. */
+  #orphans = new Set<string>();
+  #names = 0;
+  #heard = 0;
+
+  constructor(options: SessionOptions) {
+    this.#options = options;
+  }
+
+  get token(): string | undefined {
+    return this.#options.token;
+  }
+
+  /** Begin to connect; what comes of it is told by `onchange`. */
+  start(): void {
+    this.#open();
+  }
+
+  /** Leave: no connection, no further try. */
+  close(): void {
+    clearTimeout(this.#retry);
+    this.#to("closed");
+    this.#link?.close("the client was closed");
+    this.#loseAll("the client was closed");
+  }
+
+  /** Try again now, and not when the waiting is over. */
+  hurry(): void {
+    if (this.state !== "waiting" && this.state !== "refused") return;
+    clearTimeout(this.#retry);
+    this.#backoff.reset();
+    this.#open();
+  }
+
+  /** Cut the connection as a lost network would: the session goes on. */
+  cut(): void {
+    this.#link?.close("it was cut here");
+  }
+
+  newId(prefix: string): string {
+    this.#names += 1;
+    return `${prefix}-${this.#names}`;
+  }
+
+  /** Send a request and return its final reply, good or not. */
+  ask(request: Request): Promise<Reply> {
+    return new Promise((resolve, reject) => {
+      const seconds = (request.deadline ?? DEADLINE) + GRACE;
+      const id = request.id ?? this.newId("q");
+      const timer = setTimeout(() => {
+        this.#waiting.delete(id);
+        reject(new RcpError({
+          code: "deadline_exceeded", message: `no answer within ${seconds} s`, origin: "client",
+          remedy: "What became of it is not known: look at the robot.", retryable: true,
+        }));
+      }, seconds * 1000);
+      this.#send({ ...request, id }, {
+        take: (reply) => {
+          if (!FINAL.has(reply.status)) return false;
+          clearTimeout(timer);
+          resolve(reply);
+          return true;
+        },
+        lose: (why) => {
+          clearTimeout(timer);
+          reject(new ConnectionLost(why));
+        },
+        cut: false,
+      });
+    });
+  }
+
+  /** Send an execute whose replies go to `command`. */
+  run(request: Request, command: Command): void {
+    const id = this.newId("x");
+    this.#send({ ...request, id }, {
+      take: (reply) => command.take(reply),
+      lose: (why) => command.lose(why),
+      cut: false,
+    });
+  }
+
+  #send(request: Request & { id: string }, waiting: Waiting): void {
+    if (this.state !== "open" || this.#link === undefined) {
+      waiting.lose(`not connected: ${this.problem?.message ?? "the connection is not open yet"}`);
+      return;
+    }
+    this.#waiting.set(request.id, waiting);
+    this.#link.send(request);
+  }
+
+  // -- the connection -----------------------------------------------------------------------
+
+  #open(): void {
+    this.#to(this.hello === undefined ? "connecting" : "waiting");
+    const url = new URL(this.#options.url);
+    url.protocol = url.protocol.replace("http", "ws");
+    url.pathname = `${url.pathname.replace(/\/+$/, "")}/rcp/v1/ws`;
+    const link: Link = new Link(url.href, {
+      open: () => void this.#greet(link, this.hello !== undefined),
+      message: (message) => {
+        if (link === this.#link) this.#take(message);
+      },
+      closed: (why) => {
+        if (link === this.#link) this.#lost(why);
+      },
+    });
+    this.#link = link;
+  }
+
+  async #greet(link: Link, resuming: boolean): Promise<void> {
+    const { token, tenant, name } = this.#options;
+    const body: Record<string, unknown> = { client: name ?? "rcp-client-ts" };
+    if (token !== undefined) body["token"] = token;
+    if (tenant !== undefined) body["tenant"] = tenant;
+    if (resuming && this.hello !== undefined) {
+      body["session"] = this.hello.session;
+      body["resume_token"] = this.hello.resume_token;
+      body["resume_from"] = this.#seen();
+    }
+    const sent = Date.now();
+    const reply = await new Promise<Reply>((resolve) => {
+      const id = this.newId("hello");
+      this.#waiting.set(id, { take: (told) => (resolve(told), true), lose: () => undefined, cut: false });
+      link.send({ type: "hello", id, body });
+    });
+    if (link !== this.#link) return;
+    if (reply.error) return this.#refused(link, new RcpError(reply.error), resuming);
+    if (reply.timestamp) this.clock.measure(sent, Date.now(), reply.timestamp);
+    this.hello = reply.body as Hello;
+    this.problem = undefined;
+    this.#backoff.reset();
+    this.#heard = Date.now();
+    this.#to("open");
+    this.#pinging ??= setInterval(() => this.#ping(), (this.#options.ping ?? 2) * 1000);
+    if (resuming) this.#resume();
+    else this.#begin();
+  }
+
+  /** The session stands with what it had; mend what was asked while there was no connection. */
+  #resume(): void {
+    setTimeout(() => this.#giveUpCut(), SETTLE);
+    for (const id of this.#orphans) void this.unsubscribe(id);
+    for (const subscription of this.subscriptions.values())
+      if (!subscription.made) this.subscribe(subscription).catch(() => undefined);
+  }
+
+  /** The session is a new one: nothing of an earlier one stands. */
+  #begin(): void {
+    this.#loseAll("the session ended with the connection");
+    this.#orphans.clear();
+    for (const subscription of this.subscriptions.values()) {
+      subscription.forget();
+      this.subscribe(subscription).catch(() => undefined);
+    }
+    this.onfresh?.();
+  }
+
+  #refused(link: Link, error: RcpError, resuming: boolean): void {
+    if (resuming) return void this.#greet(link, false); // the session is gone, or is not ours any more
+    this.problem = error;
+    if (!REFUSALS.has(error.code)) return link.close(error.message);
+    this.#link = undefined;
+    link.close(error.message);
+    this.#stop("refused");
+  }
+
+  #stop(state: State): void {
+    this.hello = undefined;
+    this.#loseAll(this.problem?.message ?? "refused");
+    this.#to(state);
+  }
+
+  #lost(why: string): void {
+    this.#link = undefined;
+    clearInterval(this.#pinging);
+    this.#pinging = undefined;
+    if (this.state === "closed" || this.state === "refused") return;
+    this.problem = new ConnectionLost(why);
+    for (const waiting of this.#waiting.values()) waiting.cut = true;
+    this.clock.reset();
+    this.#retry = setTimeout(() => this.#open(), this.#backoff.next());
+    this.#to("waiting");
+  }
+
+  #ping(): void {
+    const link = this.#link;
+    if (link === undefined || this.state !== "open") return;
+    const sent = Date.now();
+    if (sent - this.#heard > SILENCE) return link.close("the gateway does not answer any more");
+    const id = this.newId("ping");
+    this.#waiting.set(id, {
+      take: (reply) => {
+        if (reply.timestamp) this.clock.measure(sent, Date.now(), reply.timestamp);
+        this.onchange?.();
+        return true;
+      },
+      lose: () => undefined,
+      cut: false,
+    });
+    link.send({ type: "ping", id });
+  }
+
+  // -- what comes in ------------------------------------------------------------------------
+
+  #take(message: Incoming): void {
+    this.#heard = Date.now();
+    if (message.type === "update") {
+      const update = message as Update;
+      this.subscriptions.get(update.id)?.update(update);
+    } else if (message.type === "notice") this.#notice(message as Notice);
+    else this.#reply(message as Reply);
+  }
+
+  #reply(reply: Reply): void {
+    const waiting = reply.id === undefined ? undefined : this.#waiting.get(reply.id);
+    if (waiting !== undefined) {
+      if (waiting.take(reply)) this.#waiting.delete(reply.id as string);
+    } else if (reply.type === "hello" && reply.error?.code === "token_expired") {
+      this.problem = new RcpError(reply.error);
+      this.#stop("refused");
+    }
+  }
+
+  #notice(notice: Notice): void {
+    const subscription = notice.id === undefined ? undefined : this.subscriptions.get(notice.id);
+    subscription?.notice(notice);
+    if (subscription && (notice.code === "overrun" || notice.code === "subscription_ended")) {
+      this.subscriptions.delete(subscription.id);
+      subscription.over(notice.error && new RcpError(notice.error));
+    }
+    this.onnotice?.(notice);
+  }
+
+  /** Ask for a subscription, for the first time or in a new session. */
+  async subscribe(subscription: Subscription): Promise<Reply> {
+    const body = { ...subscription.options, paths: subscription.paths };
+    try {
+      const reply = await this.ask({ type: "subscribe", id: subscription.id, body });
+      if (reply.error?.code === "duplicate_request") subscription.made = true; // it had arrived before the cut
+      if (reply.error && !subscription.made) throw new RcpError(reply.error);
+      subscription.made = true;
+      if (!reply.error) subscription.reaches = (reply.body as { paths: string[] }).paths;
+      return reply;
+    } catch (error) {
+      // Without a connection it is asked for again with the next one.
+      if (!(error instanceof ConnectionLost)) {
+        this.subscriptions.delete(subscription.id);
+        subscription.over(error as RcpError);
+      }
+      throw error;
+    }
+  }
+
+  /** End a subscription, now or as soon as there is a connection. */
+  async unsubscribe(id: string): Promise<void> {
+    this.#orphans.add(id);
+    try {
+      await this.ask({ type: "unsubscribe", body: { subscription: id } });
+      this.#orphans.delete(id);
+    } catch {
+      // It stays with the orphans.
+    }
+  }
+
+  #seen(): Record<string, number> {
+    const seen: Record<string, number> = {};
+    for (const subscription of this.subscriptions.values())
+      for (const [path, seq] of subscription.seen) seen[path] = Math.min(seq, seen[path] ?? seq);
+    return seen;
+  }
+
+  #giveUpCut(): void {
+    for (const [id, waiting] of this.#waiting) {
+      if (!waiting.cut) continue;
+      this.#waiting.delete(id);
+      waiting.lose("the connection was cut before the answer came");
+    }
+  }
+
+  #loseAll(why: string): void {
+    const waiting = [...this.#waiting.values()];
+    this.#waiting.clear();
+    for (const one of waiting) one.lose(why);
+  }
+
+  #to(state: State): void {
+    this.state = state;
+    this.onchange?.();
+  }
+}

@@ -1,0 +1,186 @@
+/** What stands in the messages of RCP/1, as docs/protocol.md has it. */
+
+export type Operation = "read" | "write" | "execute" | "subscribe";
+export type Kind = "sensor" | "actuator" | "param" | "action" | "service" | "event";
+export type Final = "completed" | "failed" | "rejected" | "cancelled";
+export type Status = "accepted" | "pending" | "in_progress" | Final;
+export type Json = null | boolean | number | string | Json[] | { [key: string]: Json };
+
+/** A JSON Schema (2020-12) with `unit` beside the standard's words. */
+export type Schema = { [word: string]: any };
+
+export interface Request {
+  type:
+    | "read" | "write" | "execute" | "subscribe" | "unsubscribe" | "cancel"
+    | "discover" | "status" | "hello" | "ping";
+  id?: string;
+  path?: string;
+  body?: unknown;
+  timestamp?: string;
+  deadline?: number;
+  idempotency_key?: string;
+  valid_for?: number;
+  dry_run?: boolean;
+  command?: string;
+}
+
+export interface WireError {
+  code: string;
+  message: string;
+  origin?: string;
+  path?: string;
+  remedy?: string;
+  retryable?: boolean;
+  retry_after?: number;
+  details?: Record<string, any>;
+  trace_id?: string;
+}
+
+export interface Reply<T = any> {
+  type: string;
+  id?: string;
+  path?: string;
+  status: Status;
+  body?: T;
+  message?: string;
+  error?: WireError;
+  command?: string;
+  progress?: number;
+  seq?: number;
+  source_timestamp?: string;
+  state?: "fresh" | "stale";
+  timestamp?: string;
+  dry_run?: boolean;
+}
+
+/** One sample of a path that is subscribed to. */
+export interface Update<T = any> {
+  type: "update";
+  id: string;
+  path: string;
+  seq: number;
+  /** The source's time: ISO 8601 in UTC. */
+  timestamp: string;
+  body: T;
+  /** Samples that were skipped since the last update of this path. */
+  dropped?: number;
+}
+
+/** What nobody asked for. Codes that are not known are to be ignored. */
+export interface Notice {
+  type: "notice";
+  code: string;
+  id?: string;
+  path?: string;
+  message?: string;
+  reason?: string;
+  error?: WireError;
+  timestamp: string;
+  [field: string]: unknown;
+}
+
+export interface Hello {
+  version: string;
+  session: string;
+  resume_token: string;
+  principal: string;
+  roles: string[];
+  tenant: string | null;
+  tenants: string[];
+  heartbeat: number;
+  limits: Record<string, number>;
+}
+
+export interface Resource {
+  path: string;
+  kind: Kind;
+  operations: Operation[];
+  description: string;
+  schemas?: { value?: Schema; input?: Schema; output?: Schema; feedback?: Schema };
+  schema_ids: Record<string, string>;
+  /** The schema of what this asker may send, where it is held to envelopes. */
+  command_schema?: Schema;
+  envelopes?: Record<string, unknown>[];
+  examples: unknown[];
+  backend: string;
+  state: "fresh" | "stale" | "never" | "ready" | "down";
+  unit?: string;
+  deadline?: number;
+  timeout?: number;
+  policy?: "reject" | "queue" | "preempt" | "parallel";
+  max_age?: number;
+  valid_for?: number;
+  safe?: unknown;
+  native?: unknown;
+  meta?: Record<string, unknown>;
+}
+
+export interface Discovered {
+  resources: Resource[];
+  cursor?: string;
+  generation: number;
+}
+
+export interface DiscoverOptions {
+  kind?: Kind;
+  op?: Operation;
+  q?: string;
+  limit?: number;
+  cursor?: string;
+  schemas?: boolean;
+}
+
+/** Filters and quality of service of a subscription. Times are in seconds, rates in Hz. */
+export interface SubscribeOptions {
+  rate?: number;
+  on?: "sample" | "change";
+  deadband?: number | string | Record<string, number | string>;
+  where?: Record<string, unknown>;
+  fields?: string[];
+  history?: number | string;
+  initial?: boolean;
+  duration?: number;
+  count?: number;
+  qos?: {
+    reliability?: "best_effort" | "reliable";
+    depth?: number;
+    priority?: number;
+    deadline?: number;
+    lifespan?: number;
+  };
+}
+
+export interface LeaseState {
+  lease: string;
+  scope: string;
+  holder: string;
+  session: string | null;
+  priority: number;
+  since: string;
+  expires: string;
+  reason?: string | null;
+}
+
+export interface EstopState {
+  active: boolean;
+  robots: Record<string, Record<string, unknown>>;
+  scopes: Record<string, Record<string, unknown>>;
+}
+
+/** Types of the resources by path, as `rcpctl codegen --lang typescript` writes them. */
+export interface Catalogue {
+  values: object;
+  writes: object;
+  commands: object;
+}
+
+/** Any path, any value. */
+export interface Untyped {
+  values: Record<string, any>;
+  writes: Record<string, any>;
+  commands: Record<string, { input: any; output: any; feedback: any }>;
+}
+
+export const FINAL: ReadonlySet<string> = new Set<Status>([
+  "completed", "failed", "rejected", "cancelled",
+]);

@@ -1,0 +1,187 @@
+// Run by tests/clients/test_typescript.py against a demo gateway: RCP_URL, RCP_TOKEN and RCP_ADMIN say where and who.
+import assert from "node:assert/strict";
+import { afterEach, test } from "node:test";
+
+import { Client, ConnectionLost, RcpError, type Update } from "../src/index.ts";
+
+const url = process.env["RCP_URL"] as string;
+const token = process.env["RCP_TOKEN"] as string;
+const admin = process.env["RCP_ADMIN"] as string;
+const open: Client[] = [];
+
+async function connected(how: { token?: string; tenant?: string } = { token, tenant: "alpha" }): Promise<Client> {
+  const client = new Client({ url, ping: 0.05, ...how });
+  open.push(client);
+  await client.connect();
+  return client;
+}
+
+afterEach(() => open.splice(0).forEach((client) => client.close()));
+
+/** Wait until something is so, told of changes by nobody. */
+async function until(so: () => boolean, what: string): Promise<void> {
+  const end = Date.now() + 15_000;
+  while (!so()) {
+    assert.ok(Date.now() < end, `not in time: ${what}`);
+    await new Promise((resolve) => setTimeout(resolve, 10));
+  }
+}
+
+async function refusal(doing: Promise<unknown>): Promise<RcpError> {
+  const error = await doing.then(() => undefined, (told: unknown) => told);
+  assert.ok(error instanceof RcpError, `not refused: ${error}`);
+  return error;
+}
+
+test("hello says who and where, and pings measure the way and the clock", async () => {
+  const client = await connected();
+  assert.equal(client.hello?.principal, "demo-operator");
+  assert.equal(client.hello?.tenant, "alpha");
+  await until(() => client.clock.latency !== undefined, "a round trip");
+  assert.ok(Math.abs(client.clock.offset) < 1, "one machine has one clock");
+});
+
+test("without a token one is anonymous, with a wrong one refused", async () => {
+  const client = await connected({});
+  assert.equal(client.hello?.principal, "anonymous");
+  const wrong = new Client({ url, token: "rcp_op_wrong" });
+  assert.equal((await refusal(wrong.connect())).code, "unauthenticated");
+  assert.equal(wrong.state, "refused");
+});
+
+test("read, write, and refusals with their code, details and remedy", async () => {
+  const client = await connected();
+  const { value, state, seq } = await client.read("/sensor/pose");
+  assert.equal(typeof value.position.x, "number");
+  assert.equal(state, "fresh");
+  assert.ok(seq !== undefined);
+  assert.equal(await client.write("/param/speed_limit", 0.7), 0.7);
+  assert.equal((await client.read("/param/speed_limit")).value, 0.7);
+  await client.write("/param/speed_limit", 1);
+  const error = await refusal(client.write("/param/speed_limit", 9));
+  assert.equal(error.code, "out_of_range");
+  assert.equal(error.details["unit"], "m/s");
+  assert.ok(error.remedy);
+  assert.equal((await refusal(client.read("/sensor/nothing"))).code, "unknown_path");
+});
+
+test("a dry run changes nothing", async () => {
+  const client = await connected();
+  const before = (await client.read("/param/speed_limit")).value;
+  await client.write("/param/speed_limit", 0.3, { dryRun: true });
+  assert.equal((await client.read("/param/speed_limit")).value, before);
+});
+
+test("a command is accepted, feeds back and ends", async () => {
+  const client = await connected();
+  const command = client.execute("/action/move_to", { position: { x: 0.4, y: 0, z: 0 } });
+  assert.ok(await command.accepted);
+  let fed = 0;
+  for await (const { body } of command) fed += body === undefined ? 0 : 1;
+  assert.ok(fed > 0);
+  assert.ok((await command.result).pose);
+  assert.equal(command.status, "completed");
+});
+
+test("a command is cancelled", async () => {
+  const client = await connected();
+  const command = client.execute("/action/move_to", { position: { x: 5, y: 0 }, speed: 0.1 });
+  await command.accepted;
+  await command.cancel();
+  assert.equal((await refusal(command.result)).code, "cancelled");
+  assert.equal(command.status, "cancelled");
+});
+
+test("a refused command rejects both of its promises", async () => {
+  const client = await connected();
+  const command = client.execute("/action/move_to", { position: "here" });
+  assert.equal((await refusal(command.accepted)).code, "invalid_value");
+  assert.equal((await refusal(command.result)).code, "invalid_value");
+});
+
+test("discover pages through what the asker may see", async () => {
+  const client = await connected();
+  const all = await client.discoverAll("/tenant/**", { limit: 5 });
+  assert.ok(all.length > 30);
+  assert.equal(new Set(all.map((one) => one.path)).size, all.length);
+  const looker = await connected({});
+  const seen = await looker.discoverAll("/tenant/alpha/actuator/*");
+  assert.deepEqual(seen[0]?.operations.includes("write"), false);
+});
+
+test("a subscription goes on after a cut, without loss and without repetition", async () => {
+  const client = await connected();
+  const got: Update[] = [];
+  let gaps = 0;
+  const qos = { reliability: "reliable" } as const;
+  const subscription = client.subscribe("/sensor/pose", { qos }, {
+    update: (update) => got.push(update),
+    notice: (notice) => (gaps += notice.code === "gap" ? 1 : 0),
+  });
+  await until(() => got.length > 10, "samples");
+  const session = client.hello?.session;
+  client.session.cut();
+  const error = await refusal(client.read("/sensor/pose"));
+  assert.ok(error instanceof ConnectionLost);
+  const had = got.length;
+  await until(() => got.length > had + 30, "samples after the cut");
+  assert.equal(client.hello?.session, session);
+  assert.equal(gaps, 0);
+  got.forEach((update, at) => assert.equal(update.seq, (got[0] as Update).seq + at));
+  await subscription.close();
+});
+
+test("what was asked for while there was no connection is asked for when there is one", async () => {
+  const client = await connected();
+  const pose = client.subscribe("/sensor/pose", {}, { update: () => undefined });
+  await until(() => pose.made, "a subscription");
+  client.session.cut();
+  let battery = 0;
+  client.subscribe("/sensor/battery", {}, { update: () => (battery += 1) });
+  await pose.close();
+  await until(() => battery > 0, "the one asked for in between");
+});
+
+test("a command runs on through a cut and its end is told", async () => {
+  const client = await connected();
+  const command = client.execute("/action/move_to", { position: { x: 0, y: 0 } });
+  await command.accepted;
+  client.session.cut();
+  assert.ok((await command.result).pose);
+});
+
+test("watching yields until the loop is left, and a refusal ends it", async () => {
+  const client = await connected();
+  let count = 0;
+  for await (const update of client.watch("/sensor/pose")) if (update.seq && ++count === 3) break;
+  assert.equal(client.session.subscriptions.size, 0);
+  const wrong = client.watch("/sensor/nothing").next();
+  assert.equal((await refusal(wrong)).code, "unknown_path");
+});
+
+test("a lease keeps others out until it is released, and a loss is told", async () => {
+  const [mine, other] = [await connected(), await connected({ token: admin, tenant: "alpha" })];
+  let lost = "";
+  const lease = await mine.lease("/tenant/alpha/actuator", { lost: (notice) => (lost = String(notice?.reason)) });
+  const drive = { linear: { x: 0 }, angular: { z: 0 } };
+  assert.equal((await refusal(other.write("/actuator/cmd_vel", drive))).code, "lease_held");
+  await mine.write("/actuator/cmd_vel", drive);
+  await lease.release();
+  await other.write("/actuator/cmd_vel", drive);
+  await mine.lease("/tenant/alpha/actuator", { lost: (notice) => (lost = notice?.code ?? "") });
+  await other.estop({ scope: "/tenant/alpha", reason: "tried" });
+  await until(() => lost === "lease_lost", "the notice of the loss");
+  await other.resetEstop({ scope: "/tenant/alpha" });
+});
+
+test("an e-stop holds until it is reset by who may", async () => {
+  const [operator, boss] = [await connected(), await connected({ token: admin, tenant: "alpha" })];
+  assert.equal((await operator.estop({ scope: "/tenant/alpha" })).active, true);
+  const drive = { linear: { x: 0.1 }, angular: { z: 0 } };
+  assert.equal((await refusal(operator.write("/actuator/cmd_vel", drive))).code, "estop_active");
+  assert.equal((await refusal(operator.resetEstop({ dryRun: true }))).code, "forbidden");
+  await boss.resetEstop({ scope: "/tenant/alpha" });
+  // The clock of the gateway is known to half a round trip: one more, and the command is the younger for sure.
+  await new Promise((resolve) => setTimeout(resolve, 50));
+  await operator.write("/actuator/cmd_vel", { linear: { x: 0 }, angular: { z: 0 } });
+});
