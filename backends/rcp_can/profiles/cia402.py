@@ -19,6 +19,7 @@ from rcp_can.profiles.cia402_objects import (
     state_of,
 )
 from rcp_can.profiles.cia402_options import Cia402Options
+from rcp_can.profiles.cia402_pdos import eds_map, own_map
 from rcp_can.sdo import Sdo, SdoAborted
 from rcp_kernel.errors import DeviceRejected
 
@@ -35,6 +36,13 @@ _UNDER_WAY = 1  # PDOs that may have left the drive before it heard us
 _PROBE = 0.3  # s between two looks for a node that says nothing by itself
 _SWITCHING = 2.0  # s for the way through the state machine
 _I32, _I16 = 2**31 - 1, 2**15 - 1
+_EMERGENCY, _ANSWER, _HEARTBEAT = 0x080, 0x580, 0x700
+_RATES = "target_velocity", "target_torque"
+_TARGETS: dict[Mode, str] = {
+    "position": "target_position",
+    "velocity": "target_velocity",
+    "torque": "target_torque",
+}
 _FAULTS = frozenset(("fault", "fault_reaction"))
 
 
@@ -60,7 +68,9 @@ class Cia402Drive(Drive):
         self._configured = False
         self._probes = 0
         self._emergencies: dict[int, Fault] = {}
-        self._layouts = {MESSAGES[name][0]: (name, MESSAGES[name][1]) for name in MESSAGES}
+        self._pdos = eds_map(options.eds, node) if options.eds else own_map(node)
+        carried = self._pdos.commanded
+        self.modes = frozenset(mode for mode, target in _TARGETS.items() if target in carried)
 
     @property
     def server(self) -> Sdo:
@@ -69,8 +79,8 @@ class Cia402Drive(Drive):
 
     def routes(self) -> tuple[Route, ...]:
         """Take its PDOs, emergencies, heartbeats and SDO answers."""
-        cobs = (0x080, 0x180, 0x280, 0x580, 0x700)
-        return tuple(Route(cob + self.node) for cob in cobs)
+        own = (cob + self.node for cob in (_EMERGENCY, _ANSWER, _HEARTBEAT))
+        return tuple(Route(cob) for cob in (*own, *self._pdos.feedback))
 
     def reach(self) -> Reach:
         """Tell what the widths of the objects can say."""
@@ -84,19 +94,22 @@ class Cia402Drive(Drive):
 
     def take(self, message: can.Message) -> bool:
         """Read one frame."""
+        layout = self._pdos.feedback.get(message.arbitration_id)
+        if layout is not None:
+            self._on_pdo(layout.decode(message.data))
+            return True
         cob = message.arbitration_id - self.node
-        if cob == 0x580 and self._probes and not self.sdo.busy:
+        if cob == _ANSWER and self._probes and not self.sdo.busy:
             self._probes -= 1
             self.status.told += 1
-            return True
-        if cob == 0x580:
+        elif cob == _ANSWER:
             unasked = self.sdo.unasked
             self.sdo.take(message)
             self.status.twins += self.sdo.unasked - unasked
-            return True
-        name, layout = self._layouts[cob]
-        values = layout.decode(message.data)
-        getattr(self, f"_on_{name}")(**values)
+        elif cob == _EMERGENCY:
+            self._on_emergency(int(MESSAGES["emergency"][1].decode(message.data)["code"]))
+        else:
+            self._on_heartbeat(int(MESSAGES["heartbeat"][1].decode(message.data)["state"]))
         return True
 
     def _on_heartbeat(self, state: int) -> None:
@@ -117,7 +130,7 @@ class Cia402Drive(Drive):
                 status.resets += 1
         status.told += 1
 
-    def _on_emergency(self, code: int, register: int, vendor: int) -> None:
+    def _on_emergency(self, code: int) -> None:
         if code == 0:
             self._emergencies.clear()
         else:
@@ -132,23 +145,34 @@ class Cia402Drive(Drive):
         self.status.faults = faults
         self.status.told += 1
 
-    def _on_state(self, statusword: int, mode_shown: int, position: int) -> None:
+    def _on_pdo(self, values: dict[str, float]) -> None:
+        status, scale = self.status, self._scale
+        for name, value in values.items():
+            match name:
+                case "position":
+                    status.position = value / scale
+                case "velocity":
+                    status.velocity = value / scale / self.options.velocity_scale
+                case "torque":
+                    status.torque = value / 1000 * self.options.rated_torque
+                case "mode_shown":
+                    self._shown = int(value)
+                case _:
+                    continue
+        if "statusword" in values:
+            self._on_state(int(values["statusword"]))
+        status.moved += 1
+
+    def _on_state(self, statusword: int) -> None:
         status = self.status
-        self._statusword, self._shown = statusword, mode_shown
+        self._statusword = statusword
         self._heard += 1
         was, self.state = self.state, state_of(statusword)
         status.enabled = self.state == "enabled"
         if was in _FAULTS and self.state not in _FAULTS:
             self._emergencies.clear()
         status.reached = bool(statusword & _REACHED) if self._moving else None
-        status.position = position / self._scale
-        status.moved += 1
         self._sum_up()
-
-    def _on_motion(self, velocity: int, torque: int) -> None:
-        self.status.velocity = velocity / self._scale / self.options.velocity_scale
-        self.status.torque = torque / 1000 * self.options.rated_torque
-        self.status.moved += 1
 
     # Configuration
 
@@ -234,20 +258,23 @@ class Cia402Drive(Drive):
         if options.watchdog and bus.paced("heartbeat", options.watchdog / 5000):
             bus.send(0x700 + options.master, bytes((_OPERATIONAL,)), lifetime=_FAST)
 
-    def _say(self, name: str, *, urgent: bool = False, **values: int) -> None:
-        cob, layout = MESSAGES[name]
+    def _say(self, *names: str, urgent: bool = False) -> None:
+        """Send the PDOs that carry some objects, as those now are."""
         lifetime = None if urgent else _FAST
-        self.bus.send(cob + self.node, layout.encode(**values), urgent=urgent, lifetime=lifetime)
+        values: dict[str, float] = {
+            "controlword": self._control,
+            "mode": self._mode,
+            "target_position": self._goal,
+            "target_velocity": self._rate,
+            "target_torque": self._torque,
+        }
+        for cob, layout in self._pdos.carrying(*names):
+            data = layout.encode(**{name: values.get(name, 0) for name in layout.names})
+            self.bus.send(cob, data, urgent=urgent, lifetime=lifetime)
 
     def _push(self, control: int, *, urgent: bool = False) -> None:
         self._control = control
-        self._say(
-            "command_position",
-            urgent=urgent,
-            controlword=control,
-            mode=self._mode,
-            target_position=self._goal,
-        )
+        self._say("target_position", "mode", "controlword", urgent=urgent)
 
     def _step(self) -> None:
         """Take the next step of the way to operation enabled (CiA 402-2, figure 5)."""
@@ -265,7 +292,7 @@ class Cia402Drive(Drive):
         self._rate = self._torque = 0
         self._goal = round((self.status.position or 0.0) * self._scale)
         self._mode = self._modes("velocity")
-        self._say("command_rate")
+        self._say(*_RATES)
         if self.state == "quick_stop":
             await self.until(
                 lambda: self.state == "switch_on_disabled", "switched off", again=self._step
@@ -326,7 +353,7 @@ class Cia402Drive(Drive):
         error = self._statusword & _HOMING_ERROR
         self._goal = round((self.status.position or 0.0) * self._scale)
         self._mode, self._rate = self._modes("velocity"), 0
-        self._say("command_rate")
+        self._say(*_RATES)
         self._push(COMMANDS["enable"])
         if error:
             raise DeviceRejected("homing failed: the drive reports a homing error")
@@ -343,7 +370,7 @@ class Cia402Drive(Drive):
                 self._rate = round(value * self._scale * self.options.velocity_scale)
             else:
                 self._torque = round(value / self.options.rated_torque * 1000)
-            self._say("command_rate", target_velocity=self._rate, target_torque=self._torque)
+            self._say(*_RATES)
         wanted = self._modes(mode)
         if mode == "position" or wanted != self._mode or wanted != self._shown:
             self._mode = wanted

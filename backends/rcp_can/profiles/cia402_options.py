@@ -33,6 +33,12 @@ class Cia402Options(Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     master: Annotated[int, Meta(ge=1, le=127)] = 126
     """Node id of the gateway's own heartbeat."""
     map_pdos: bool = True
-    """Map the PDOs; else they are taken to be mapped like that already."""
+    """Map the PDOs; else they are taken to be mapped as `eds` says, or like that already."""
+    eds: str = ""
+    """The drive's EDS, whose mapping is taken with `map_pdos = false`."""
     home_timeout: Annotated[float, Meta(gt=0)] = 60.0
     """s"""
+
+    def __post_init__(self) -> None:
+        if self.eds and self.map_pdos:
+            raise ValueError("`eds` has no use unless `map_pdos = false`")

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import canopen
 
-from rcp_can.profiles.cia402_objects import MODES, OBJECTS, PDOS
+from rcp_can.profiles.cia402_objects import MODES, OBJECTS
 from rcp_can.sim.cia402_objects import make_dictionary
 from rcp_can.sim.plant import Plant
 from rcp_can.sim.twin import Twin
@@ -72,7 +72,11 @@ class Cia402Twin(Twin):
         self._heard_master: float | None = None
         self._now = 0.0
         self.line = _Line(self)
-        self.local = canopen.LocalNode(node, make_dictionary(node))
+        eds: str = options.get("eds", "")
+        dictionary: Any = canopen.import_od(eds, node) if eds else make_dictionary(node)
+        self._receives = [index for index in range(0x1400, 0x1440) if index in dictionary]
+        self._transmits = [index for index in range(0x1800, 0x1840) if index in dictionary]
+        self.local = canopen.LocalNode(node, dictionary)
         self.local.add_write_callback(self._written)
         self.local.add_read_callback(self._read)
         self.line.add_node(self.local)
@@ -132,28 +136,26 @@ class Cia402Twin(Twin):
             self._heard_master = self._now
         if identifier == 0x080:
             self._send_pdos(lambda _, kind, __: kind <= 240)
-        for name in ("command_position", "command_rate"):
-            pdo = PDOS[name]
-            if self.operational and identifier == self.get_raw(pdo.parameters, 1):
-                self._command(pdo.parameters, bytes(message.data))
+        if self.operational:
+            for index in self._receives:
+                if identifier == self.get_raw(index, 1):
+                    self._command(index, bytes(message.data))
 
     def get_raw(self, index: int, sub: int) -> int:
         """Return any object as a number."""
         return int.from_bytes(self.local.get_data(index, sub), "little")
 
-    def _mapped(self, index: int) -> list[tuple[int, int]]:
+    def _mapped(self, index: int) -> list[tuple[int, int, int]]:
         words = [
             self.get_raw(index + 0x200, n) for n in range(1, 1 + self.get_raw(index + 0x200, 0))
         ]
-        return [(word >> 16, word >> 8 & 0xFF) for word in words]
+        return [(word >> 16, word >> 8 & 0xFF, (word & 0xFF) // 8) for word in words]
 
     def _command(self, index: int, data: bytes) -> None:
         place = 0
-        for entry in self._mapped(index):
-            code = _CODES[entry]
-            size = struct.calcsize(code)
+        for entry, sub, size in self._mapped(index):
             if place + size <= len(data):
-                self.local.set_data(*entry, data[place : place + size])
+                self.local.set_data(entry, sub, data[place : place + size])
             place += size
         if self._controlled is not None:
             word, self._controlled = self._controlled, None
@@ -184,13 +186,13 @@ class Cia402Twin(Twin):
     def _send_pdos(self, due: Any) -> None:
         if not self.operational:
             return
-        for name in ("state", "motion"):
-            index = PDOS[name].parameters
+        for index in self._transmits:
             cob = self.get_raw(index, 1)
             period = self.get_raw(index, 5) / 1000
             if cob >> 31 or not due(index, self.get_raw(index, 2), period):
                 continue
-            self.send(cob & 0x7FF, b"".join(self.local.get_data(*e) for e in self._mapped(index)))
+            parts = (self.local.get_data(entry, sub) for entry, sub, _ in self._mapped(index))
+            self.send(cob & 0x7FF, b"".join(parts))
 
     # CiA 402
 

@@ -1,0 +1,117 @@
+"""Which objects go over which PDO: as the gateway maps them, or as the drive's EDS says."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterable, Iterator
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from rcp_can.codec import Field, Layout
+from rcp_can.eds_node import load_eds
+from rcp_can.profiles.cia402_objects import OBJECTS, PDOS
+from rcp_kernel.errors import ConfigError
+
+if TYPE_CHECKING:
+    from canopen.objectdictionary import ObjectDictionary
+
+__all__ = ["MappedPdo", "PdoMap", "eds_map", "own_map"]
+
+_NAMES = {(index, sub): (name, code) for name, (index, sub, code) in OBJECTS.items()}
+_NEEDED = {
+    "receive": ("controlword", "mode", "target_position"),
+    "transmit": ("statusword", "mode_shown", "position"),
+}
+_INVALID = 0x8000_0000
+
+
+class MappedPdo(NamedTuple):
+    """One PDO of one node."""
+
+    cob: int
+    layout: Layout
+
+
+class PdoMap:
+    """All the PDOs of one node: those that command it, and what it tells by their identifiers."""
+
+    def __init__(self, commands: Iterable[MappedPdo], feedback: dict[int, Layout]) -> None:
+        self.commands, self.feedback = tuple(commands), feedback
+        self._carrying: dict[tuple[str, ...], tuple[MappedPdo, ...]] = {}
+
+    def carrying(self, *names: str) -> tuple[MappedPdo, ...]:
+        """Return command PDOs that carry some objects, few of them.
+
+        Those with a target come first: it must not be behind the control word that makes it valid.
+        """
+        found = self._carrying.get(names)
+        if found is None:
+            few = self._fewest(self.commanded.intersection(names))
+            found = tuple(sorted(few, key=lambda pdo: "target_position" not in pdo.layout.names))
+            self._carrying[names] = found
+        return found
+
+    def _fewest(self, names: frozenset[str]) -> Iterator[MappedPdo]:
+        left = set(names)
+        while left:
+            best = max(self.commands, key=lambda pdo: len(left.intersection(pdo.layout.names)))
+            left.difference_update(best.layout.names)
+            yield best
+
+    @property
+    def commanded(self) -> frozenset[str]:
+        """The objects that can be sent."""
+        return frozenset(name for pdo in self.commands for name in pdo.layout.names)
+
+
+def own_map(node: int) -> PdoMap:
+    """Return the PDOs that the gateway itself maps."""
+    commands = [
+        MappedPdo(pdo.cob + node, pdo.layout) for pdo in PDOS.values() if pdo.parameters < 0x1800
+    ]
+    feedback = {pdo.cob + node: pdo.layout for pdo in PDOS.values() if pdo.parameters >= 0x1800}
+    return PdoMap(commands, feedback)
+
+
+def eds_map(file: str, node: int) -> PdoMap:
+    """Return the PDOs that a drive has by its EDS, unless somebody has mapped them anew.
+
+    :raises ConfigError: they lack what a motor needs, or cannot be read.
+    """
+    dictionary = load_eds(f"node {node}", file, node)
+    found = PdoMap(
+        _pdos(dictionary, range(0x1400, 0x1600)),
+        {pdo.cob: pdo.layout for pdo in _pdos(dictionary, range(0x1800, 0x1A00))},
+    )
+    seen = frozenset(name for layout in found.feedback.values() for name in layout.names)
+    for way, has in (("receive", found.commanded), ("transmit", seen)):
+        if missing := [name for name in _NEEDED[way] if name not in has]:
+            words = ", ".join(f"0x{OBJECTS[name][0]:04X} ({name})" for name in missing)
+            raise ConfigError(
+                f"{file}: no {way} PDO carries {words}; let the gateway map the PDOs (map_pdos = true)"
+            )
+    return found
+
+
+def _pdos(dictionary: ObjectDictionary, parameters: Iterable[int]) -> Iterator[MappedPdo]:
+    for index in parameters:
+        if index not in dictionary or index + 0x200 not in dictionary:
+            continue
+        record: Any = dictionary[index]
+        mapping: Any = dictionary[index + 0x200]
+        cob = record[1].default
+        count = mapping[0].default or 0
+        if cob is None or cob & _INVALID or not count:
+            continue
+        words = [mapping[sub].default or 0 for sub in range(1, count + 1)]
+        yield MappedPdo(cob & 0x7FF, Layout("<", *map(_field, words)))
+
+
+def _field(word: int) -> Field:
+    """Return a mapped object's place; what the profile does not know is passed over."""
+    bits = word & 0xFF
+    if bits % 8:
+        raise ConfigError(f"0x{word:08X} is mapped with {bits} bits, which are no whole bytes")
+    name, code = _NAMES.get((word >> 16, word >> 8 & 0xFF), ("", ""))
+    if not name or 8 * struct.calcsize(code) != bits:
+        return Field("", f"{bits // 8}x")
+    return Field(name, code)
