@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Awaitable, Callable, Iterable, MutableMapping
 from math import ceil
 from typing import Any
@@ -9,7 +10,7 @@ from typing import Any
 from rcp_kernel.access.peer import UNKNOWN, Peer
 from rcp_kernel.clients.session import Session
 from rcp_kernel.door import Door
-from rcp_kernel.errors import BY_CODE, BadRequest, RcpError
+from rcp_kernel.errors import BY_CODE, BadRequest, DeadlineExceeded, PayloadTooLarge, RcpError
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import Reply, encode_reply, failure
 
@@ -23,11 +24,13 @@ __all__ = [
     "bearer",
     "header",
     "peer_of",
+    "read_body",
     "refuse",
     "respond",
     "retry_after",
     "session_of",
     "status_of",
+    "too_large",
 ]
 
 Scope = MutableMapping[str, Any]
@@ -73,6 +76,34 @@ def peer_of(scope: Scope) -> Peer:
     extensions = scope.get("extensions")
     found = None if extensions is None else extensions.get("rcp.peer")
     return UNKNOWN if found is None else found
+
+
+async def read_body(receive: Receive, limit: int, patience: float) -> bytes:
+    """Read a request's body.
+
+    :raises PayloadTooLarge: it is longer than `limit` bytes.
+    :raises DeadlineExceeded: it did not come within `patience` seconds.
+    """
+    parts: list[bytes] = []
+    size = 0
+    more = True
+    try:
+        async with asyncio.timeout(patience):
+            while more:
+                message = await receive()
+                parts.append(message.get("body", b""))
+                size += len(parts[-1])
+                if size > limit:
+                    raise too_large(limit)
+                more = message.get("more_body")
+    except TimeoutError:
+        raise DeadlineExceeded(f"the body did not come within {patience:g} s") from None
+    return parts[0] if len(parts) == 1 else b"".join(parts)
+
+
+def too_large(limit: int) -> PayloadTooLarge:
+    """Return the error for a body longer than `limit` bytes."""
+    return PayloadTooLarge(f"the body is longer than {limit} bytes", details={"limit": limit})
 
 
 async def session_of(door: Door, scope: Scope, tenant: str | None = None) -> Session:

@@ -30,6 +30,7 @@ from rcp_kernel.errors import (
 from rcp_kernel.model import Pattern
 from rcp_kernel.operations.command import Command
 from rcp_kernel.operations.discovery import Query
+from rcp_kernel.record.shelf import Shelf
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import Reply, Request
 
@@ -37,7 +38,7 @@ if TYPE_CHECKING:
     from rcp_kernel.gateway import Gateway
     from rcp_kernel.status import StatusReport
 
-__all__ = ["Door", "Mount"]
+__all__ = ["Door", "Mount", "Proofs"]
 
 Scope = MutableMapping[str, Any]
 Asgi = Callable[
@@ -59,6 +60,19 @@ class Mount(msgspec.Struct, frozen=True, kw_only=True):
     """A plain ASGI application; `scope["path"]` is the whole path."""
     openapi: Callable[[Session], dict[str, Any]] | None = None
     """Makes `paths` and `components` of the OpenAPI document for what a session sees of this mount."""
+
+
+class Proofs(msgspec.Struct, frozen=True, kw_only=True):
+    """By what clients may prove who they are, for what describes the gateway to them."""
+
+    anonymous: bool
+    """Whether something is there for those who prove nothing."""
+    bearer: bool
+    """Keys, tokens or JSON Web Tokens in `Authorization: Bearer`."""
+    certificates: bool
+    """Client certificates."""
+    issuers: tuple[str, ...] = ()
+    """Issuers of JSON Web Tokens that tell about themselves by OpenID Connect Discovery."""
 
 
 class Door:
@@ -100,6 +114,31 @@ class Door:
     def serves(self) -> bool:
         """Whether anybody can prove to be somebody who may do anything."""
         return self._gateway.config.serves or self._gateway.identities.serves
+
+    @property
+    def closing(self) -> bool:
+        """Whether the gateway is on its way down."""
+        return self._gateway.closing
+
+    @property
+    def title(self) -> str:
+        """What the configuration calls the gateway."""
+        return self._gateway.config.name
+
+    @property
+    def proofs(self) -> Proofs:
+        """By what clients may prove who they are."""
+        config = self._gateway.config
+        return Proofs(
+            anonymous=not config.closed,
+            bearer=bool(config.keys or config.jwt) or self._gateway.identities.serves,
+            certificates=bool(config.certificates),
+            issuers=tuple(one.issuer for one in config.jwt if one.discovery),
+        )
+
+    def shelf(self, table: str) -> Shelf:
+        """Return a table of the caller's own in the gateway's store."""
+        return Shelf(self._gateway.store, f"{self.name}.{table}")
 
     def mount(self, mount: Mount) -> None:
         """Offer a part of the HTTP tree to the listener.

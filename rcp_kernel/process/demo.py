@@ -23,6 +23,8 @@ port = {port}
 
 [plugins.dashboard]
 
+[plugins.a2a]
+
 [log]
 level = "{level}"
 

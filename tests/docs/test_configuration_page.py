@@ -10,6 +10,7 @@ import msgspec
 import pytest
 
 from docs.pages import DOCS, ROOT, keys, rows, section
+from rcp_a2a.config import Provider, PushConfig
 from rcp_asgi.config import TlsConfig
 from rcp_kernel.access.acl import Role, Rule
 from rcp_kernel.config.envelopes import Bound, EnvelopeConfig, Fence
@@ -120,6 +121,16 @@ def test_every_transport_of_the_house_is_told() -> None:
             agree(section(PAGE, f"`[transports.{name}]`"), kind.config)
         else:
             assert f"`[transports.{name}]`" not in text
+
+
+def test_every_adapter_of_the_house_is_told() -> None:
+    for name, kind in Plugins(parse("[plugins.a2a]\n", "test")).adapters.items():
+        agree(section(PAGE, f"`[plugins.{name}]`"), kind.config)
+
+
+def test_tables_within_the_agent_are_told() -> None:
+    agree(section(PAGE, "`[plugins.a2a.provider]`"), Provider)
+    agree(section(PAGE, "`[plugins.a2a.push]`"), PushConfig)
 
 
 def test_tls_is_told() -> None:

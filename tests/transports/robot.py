@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager
+from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
@@ -136,8 +137,9 @@ async def site(
     ws: str = "",
     sse: str = "",
     more: str = "",
+    folder: Path | None = None,
 ) -> AsyncGenerator[Site]:
-    """Run a gateway; the texts are added to its configuration."""
+    """Run a gateway; the texts are added to its configuration, the store is in `folder` if given."""
     robots: list[Robot] = []
 
     @asynccontextmanager
@@ -148,8 +150,8 @@ async def site(
     configure("error", "json")
     text = CONFIG.format(port=port, top=top, asgi=asgi, http=http, ws=ws, sse=sse, more=more)
     kind = BackendKind("robot", NoOptions, open_robot)
-    with TemporaryDirectory() as folder:
-        text += f'[store]\npath = "{folder}/store.db"\n'
+    with TemporaryDirectory() as scratch:
+        text += f'[store]\npath = "{folder or scratch}/store.db"\n'
         async with serve(parse(text, "test"), kind) as served:
             yield Site(served.server, robots)
 

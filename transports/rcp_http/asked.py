@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import math
 from contextlib import suppress
 from typing import Any
@@ -13,10 +12,10 @@ from msgspec import Raw
 
 from rcp_http.negotiate import accepted, body_encoding
 from rcp_kernel.access.identity import Principal
-from rcp_kernel.asgi import Receive, Scope, bearer, peer_of
+from rcp_kernel.asgi import Receive, Scope, bearer, peer_of, read_body, too_large
 from rcp_kernel.clients.session import Session
 from rcp_kernel.door import Door
-from rcp_kernel.errors import BadRequest, DeadlineExceeded, PayloadTooLarge
+from rcp_kernel.errors import BadRequest
 from rcp_kernel.values import Encoding, parse
 from rcp_kernel.wire import Request, decode_request
 
@@ -194,22 +193,8 @@ class Asked:
         """
         length = self.found.get("content_length", b"")
         if length.isdigit() and int(length) > limit:
-            raise _too_large(limit)
-        parts: list[bytes] = []
-        size = 0
-        more = True
-        try:
-            async with asyncio.timeout(patience):
-                while more:
-                    message = await receive()
-                    parts.append(message.get("body", b""))
-                    size += len(parts[-1])
-                    if size > limit:
-                        raise _too_large(limit)
-                    more = message.get("more_body")
-        except TimeoutError:
-            raise DeadlineExceeded(f"the body did not come within {patience:g} s") from None
-        return parts[0] if len(parts) == 1 else b"".join(parts)
+            raise too_large(limit)
+        return await read_body(receive, limit, patience)
 
     def put_body(self, request: Request, data: bytes) -> None:
         """Make a request's body of the HTTP body, as its Content-Type says.
@@ -225,10 +210,6 @@ class Asked:
         elif data:
             trimmed = data.strip() if encoding is Encoding.JSON else data
             request.body, request.encoding = Raw(trimmed), encoding
-
-
-def _too_large(limit: int) -> PayloadTooLarge:
-    return PayloadTooLarge(f"the body is longer than {limit} bytes", details={"limit": limit})
 
 
 def number(name: str, text: str) -> float:

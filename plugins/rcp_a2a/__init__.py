@@ -1,0 +1,33 @@
+"""Agents over A2A: a card, JSON-RPC and REST; a message is a plan, a task is its run."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncGenerator, Iterable
+from contextlib import asynccontextmanager
+from typing import Any
+
+from rcp_a2a.config import A2aConfig
+from rcp_kernel.door import Door
+from rcp_kernel.hookspecs import hookimpl
+from rcp_kernel.spi import AdapterKind
+
+__all__ = ["A2aConfig", "open_a2a", "rcp_adapters"]
+
+
+@asynccontextmanager
+async def open_a2a(config: A2aConfig, door: Door) -> AsyncGenerator[dict[str, Any]]:
+    """Offer the agent to the listener while entered.
+
+    :raises ConfigError: the key of the card cannot be read, or a network of `push` is none.
+    """
+    # The official SDK takes half a second to load: only a gateway that speaks A2A pays for it.
+    from rcp_a2a.serving import serving
+
+    async with serving(config, door) as facts:
+        yield facts
+
+
+@hookimpl
+def rcp_adapters() -> Iterable[AdapterKind]:
+    """Offer A2A."""
+    return [AdapterKind("a2a", A2aConfig, open_a2a, __doc__ or "")]

@@ -1,0 +1,65 @@
+"""The agent: runs the plan of a message as a task, and cancels it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import structlog
+from a2a.server.agent_execution import AgentExecutor, RequestContext
+from a2a.server.events.event_queue import EventQueue
+from a2a.types.a2a_pb2 import SendMessageRequest, Task, TaskState, TaskStatus
+from a2a.utils.errors import TaskNotCancelableError, UnsupportedOperationError
+
+from rcp_a2a.callers import caller_of
+from rcp_a2a.messages import asked
+from rcp_a2a.run import Run
+from rcp_kernel.clock import now
+from rcp_kernel.door import Door
+
+__all__ = ["Agent"]
+
+log = structlog.get_logger("rcp.a2a")
+
+
+class Agent(AgentExecutor):
+    """Carries out messages."""
+
+    def __init__(self, door: Door) -> None:
+        self._door = door
+        self._runs: dict[str, Run] = {}
+
+    async def execute(self, context: RequestContext, event_queue: EventQueue) -> None:
+        """Run the plan of a message to its end."""
+        if context.current_task is not None:
+            raise UnsupportedOperationError("the task does not wait for a message")
+        task = _begun(context)
+        await event_queue.enqueue_event(task)
+        run = self._runs[task.id] = Run(self._door, caller_of(context.call_context), task)
+        try:
+            run.start(asked(_request(context)))
+            await run.attend(event_queue)
+        finally:
+            del self._runs[task.id]
+
+    async def cancel(self, context: RequestContext, event_queue: EventQueue) -> None:
+        """Cancel the running steps of a task's plan."""
+        run = self._runs.get(context.task_id or "")
+        if run is None:
+            raise TaskNotCancelableError
+        await run.cancel(caller_of(context.call_context))
+
+
+def _request(context: RequestContext) -> SendMessageRequest:
+    request: Any = context._params  # noqa: SLF001 - its metadata is read through, its message is not
+    return request
+
+
+def _begun(context: RequestContext) -> Task:
+    status = TaskStatus(state=TaskState.TASK_STATE_SUBMITTED)
+    status.timestamp.FromNanoseconds(now())
+    return Task(
+        id=context.task_id,
+        context_id=context.context_id,
+        status=status,
+        history=[] if context.message is None else [context.message],
+    )

@@ -1,0 +1,206 @@
+"""The ASGI application: who calls, in which tenant, and which of the SDK's endpoints answers."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import Any, cast
+from urllib.parse import parse_qs
+
+import msgspec
+import structlog
+from a2a.server.request_handlers import RequestHandler
+from a2a.server.routes import create_jsonrpc_routes, create_rest_routes
+from a2a.types.a2a_pb2 import TaskState
+from starlette.applications import Starlette
+from starlette.exceptions import HTTPException
+from starlette.requests import Request
+from starlette.responses import Response
+from starlette.routing import Mount
+
+from rcp_a2a.callers import CALLER, Caller, Callers
+from rcp_a2a.cards import Cards
+from rcp_a2a.places import CARD, JWKS, Place, place_of
+from rcp_a2a.refusals import NOT_FOUND, NOT_TAKEN, Trouble, refuse, trouble_of
+from rcp_kernel.asgi import Receive, Scope, Send, header, read_body, session_of
+from rcp_kernel.door import Asgi, Door
+from rcp_kernel.errors import BadRequest, Forbidden, RcpError
+from rcp_kernel.operations.pending import crash
+
+__all__ = ["App"]
+
+log = structlog.get_logger("rcp.a2a")
+_BODY_TIMEOUT = 30.0  # s
+_STATES = frozenset(TaskState.keys())
+_TAKEN = (b"application/json", b"application/a2a+json")
+
+
+class _Params(msgspec.Struct):
+    tenant: str = ""
+    status: str | int | None = None
+
+
+class _Call(msgspec.Struct):
+    id: str | int | None = None
+    method: str = ""
+    params: _Params = msgspec.field(default_factory=_Params)
+
+
+class App:
+    """Serves the cards and both bindings."""
+
+    def __init__(self, door: Door, cards: Cards, handler: RequestHandler, *, old: bool) -> None:
+        self._door = door
+        self._cards = cards
+        callers = Callers()
+        routes = [
+            *create_jsonrpc_routes(handler, "/", callers, enable_v0_3_compat=old),
+            # Those for tenants go: who acts in which is found out before.
+            *(
+                route
+                for route in create_rest_routes(handler, callers, enable_v0_3_compat=old)
+                if not isinstance(route, Mount)
+            ),
+        ]
+        app = Starlette(routes=routes, exception_handlers={HTTPException: _not_here})
+        app.router.redirect_slashes = False
+        self._sdk: Asgi = cast("Asgi", app)
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Serve one request; whatever goes wrong is said in the binding's words."""
+        place = place_of(scope["path"])
+        call = _Call()
+        try:
+            if place.rest in (CARD, JWKS):
+                await self._cards.serve(scope, send, place)
+                return
+            body = b""
+            if scope["method"] == "POST":
+                _check_type(scope)
+                body = await read_body(receive, self._door.limits.message, _BODY_TIMEOUT)
+            if place.binding == "jsonrpc":
+                call = _read(body)
+            _check_state(scope, place, call)
+            session = await session_of(self._door, scope, _tenant(place, call))
+            self._door.pay(session)
+            inner = {
+                **scope,
+                "path": place.rest,
+                "root_path": "",
+                CALLER: Caller(session, self._cards.base(scope)),
+            }
+            await _Exchange(self._door, inner, receive, send, body).run(self._sdk)
+        except Exception as error:
+            told = crash(error, path=scope["path"])
+            self._door.refused("a2a", told.code)
+            trouble = error.trouble if isinstance(error, _Malformed) else trouble_of(told)
+            await refuse(send, trouble, place.binding, call.id, wait=told.retry_after)
+
+
+class _Malformed(BadRequest):
+    """A fault that the SDK would let pass."""
+
+    def __init__(self, trouble: Trouble) -> None:
+        super().__init__(trouble.message)
+        self.trouble = trouble
+
+
+def _check_type(scope: Scope) -> None:
+    given = header(scope, b"content-type")
+    if given is not None and given.partition(b";")[0].strip().lower() not in _TAKEN:
+        text = "the body is JSON: send `Content-Type: application/json`"
+        reason = "CONTENT_TYPE_NOT_SUPPORTED"
+        raise _Malformed(Trouble(415, "INVALID_ARGUMENT", reason, -32005, text))
+
+
+def _check_state(scope: Scope, place: Place, call: _Call) -> None:
+    """Refuse a filter that is no state: the SDK takes it for none."""
+    named: str | int | None = None
+    if call.method == "ListTasks":
+        named = call.params.status
+    elif place.rest == "/tasks":
+        named = parse_qs(scope["query_string"].decode("latin-1")).get("status", [None])[-1]
+    if isinstance(named, str) and named not in _STATES:
+        text = f"there is no state '{named[:40]}': use one of {sorted(_STATES)}"
+        trouble = Trouble(400, "INVALID_ARGUMENT", "INVALID_PARAMS", -32602, text)
+        raise _Malformed(msgspec.structs.replace(trouble, http=_http(place, trouble)))
+
+
+def _http(place: Place, trouble: Trouble) -> int:
+    return 200 if place.binding == "jsonrpc" else trouble.http
+
+
+def _read(body: bytes) -> _Call:
+    """Look who is meant; what is malformed is told by the SDK."""
+    try:
+        return msgspec.json.decode(body, type=_Call)
+    except (msgspec.DecodeError, UnicodeDecodeError):
+        return _Call()
+
+
+def _tenant(place: Place, call: _Call) -> str | None:
+    named = call.params.tenant or None
+    if place.tenant is not None and named not in (None, place.tenant):
+        raise Forbidden("the address and the parameters name two tenants")
+    return place.tenant or named
+
+
+async def _not_here(request: Request, error: Exception) -> Response:
+    """Say in JSON what the router would say in words."""
+    answers: list[Any] = []
+
+    async def send(message: Any) -> None:
+        answers.append(message)
+
+    missing = isinstance(error, HTTPException) and error.status_code == 404
+    binding = "jsonrpc" if request.scope["path"] == "/" else "rest"
+    await refuse(send, NOT_FOUND if missing else NOT_TAKEN, binding)
+    head, body = answers
+    response = Response(body["body"], head["status"])
+    response.raw_headers = head["headers"]
+    if isinstance(error, HTTPException) and (allow := (error.headers or {}).get("Allow")):
+        response.headers["allow"] = allow
+    return response
+
+
+class _Exchange:
+    """One request as the SDK gets it: the body at once, then the client's leaving or our end."""
+
+    def __init__(self, door: Door, scope: Scope, receive: Receive, send: Send, body: bytes) -> None:
+        self._door = door
+        self._scope = scope
+        self._receive = receive
+        self._send = send
+        self._body: bytes | None = body
+        self._over = asyncio.Event()
+
+    async def run(self, app: Asgi) -> None:
+        """Have the SDK answer; a stream ends with the proof of its client, or with the gateway."""
+        closing: set[Any] = self._scope.get("extensions", {}).get("rcp.closing", set())
+        keep = self._door.until_end(self._scope[CALLER].session, self._expired)
+        closing.add(self._over.set)
+        try:
+            await app(self._scope, self._next, self._send)
+        finally:
+            closing.discard(self._over.set)
+            keep()
+
+    def _expired(self, _error: RcpError) -> None:
+        self._over.set()
+
+    async def _next(self) -> Any:
+        if self._body is not None:
+            body, self._body = self._body, None
+            return {"type": "http.request", "body": body, "more_body": False}
+        over = asyncio.ensure_future(self._over.wait())
+        left = asyncio.ensure_future(_left(self._receive))
+        try:
+            await asyncio.wait((over, left), return_when=asyncio.FIRST_COMPLETED)
+        finally:
+            over.cancel()
+            left.cancel()
+        return {"type": "http.disconnect"}
+
+
+async def _left(receive: Receive) -> None:
+    while (await receive())["type"] != "http.disconnect":
+        pass

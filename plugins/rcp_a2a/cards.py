@@ -1,0 +1,204 @@
+"""Agent cards: what the agent can do for whom, where it is reached, and how one proves oneself."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from typing import Any
+
+import msgspec
+from a2a.server.context import ServerCallContext
+from a2a.server.request_handlers.response_helpers import agent_card_to_dict
+from a2a.types.a2a_pb2 import (
+    AgentCapabilities,
+    AgentCard,
+    AgentInterface,
+    AgentProvider,
+    HTTPAuthSecurityScheme,
+    MutualTlsSecurityScheme,
+    OpenIdConnectSecurityScheme,
+    SecurityRequirement,
+    SecurityScheme,
+    StringList,
+)
+from google.protobuf.json_format import MessageToDict
+
+from rcp_a2a.callers import caller_of
+from rcp_a2a.config import A2aConfig
+from rcp_a2a.places import JWKS, PREFIX, Place
+from rcp_a2a.refusals import NOT_FOUND, NOT_TAKEN, refuse
+from rcp_a2a.signing import CardKey
+from rcp_a2a.skills import skills_of
+from rcp_kernel.asgi import JSON, Headers, Scope, Send, header, respond
+from rcp_kernel.clients.session import Session
+from rcp_kernel.door import Door
+from rcp_kernel.errors import Forbidden, Unauthenticated
+from rcp_kernel.status import gateway_version
+
+__all__ = ["INPUT_MODES", "OUTPUT_MODES", "Cards"]
+
+INPUT_MODES = ("application/json", "text/plain")
+OUTPUT_MODES = ("application/json", "text/plain")
+_KEPT = 64  # cards that are kept ready
+_HOST = re.compile(r"[A-Za-z0-9.\-_\[\]:]+\Z")
+_DESCRIPTION = (
+    "Robots behind one gateway. Send a plan, or one command; it is checked whole before anything "
+    "moves, and runs as a task that can be followed and cancelled."
+)
+
+
+class Cards:
+    """Makes cards, and serves the public ones."""
+
+    def __init__(self, config: A2aConfig, door: Door) -> None:
+        """Read the key, if there is one.
+
+        :raises ConfigError: it cannot be read.
+        """
+        self._config = config
+        self._door = door
+        self._key = None if config.card_key is None else CardKey(config.card_key)
+        self._ready: dict[tuple[Any, ...], tuple[bytes, bytes]] = {}
+
+    def base(self, scope: Scope) -> str:
+        """Return the gateway's URL as a client sees it, without a slash at its end."""
+        if self._config.url is not None:
+            return self._config.url.rstrip("/")
+        host = (header(scope, b"host") or b"").decode("latin-1")
+        if not _HOST.match(host):
+            host = "localhost"
+        return f"{scope['scheme']}://{host}{scope.get('root_path', '')}"
+
+    # -- serving -------------------------------------------------------------------------------
+
+    async def serve(self, scope: Scope, send: Send, place: Place) -> None:
+        """Answer with a public card, or with the keys that verify it."""
+        if scope["method"] not in ("GET", "HEAD"):
+            await refuse(send, NOT_TAKEN, "rest")
+            return
+        if place.rest == JWKS:
+            if self._key is None:
+                await refuse(send, NOT_FOUND, "rest")
+                return
+            body = msgspec.json.encode(self._key.jwks)
+            tag = hashlib.sha256(body).hexdigest()[:32].encode()
+        else:
+            body, tag = self._public(self.base(scope), place.tenant)
+        headers: Headers = [
+            (b"etag", b'W/"' + tag + b'"'),
+            (b"cache-control", b"public, max-age=%d" % self._config.card_max_age),
+            (b"vary", b"host"),
+            (b"access-control-allow-origin", b"*"),
+        ]
+        known = header(scope, b"if-none-match") or b""
+        if known.strip() == b"*" or tag in known:
+            await respond(send, 304, b"", headers=headers)
+            return
+        await respond(send, 200, body, JSON, headers)
+
+    def _public(self, base: str, tenant: str | None) -> tuple[bytes, bytes]:
+        session = self._stranger(tenant)
+        generation = None if session is None else self._door.generation(session)
+        rights = None if session is None else session.rights
+        key = (base, tenant, generation, rights, self._door.proofs)
+        if key not in self._ready:
+            if len(self._ready) >= _KEPT:
+                self._ready.pop(next(iter(self._ready)))
+            card = self._make(base, session, tenant)
+            # The tag is of what the card says: some algorithms sign differently every time.
+            tag = hashlib.sha256(card.SerializeToString(deterministic=True)).hexdigest()[:32]
+            self._ready[key] = msgspec.json.encode(self._written(card, base)), tag.encode()
+        return self._ready[key]
+
+    def _stranger(self, tenant: str | None) -> Session | None:
+        """Return what those have who prove nothing; nothing for a tenant that is not theirs."""
+        try:
+            return self._door.session(self._door.authenticate(None), tenant)
+        except (Unauthenticated, Forbidden):
+            return None
+
+    def _written(self, card: AgentCard, base: str) -> dict[str, Any]:
+        """Write a card as JSON, signed; what 0.3 says otherwise stands beside, if nothing is signed.
+
+        A verifier that takes the document as it is would find the other words not signed.
+        """
+        if self._key is not None:
+            self._key.sign(card, f"{base}{PREFIX}{JWKS}")
+            return MessageToDict(card)
+        return agent_card_to_dict(card) if self._config.compatible else MessageToDict(card)
+
+    # -- making --------------------------------------------------------------------------------
+
+    def plain(self) -> AgentCard:
+        """Make the card that the SDK checks requests by; it is shown to nobody."""
+        return self._make("http://localhost", None, None)
+
+    async def extended(self, _card: AgentCard, context: ServerCallContext) -> AgentCard:
+        """Make the card of what a caller may do."""
+        caller = caller_of(context)
+        card = self._make(caller.base, caller.session, caller.tenant)
+        if self._key is not None:
+            self._key.sign(card, f"{caller.base}{PREFIX}{JWKS}")
+        return card
+
+    def _make(self, base: str, session: Session | None, tenant: str | None) -> AgentCard:
+        config = self._config
+        name = config.name or self._door.title
+        card = AgentCard(
+            name=name if tenant is None else f"{name} ({tenant})",
+            description=config.description or _DESCRIPTION,
+            supported_interfaces=self._interfaces(base, tenant),
+            version=gateway_version(),
+            documentation_url=config.documentation,
+            capabilities=AgentCapabilities(
+                streaming=True,
+                push_notifications=config.push.enabled,
+                extended_agent_card=True,
+            ),
+            default_input_modes=INPUT_MODES,
+            default_output_modes=OUTPUT_MODES,
+            skills=skills_of(self._door, session),
+        )
+        if config.provider is not None:
+            given = config.provider
+            card.provider.CopyFrom(AgentProvider(organization=given.organization, url=given.url))
+        self._secure(card)
+        return card
+
+    def _interfaces(self, base: str, tenant: str | None) -> list[AgentInterface]:
+        url = base + PREFIX
+        made = [
+            AgentInterface(url=url, protocol_binding=binding, protocol_version="1.0", tenant=tenant)
+            for binding in ("JSONRPC", "HTTP+JSON")
+        ]
+        if self._config.compatible:
+            old = url if tenant is None else f"{url}/{tenant}"
+            made += [
+                AgentInterface(url=old, protocol_binding=binding, protocol_version="0.3")
+                for binding in ("JSONRPC", "HTTP+JSON")
+            ]
+        return made
+
+    def _secure(self, card: AgentCard) -> None:
+        proofs = self._door.proofs
+        schemes: dict[str, SecurityScheme] = {}
+        if proofs.bearer:
+            schemes["bearer"] = SecurityScheme(
+                http_auth_security_scheme=HTTPAuthSecurityScheme(
+                    scheme="Bearer", description="An API key, or a JSON Web Token."
+                )
+            )
+        for number, issuer in enumerate(proofs.issuers):
+            where = f"{issuer.rstrip('/')}/.well-known/openid-configuration"
+            schemes["oidc" if not number else f"oidc{number + 1}"] = SecurityScheme(
+                open_id_connect_security_scheme=OpenIdConnectSecurityScheme(
+                    open_id_connect_url=where
+                )
+            )
+        if proofs.certificates:
+            schemes["certificate"] = SecurityScheme(
+                mtls_security_scheme=MutualTlsSecurityScheme(description="A client certificate.")
+            )
+        for name, scheme in schemes.items():
+            card.security_schemes[name].CopyFrom(scheme)
+            card.security_requirements.append(SecurityRequirement(schemes={name: StringList()}))

@@ -1,0 +1,113 @@
+"""Between the protocol's messages and plain data: what a client asks for, and what it is told."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import msgspec
+from a2a.types.a2a_pb2 import Message, Part, SendMessageRequest
+from a2a.utils.errors import ContentTypeNotSupportedError, InvalidParamsError
+from google.protobuf.json_format import ParseDict
+from google.protobuf.struct_pb2 import Struct, Value
+
+from rcp_kernel.values import Encoding
+from rcp_kernel.wire import Reply, encode_reply
+
+__all__ = ["Asked", "asked", "check", "data_part", "plain", "struct", "told"]
+
+_DATA = "application/json"
+_TEXT = "text/plain"
+_EXACT = 2**53
+
+
+class Asked(msgspec.Struct, frozen=True):
+    """What a message wants."""
+
+    body: Any
+    """A plan as `/system/plans` takes it, or the answer to a question."""
+    dry_run: bool = False
+    deadline: float | None = None
+
+
+def check(message: Message) -> None:
+    """Refuse a message that is no plan by its form.
+
+    :raises ContentTypeNotSupportedError: it has files, or another type than JSON and text.
+    :raises InvalidParamsError: it has several plans.
+    """
+    kinds = [part.WhichOneof("content") for part in message.parts]
+    for part, kind in zip(message.parts, kinds, strict=True):
+        media = part.media_type.partition(";")[0].strip().lower()
+        if kind not in ("data", "text") or media not in ("", _DATA, _TEXT):
+            raise ContentTypeNotSupportedError(
+                f"a plan is a data part or a text part ({_DATA}, {_TEXT}), not "
+                f"{part.media_type or kind or 'nothing'}"
+            )
+    if kinds.count("data") > 1:
+        raise InvalidParamsError("a message has one plan: send one data part")
+
+
+def asked(request: SendMessageRequest) -> Asked:
+    """Read a message; where it has a data part, its text is for people."""
+    message = request.message
+    options = {**plain(request.metadata), **plain(message.metadata)}
+    data = [part.data for part in message.parts if part.WhichOneof("content") == "data"]
+    if data:
+        body = plain(data[0])
+    else:
+        texts = [part.text for part in message.parts if part.WhichOneof("content") == "text"]
+        body = _written("\n".join(texts))
+    if isinstance(body, str):
+        body = _written(body)
+    deadline = options.get("deadline")
+    good = isinstance(deadline, (int, float)) and deadline > 0
+    return Asked(body, options.get("dry_run") is True, float(deadline) if good else None)  # pyright: ignore[reportArgumentType]
+
+
+def _written(text: str) -> Any:
+    """Tell what kind of plan a text is: JSON, the symbolic plan of a planner, or commands."""
+    stripped = text.strip()
+    if stripped.startswith("{"):
+        try:
+            return msgspec.json.decode(stripped)
+        except (msgspec.DecodeError, RecursionError):
+            pass
+    lines = [line for line in stripped.splitlines() if line.strip()[:1] not in ("", ";", "#")]
+    first = lines[0].strip() if lines else ""
+    symbolic = first.startswith("(") or first.partition(":")[2].lstrip().startswith("(")
+    return {"symbolic" if symbolic else "lines": text}
+
+
+def plain(value: Value | Struct | Any) -> Any:
+    """Make plain data of the protocol's, where every number is a float: whole ones are integers."""
+    if isinstance(value, Struct):
+        return {name: plain(item) for name, item in value.fields.items()}
+    match value.WhichOneof("kind"):
+        case "number_value":
+            number: float = value.number_value
+            return int(number) if number.is_integer() and abs(number) <= _EXACT else number
+        case "string_value":
+            return value.string_value
+        case "bool_value":
+            return value.bool_value
+        case "struct_value":
+            return plain(value.struct_value)
+        case "list_value":
+            return [plain(item) for item in value.list_value.values]
+        case _:
+            return None
+
+
+def told(reply: Reply) -> dict[str, Any]:
+    """Write a reply as the wire does, in plain data."""
+    return msgspec.json.decode(encode_reply(reply, Encoding.JSON))
+
+
+def data_part(value: Any) -> Part:
+    """Make a part of plain data."""
+    return Part(data=ParseDict(value, Value()), media_type=_DATA)
+
+
+def struct(value: dict[str, Any]) -> Struct:
+    """Make a map of plain data, for metadata."""
+    return ParseDict(value, Struct())

@@ -1,0 +1,92 @@
+"""Refusals before the SDK is asked, in the words of each binding."""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+import msgspec
+
+from rcp_kernel.asgi import JSON, Headers, Send, respond, retry_after
+from rcp_kernel.errors import RcpError
+
+__all__ = ["NOT_FOUND", "NOT_TAKEN", "Binding", "Trouble", "refuse", "trouble_of"]
+
+Binding = Literal["jsonrpc", "rest"]
+_DOMAIN = "a2a-protocol.org"
+_INFO = "type.googleapis.com/google.rpc.ErrorInfo"
+
+
+class Trouble(msgspec.Struct, frozen=True):
+    """What is wrong with a request."""
+
+    http: int
+    status: str
+    """A code of google.rpc.Code."""
+    reason: str
+    rpc: int
+    """The code of JSON-RPC; those of this gateway's own begin at -32050."""
+    message: str
+    metadata: dict[str, str] = {}
+
+
+_BY_HTTP: dict[int, tuple[str, int]] = {
+    400: ("INVALID_ARGUMENT", -32600),
+    401: ("UNAUTHENTICATED", -32050),
+    403: ("PERMISSION_DENIED", -32051),
+    404: ("NOT_FOUND", -32601),
+    405: ("UNIMPLEMENTED", -32601),
+    408: ("DEADLINE_EXCEEDED", -32600),
+    413: ("INVALID_ARGUMENT", -32600),
+    415: ("INVALID_ARGUMENT", -32005),
+    429: ("RESOURCE_EXHAUSTED", -32052),
+    503: ("UNAVAILABLE", -32053),
+}
+NOT_FOUND = Trouble(404, "NOT_FOUND", "METHOD_NOT_FOUND", -32601, "nothing is at this address")
+NOT_TAKEN = Trouble(
+    405, "UNIMPLEMENTED", "METHOD_NOT_FOUND", -32601, "this address does not take that method"
+)
+
+
+def trouble_of(error: RcpError, http: int | None = None) -> Trouble:
+    """Say an error of the gateway in the protocol's words."""
+    status, rpc = _BY_HTTP.get(http or error.http, ("INTERNAL", -32603))
+    facts = {"code": error.code}
+    if error.remedy is not None:
+        facts["remedy"] = error.remedy
+    return Trouble(http or error.http, status, error.code.upper(), rpc, error.message, facts)
+
+
+async def refuse(
+    send: Send,
+    trouble: Trouble,
+    binding: Binding,
+    id_: str | int | None = None,
+    *,
+    wait: float | None = None,
+) -> None:
+    """Answer a request that goes no further."""
+    info = {
+        "@type": _INFO,
+        "reason": trouble.reason,
+        "domain": _DOMAIN,
+        "metadata": trouble.metadata,
+    }
+    body: dict[str, Any]
+    if binding == "jsonrpc":
+        error = {"code": trouble.rpc, "message": trouble.message, "data": [info]}
+        body = {"jsonrpc": "2.0", "id": id_, "error": error}
+    else:
+        body = {
+            "error": {
+                "code": trouble.http,
+                "status": trouble.status,
+                "message": trouble.message,
+                "details": [info],
+            }
+        }
+    headers: Headers = retry_after(wait)
+    if trouble.http == 401:
+        headers.append((b"www-authenticate", b"Bearer"))
+    if trouble.http in (408, 413):
+        headers.append((b"connection", b"close"))  # the rest of the body is not read
+    await respond(send, trouble.http, msgspec.json.encode(body), JSON, headers)

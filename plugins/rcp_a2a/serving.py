@@ -1,0 +1,57 @@
+"""Puts the parts together while the gateway runs."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncGenerator
+from contextlib import AsyncExitStack, asynccontextmanager
+from typing import Any
+
+from rcp_a2a.addresses import Addresses
+from rcp_a2a.agent import Agent
+from rcp_a2a.app import App
+from rcp_a2a.callers import Contexts
+from rcp_a2a.cards import Cards
+from rcp_a2a.config import A2aConfig
+from rcp_a2a.handler import Handler
+from rcp_a2a.places import CARD, PREFIX
+from rcp_a2a.push import Notifier, Subscribers
+from rcp_a2a.tasks import Tasks
+from rcp_kernel.door import Door, Mount
+
+__all__ = ["serving"]
+
+
+@asynccontextmanager
+async def serving(config: A2aConfig, door: Door) -> AsyncGenerator[dict[str, Any]]:
+    """Offer the agent while entered.
+
+    :raises ConfigError: the key of the card cannot be read, or a network of `push` is none.
+    """
+    cards = Cards(config, door)
+    addresses = Addresses(config.push)
+    tasks = Tasks(door.shelf("tasks"), config.tasks, config.retention)
+    subscribers = Subscribers(door.shelf("push"), config.push.per_task)
+    tasks.forgotten.append(subscribers.forget)
+    tasks.restore()
+    subscribers.restore()
+    notifier = Notifier(config.push, addresses, subscribers)
+    handler = Handler(
+        Agent(door),
+        tasks,
+        cards.plain(),
+        push_config_store=subscribers if config.push.enabled else None,
+        push_sender=notifier if config.push.enabled else None,
+        request_context_builder=Contexts(tasks),
+        extended_agent_card=cards.plain(),
+        extended_card_modifier=cards.extended,
+        push_url_validator=addresses.fits,
+    )
+    app = App(door, cards, handler, old=config.compatible)
+    async with AsyncExitStack() as stack:
+        await stack.enter_async_context(notifier.running())
+        stack.push_async_callback(handler.aclose)
+        for prefix in (PREFIX, CARD):
+            mount = Mount(name="a2a", prefix=prefix, app=app)
+            door.mount(mount)
+            stack.callback(door.unmount, mount)
+        yield {"path": PREFIX}

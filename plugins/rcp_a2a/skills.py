@@ -1,0 +1,97 @@
+"""Skills of the agent's card: one for plans, and one for each action and service of a tenant."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import msgspec
+from a2a.types.a2a_pb2 import AgentSkill
+
+from rcp_kernel.clients.session import Session
+from rcp_kernel.door import Door
+from rcp_kernel.operations.discovery import Query
+
+__all__ = ["PLAN", "skills_of"]
+
+Node = dict[str, Any]
+_PAGE = 1000
+_SHOWN = 8  # parameters in a description
+
+PLAN = AgentSkill(
+    id="plan",
+    name="Run a plan",
+    description=(
+        "Checks a whole plan, then runs it as one task. A plan is a data part with JSON (steps of "
+        "read, write and execute, in sequence or parallel, with conditions, retries and "
+        "fallbacks), or a text part: the symbolic plan of a PDDL planner, or lines of commands. "
+        "With `dry_run` in the message's metadata it is only checked."
+    ),
+    tags=["plan", "robot"],
+    examples=[],
+)
+
+
+def skills_of(door: Door, session: Session | None) -> list[AgentSkill]:
+    """List what a session may execute in its tenant; without one, what reveals nothing."""
+    if session is None or session.tenant is None:
+        return [PLAN]
+    root = f"/tenant/{session.tenant}"
+    found: list[AgentSkill] = [PLAN]
+    cursor: str | None = None
+    while True:
+        query = Query(op="execute", limit=_PAGE, cursor=cursor)
+        page = door.discover(session, f"{root}/**", query)
+        found += [_skill(resource, root) for resource in page["resources"]]
+        cursor = page.get("cursor")
+        if cursor is None:
+            return found
+
+
+def _skill(resource: Node, root: str) -> AgentSkill:
+    short = resource["path"].removeprefix(root)
+    kind, *names = short.strip("/").split("/")
+    examples = resource["examples"][:2] or [None]
+    return AgentSkill(
+        id=".".join((kind, *names)),
+        name=" ".join(names).replace("_", " "),
+        description=resource["description"] + _parameters(resource["schemas"].get("input")),
+        tags=[kind, *names[:-1]],
+        examples=[_example(short, value) for value in examples],
+    )
+
+
+def _example(path: str, value: Any) -> str:
+    step: Node = {"execute": path}
+    if value is not None:
+        step["body"] = value
+    return msgspec.json.encode({"steps": [step]}).decode()
+
+
+def _parameters(schema: Node | None) -> str:
+    """Write the parameters of an input in words: names, units and bounds."""
+    if not schema:
+        return " Takes no input."
+    fields: Node = schema.get("properties") or {}
+    if "$ref" in schema:
+        named = schema.get("$defs", {}).get(schema["$ref"].rpartition("/")[2], {})
+        fields = named.get("properties") or {}
+    if not fields:
+        return f" Input: {_range(schema) or schema.get('type', 'a value')}."
+    needed = set(schema.get("required", ()))
+    told = [
+        name
+        + (" (needed)" if name in needed else "")
+        + (f" {_range(field)}" if _range(field) else "")
+        for name, field in list(fields.items())[:_SHOWN]
+    ]
+    return f" Input: {', '.join(told)}."
+
+
+def _range(schema: Node) -> str:
+    low, high = schema.get("minimum"), schema.get("maximum")
+    bounds = "" if low is None and high is None else f"{_or(low, '…')} to {_or(high, '…')}"
+    return f"{bounds} {schema.get('unit', '')}".strip()
+
+
+def _or(value: Any, other: str) -> str:
+    return other if value is None else f"{value:g}"

@@ -1,0 +1,129 @@
+"""Tasks, in memory and in the gateway's store: whose they are, and for how long."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import structlog
+from a2a.server.context import ServerCallContext
+from a2a.server.tasks import InMemoryTaskStore
+from a2a.types.a2a_pb2 import (
+    Message,
+    Part,
+    Role,
+    Task,
+    TaskState,
+)
+from google.protobuf.message import DecodeError
+
+from rcp_a2a.callers import owner_of
+from rcp_kernel.clock import now
+from rcp_kernel.record.shelf import Shelf
+
+__all__ = ["ENDED", "Tasks"]
+
+log = structlog.get_logger("rcp.a2a")
+ENDED = frozenset(
+    (
+        TaskState.TASK_STATE_COMPLETED,
+        TaskState.TASK_STATE_FAILED,
+        TaskState.TASK_STATE_CANCELED,
+        TaskState.TASK_STATE_REJECTED,
+    )
+)
+_S = 1_000_000_000  # ns
+_CUT_OFF = "the gateway was restarted while the task was under way; the robot was told to halt"
+
+
+class Tasks(InMemoryTaskStore):
+    """The SDK's store, whose every task is also kept on a shelf."""
+
+    def __init__(self, shelf: Shelf, most: int, retention: float) -> None:
+        super().__init__(owner_of)
+        self._shelf = shelf
+        self._most = most
+        self._retention = int(retention * _S)
+        self.forgotten: list[Callable[[str], None]] = []
+        """Told the id of each task that is let go of."""
+
+    @property
+    def _owners(self) -> dict[str, dict[str, Task]]:
+        return self._impl.tasks
+
+    def restore(self) -> None:
+        """Take over what earlier runs left; what they were at has failed."""
+        for key, row in self._shelf.load().items():
+            if (task := _read(key, row)) is None:
+                self._shelf.put(key, None)
+                continue
+            owner = row["owner"]
+            self._owners.setdefault(owner, {})[task.id] = task
+            if task.status.state not in ENDED:
+                _cut_off(task)
+                self._keep(owner, task)
+        for owner in list(self._owners):
+            self._make_room(owner)
+
+    async def save(self, task: Task, context: ServerCallContext) -> None:
+        """Keep a task as it is now."""
+        owner = owner_of(context)
+        known = self._owners.get(owner, {})
+        fresh = task.id not in known
+        await super().save(task, context)
+        self._keep(owner, task)
+        if fresh:
+            self._make_room(owner)
+
+    async def delete(self, task_id: str, context: ServerCallContext) -> None:
+        """Let go of a task."""
+        await super().delete(task_id, context)
+        self._forget(task_id)
+
+    def _keep(self, owner: str, task: Task) -> None:
+        if self._shelf.keeps:
+            self._shelf.put(task.id, {"owner": owner, "task": task.SerializeToString()})
+
+    def _forget(self, task_id: str) -> None:
+        self._shelf.put(task_id, None)
+        for told in self.forgotten:
+            told(task_id)
+
+    def _make_room(self, owner: str) -> None:
+        """Let go of what ended too long ago, and of the oldest where there are too many."""
+        known = self._owners[owner]
+        ended = [task for task in known.values() if task.status.state in ENDED]
+        ended.sort(key=_when)
+        latest = now() - self._retention
+        surplus = len(known) - self._most
+        for place, task in enumerate(ended):
+            if place >= surplus and _when(task) >= latest:
+                break
+            del known[task.id]
+            self._forget(task.id)
+
+
+def _when(task: Task) -> int:
+    return task.status.timestamp.ToNanoseconds()
+
+
+def _read(key: str, row: Any) -> Task | None:
+    try:
+        return Task.FromString(row["task"])
+    except (DecodeError, KeyError, TypeError) as error:
+        log.warning("task_unreadable", task=key, error=str(error))
+        return None
+
+
+def _cut_off(task: Task) -> None:
+    task.status.state = TaskState.TASK_STATE_FAILED
+    task.status.timestamp.FromNanoseconds(now())
+    task.status.message.CopyFrom(
+        Message(
+            message_id=f"{task.id}.cut-off",
+            role=Role.ROLE_AGENT,
+            task_id=task.id,
+            context_id=task.context_id,
+            parts=[Part(text=_CUT_OFF)],
+        )
+    )

@@ -1,0 +1,146 @@
+"""The card says what the agent can do for whom, where it is, and can be verified."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import httpx
+import jwt
+import pytest
+from a2a.client import A2ACardResolver
+from a2a.utils.signing import create_signature_verifier
+from cryptography.hazmat.primitives.asymmetric import ec, ed25519, rsa
+from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat
+
+from plugins.a2a.agent import agent, caller, rpc
+from rcp_a2a.signing import CardKey
+from rcp_kernel.errors import ConfigError
+from transports.robot import Site
+
+pytestmark = pytest.mark.anyio
+CARD = "/.well-known/agent-card.json"
+MOVERS = '[anonymous]\nrole = "operator"'
+
+
+def skills(card: dict[str, Any]) -> list[str]:
+    return [skill["id"] for skill in card["skills"]]
+
+
+async def test_the_public_card_has_what_anonymous_may_execute() -> None:
+    async with agent(more=MOVERS) as site, caller(site, None) as client:
+        card = (await client.get(CARD)).json()
+        assert skills(card) == ["plan", "action.go", "service.add"]
+        go = card["skills"][1]
+        assert "m" in go["description"]
+        assert go["examples"]
+
+
+async def test_the_public_card_reveals_nothing_to_those_who_may_only_look(gateway: Site) -> None:
+    async with caller(gateway, None) as client:
+        assert skills((await client.get(CARD)).json()) == ["plan"]
+        assert "alpha" not in (await client.get(CARD)).text
+
+
+async def test_the_card_of_a_hidden_tenant_is_as_that_of_none() -> None:
+    closed = '[anonymous]\nrole = "operator"\ntenants = ["alpha"]'
+    async with agent(more=closed) as site, caller(site, None) as client:
+        assert "action.go" in skills((await client.get(f"/a2a/alpha{CARD}")).json())
+        hidden = (await client.get(f"/a2a/beta{CARD}")).text
+        none = (await client.get(f"/a2a/nowhere{CARD}")).text
+        assert hidden.replace("beta", "nowhere") == none
+
+
+async def test_the_card_names_each_binding_and_version(gateway: Site) -> None:
+    async with caller(gateway, None) as client:
+        card = (await client.get(f"/a2a/alpha{CARD}")).json()
+    told = [(i["protocolBinding"], i["protocolVersion"]) for i in card["supportedInterfaces"]]
+    assert told == [
+        ("JSONRPC", "1.0"), ("HTTP+JSON", "1.0"), ("JSONRPC", "0.3"), ("HTTP+JSON", "0.3"),
+    ]  # fmt: skip
+    assert card["supportedInterfaces"][0]["url"] == f"{gateway.url}/a2a"
+    assert card["supportedInterfaces"][0]["tenant"] == "alpha"
+    assert card["url"] == f"{gateway.url}/a2a/alpha"  # where clients of 0.3 look
+
+
+async def test_the_card_is_found_from_outside_where_the_configuration_says() -> None:
+    async with agent('url = "https://robots.example/gate/"') as site, caller(site) as client:
+        card = (await client.get(CARD)).json()
+        assert card["supportedInterfaces"][0]["url"] == "https://robots.example/gate/a2a"
+
+
+async def test_the_card_tells_how_one_proves_oneself(gateway: Site) -> None:
+    async with caller(gateway, None) as client:
+        card = (await client.get(CARD)).json()
+    assert card["securitySchemes"]["bearer"]["httpAuthSecurityScheme"]["scheme"] == "Bearer"
+    assert card["securityRequirements"] == [{"schemes": {"bearer": {}}}]
+
+
+async def test_a_card_that_is_known_is_not_sent_again(gateway: Site) -> None:
+    async with caller(gateway, None) as client:
+        first = await client.get(CARD)
+        assert first.headers["cache-control"] == "public, max-age=60"
+        again = await client.get(CARD, headers={"if-none-match": first.headers["etag"]})
+        assert (again.status_code, again.content) == (304, b"")
+
+
+async def test_the_card_follows_the_tree() -> None:
+    async with agent(more=MOVERS) as site, caller(site, None) as client:
+        first = await client.get(CARD)
+        site.robot.host.withdraw("action/go")
+        second = await client.get(CARD)
+        assert "action.go" not in skills(second.json())
+        assert first.headers["etag"] != second.headers["etag"]
+
+
+async def test_the_extended_card_has_what_the_caller_may_execute(client: httpx.AsyncClient) -> None:
+    card = (await client.get("/a2a/extendedAgentCard")).json()
+    assert skills(card) == ["plan", "action.go", "service.add"]
+    answer = await rpc(client, "GetExtendedAgentCard", tenant="beta")
+    assert answer["result"]["name"].endswith("(beta)")
+
+
+async def test_a_viewer_gets_no_skills_of_motion_in_the_extended_card(gateway: Site) -> None:
+    async with caller(gateway, None) as client:
+        assert skills((await client.get("/a2a/extendedAgentCard")).json()) == ["plan"]
+
+
+def pem(key: Any) -> str:
+    return key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption()).decode()
+
+
+KEYS = {
+    "ES256": ec.generate_private_key(ec.SECP256R1()),
+    "RS256": rsa.generate_private_key(65537, 2048),
+    "EdDSA": ed25519.Ed25519PrivateKey.generate(),
+}
+
+
+@pytest.mark.parametrize("algorithm", KEYS)
+async def test_a_signed_card_is_verified_by_the_keys_beside_it(
+    algorithm: str, tmp_path: Any
+) -> None:
+    file = tmp_path / "card.pem"
+    file.write_text(pem(KEYS[algorithm]))
+    async with agent(f'card_key = "{file}"') as site, caller(site) as client:
+        known = jwt.PyJWKSet.from_dict((await client.get("/a2a/.well-known/jwks.json")).json())
+        verify = create_signature_verifier(lambda kid, _: known[kid or ""], [algorithm])
+        card = await A2ACardResolver(client, site.url).get_agent_card()
+        verify(card)
+        answer = await client.get("/a2a/extendedAgentCard")
+        assert answer.json()["signatures"]
+
+
+async def test_without_a_key_there_is_nothing_to_verify_with(client: httpx.AsyncClient) -> None:
+    assert "signatures" not in (await client.get(CARD)).json()
+    assert (await client.get("/a2a/.well-known/jwks.json")).status_code == 404
+
+
+@pytest.mark.parametrize("given", ["/nowhere/at/all.pem", "-----BEGIN NOTHING-----", ""])
+def test_a_key_that_cannot_be_read_is_told_with_its_place(given: str) -> None:
+    with pytest.raises(ConfigError, match=r"\[plugins.a2a\] card_key"):
+        CardKey(given)
+
+
+def test_a_key_of_another_kind_is_refused() -> None:
+    with pytest.raises(ConfigError, match="of another kind"):
+        CardKey(pem(ec.generate_private_key(ec.SECP384R1())))

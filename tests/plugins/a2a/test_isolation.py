@@ -1,0 +1,111 @@
+"""No skill, task or error reveals what a caller's rights hide."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import Any
+
+import httpx
+import pytest
+
+from plugins.a2a.agent import KEY_BETA, VERSION, agent, caller, rpc, sent, text
+from transports.robot import KEY, Site
+
+pytestmark = pytest.mark.anyio
+NOWHERE = "execute /service/nowhere"
+
+
+def told(answer: dict[str, Any], *names: str) -> str:
+    """Return an answer as text, without what is new in each."""
+    out = str(answer)
+    for name in names:
+        out = out.replace(name, "…")
+    return out
+
+
+async def test_the_task_of_another_is_as_one_that_never_was(gateway: Site) -> None:
+    async with caller(gateway) as mine, caller(gateway, KEY_BETA) as other:
+        id_ = (await sent(mine, text(NOWHERE)))["id"]
+        for method in ("GetTask", "CancelTask", "SubscribeToTask"):
+            hidden = await rpc(other, method, id=id_)
+            none = await rpc(other, method, id="none")
+            assert told(hidden, id_) == told(none, "none")
+        hidden = await rpc(other, "SendMessage", **text(NOWHERE, taskId=id_))
+        none = await rpc(other, "SendMessage", **text(NOWHERE, taskId="none"))
+        assert told(hidden, id_) == told(none, "none")
+        assert (await rpc(other, "ListTasks"))["result"]["totalSize"] == 0
+        page = await rpc(mine, "ListTasks")
+        assert page["result"]["totalSize"] == 1
+
+
+async def test_a_context_of_another_shows_nothing_of_it(gateway: Site) -> None:
+    async with caller(gateway) as mine, caller(gateway, KEY_BETA) as other:
+        await sent(mine, text(NOWHERE, contextId="of-mine"))
+        await sent(other, text(NOWHERE, contextId="of-mine"))
+        listed = (await rpc(other, "ListTasks", contextId="of-mine"))["result"]
+        assert listed["totalSize"] == 1
+
+
+async def test_a_tenant_of_others_is_as_one_that_is_not(gateway: Site) -> None:
+    async with caller(gateway, KEY_BETA) as client:
+        answers: list[tuple[int, str]] = []
+        for tenant in ("alpha", "gamma"):
+            over_rest = await client.get(f"/a2a/{tenant}/tasks")
+            asked = {"jsonrpc": "2.0", "id": 1, "method": "ListTasks", "params": {"tenant": tenant}}
+            over_rpc = await client.post("/a2a", json=asked)
+            assert over_rest.status_code == over_rpc.status_code == 403
+            assert over_rpc.json()["error"]["code"] == -32051
+            answers.append((over_rest.status_code, told(over_rest.json(), tenant)))
+        assert answers[0] == answers[1]
+
+
+async def test_who_proves_nothing_is_refused_where_nobody_is_served_without_proof() -> None:
+    async with agent(top="anonymous = false") as site, caller(site, None) as client:
+        answer = await client.get("/a2a/tasks")
+        assert answer.status_code == 401
+        assert answer.headers["www-authenticate"] == "Bearer"
+        assert answer.json()["error"]["status"] == "UNAUTHENTICATED"
+        asked = {"jsonrpc": "2.0", "id": 9, "method": "ListTasks", "params": {}}
+        over_rpc = await client.post("/a2a", json=asked)
+        assert (over_rpc.status_code, over_rpc.json()["id"]) == (401, 9)
+        assert over_rpc.json()["error"]["code"] == -32050
+        card = await client.get("/.well-known/agent-card.json")  # how else would one begin?
+        assert [skill["id"] for skill in card.json()["skills"]] == ["plan"]
+
+
+async def test_a_token_that_is_not_known_is_refused_over_both_bindings(gateway: Site) -> None:
+    async with caller(gateway, "not-the-key-of-anybody") as client:
+        assert (await client.get("/a2a/tasks")).status_code == 401
+        assert (await client.post("/a2a", json={})).status_code == 401
+
+
+async def test_a_quota_holds_for_agents_too() -> None:
+    more = "[quotas.principal]\nrequests = 1.0\nburst = 2"
+    async with agent(more=more) as site, caller(site) as client:
+        answers = [await client.get("/a2a/tasks") for _ in range(4)]
+        refused = [answer for answer in answers if answer.status_code == 429]
+        assert refused
+        assert refused[0].json()["error"]["status"] == "RESOURCE_EXHAUSTED"
+        assert int(refused[0].headers["retry-after"]) >= 1
+
+
+async def test_the_name_of_another_proof_is_somebody_else(gateway: Site) -> None:
+    async with caller(gateway) as mine, caller(gateway, None) as stranger:
+        id_ = (await sent(mine, text(NOWHERE)))["id"]
+        assert (await stranger.get(f"/a2a/tasks/{id_}")).status_code == 404
+
+
+async def test_calls_side_by_side_keep_their_callers(gateway: Site) -> None:
+    headers = {key: VERSION | {"authorization": f"Bearer {key}"} for key in (KEY, KEY_BETA)}
+    async with httpx.AsyncClient(base_url=gateway.url, timeout=15.0) as client:
+
+        async def one(key: str) -> tuple[str, str]:
+            answer = await client.post(
+                "/a2a/message:send", json=text(NOWHERE), headers=headers[key]
+            )
+            return key, answer.json()["task"]["id"]
+
+        done = await asyncio.gather(*(one(key) for key in (KEY, KEY_BETA) * 10))
+        for key in (KEY, KEY_BETA):
+            page = (await client.get("/a2a/tasks", headers=headers[key])).json()
+            assert {task["id"] for task in page["tasks"]} == {i for k, i in done if k == key}
