@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import msgspec
 
 from rcp_kernel.access.acl import Rights
+from rcp_kernel.access.approvals import ApprovalState, Decision
 from rcp_kernel.access.identity import Principal
 from rcp_kernel.access.peer import UNKNOWN, Peer, Serial
 from rcp_kernel.clients.connections import Connection, Hello
@@ -282,8 +283,27 @@ class Door:
         :raises RateLimited: a quota does not allow the request.
         """
         self._gateway.pay(session)
-        rights = session.rights
-        return [c for c in self._gateway.commands.every() if rights.mask(c.path)]
+        sees = self._gateway.executing.sees
+        return [c for c in self._gateway.commands.every() if sees(session, c)]
+
+    def approve(
+        self,
+        session: Session,
+        id_: str,
+        decision: Decision = "approve",
+        reason: str | None = None,
+    ) -> ApprovalState:
+        """Decide on an approval as the person did whom the client of a session was asked for.
+
+        Only for an answer that a person gave at the client, never for one of a model.
+
+        :raises UnknownPath: there is no such approval for this principal.
+        :raises Forbidden: the roles do not let it decide (`may_approve`; `approve_own` for what it
+            asked for itself), or there is nothing to decide any more.
+        :raises RateLimited: a quota does not allow the request.
+        """
+        self._gateway.pay(session)
+        return self._gateway.approvals.answer(session, id_, decision, reason)
 
     def follow(self, command: Command, answer: Answer) -> Callable[[], None]:
         """Have `answer` called with each further reply of a command; return what ends that."""

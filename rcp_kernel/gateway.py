@@ -14,6 +14,7 @@ from typing import Any
 import msgspec
 
 from rcp_kernel.access.acl import Rules
+from rcp_kernel.access.approvals import Approvals
 from rcp_kernel.access.conditions import Conditions
 from rcp_kernel.access.identities import Identities
 from rcp_kernel.access.identity import Principal
@@ -47,6 +48,7 @@ from rcp_kernel.operations.pending import crash
 from rcp_kernel.operations.reading import Reading
 from rcp_kernel.operations.subscribing import Subscribing
 from rcp_kernel.operations.writing import Writing
+from rcp_kernel.plans.resource import Plans
 from rcp_kernel.process.metrics import Histogram
 from rcp_kernel.record.audit import Audit
 from rcp_kernel.record.history import History
@@ -119,8 +121,8 @@ class Gateway:
         self.estop: EstopLane | None = None
         self.services: dict[str, Service] = {}
         """What else of the gateway's own branch can be executed, by path."""
-        self.latches = Latches(self.store)
-        self.leases = Leases(self)
+        self.latches, self.leases = Latches(self.store), Leases(self)
+        self.approvals, self.plans = Approvals(self), Plans(self)
         self.executing = Executing(self)
         self._reading, self._writing = Reading(self), Writing(self)
         self._subscribing = Subscribing(self)

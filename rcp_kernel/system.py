@@ -9,12 +9,15 @@ from typing import Any
 
 import msgspec
 
+from rcp_kernel.access.approvals import ApprovalRequest, ApprovalState
 from rcp_kernel.clients.session import Session
 from rcp_kernel.errors import RcpError, UnknownPath
 from rcp_kernel.gateway import Gateway
 from rcp_kernel.model import Operation, Resource
 from rcp_kernel.motion.estop import HALT_WAIT, Estop, EstopRequest, EstopState
 from rcp_kernel.motion.leasing import LeaseRequest, LeaseState, Leasing
+from rcp_kernel.plans.examples import EXAMPLES
+from rcp_kernel.plans.model import Plan, PlanResult, PlanState, StepState
 from rcp_kernel.process.log import Recent
 from rcp_kernel.process.supervisor import Slot
 from rcp_kernel.record.audit import PATH
@@ -69,6 +72,8 @@ class System(BaseBackend):
                 "/system/commands": self._commands,
                 "/system/estop": lambda s: msgspec.to_builtins(estop.state(s)),
                 "/system/leases": leasing.view,
+                "/system/plans": gateway.plans.view,
+                "/system/approvals": gateway.approvals.view,
             }
         )
         gateway.sieves[PATH] = gateway.audit.shows
@@ -78,9 +83,14 @@ class System(BaseBackend):
         gateway.estop = estop
         gateway.latches.changed = lambda: self._publish("estop", estop.everything())
         gateway.services["/system/leases"] = leasing.request
+        gateway.services["/system/approvals"] = gateway.approvals.request
         gateway.leases.changed = lambda: self._publish("leases", [])
+        gateway.plans.changed = lambda: self._publish("plans", [])
+        gateway.approvals.changed = lambda: self._publish("approvals", [])
         gateway.latches.changed()
         gateway.leases.changed()
+        gateway.plans.changed()
+        gateway.approvals.changed()
         recent.told = self._logged
 
     def _place(self, resource: Resource) -> Entry:
@@ -164,8 +174,8 @@ class System(BaseBackend):
         ]
 
     def _commands(self, session: Session) -> list[dict[str, Any]]:
-        rights = session.rights
-        return [c.plain() for c in self._gateway.commands.every() if rights.mask(c.path)]
+        sees = self._gateway.executing.sees
+        return [c.plain() for c in self._gateway.commands.every() if sees(session, c)]
 
     async def execute(self, name: str, value: Any, progress: Progress) -> Any:
         """What is executable here is done before it gets this far."""
@@ -227,6 +237,28 @@ def _resources() -> list[Resource]:
                 {"do": "hand_over", "scope": "/tenant/alpha", "to": "robin"},
                 {"do": "release", "scope": "/tenant/alpha"},
             ),
+            history=1,
+        ),
+        Resource(
+            name="action/plans",
+            description="Many operations as one command: checked whole first, then run step by step.",
+            value=list[PlanState],
+            input=Plan,
+            output=PlanResult,
+            feedback=StepState,
+            operations=_LOOK | Operation.EXECUTE,
+            policy="parallel",
+            examples=EXAMPLES,
+            history=1,
+        ),
+        Resource(
+            name="service/approvals",
+            description="Commands that a person has to approve first: list, approve, reject.",
+            value=list[ApprovalState],
+            input=ApprovalRequest,
+            output=ApprovalState,
+            operations=_LOOK | Operation.EXECUTE,
+            examples=({"id": "a-0123456789abcdef", "decision": "approve", "reason": "I see it"},),
             history=1,
         ),
     ]

@@ -79,6 +79,8 @@ class Request(
     idempotency_key: Annotated[str, Meta(min_length=1, max_length=256)] | None = None
     valid_for: Annotated[float, Meta(gt=0, le=3600)] | None = None
     dry_run: bool = False
+    approval: Annotated[str, Meta(min_length=1, max_length=64)] | None = None
+    """Of the approval that lets a `write` or `execute` pass once."""
     command: Annotated[str, Meta(max_length=128)] | None = None
     """The gateway's id of the command to `cancel`."""
     body: Raw = NO_BODY

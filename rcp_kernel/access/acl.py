@@ -67,18 +67,28 @@ class Role(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Who takes a lease from whom: a person (50) beats an agent (10)."""
     quota: Quota | None = None
     """What each principal with this role may have."""
+    approve: tuple[str, ...] = ()
+    """Paths that this role commands only when a person has approved it."""
+    may_approve: bool = False
+    """May decide on what others ask for."""
+    approve_own: bool = False
+    """The person at the client of an adapter may approve what the principal itself asks for."""
 
 
 _LOOK: tuple[OperationName, ...] = ("discover", "read", "subscribe")
 _HEALTH = Rule(_LOOK, ("/system/status",))
 _ESTOP = Rule(("discover", "read", "subscribe", "execute"), ("/system/estop",))
 _OWN = Rule(_LOOK, ("/system/commands", "/system/sessions"))
-_LEASES = Rule((*_LOOK, "execute"), ("/system/leases",))
+_LEASES = Rule((*_LOOK, "execute"), ("/system/leases", "/system/plans"))
+_ASK = Rule(_LOOK, ("/system/approvals",))
+_DECIDE = Rule((*_LOOK, "execute"), ("/system/approvals",))
 BUILTIN_ROLES: dict[str, Role] = {
     "viewer": Role(allow=(Rule(_LOOK, ("/**",)), _HEALTH, _ESTOP)),
     "operator": Role(allow=(Rule(("*",), ("/**",)), _HEALTH, _ESTOP, _OWN, _LEASES)),
     "agent": Role(allow=(Rule(("*",), ("/**",)), _HEALTH, _ESTOP, _OWN, _LEASES), priority=10),
-    "admin": Role(allow=(Rule(("*",), ("/**", "/system/**")),), reset=True, priority=60),
+    "admin": Role(
+        allow=(Rule(("*",), ("/**", "/system/**")),), reset=True, priority=60, may_approve=True
+    ),
 }
 """Roles that need no configuration: look, operate, operate as a program that gives way to people,
 and all of it with the gateway's own branch."""
@@ -115,6 +125,8 @@ class Rights:
     __slots__ = (
         "__weakref__",
         "_allow",
+        "_approve",
+        "_asked",
         "_conditions",
         "_deny",
         "_held",
@@ -136,7 +148,10 @@ class Rights:
         self.tenants = tuple(tenant for tenant, _ in grants)
         self._held = [(t, roles[name]) for t, names in grants for name in names if name in roles]
         self._allow = [
-            r for t, role in self._held for rule in role.allow for r in _reaches(rule, t)
+            r
+            for t, role in self._held
+            for rule in (*role.allow, *_implied(role))
+            for r in _reaches(rule, t)
         ]
         self._deny = [
             r._replace(bits=r.bits if r.when is None else r.bits & ~Operation.DISCOVER)
@@ -144,6 +159,13 @@ class Rights:
             for rule in role.deny
             for r in _reaches(rule, t)
         ]
+        self._approve = [
+            r
+            for t, role in self._held
+            if role.approve
+            for r in _reaches(Rule(("write", "execute"), role.approve), t)
+        ]
+        self._asked: dict[str, bool] = {}
         self._conditions = conditions
         self._room = room or Room()
         self._room.users.add(self)
@@ -154,6 +176,24 @@ class Rights:
     def may_reset(self, tenant: str | None) -> bool:
         """Tell whether a latched e-stop of a tenant's robot may be reset."""
         return any(role.reset for place, role in self._held if place in ("*", tenant))
+
+    def asks(self, path: str) -> bool:
+        """Tell whether a person has to approve commands on a path first."""
+        if not self._approve:
+            return False
+        found = self._asked.get(path)
+        if found is None:
+            self._room.take()
+            found = self._asked[path] = bool(self._matching(self._approve, path))
+        return found
+
+    def may_approve(self, tenant: str | None) -> bool:
+        """Tell whether what others ask for in a tenant may be approved."""
+        return any(role.may_approve for place, role in self._held if place in ("*", tenant))
+
+    def may_approve_own(self, tenant: str | None) -> bool:
+        """Tell whether the person at an adapter's client may approve what is asked for there."""
+        return any(role.approve_own for place, role in self._held if place in ("*", tenant))
 
     def priority(self, tenant: str | None) -> int:
         """Return the highest priority that a role gives in a tenant."""
@@ -267,6 +307,7 @@ class Rights:
         """Let go of what is known of single paths."""
         self.masks.clear()
         self._terms.clear()
+        self._asked.clear()
 
 
 class Room:
@@ -290,6 +331,13 @@ def _bits(rules: Iterable[_Reach]) -> Operation:
     for one in rules:
         bits |= one.bits
     return bits
+
+
+def _implied(role: Role) -> tuple[Rule, ...]:
+    """Return what goes without saying: who decides, or has to ask, sees what there is to decide."""
+    if role.may_approve:
+        return (_DECIDE,)
+    return (_ASK,) if role.approve else ()
 
 
 def _reaches(rule: Rule, tenant: str) -> list[_Reach]:

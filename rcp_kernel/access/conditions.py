@@ -12,7 +12,7 @@ import re
 from collections.abc import Callable, Iterable
 from datetime import datetime
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import cel
 import msgspec
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from rcp_kernel.registry import Entry, Registry
     from rcp_kernel.streaming.hub import Hub
 
-__all__ = ["Condition", "Conditions", "Ref", "condition"]
+__all__ = ["Condition", "Conditions", "Placed", "Ref", "condition"]
 
 RATE = 5.0
 """Hz at which the resources are watched that conditions name."""
@@ -64,6 +64,20 @@ _TOKEN = re.compile(
 )
 _PART = re.compile(r"[A-Za-z_]\w*|'[^']*'|\"[^\"]*\"")
 _BINDS = re.compile(rf"\.\s*(?:{'|'.join(_MACROS)})\s*\(\s*([A-Za-z_]\w*)\s*,")
+
+
+class Placed(Protocol):
+    """What belongs to a robot: an entry, or a step of a plan."""
+
+    @property
+    def tenant(self) -> str | None:
+        """Whose it is."""
+        ...
+
+    @property
+    def robot(self) -> str | None:
+        """The robot's name, if it has one."""
+        ...
 
 
 class Condition:
@@ -165,6 +179,8 @@ class Conditions:
     def use(self, part: str, conditions: Iterable[Condition]) -> None:
         """Keep watched what a part of the configuration needs from now on, in place of before."""
         self._used[part] = tuple(conditions)
+        if not self._used[part]:
+            del self._used[part]
         refs = {ref for used in self._used.values() for one in used for ref in one.refs}
         self._names = frozenset(name for ref in refs for name in _candidates(ref))
         for entry in self._registry.entries.values():
@@ -173,30 +189,30 @@ class Conditions:
     def _added(self, entry: Entry) -> None:
         self._hub.sustain(entry, RATE if entry.name in self._names and not entry.live else 0.0)
 
-    def holds(self, condition: Condition, entry: Entry) -> bool | None:
-        """Tell whether a condition holds for the robot of an entry; None: it cannot be known."""
-        values = self.values(condition.refs, entry)
+    def holds(self, condition: Condition, placed: Placed) -> bool | None:
+        """Tell whether a condition holds for a robot; None: it cannot be known."""
+        values = self.values(condition.refs, placed)
         if condition.times:
             moment = self._today()
             for ref in condition.times:
                 values[ref] = _CLOCK[ref[1]](moment)
         return condition.evaluate(values)
 
-    def values(self, refs: Iterable[Ref], entry: Entry) -> dict[Ref, Any]:
-        """Return what names stand for now, for the robot of an entry; not what is unknown."""
+    def values(self, refs: Iterable[Ref], placed: Placed) -> dict[Ref, Any]:
+        """Return what names stand for now, for a robot; not what is unknown."""
         values: dict[Ref, Any] = {}
         for ref in refs:
-            found = self.resource(ref, entry)
+            found = self.resource(ref, placed)
             if found is not None and self._known(found[0]):
                 self._look(values, ref, *found)
         return values
 
-    def resource(self, ref: Ref, entry: Entry) -> tuple[Entry, Ref] | None:
-        """Find what a name means for the robot of an entry: the resource, and the field in it."""
-        if entry.tenant is None:
+    def resource(self, ref: Ref, placed: Placed) -> tuple[Entry, Ref] | None:
+        """Find what a name means for a robot: the resource, and the field in it."""
+        if placed.tenant is None:
             return None
         for name in _candidates(ref):
-            found = self._registry.entries.get(full_path(entry.tenant, entry.robot, name))
+            found = self._registry.entries.get(full_path(placed.tenant, placed.robot, name))
             if found is not None:
                 return found, ref[name.count("/") + 1 :]
         return None

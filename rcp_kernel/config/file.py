@@ -32,6 +32,7 @@ from rcp_kernel.config.limits import Limits, Quota, Quotas
 from rcp_kernel.config.roles import check_pattern, check_roles
 from rcp_kernel.config.safety import Safety
 from rcp_kernel.errors import ConfigError
+from rcp_kernel.plans.config import PlansConfig
 
 __all__ = [
     "Anonymous",
@@ -123,6 +124,7 @@ class GatewayConfig(Table, frozen=True):
     limits: Limits = Limits()
     safety: Safety = Safety()
     quotas: Quotas = Quotas()
+    plans: PlansConfig = PlansConfig()
     log: LogConfig = LogConfig()
     store: StoreConfig = StoreConfig()
     audit: AuditConfig = AuditConfig()

@@ -19,6 +19,14 @@ def check_roles(roles: dict[str, Role], source: str) -> None:
         for kind, rules in (("allow", role.allow), ("deny", role.deny)):
             for place, rule in enumerate(rules):
                 _check(rule, f"{source}: [roles.{name}] {kind}[{place}]", deny=kind == "deny")
+        for path in role.approve:
+            where = f"{source}: [roles.{name}] approve"
+            check_pattern(path, where)
+            if path.startswith("/system/"):
+                raise ConfigError(
+                    f"{where} names {path}: what the gateway does itself needs no approval; name "
+                    "paths of robots (a plan is approved for the steps that it has there)"
+                )
 
 
 def _check(rule: Rule, where: str, *, deny: bool) -> None:

@@ -19,3 +19,5 @@ class Safety(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     """How long a lease lasts whose `acquire` or `renew` does not say."""
     lease_ttl_max: Annotated[float, Meta(gt=0)] = 300.0
     """Longest that may be asked for."""
+    approval_ttl: Annotated[float, Meta(gt=0, le=86_400)] = 300.0
+    """How long what wants a person's approval can be approved and sent."""

@@ -63,6 +63,17 @@ class Envelope:
             self.units[field.text] = leaf.unit
         return None
 
+    def check_value(self, session: Session, value: Any) -> None:
+        """Refuse a value that never may, whatever state the robot will be in.
+
+        :raises OutOfRange: a field, or where it leads to, lies outside its limits.
+        """
+        for field, bound in self.bounds:
+            for name, found in field.every(value):
+                self._check_bound(name, found, bound, self.units[field.text])
+        if self.place is not None and self.place.sensor is None:
+            self._check_place(session, self.place, value)
+
     def check(self, session: Session, value: Any, force: InForce) -> None:
         """Refuse a value that may not reach the robot now.
 

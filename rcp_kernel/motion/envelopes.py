@@ -82,6 +82,13 @@ class Bound:
         for envelope in self.held(session.principal.grants):
             envelope.check(session, value, self.force)
 
+    def check_value(self, session: Session, value: Any) -> None:
+        """Refuse a value that may not reach the robot in any state of it."""
+        if self.safe is not None and value == self.safe:
+            return
+        for envelope in self.held(session.principal.grants):
+            envelope.check_value(session, value)
+
 
 class Envelopes:
     """Every envelope of the gateway."""
@@ -115,6 +122,12 @@ class Envelopes:
         bound = self.bound.get(entry.path)
         if bound is not None:
             bound.check(session, value)
+
+    def check_later(self, session: Session, entry: Entry, value: Any) -> None:
+        """Refuse a value that could not be sent later either, as `Envelope.check_value` does."""
+        bound = self.bound.get(entry.path)
+        if bound is not None:
+            bound.check_value(session, value)
 
     def send(self, session: Session, entry: Entry, value: Any) -> None:
         """Check a value that goes to the robot right now, and note that it does."""

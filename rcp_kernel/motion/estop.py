@@ -229,8 +229,9 @@ class Estop:
                 paths.add(entry.path)
                 if entry.kind in MOVING:
                     gateway.deadman.ground(entry)
-        for command in [c for c in gateway.commands.running.values() if c.path in paths]:
-            gateway.commands.cancel(command, "emergency stop")
+        for command in list(gateway.commands.running.values()):
+            if command.path in paths or not paths.isdisjoint(command.touches):
+                gateway.commands.cancel(command, "emergency stop")
         why = "emergency stop" + (f": {reason}" if reason else "")
         gateway.leases.drop_on(paths, by, why)
 

@@ -6,7 +6,7 @@ import asyncio
 import secrets
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import structlog
 
@@ -20,16 +20,29 @@ from rcp_kernel.errors import (
     Refused,
 )
 from rcp_kernel.registry import Entry
+from rcp_kernel.spi import Progress
 from rcp_kernel.values import to_plain
 from rcp_kernel.wire import FINAL, NO_BODY, Reply, Status
 
 if TYPE_CHECKING:
     from rcp_kernel.clients.session import Session
 
-__all__ = ["Command", "Record", "outcome_of", "status_of"]
+__all__ = ["Command", "Record", "Work", "outcome_of", "status_of"]
 
 log = structlog.get_logger("rcp.commands")
 Follower = Callable[[Reply], None]
+
+
+class Work(Protocol):
+    """What the gateway itself carries out as a command."""
+
+    async def run(self, command: Command, session: Session, progress: Progress) -> Any:
+        """Do it, in the name of whoever sent the command, and return its result."""
+        ...
+
+    def report(self, *, over: bool) -> Any:
+        """Return how far it has come; with `over` it goes no further."""
+        ...
 
 
 @dataclass(slots=True)
@@ -75,6 +88,10 @@ class Command:
     session: str | None = None
     asker: Session | None = None
     """In whose name it runs; None once it has ended."""
+    work: Work | None = None
+    """What the gateway itself does for it; None for the work of a robot."""
+    touches: tuple[str, ...] = ()
+    """Paths beside its own that it is about: of the steps of a plan."""
     ready: Callable[[], Awaitable[None]] | None = None
     """Awaited before the robot is told."""
     entry: Entry | None = None

@@ -171,7 +171,10 @@ class Commands:
             if not command.final:
                 self._progress(command, entry, feedback, fraction)
 
-        result = await backend.execute(entry.name, value, progress)
+        if command.work is not None:
+            result = await command.work.run(command, asker, progress)
+        else:
+            result = await backend.execute(entry.name, value, progress)
         try:
             return entry.output_type.check(result)[0] if result is not None else None
         except RcpError as error:
@@ -271,7 +274,8 @@ class Commands:
             if outcome.origin is None and command.entry is not None:
                 outcome.origin = command.entry.owner.name
             status: Any = status_of(command, outcome)
-            record = Record(status, now(), message=outcome.message, error=error_body(outcome))
+            body = NO_BODY if command.work is None else command.work.report(over=True)
+            record = Record(status, now(), body, message=outcome.message, error=error_body(outcome))
         else:
             body = NO_BODY if outcome is None else outcome
             text = f"Command {command.path} executed successfully."

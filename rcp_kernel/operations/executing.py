@@ -18,6 +18,7 @@ from rcp_kernel.errors import UnknownPath
 from rcp_kernel.model import Kind, Operation
 from rcp_kernel.operations.command import Command
 from rcp_kernel.operations.writing import would
+from rcp_kernel.plans.resource import PATH as PLANS
 from rcp_kernel.registry import Entry
 from rcp_kernel.values import value_type
 from rcp_kernel.wire import Reply, Request
@@ -81,15 +82,26 @@ class Executing:
         gateway.admission.admit(session, request, entry, value)
         gateway.commands.admit(entry)
         gateway.accounts.check_command(session, entry.path)
+        work = gateway.plans.prepare(session, request, value) if entry.path == PLANS else None
         if request.dry_run:
+            if work is not None:
+                return would(request, entry, work.would())
             held = gateway.envelopes.applied(session, entry)
-            return would(request, entry, {"execute": value, "envelopes": held or None})
+            asks = gateway.approvals.wanted(session, entry, value) or None
+            facts = {"envelopes": held or None, "approval": asks}
+            return would(request, entry, {"execute": value, **facts})
+        if work is not None:
+            work.approve(session, request, entry)
+        else:
+            gateway.approvals.check(session, request, entry, value)
         command = Command(
             id="cmd-" + secrets.token_hex(8),
             path=entry.path,
             principal=session.principal.name,
             proof=session.principal.proof,
-            tenant=entry.tenant,
+            tenant=entry.tenant if work is None else work.tenant,
+            work=work,
+            touches=() if work is None else work.touches,
             request_id=request.id,
             custom=request.custom,
             timestamp=request.timestamp,
@@ -97,6 +109,8 @@ class Executing:
             session=session.id,
             entry=entry,
         )
+        if work is not None:
+            command.followers.append(work.told)
         if request.idempotency_key is not None:
             command.ready = gateway.recording.committed
             command.followers.append(self._settling(session, request, entry.path))
@@ -240,7 +254,8 @@ class Executing:
         path = found[0].path if found else request.path
         entry = gateway.resolve(session, path, Operation.EXECUTE, anyway=True)
         if wanted is None:
-            found = [c for c in gateway.commands.running.values() if c.path == entry.path]
+            running = [c for c in gateway.commands.running.values() if c.path == entry.path]
+            found = [c for c in running if self.sees(session, c)]
         if not found or not all(_own(session, command) for command in found):
             # Whoever set something going may stop it, whatever has become of the conditions.
             gateway.check(session, entry, Operation.EXECUTE)
@@ -258,13 +273,24 @@ class Executing:
             custom=request.custom,
         )
 
+    def sees(self, session: Session, command: Command) -> bool:
+        """Tell whether a session may know of a command: of all that it is about."""
+        mask = session.rights.mask
+        if not mask(command.path):
+            return False
+        if command.path != PLANS or _own(session, command):
+            return True
+        tenants = self._gateway.identities.tenants_of(session.principal)
+        return command.tenant in tenants and all(map(mask, command.touches))
+
     def command(self, session: Session, id_: str) -> Command:
         """Return a command that the session may see.
 
         :raises UnknownPath: there is none, or not for this principal.
         """
         command = self._gateway.commands.find(id_)
-        if command is None or not reach(session.rights.mask(command.path)) & Operation.EXECUTE:
+        mask = 0 if command is None else reach(session.rights.mask(command.path))
+        if command is None or not (mask & Operation.EXECUTE and self.sees(session, command)):
             raise UnknownPath(f"there is no command '{id_[:64]}'", remedy="List `commands`.")
         return command
 

@@ -28,7 +28,7 @@ from rcp_kernel.wire import Reply, Request, error_body
 if TYPE_CHECKING:
     from rcp_kernel.gateway import Gateway
 
-__all__ = ["ReadOptions", "Reading"]
+__all__ = ["READ_OPTIONS", "ReadOptions", "Reading"]
 
 _MANY = 1000  # resources that one read pattern answers
 
@@ -42,7 +42,7 @@ class ReadOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Ask the robot, even where a sample is at hand."""
 
 
-_OPTIONS = value_type(ReadOptions | None)
+READ_OPTIONS = value_type(ReadOptions | None)
 
 
 class Reading:
@@ -53,7 +53,7 @@ class Reading:
 
     def read(self, session: Session, request: Request, answer: Answer) -> Reply | None:
         """Answer from the latest sample where it will do, else from the backend."""
-        options = request.decode_body(_OPTIONS, "read") or ReadOptions()
+        options = request.decode_body(READ_OPTIONS, "read") or ReadOptions()
         if request.path is not None and "*" in request.path:
             return self._read_many(session, request, answer, options)
         entry = self._gateway.resolve(session, request.path, Operation.READ)

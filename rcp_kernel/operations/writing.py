@@ -48,9 +48,10 @@ class Writing:
         window = gateway.deadman.window(entry, request)
         if request.dry_run:
             held = gateway.envelopes.applied(session, entry)
-            return would(
-                request, entry, {"write": value, "valid_for": window, "envelopes": held or None}
-            )
+            asks = gateway.approvals.wanted(session, entry, value) or None
+            facts = {"valid_for": window, "envelopes": held or None, "approval": asks}
+            return would(request, entry, {"write": value, **facts})
+        gateway.approvals.check(session, request, entry, value)
         noted = gateway.recording.written(session, request, entry, answer)
         if request.idempotency_key is not None:
             noted = self._noting(session, request, entry, noted)

@@ -63,6 +63,7 @@ def _as_row(command: Command) -> dict[str, Any]:
         "tenant": command.tenant,
         "request_id": command.request_id,
         "session": None if command.session is None else hashed(command.session),
+        "touches": command.touches,
         "input": to_plain(command.input),
         "created": command.created,
         "finished": command.finished,
@@ -84,6 +85,7 @@ def _read(row: dict[str, Any]) -> Command | None:
     """Return the command of a row; one that cannot be read is left out and told of."""
     try:
         steps = row.pop("history")
+        row["touches"] = tuple(row.get("touches", ()))
         command = Command(**row)
         for step in steps:
             step.setdefault("body", NO_BODY)

@@ -46,6 +46,7 @@ DENIALS = frozenset(
     )
 )
 """Codes that go on record whatever the request was; a write or an execute does with any code."""
+ID = "a-"  # what the ids of approvals begin with; the passes of plans' steps are nobody's business
 _LOOK = 0.25  # s between looks for replies whose deadline passes
 _LONGEST = 5.0  # s that a reply is held back at most
 _ESTOP = 0.25  # s for that of an e-stop, which is told in any case
@@ -296,12 +297,13 @@ class Recorded:
 
 
 def _facts(request: Request) -> dict[str, Any]:
-    acts = request.type in ACTS
+    acts, approval = request.type in ACTS, request.approval
     return {
         "request": request.type,
         "id": request.id,
         "idempotency_key": request.idempotency_key,
         "dry_run": request.dry_run or None,
+        "approval": approval if approval and approval.startswith(ID) else None,
         "value": value_of(request) if acts else None,
         "x": bounded(request.custom) if request.custom else None,
     }

@@ -30,6 +30,7 @@ from rcp_kernel.config.file import (
     parse,
 )
 from rcp_kernel.config.safety import Safety
+from rcp_kernel.plans.config import ActionTable, PlansConfig
 from rcp_kernel.plugins import Plugins
 
 PAGE = DOCS / "configuration.md"
@@ -49,6 +50,7 @@ _TABLES = [
     ("`[log]`", LogConfig),
     ("`[store]`", StoreConfig),
     ("`[audit]`", AuditConfig),
+    ("`[plans.actions.<name>]`", ActionTable),
 ]
 
 
@@ -93,6 +95,10 @@ def test_a_table_of_the_kernel_is_told(heading: str, type_: Any) -> None:
 
 def test_an_envelope_is_told() -> None:
     agree(section(PAGE, "`[[envelopes]]`").split("### Bounds")[0], EnvelopeConfig)
+
+
+def test_plans_are_told() -> None:
+    agree(section(PAGE, "`[plans]`").split("###")[0], PlansConfig)
 
 
 def test_a_quota_is_told() -> None:

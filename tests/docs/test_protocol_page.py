@@ -9,6 +9,7 @@ import msgspec
 import pytest
 
 from docs.pages import DOCS, keys, rows, section
+from rcp_kernel.access.approvals import ApprovalRequest
 from rcp_kernel.clients.connections import Hello
 from rcp_kernel.config.file import GatewayConfig
 from rcp_kernel.errors import BY_CODE
@@ -38,6 +39,7 @@ def fields(type_: Any) -> set[str]:
         ("Discover", Query),
         ("E-stop", EstopRequest),
         ("Leases", LeaseRequest),
+        ("Approvals", ApprovalRequest),
     ],
 )
 def test_a_table_has_every_field_of_its_type(heading: str, type_: Any) -> None:

@@ -21,7 +21,16 @@ from rcp_kernel.wire import Request, decode_request
 
 __all__ = ["Asked", "flag", "number"]
 
-_FIELDS = ("deadline", "valid_for", "dry_run", "timestamp", "version", "idempotency_key", "id")
+_FIELDS = (
+    "deadline",
+    "valid_for",
+    "dry_run",
+    "timestamp",
+    "version",
+    "idempotency_key",
+    "approval",
+    "id",
+)
 _HEADERS: dict[bytes, str] = {
     b"authorization": "authorization",
     b"accept": "accept",

@@ -97,6 +97,7 @@ def calls() -> Node:
             "valid_for": {"type": "number", "exclusiveMinimum": 0},
             "idempotency_key": _TEXT,
             "dry_run": {"type": "boolean"},
+            "approval": _TEXT,
             "body": {},
         },
     }

@@ -1,0 +1,291 @@
+"""Runs a checked plan: each step is an ordinary request of whoever sent the plan.
+
+So a step passes every check that it would pass by itself, with the rights of its moment, and
+what it sets going is a command like any other, with an entry of its own in record and history.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+from rcp_kernel.access.conditions import Condition
+from rcp_kernel.clients.session import Session
+from rcp_kernel.clock import iso, now
+from rcp_kernel.errors import (
+    BY_CODE,
+    DeadlineExceeded,
+    InternalError,
+    PreconditionFailed,
+    RcpError,
+)
+from rcp_kernel.plans.looking import looked_at
+from rcp_kernel.plans.model import Group, Operate, Parallel, Retry, Wait
+from rcp_kernel.plans.node import Checked, Node, every
+from rcp_kernel.plans.sending import Sending
+from rcp_kernel.plans.telling import Telling
+from rcp_kernel.wire import Request, error_body
+
+if TYPE_CHECKING:
+    from rcp_kernel.gateway import Gateway
+
+__all__ = ["Engine"]
+
+_LOOK = 0.1  # s between looks at a condition
+_UNKNOWN = 2.0  # s that the value of a condition may take to be known
+
+
+class Engine:
+    """One run of one plan."""
+
+    def __init__(
+        self, gateway: Gateway, session: Session, checked: Checked, command: str, telling: Telling
+    ) -> None:
+        self._gateway = gateway
+        self._session = session
+        self._checked = checked
+        self._telling = telling
+        nodes = list(every(checked.nodes))
+        self._sending = Sending(gateway, session, {node.id: node for node in nodes}, command)
+        self._part = f"plan {command}"
+        self._asked: set[str] = set()
+        self._conditions = [c for node in nodes for c in (node.when, node.until) if c is not None]
+
+    async def run(self, token: str | None) -> None:
+        """Run the steps in order; `token` stands for an approval of all of them.
+
+        :raises RcpError: a step failed, and had no fallback that did not.
+        """
+        self._sending.token = token
+        if self._conditions:
+            self._gateway.conditions.use(self._part, self._conditions)
+        try:
+            await self._sequence(self._checked.nodes)
+        finally:
+            if self._conditions:
+                self._gateway.conditions.use(self._part, ())
+
+    async def _sequence(self, nodes: Sequence[Node]) -> None:
+        for node in nodes:
+            await self._step(node)
+
+    async def _step(self, node: Node) -> None:
+        try:
+            if node.when is not None and not await self._holds(node, node.when):
+                self._skip(node)
+                return
+            await self._tries(node)
+        except asyncio.CancelledError:
+            if not node.ended:
+                self._telling.change(node, "cancelled")
+            raise
+        except RcpError as error:
+            self._telling.change(node, "failed", error=error_body(error), message=error.message)
+            if not node.fallback:
+                raise _of_step(node, error) from None
+            await self._sequence(node.fallback)
+            self._telling.change(node, "recovered")
+        else:
+            self._telling.change(node, "completed")
+
+    def _skip(self, node: Node) -> None:
+        for one in every(node.children):
+            self._telling.quietly(one, "skipped")
+        self._telling.change(node, "skipped", message=f"`{node.step.when}` does not hold")
+
+    # -- tries and deadlines -------------------------------------------------------------------
+
+    async def _tries(self, node: Node) -> None:
+        loop = self._gateway.loop
+        limit = node.step.deadline
+        end = None if limit is None else loop.time() + limit
+        retry = node.step.retry
+        for left in range(0 if retry is None else retry.times, -1, -1):
+            try:
+                await self._try(node, None if end is None else end - loop.time())
+            except RcpError as error:
+                over = end is not None and loop.time() + (retry.delay if retry else 0.0) >= end
+                if not left or over or not _again(retry, error):
+                    raise
+                assert retry is not None
+                self._telling.change(
+                    node, "running", message=f"{error.message}; {left} further tries are left"
+                )
+                await asyncio.sleep(retry.delay)
+                self._afresh(node)
+            else:
+                return
+
+    async def _try(self, node: Node, left: float | None) -> None:
+        node.state.tries += 1
+        node.state.started = node.state.started or iso(now())
+        self._telling.change(node, "running")
+        step = node.step
+        if left is not None and left <= 0:
+            raise _late(node)
+        if isinstance(step, Operate):
+            await self._operate(node, step, left)
+            return
+        work = self._wait(node) if isinstance(step, Wait) else self._group(node)
+        try:
+            async with asyncio.timeout(left):
+                await work
+        except TimeoutError as error:
+            if isinstance(error, RcpError):  # a step's own
+                raise
+            raise _late(node) from None
+
+    def _afresh(self, node: Node) -> None:
+        for one in every(node.children):
+            one.raw = None
+            self._telling.quietly(one, "pending")
+
+    # -- what steps do -------------------------------------------------------------------------
+
+    async def _operate(self, node: Node, step: Operate, left: float | None) -> None:
+        state = node.state
+        state.error = state.message = state.command = None
+
+        def progress(feedback: Any, fraction: float | None) -> None:
+            state.feedback, state.progress = feedback, fraction
+            self._telling.change(node, "running")
+
+        try:
+            node.raw, state.message = await self._sending.send(node, step, left, progress)
+        finally:
+            state.feedback = state.progress = None
+        self._telling.result(node)
+
+    async def _group(self, node: Node) -> None:
+        if isinstance(node.step, Parallel):
+            await self._parallel(node, node.step)
+        else:
+            await self._sequence(node.children)
+
+    async def _parallel(self, node: Node, step: Parallel) -> None:
+        gate = asyncio.Semaphore(step.limit or len(node.children))
+        tasks: dict[str, asyncio.Task[None]] = {}
+        for child in node.children:
+            before = [tasks[id_] for id_ in child.step.after]
+            tasks[child.id] = asyncio.create_task(
+                self._branch(child, before, gate), name=f"{self._part} step {child.id}"
+            )
+        try:
+            await self._until(step, node.children, tasks)
+        finally:
+            for task in tasks.values():
+                task.cancel()
+            # What was told to stop is waited for: the next step must not begin before.
+            await asyncio.gather(*tasks.values(), return_exceptions=True)
+
+    async def _branch(
+        self, child: Node, before: list[asyncio.Task[None]], gate: asyncio.Semaphore
+    ) -> None:
+        try:
+            if before:
+                await asyncio.wait(before)
+            if any(task.cancelled() or task.exception() is not None for task in before):
+                raise PreconditionFailed("a step that has to complete before it did not")
+            async with gate:
+                await self._step(child)
+        except asyncio.CancelledError:
+            if not child.ended:
+                self._telling.change(child, "cancelled")
+            raise
+
+    @staticmethod
+    async def _until(
+        step: Parallel, children: list[Node], tasks: dict[str, asyncio.Task[None]]
+    ) -> None:
+        """Wait until all steps have completed, or as many as are needed.
+
+        :raises RcpError: of the first that failed.
+        """
+        running = set(tasks.values())
+        failed: BaseException | None = None
+        while running:
+            done, running = await asyncio.wait(running, return_when=asyncio.FIRST_COMPLETED)
+            for task in done:
+                failed = failed or (None if task.cancelled() else task.exception())
+            if failed is not None and step.need == "all":
+                raise failed
+            ended = (child.state.state for child in children)
+            if step.need == "any" and any(s in ("completed", "recovered") for s in ended):
+                return
+        if failed is not None:
+            raise failed
+
+    # -- conditions ----------------------------------------------------------------------------
+
+    async def _wait(self, node: Node) -> None:
+        assert node.until is not None
+        while not self._look(node, node.until):
+            await self._pause()
+
+    async def _holds(self, node: Node, when: Condition) -> bool:
+        """Tell whether a condition holds now.
+
+        :raises PreconditionFailed: it cannot be known.
+        """
+        until = self._gateway.loop.time() + _UNKNOWN
+        while (found := self._look(node, when)) is None:
+            if self._gateway.loop.time() > until:
+                raise PreconditionFailed(
+                    f"whether `{when.text}` holds cannot be known",
+                    remedy="Look at the values that it names: they are stale, or never came.",
+                )
+            await self._pause()
+        return found
+
+    @staticmethod
+    async def _pause() -> None:
+        # Not an event: in some conditions nothing changes but the time.
+        await asyncio.sleep(_LOOK)
+
+    def _look(self, node: Node, condition: Condition) -> bool | None:
+        paths = looked_at(self._gateway, self._session, node, condition)  # rights may have gone
+        found = self._gateway.conditions.holds(condition, node)
+        if found is None:
+            self._ask_for(paths)
+        return found
+
+    def _ask_for(self, paths: list[str]) -> None:
+        """Have values read that no robot has published yet: some never do by themselves."""
+        for path in paths:
+            entry = self._gateway.registry.entries.get(path)
+            if entry is not None and entry.latest is None and path not in self._asked:
+                self._asked.add(path)
+                request = Request(type="read", path=path)
+                self._gateway.handle(self._session, request, lambda _reply: None)
+
+
+def _again(retry: Retry | None, error: RcpError) -> bool:
+    if retry is None:
+        return False
+    return error.code in retry.on if retry.on else error.retryable
+
+
+def _late(node: Node) -> DeadlineExceeded:
+    what = "did not come to hold" if isinstance(node.step, Wait) else "did not end"
+    return DeadlineExceeded(
+        f"it {what} within {node.step.deadline:g} s",
+        remedy="Look at the state of the robot, then send the plan again with more time.",
+    )
+
+
+def _of_step(node: Node, error: RcpError) -> RcpError:
+    """Say in which step an error came about; the innermost stays."""
+    if "step" in (error.details or {}) and isinstance(node.step, Group):
+        return error
+    kind = BY_CODE.get(error.code, InternalError)
+    found = kind(
+        f"step '{node.id}' failed: {error.message}",
+        path=error.path or node.path,
+        origin=error.origin,
+        remedy=error.remedy,
+        retry_after=error.retry_after,
+        details={**(error.details or {}), "step": node.id},
+    )
+    found.trace_id = error.trace_id
+    return found

@@ -1,0 +1,54 @@
+"""What is wrong with a plan: everything at once, each with the step it is in."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+from typing import Any, NamedTuple
+
+from rcp_kernel.errors import RcpError
+
+__all__ = ["Fault", "nearest", "refusal"]
+
+_TOLD = 100  # faults that an error lists
+_COMPARED = 2000  # names that a misspelt one is compared with
+
+
+class Fault(NamedTuple):
+    """One fault."""
+
+    step: str
+    """Its id, or the line that it stands in."""
+    error: RcpError
+
+    def plain(self) -> dict[str, Any]:
+        """Write the fault as plain data."""
+        error = self.error
+        facts = {
+            "step": self.step,
+            "code": error.code,
+            "message": error.message,
+            "path": error.path,
+            "remedy": error.remedy,
+            "details": error.details,
+        }
+        return {key: fact for key, fact in facts.items() if fact is not None}
+
+
+def refusal(faults: list[Fault]) -> RcpError:
+    """Make one error of all faults; its code is that of the first."""
+    first = faults[0]
+    count = f"{len(faults)} faults; the first" if len(faults) > 1 else "a fault"
+    return type(first.error)(
+        f"the plan has {count} in step '{first.step}': {first.error.message}",
+        path=first.error.path,
+        remedy="Mend what `details.faults` lists and send the plan again; nothing was begun.",
+        retry_after=first.error.retry_after,
+        details={"faults": [fault.plain() for fault in faults[:_TOLD]]},
+    )
+
+
+def nearest(name: str, known: Iterable[str], cutoff: float = 0.5) -> list[str]:
+    """Return the names that are most like a wrong one; `cutoff` says how like, up to 1."""
+    some = [one for _, one in zip(range(_COMPARED), known, strict=False)]
+    return difflib.get_close_matches(name, some, n=3, cutoff=cutoff)

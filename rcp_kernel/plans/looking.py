@@ -1,0 +1,39 @@
+"""Conditions of plans: over live values, and only those that whoever sent the plan may read."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from rcp_kernel.access.conditions import Condition
+from rcp_kernel.clients.session import Session
+from rcp_kernel.errors import Forbidden, UnknownPath
+from rcp_kernel.model import Operation
+from rcp_kernel.plans.node import Node
+
+if TYPE_CHECKING:
+    from rcp_kernel.gateway import Gateway
+
+__all__ = ["looked_at"]
+
+
+def looked_at(gateway: Gateway, session: Session, node: Node, condition: Condition) -> list[str]:
+    """Return the paths that a condition of a step is about.
+
+    :raises UnknownPath: one is not there, or hidden.
+    :raises Forbidden: the session may not read one.
+    """
+    return [_path(gateway, session, node, ref) for ref in condition.refs]
+
+
+def _path(gateway: Gateway, session: Session, node: Node, ref: tuple[str, ...]) -> str:
+    found = gateway.conditions.resource(ref, node)
+    if found is None or not session.rights.mask(found[0].path):
+        raise UnknownPath(
+            f"the condition names {'.'.join(ref)}, which is no value of "
+            f"'{node.robot or node.tenant or 'any robot'}'",
+            remedy="Name a sensor, actuator or param; `robot` says whose, where there are several.",
+        )
+    entry = found[0]
+    if not session.rights.permits(entry, Operation.READ):
+        raise Forbidden(f"{session.principal.name} may not read {entry.path}", path=entry.path)
+    return entry.path

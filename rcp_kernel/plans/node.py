@@ -1,0 +1,137 @@
+"""A plan as it is run: its steps in a tree, each with its state."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from typing import Any
+
+from rcp_kernel._plain import is_index, is_list, is_map
+from rcp_kernel.access.conditions import Condition
+from rcp_kernel.errors import PreconditionFailed
+from rcp_kernel.plans.model import Group, Plan, Step, StepState
+
+__all__ = ["MARK", "Checked", "Node", "every", "filled", "references"]
+
+MARK = "$result"
+
+
+class Node:
+    """One step."""
+
+    __slots__ = (
+        "children",
+        "fallback",
+        "id",
+        "path",
+        "raw",
+        "robot",
+        "state",
+        "step",
+        "tenant",
+        "until",
+        "when",
+    )
+
+    def __init__(self, id_: str, step: Step) -> None:
+        self.id = id_
+        self.step = step
+        self.children: list[Node] = []
+        self.fallback: list[Node] = []
+        self.path: str | None = None
+        """The full one, of an operation."""
+        self.tenant: str | None = None
+        self.robot: str | None = None
+        """Whose values its conditions mean."""
+        self.when: Condition | None = None
+        self.until: Condition | None = None
+        self.raw: Any = None
+        """The whole result; the state has only what is not too long."""
+        self.state = StepState(step=id_, do=step.do)
+
+    @property
+    def ended(self) -> bool:
+        """Whether nothing more happens to it."""
+        return self.state.state not in ("pending", "running")
+
+    @property
+    def leaf(self) -> bool:
+        """Whether it does something itself."""
+        return not isinstance(self.step, Group)
+
+
+class Checked:
+    """A plan that has passed its check."""
+
+    def __init__(self, plan: Plan, nodes: list[Node]) -> None:
+        self.plan = plan
+        self.nodes = nodes
+        self.touches: list[str] = []
+        """Paths that it names, those of its conditions too."""
+        self.asks: list[str] = []
+        """Ids of steps that a person has to approve."""
+
+    def plain(self) -> list[dict[str, Any]]:
+        """List what would be sent."""
+        out: list[dict[str, Any]] = []
+        for node in every(self.nodes):
+            facts: dict[str, Any] = {"step": node.id, "do": node.step.do, "path": node.path}
+            facts["value"] = getattr(node.step, "value", None)
+            facts["approval"] = (node.id in self.asks) or None
+            out.append({key: fact for key, fact in facts.items() if fact is not None})
+        return out
+
+
+def every(nodes: Iterable[Node]) -> Iterator[Node]:
+    """Go through steps in the order of the plan: each before those within it and its fallback."""
+    for node in nodes:
+        yield node
+        yield from every(node.children)
+        yield from every(node.fallback)
+
+
+def references(value: Any) -> Iterator[str]:
+    """Go through the results of other steps that a value wants: `id/field/…`."""
+    if is_map(value):
+        wanted = value.get(MARK)
+        if len(value) == 1 and isinstance(wanted, str):
+            yield wanted
+            return
+        for item in value.values():
+            yield from references(item)
+    elif is_list(value):
+        for item in value:
+            yield from references(item)
+
+
+def filled(value: Any, known: dict[str, Node]) -> Any:
+    """Return a value with the results that it wants.
+
+    :raises PreconditionFailed: a step has no result, or not this field.
+    """
+    if is_map(value):
+        wanted = value.get(MARK)
+        if len(value) == 1 and isinstance(wanted, str):
+            return _result(wanted, known)
+        return {key: filled(item, known) for key, item in value.items()}
+    if is_list(value):
+        return [filled(item, known) for item in value]
+    return value
+
+
+def _result(wanted: str, known: dict[str, Node]) -> Any:
+    id_, *fields = wanted.split("/")
+    node = known[id_]
+    if node.state.state != "completed":
+        raise PreconditionFailed(
+            f"step '{id_}' has no result to go on with: it is {node.state.state}",
+            remedy="Give the step a fallback, or this one a `when`.",
+        )
+    value = node.raw
+    for field in fields:
+        if is_map(value) and field in value:
+            value = value[field]
+        elif is_list(value) and is_index(field) and int(field) < len(value):
+            value = value[int(field)]
+        else:
+            raise PreconditionFailed(f"the result of step '{id_}' has no '{field}'")
+    return value

@@ -1,0 +1,147 @@
+"""`/system/plans`: a plan as a command, and the list of those that run or ran."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from rcp_kernel._plain import is_map
+from rcp_kernel.access.approvals import About
+from rcp_kernel.clients.session import Session
+from rcp_kernel.clock import iso
+from rcp_kernel.errors import PayloadTooLarge, QueueFull
+from rcp_kernel.operations.command import Command
+from rcp_kernel.plans.checking import check_plan
+from rcp_kernel.plans.engine import Engine
+from rcp_kernel.plans.model import Plan, PlanState
+from rcp_kernel.plans.node import Checked, every
+from rcp_kernel.plans.telling import Telling
+from rcp_kernel.registry import Entry
+from rcp_kernel.spi import Progress
+from rcp_kernel.values import to_plain
+from rcp_kernel.wire import NO_BODY, Reply, Request
+
+if TYPE_CHECKING:
+    from rcp_kernel.gateway import Gateway
+
+__all__ = ["PATH", "Plans", "Work"]
+
+PATH = "/system/plans"
+_LISTED = 50  # plans
+
+
+class Work:
+    """A plan that may begin, as the work of a command."""
+
+    def __init__(self, gateway: Gateway, session: Session, checked: Checked) -> None:
+        self._gateway = gateway
+        self._checked = checked
+        self.asks = tuple(checked.asks)
+        self.asked = tuple(n.path or "" for n in every(checked.nodes) if n.id in checked.asks)
+        self.touches = tuple(dict.fromkeys(checked.touches))
+        self.tenant = session.tenant
+        self.telling = Telling(checked, self._changed)
+        self.token: str | None = None
+
+    def _changed(self) -> None:
+        self._gateway.plans.changed()
+
+    def told(self, reply: Reply) -> None:
+        """Take notice of a reply of the command: where it begins and ends, the list changes."""
+        if reply.status != "in_progress":
+            self._changed()
+
+    def would(self) -> dict[str, Any]:
+        """Tell a dry run what would be sent, and whether a person has to approve it."""
+        out: dict[str, Any] = {"steps": self._checked.plain()}
+        return out | ({"approval": list(self.asks)} if self.asks else {})
+
+    def approve(self, session: Session, request: Request, entry: Entry) -> None:
+        """Let the plan's steps pass if a person has approved it, or none has to.
+
+        :raises ApprovalRequired, Forbidden: nobody has.
+        """
+        if not self.asks:
+            return
+        approvals, plan = self._gateway.approvals, self._checked.plan
+        about = About(self.asked, (*self.asked, *self.touches), self.asks)
+        approvals.demand(session, request, entry, plan, about)
+        self.token = approvals.open(self.asked)
+
+    async def run(self, command: Command, session: Session, progress: Progress) -> Any:
+        """Run the plan to its end, and return what became of each step."""
+        self.telling.progress = progress
+        engine = Engine(self._gateway, session, self._checked, command.id, self.telling)
+        try:
+            await engine.run(self.token)
+        finally:
+            self.telling.progress = None
+            self._gateway.approvals.close(self.token)
+        return self.telling.outcome()
+
+    def report(self, *, over: bool) -> Any:
+        """Return what has become of each step so far."""
+        return self.telling.outcome(over=over)
+
+
+class Plans:
+    """The gateway's part in plans."""
+
+    def __init__(self, gateway: Gateway) -> None:
+        self._gateway = gateway
+        self.changed = lambda: None
+        """Called when the list may have changed."""
+
+    def prepare(self, session: Session, request: Request, plan: Plan) -> Work:
+        """Check a plan whole.
+
+        :raises PayloadTooLarge: it is longer than it may be.
+        :raises QueueFull: as many run as may.
+        :raises RcpError: something is wrong with it; see `check_plan`.
+        """
+        limits = self._gateway.config.plans
+        if len(bytes(request.body)) > limits.size:
+            raise PayloadTooLarge(
+                f"the plan has {len(bytes(request.body))} bytes; the limit is {limits.size}",
+                details={"limit": limits.size},
+            )
+        work = Work(self._gateway, session, check_plan(self._gateway, session, plan))
+        running = [c for c in self._gateway.commands.running.values() if c.path == PATH]
+        if sum(1 for c in running if c.tenant == session.tenant) >= limits.running:
+            raise QueueFull(
+                f"{limits.running} plans of this tenant run already",
+                remedy="Wait for one to end, or cancel one.",
+                details={"limit": limits.running},
+            )
+        return work
+
+    def view(self, session: Session) -> list[dict[str, Any]]:
+        """List the plans that a session may see, newest first."""
+        found = [
+            command
+            for command in self._gateway.commands.every()
+            if command.path == PATH and self._gateway.executing.sees(session, command)
+        ]
+        return [to_plain(_state(c)) for c in found[:_LISTED]]
+
+
+def _state(command: Command) -> PlanState:
+    last = command.history[-1]
+    given = command.input
+    if command.work is not None and not command.final:
+        body: Any = command.work.report(over=False)
+    else:
+        body = last.body
+    return PlanState(
+        command=command.id,
+        status=command.status,
+        principal=command.principal,
+        created=iso(command.created),
+        name=given.get("name") if is_map(given) else getattr(given, "name", None),
+        finished=None if command.finished is None else iso(command.finished),
+        message=last.message,
+        steps=[] if body is NO_BODY else _steps(body),
+    )
+
+
+def _steps(body: Any) -> list[Any]:
+    return body.get("steps", []) if is_map(body) else body.steps

@@ -1,0 +1,151 @@
+"""Plans as a PDDL planner prints them: `(move_to alpha 1.0 2.0)`, with times or without."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import msgspec
+
+from rcp_kernel._plain import is_list, is_map
+from rcp_kernel.errors import BadRequest, InvalidPath, InvalidValue, RcpError
+from rcp_kernel.plans.config import PlansConfig
+from rcp_kernel.plans.fault import Fault
+from rcp_kernel.plans.lines import word
+from rcp_kernel.plans.model import Execute, Parallel, Read, Step, Write
+
+__all__ = ["Action", "from_symbolic"]
+
+_NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
+_ACTION = re.compile(
+    rf"\s*(?:(?P<time>{_NUMBER})\s*:)?\s*\((?P<words>[^()]*)\)\s*(?:\[\s*(?P<length>{_NUMBER})\s*\])?"
+)
+_SEGMENT = re.compile(r"[A-Za-z0-9_.-]+\Z")
+_PLACE = re.compile(r"\{(\d+)((?:\.\w+)*)\}")
+_SYNTAX = "Write one action a line: `(name argument …)`, `; ` begins a comment."
+
+
+class Action(NamedTuple):
+    """One action as it was printed."""
+
+    name: str
+    arguments: list[str]
+    line: int
+    time: float | None
+    length: float
+
+
+Unlisted = Callable[[Action, dict[str, Any]], tuple[str, Any]]
+"""Return path and value of an action that the table does not name; objects by their names."""
+
+
+def from_symbolic(
+    text: str, config: PlansConfig, unlisted: Unlisted
+) -> tuple[list[Step], list[Fault]]:
+    """Translate a plan: by the table, and by `unlisted` what is not in it.
+
+    Actions of a plan with times that overlap run side by side: each begins when all have completed
+    that end before it in the plan.
+    """
+    actions, faults = _parse(text)
+    steps: dict[int, Step] = {}
+    for number, action in enumerate(actions):
+        try:
+            steps[number] = _step(str(number + 1), action, config, unlisted)
+        except RcpError as error:
+            faults.append(Fault(f"line {action.line}", error))
+    if any(action.time is None for action in actions) or not steps:
+        return list(steps.values()), faults
+    return [_timed(actions, steps)], faults
+
+
+def _parse(text: str) -> tuple[list[Action], list[Fault]]:
+    actions: list[Action] = []
+    faults: list[Fault] = []
+    for number, raw in enumerate(text.splitlines(), 1):
+        line = raw.partition(";")[0].rstrip()
+        place = 0
+        while place < len(line):
+            match = _ACTION.match(line, place)
+            if match is None:
+                what = line[place:].strip()[:80]
+                error = BadRequest(f"{what!r} is no action of a plan", remedy=_SYNTAX)
+                faults.append(Fault(f"line {number}", error))
+                break
+            place = match.end()
+            words = match["words"].split()
+            if not words:
+                faults.append(Fault(f"line {number}", BadRequest("an action has no name")))
+                continue
+            time = None if match["time"] is None else float(match["time"])
+            actions.append(Action(words[0], words[1:], number, time, float(match["length"] or 0)))
+    return actions, faults
+
+
+def _step(id_: str, action: Action, config: PlansConfig, unlisted: Unlisted) -> Step:
+    table = config.actions.get(action.name) or config.actions.get(action.name.lower())
+    if table is None:
+        path, value = unlisted(action, config.objects)
+        return Execute(id=id_, path=path, value=value)
+    path = _PLACE.sub(lambda m: _in_path(m, action), table.path)
+    value = _fill(table.value, action, config.objects)
+    if table.do == "read":
+        return Read(id=id_, path=path, value=value, deadline=table.deadline)
+    if table.do == "write":
+        return Write(id=id_, path=path, value=value, deadline=table.deadline)
+    return Execute(id=id_, path=path, value=value, deadline=table.deadline)
+
+
+def _argument(match: re.Match[str], action: Action) -> str:
+    number = int(match[1])
+    if number >= len(action.arguments):
+        raise InvalidValue(
+            f"({action.name} …) has {len(action.arguments)} arguments; its table wants "
+            f"{{{number}}}, the one after {number} others"
+        )
+    return action.arguments[number]
+
+
+def _in_path(match: re.Match[str], action: Action) -> str:
+    text = _argument(match, action)
+    if not _SEGMENT.match(text) or match[2]:
+        raise InvalidPath(f"'{text[:40]}' of ({action.name} …) cannot stand in a path")
+    return text
+
+
+def _fill(template: Any, action: Action, objects: dict[str, Any]) -> Any:
+    if is_map(template):
+        return {k: _fill(v, action, objects) for k, v in template.items()}
+    if is_list(template):
+        return [_fill(v, action, objects) for v in template]
+    if not isinstance(template, str):
+        return template
+    whole = _PLACE.fullmatch(template)
+    if whole is not None:
+        return _object(whole, action, objects)
+    return _PLACE.sub(lambda m: str(_object(m, action, objects)), template)
+
+
+def _object(match: re.Match[str], action: Action, objects: dict[str, Any]) -> Any:
+    text = _argument(match, action)
+    value = objects[text] if text in objects else word(text)
+    for field in match[2].split(".")[1:]:
+        if not is_map(value) or field not in value:
+            raise InvalidValue(
+                f"'{text[:40]}' of ({action.name} …) has no field '{field}'",
+                remedy="Name an object of `[plans.objects]` that has it.",
+            )
+        value = value[field]
+    return value
+
+
+def _timed(actions: list[Action], steps: dict[int, Step]) -> Parallel:
+    order = sorted(steps, key=lambda n: (actions[n].time or 0.0, n))
+    out: list[Step] = []
+    for place, number in enumerate(order):
+        start = (actions[number].time or 0.0) + 1e-6
+        before = [n for n in order[:place] if (actions[n].time or 0.0) + actions[n].length <= start]
+        after = tuple(steps[n].id or "" for n in before)
+        out.append(msgspec.structs.replace(steps[number], after=after))
+    return Parallel(id="plan", steps=tuple(out))
