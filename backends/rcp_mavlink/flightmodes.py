@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import NamedTuple
 
 __all__ = ["Family", "family"]
@@ -16,32 +17,57 @@ def _px4(main: int, sub: int = 0) -> int:
     return main << 16 | sub << 24
 
 
-_PX4 = {_px4(1): "MANUAL", _px4(2): "ALTCTL", _px4(3): "POSCTL", _px4(4, 1): "READY", _px4(4, 2): "TAKEOFF", _px4(4, 3): "HOLD", _px4(4, 4): "MISSION", _px4(4, 5): "RTL", _px4(4, 6): "LAND", _px4(4, 8): "FOLLOW", _px4(5): "ACRO", _px4(6): "OFFBOARD", _px4(7): "STABILIZED"}  # fmt: skip
+_PX4 = {_px4(1): "MANUAL", _px4(2): "ALTCTL", _px4(3): "POSCTL", _px4(3, 1): "ORBIT", _px4(3, 2): "POSCTL_SLOW", _px4(4, 1): "READY", _px4(4, 2): "TAKEOFF", _px4(4, 3): "HOLD", _px4(4, 4): "MISSION", _px4(4, 5): "RTL", _px4(4, 6): "LAND", _px4(4, 8): "FOLLOW", _px4(4, 9): "PRECISION_LAND", _px4(4, 10): "VTOL_TAKEOFF", _px4(5): "ACRO", _px4(6): "OFFBOARD", _px4(7): "STABILIZED", _px4(10): "TERMINATION", _px4(11): "ALTITUDE_CRUISE"}  # fmt: skip
 
 _ARDUPILOT, _PX4_AUTOPILOT = 3, 12
-_PLANES = frozenset({1, *range(19, 26)})
-_ROVERS = frozenset({10, 11})
-_SUBS = frozenset({12})
+_KINDS = {1: "plane", 10: "rover", 11: "boat", 12: "sub", **dict.fromkeys(range(19, 26), "vtol")}
+
+_RISING = ("action/takeoff", "action/land")
+_STICKS = "actuator/velocity"
+_ATTITUDE = "actuator/attitude"
 
 
 class Family(NamedTuple):
     """What vehicles of one kind have in common."""
 
+    autopilot: str
+    """`ardupilot`, `px4` or `unknown`."""
     kind: str
-    """`copter`, `plane`, `rover`, `sub`, `px4` or `unknown`."""
+    """`copter`, `plane`, `vtol`, `rover`, `boat` or `sub`."""
     modes: dict[int, str]
     guided: str
-    """The mode in which it follows targets and set-points."""
+    """The mode in which it goes to a place it is told."""
+    led: str
+    """The mode in which it follows set-points."""
     hold: str
-    """The mode in which it comes to rest and stays."""
+    """The mode in which it comes to rest, or circles, and stays."""
     auto: str
-    land: str
+    rtl: str
     """Empty: it cannot."""
+    land: str
+    """Likewise."""
+    without: frozenset[str] = frozenset()
+    """Names that make no sense for it."""
 
     @property
     def px4(self) -> bool:
         """Whether it is PX4, which counts heights from the sea."""
-        return self.kind == "px4"
+        return self.autopilot == "px4"
+
+    @property
+    def flies(self) -> bool:
+        """Whether it has to be in the air to go anywhere."""
+        return self.kind in ("copter", "plane", "vtol")
+
+    @property
+    def circles(self) -> bool:
+        """Whether it stays at a place by circling round it."""
+        return self.kind in ("plane", "vtol")
+
+    @property
+    def drives(self) -> bool:
+        """Whether it stays on the ground or on the water, and height is nothing to it."""
+        return self.kind in ("rover", "boat")
 
     def number(self, name: str) -> int | None:
         """Return the number of a mode."""
@@ -52,16 +78,84 @@ class Family(NamedTuple):
         return self.modes.get(number, str(number))
 
 
+@lru_cache(maxsize=256)
 def family(autopilot: int, type_: int) -> Family:
     """Return the family of a vehicle, by what its heartbeat says."""
+    kind = _KINDS.get(type_, "copter")
     if autopilot == _PX4_AUTOPILOT:
-        return Family("px4", _PX4, "HOLD", "HOLD", "MISSION", "LAND")
+        return _of_px4(kind)
     if autopilot != _ARDUPILOT:
-        return Family("unknown", {}, "", "", "", "")
-    if type_ in _PLANES:
-        return Family("plane", _PLANE, "GUIDED", "LOITER", "AUTO", "")
-    if type_ in _ROVERS:
-        return Family("rover", _ROVER, "GUIDED", "HOLD", "AUTO", "")
-    if type_ in _SUBS:
-        return Family("sub", _SUB, "GUIDED", "POSHOLD", "AUTO", "")
-    return Family("copter", _COPTER, "GUIDED", "BRAKE", "AUTO", "LAND")
+        return Family("unknown", kind, {}, "", "", "", "", "", "", _without(kind))
+    match kind:
+        case "plane":
+            return Family(
+                "ardupilot",
+                kind,
+                _PLANE,
+                "GUIDED",
+                "GUIDED",
+                "LOITER",
+                "AUTO",
+                "RTL",
+                "",
+                _without(kind) | {"action/land"},
+            )
+        case "vtol":
+            return Family(
+                "ardupilot",
+                kind,
+                _PLANE,
+                "GUIDED",
+                "GUIDED",
+                "LOITER",
+                "AUTO",
+                "RTL",
+                "QLAND",
+                _without(kind),
+            )
+        case "rover" | "boat":
+            hold = "HOLD" if kind == "rover" else "LOITER"  # a boat that only stops drifts away
+            return Family(
+                "ardupilot",
+                kind,
+                _ROVER,
+                "GUIDED",
+                "GUIDED",
+                hold,
+                "AUTO",
+                "RTL",
+                "",
+                _without(kind),
+            )
+        case "sub":
+            return Family(
+                "ardupilot",
+                kind,
+                _SUB,
+                "GUIDED",
+                "GUIDED",
+                "POSHOLD",
+                "AUTO",
+                "",
+                "SURFACE",
+                _without(kind),
+            )
+        case _:
+            return Family("ardupilot", kind, _COPTER, "GUIDED", "GUIDED", "BRAKE", "AUTO", "RTL", "LAND")  # fmt: skip
+
+
+def _of_px4(kind: str) -> Family:
+    land = "" if kind in ("rover", "boat", "sub") else "LAND"
+    return Family("px4", kind, _PX4, "HOLD", "OFFBOARD", "HOLD", "MISSION", "RTL", land, _without(kind))  # fmt: skip
+
+
+def _without(kind: str) -> frozenset[str]:
+    match kind:
+        case "plane" | "vtol":
+            return frozenset({_STICKS})
+        case "rover" | "boat":
+            return frozenset({*_RISING, _ATTITUDE})
+        case "sub":
+            return frozenset({*_RISING, "action/rtl", _ATTITUDE})
+        case _:
+            return frozenset()

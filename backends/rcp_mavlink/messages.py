@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal
 
 from msgspec import Meta, Struct, defstruct
 
-__all__ = ["Arm", "Armed", "Arrived", "Attitude", "Calibrate", "Calibrated", "Gimbal", "Height", "Item", "Items", "LinkState", "MissionProgress", "ModeChange", "MoveTo", "OnItsWay", "ParamValue", "Photo", "Prearm", "Reached", "ReadParam", "Said", "SetMode", "TakeOff", "Uploaded", "VehicleInfo", "Velocity"]  # fmt: skip
+__all__ = ["Arm", "Armed", "Arrived", "Attitude", "Calibrate", "Calibrated", "Gimbal", "Height", "Item", "Items", "LinkState", "MissionProgress", "ModeChange", "MoveTo", "OnItsWay", "ParamValue", "Photo", "Prearm", "Reached", "ReadParam", "Said", "SetMode", "TakeOff", "Uploaded", "VehicleInfo", "Velocity", "drive", "velocity"]  # fmt: skip
 
 Latitude = Annotated[float, Meta(ge=-90, le=90, extra_json_schema={"unit": "deg"})]
 Longitude = Annotated[float, Meta(ge=-180, le=180, extra_json_schema={"unit": "deg"})]
@@ -157,6 +157,20 @@ def velocity(most: float) -> Any:
     return defstruct("Velocity", fields, bases=(Velocity,), frozen=True, forbid_unknown_fields=True)
 
 
+class Drive(Struct, frozen=True, forbid_unknown_fields=True):
+    """How fast to drive and to turn; turning left is positive."""
+
+    x: Speed = 0.0
+    yaw_rate: Annotated[float, Meta(ge=-2, le=2, extra_json_schema={"unit": "rad/s"})] = 0.0
+
+
+def drive(most: float) -> Any:
+    """Make the type of what drives at most so many m/s."""
+    speed = Annotated[float, Meta(ge=-most, le=most, extra_json_schema={"unit": "m/s"})]
+    fields = [("x", speed, 0.0)]
+    return defstruct("Drive", fields, bases=(Drive,), frozen=True, forbid_unknown_fields=True)
+
+
 class Attitude(Struct, frozen=True, forbid_unknown_fields=True):
     """An attitude and the thrust to hold it with."""
 
@@ -183,7 +197,9 @@ class VehicleInfo(Struct, frozen=True):
     """What is behind the link."""
 
     system: Count
+    autopilot: Literal["ardupilot", "px4", "unknown"]
     kind: str
+    """`copter`, `plane`, `vtol`, `rover`, `boat` or `sub`."""
     modes: list[str]
 
 

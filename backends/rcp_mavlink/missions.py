@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import time
+from collections.abc import Awaitable, Callable
 from typing import Any
 
 from rcp_kernel.errors import DeviceTimeout, PreconditionFailed
@@ -27,6 +28,14 @@ class Missions:
     def __init__(self, vehicle: Vehicle, commands: Commands, plans: Plans, motion: Motion) -> None:
         self._vehicle, self._commands = vehicle, commands
         self._plans, self._motion = plans, motion
+
+    def verbs(self) -> dict[str, Callable[[Any, Progress], Awaitable[Any]]]:
+        """Return what each path runs, but the run itself."""
+        return {
+            "action/mission/upload": self.upload,
+            "action/mission/pause": self.pause,
+            "action/mission/resume": self.resume,
+        }
 
     async def upload(self, given: m.Items, progress: Progress) -> m.Uploaded:
         """Replace the mission."""
@@ -82,9 +91,14 @@ class Missions:
         vehicle = self._vehicle
         if vehicle.mode != vehicle.family.auto:
             raise PreconditionFailed(f"mission: none is flown, the mode is {vehicle.mode}")
-        await self._commands.send(Command(193), "pause")
+        if vehicle.family.px4:  # it pauses by leaving the mode, and knows where it was
+            await self._motion.to_mode(vehicle.family.hold)
+        else:
+            await self._commands.send(Command(193), "pause")
+        px4 = vehicle.family.px4
         paused = await vehicle.until(
-            lambda: self._now()["mission_state"] == _PAUSED and self._motion.rests, _PAUSING
+            lambda: (px4 or self._now()["mission_state"] == _PAUSED) and self._motion.rests,
+            _PAUSING,
         )
         if not paused:
             raise DeviceTimeout("pause: accepted, but the vehicle still moves")
@@ -92,7 +106,10 @@ class Missions:
 
     async def resume(self, _: None, progress: Progress) -> m.MissionProgress:
         """Go on."""
-        await self._commands.send(Command(193, (1.0, 0.0, 0.0, 0.0)), "resume")
+        if self._vehicle.family.px4:
+            await self._motion.to_mode(self._vehicle.family.auto)
+        else:
+            await self._commands.send(Command(193, (1.0, 0.0, 0.0, 0.0)), "resume")
         if not await self._vehicle.until(
             lambda: self._now()["mission_state"] == _ACTIVE, _STARTING
         ):

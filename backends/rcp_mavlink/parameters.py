@@ -4,25 +4,27 @@ from __future__ import annotations
 
 import asyncio
 import difflib
-import math
-import struct
 import time
 from collections.abc import Callable
+from contextlib import ExitStack
 from typing import Any, NamedTuple
 
-from rcp_kernel.errors import DeviceRejected, DeviceTimeout, OutOfRange, UnknownPath
+from rcp_kernel.errors import DeviceRejected, DeviceTimeout, OutOfRange, RcpError, UnknownPath
 from rcp_mavlink.frames import Frame
 from rcp_mavlink.hub import Hub
+from rcp_mavlink.paramcoding import bounds, decoded, param_set
 from rcp_mavlink.vehicle import Vehicle
 
-__all__ = ["Parameter", "Parameters", "bounds"]
+__all__ = ["Parameter", "Parameters"]
 
 _QUIET = 0.7  # s without a value, after which those that are missing are asked for
 _ROUNDS = 8
 _AT_ONCE = 50
-_REAL = 9
-_CODES = {1: "B", 2: "b", 3: "H", 4: "h", 5: "I", 6: "i", 9: "f"}
-_BITS = {1: (0, 255), 2: (-128, 127), 3: (0, 65535), 4: (-32768, 32767), 5: (0, 2**32 - 1), 6: (-(2**31), 2**31 - 1)}  # fmt: skip
+_NOT_THERE = 1
+_ERRORS = {
+    2: "out of its range", 3: "not permitted", 4: "no such component", 5: "read-only",
+    6: "a type that it does not know", 7: "another type", 8: "cannot be read",
+}  # fmt: skip
 
 
 class Parameter(NamedTuple):
@@ -32,11 +34,6 @@ class Parameter(NamedTuple):
     type: int
     """MAV_PARAM_TYPE."""
     place: int
-
-
-def bounds(type_: int) -> tuple[int, int] | None:
-    """Return what an integer type holds; None for a real number."""
-    return _BITS.get(type_)
 
 
 class Parameters:
@@ -54,7 +51,7 @@ class Parameters:
         fields = frame.fields()
         name = fields["param_id"].split(b"\0", 1)[0].decode("ascii", "replace")
         type_, place = fields["param_type"], fields["param_index"]
-        value = self._decoded(fields["param_value"], type_)
+        value = self._decoded(frame, type_)
         self._last = time.monotonic()
         before = self.known.get(name)
         if place == 0xFFFF and before is not None:
@@ -90,82 +87,88 @@ class Parameters:
     async def read(self, name: str) -> float:
         """Ask for a value.
 
-        :raises UnknownPath: the vehicle has no such parameter, which it says by silence.
+        :raises UnknownPath: the vehicle has no such parameter, which most say by silence.
         """
         module, vehicle = self._hub.dialect.module, self._vehicle
         message = module.MAVLink_param_request_read_message(
             vehicle.system, vehicle.component, name.encode(), -1
         )
-        value = await self._exchange(name, message)
+        doubtful = self.complete.is_set() and name not in self.known
+        value = await self._exchange(name, message, lambda _: True, once=doubtful)
         if value is not None:
             return value
         if name in self.known:
             raise DeviceTimeout(f"the vehicle did not say {name}")
+        raise self._unknown(name)
+
+    def _unknown(self, name: str) -> UnknownPath:
         near = difflib.get_close_matches(name.upper(), self.known, 3, 0.6)
         remedy = f"Did you mean {' or '.join(near)}?" if near else "param/* lists those it has."
-        raise UnknownPath(f"the vehicle has no parameter {name}", remedy=remedy)
+        return UnknownPath(f"the vehicle has no parameter {name}", remedy=remedy)
 
     async def write(self, name: str, value: float) -> float:
         """Bring a value into force; return what is in force then.
 
         :raises DeviceRejected: the vehicle kept the old one.
         """
-        module, vehicle = self._hub.dialect.module, self._vehicle
-        before = self.known[name]
+        vehicle, before = self._vehicle, self.known[name]
         limits = bounds(before.type)
         if limits is not None and not limits[0] <= value <= limits[1]:
             raise OutOfRange(f"{name} holds {limits[0]} to {limits[1]}, not {value:g}")
-        message = module.MAVLink_param_set_message(
-            vehicle.system,
-            vehicle.component,
-            name.encode(),
-            self._encoded(value, before.type),
-            before.type,
+        to = (vehicle.system, vehicle.component)
+        message, wanted = param_set(
+            self._hub.dialect.module, to, name, value, before.type, bytewise=vehicle.bytewise
         )
-        now = await self._exchange(name, message)
+        # One that was said a moment before, and is on its way yet, is no answer.
+        now = await self._exchange(name, message, lambda told: told in (wanted, value))
         if now is None:
             raise DeviceTimeout(f"the vehicle did not confirm {name}")
-        wanted = self._decoded(self._encoded(value, before.type), before.type)
         if now != wanted and now == before.value:
-            said = self._vehicle.texts_since(time.monotonic() - 1.0)
+            said = vehicle.texts_since(time.monotonic() - 1.0)
             raise DeviceRejected(f"the vehicle keeps {name} at {now:g}", details={"texts": said})
         return now
 
-    async def _exchange(self, name: str, message: Any) -> float | None:
+    async def _exchange(
+        self, name: str, message: Any, good: Callable[[float], bool], *, once: bool = False
+    ) -> float | None:
+        """Send until a good value comes; return the last that came, None without any."""
         self._vehicle.check()
-        heard = asyncio.Event()
+        config, own = self._hub.config, name.encode()
+        answered: asyncio.Future[int] = asyncio.get_running_loop().create_future()
+        came = False
 
         def take(frame: Frame) -> None:
-            if frame.fields()["param_id"].split(b"\0", 1)[0] == name.encode():
-                heard.set()
+            nonlocal came
+            fields = frame.fields()
+            if fields["param_id"].split(b"\0", 1)[0] != own or answered.done():
+                return
+            if "error" in fields:
+                answered.set_result(fields["error"])
+                return
+            came = True
+            if good(self._decoded(frame, fields["param_type"])):
+                answered.set_result(0)
 
-        config = self._hub.config
-        with self._vehicle.listening("PARAM_VALUE", take):
-            for _ in range(config.retries + 1):
+        with ExitStack() as stack:
+            for told in ("PARAM_VALUE", "PARAM_ERROR"):
+                if told in self._hub.dialect.by_name:
+                    stack.enter_context(self._vehicle.listening(told, take))
+            for _ in range(1 if once else config.retries + 1):
                 self._hub.send(self._vehicle, message)
-                try:
-                    async with asyncio.timeout(config.timeout):
-                        await heard.wait()
-                except TimeoutError:
-                    self._vehicle.check()
-                    continue
-                return self.known[name].value
-        return None
+                done, _pending = await asyncio.wait({answered}, timeout=config.timeout)
+                if done or came:
+                    break
+                self._vehicle.check()
+        if answered.done() and (error := answered.result()):
+            raise self._refusal(name, error)
+        return self.known[name].value if came else None
 
-    def _encoded(self, value: float, type_: int) -> float:
-        """Return the float that stands for a value: PX4 puts the bits of integers in it."""
-        if type_ == _REAL:
-            return value
-        if not self._vehicle.family.px4:
-            return float(round(value))
-        code = _CODES.get(type_, "i")
-        return struct.unpack("<f", struct.pack(f"<{code}", round(value)).ljust(4, b"\0"))[0]
+    def _refusal(self, name: str, error: int) -> RcpError:
+        if error == _NOT_THERE:
+            return self._unknown(name)
+        words = _ERRORS.get(error, f"error {error}")
+        return DeviceRejected(f"{name}: {words}", details={"result": words})
 
-    def _decoded(self, value: float, type_: int) -> float:
-        if type_ == _REAL:
-            return struct.unpack("<f", struct.pack("<f", value))[0]
-        if self._vehicle.family.px4:
-            code = _CODES.get(type_, "i")
-            size = struct.calcsize(code)
-            return float(struct.unpack(f"<{code}", struct.pack("<f", value)[:size])[0])
-        return float(round(value)) if math.isfinite(value) else value
+    def _decoded(self, frame: Frame, type_: int) -> float:
+        raw = frame.payload[:4].ljust(4, b"\0")
+        return decoded(raw, type_, bytewise=self._vehicle.bytewise)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import math
 import time
+from collections.abc import Awaitable, Callable
 from typing import Any
 
 from rcp_kernel.errors import DeviceTimeout
@@ -31,6 +32,14 @@ class Payload:
 
     def __init__(self, vehicle: Vehicle, commands: Commands, intervals: Intervals) -> None:
         self._vehicle, self._commands, self._intervals = vehicle, commands, intervals
+
+    def verbs(self) -> dict[str, Callable[[Any, Progress], Awaitable[Any]]]:
+        """Return what each path runs."""
+        return {
+            "action/gimbal": self.gimbal,
+            "action/camera/photo": self.photo,
+            "action/calibrate": self.calibrate,
+        }
 
     async def gimbal(self, given: m.Gimbal, progress: Progress) -> m.Gimbal:
         """Turn the camera; done when the mount says that it looks there, as far as it can."""

@@ -21,10 +21,11 @@ from rcp_mavlink.files import (
     Rename,
     Written,
 )
+from rcp_mavlink.flightmodes import Family
 from rcp_mavlink.hub import Hub
 from rcp_mavlink.logs import LogPiece, LogRange, OnBoard
 from rcp_mavlink.metadata import about
-from rcp_mavlink.parameters import bounds
+from rcp_mavlink.paramcoding import bounds
 from rcp_mavlink.sensors import Sensor
 from rcp_mavlink.vehicle import Vehicle
 
@@ -71,8 +72,13 @@ def resources(
         )
         for sensor in sensors
     ]
-    found += [*_made(), *_events(), *_actuators(hub), *_actions(), *_services(), *_files()]
-    return [structs.replace(resource, name=name(resource.name)) for resource in found]
+    family = vehicle.family
+    found += [*_made(), *_events(), *_actuators(hub, family), *_actions(), *_services(), *_files()]
+    return [
+        structs.replace(resource, name=name(resource.name))
+        for resource in found
+        if resource.name not in family.without
+    ]
 
 
 def parameter(path: str, name: str, type_: int) -> Resource:
@@ -108,19 +114,21 @@ def _events() -> list[Resource]:
     ]  # fmt: skip
 
 
-def _actuators(hub: Hub) -> list[Resource]:
+def _actuators(hub: Hub, family: Family) -> list[Resource]:
     most = hub.config.max_speed
+    turning = {"x": min(1.0, most), "yaw_rate": 0.3}
+    climbing = {"z": min(1.0, most), "yaw_rate": 0.3}
     return [
         Resource(
             name="actuator/velocity",
-            description="Velocity in the vehicle's own axes: x forward, y left, z up; in GUIDED only.",
-            value=m.velocity(most),
-            examples=({"x": min(2.0, most)}, {"z": min(1.0, most), "yaw_rate": 0.3}),
+            description=f"Velocity in the vehicle's own axes: x forward, y left, z up; in {family.led} only.",
+            value=m.drive(most) if family.drives else m.velocity(most),
+            examples=({"x": min(2.0, most)}, turning if family.drives else climbing),
             live=True, max_age=1.0, valid_for=0.5, safe={},
         ),
         Resource(
             name="actuator/attitude",
-            description="Attitude and thrust to hold; in GUIDED only.",
+            description=f"Attitude and thrust to hold; in {family.led} only.",
             value=m.Attitude,
             examples=({"pitch": -0.1, "thrust": 0.5}, {"roll": 0.1, "thrust": 0.5}),
             live=True, max_age=1.0, valid_for=0.5, safe={},
@@ -140,8 +148,8 @@ def _actions() -> list[Resource]:
         _action("disarm", "Stop the motors; refused in the air unless forced.", 15, input=m.Arm | None, output=m.Armed, examples=(None, {})),
         _action("takeoff", "Rise to a height over home; it has to be armed.", 180, input=m.TakeOff | None, output=m.Height, feedback=m.Height, examples=({"altitude": 10.0},)),
         _action("land", "Come down where it is, and disarm.", 600, output=m.Height, feedback=m.OnItsWay),
-        _action("rtl", "Fly home, land and disarm.", 1800, output=m.Height, feedback=m.OnItsWay),
-        _action("move_to", "Go to a place, given by latitude and longitude or by metres from home.", 1800, input=m.MoveTo, output=m.Arrived, feedback=m.OnItsWay, examples=({"north": 20.0, "east": 5.0, "altitude": 15.0}, {"latitude": -35.3630, "longitude": 149.1652})),
+        _action("rtl", "Come home: a copter lands and disarms, a plane circles there, a rover stops.", 1800, output=m.Height, feedback=m.OnItsWay),
+        _action("move_to", "Go to a place, given by latitude and longitude or by metres from home; a plane circles round it.", 1800, input=m.MoveTo, output=m.Arrived, feedback=m.OnItsWay, examples=({"north": 20.0, "east": 5.0, "altitude": 15.0}, {"latitude": -35.3630, "longitude": 149.1652})),
         _action("set_mode", "Change the flight mode.", 15, input=m.SetMode, output=m.SetMode, examples=({"mode": "GUIDED"},)),
         _action("mission/upload", "Replace the mission.", 300, input=m.Items, output=m.Uploaded, examples=(_WAYPOINTS,)),
         _action("mission/run", "Fly the mission to its end; it has to be armed.", 7200, output=m.MissionProgress, feedback=m.MissionProgress),

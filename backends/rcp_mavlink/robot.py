@@ -19,6 +19,7 @@ from rcp_kernel.spi import Host, Progress
 from rcp_mavlink import messages as m
 from rcp_mavlink.commands import Command, Commands
 from rcp_mavlink.files import Files
+from rcp_mavlink.flights import Flights
 from rcp_mavlink.frames import Frame
 from rcp_mavlink.hub import Hub
 from rcp_mavlink.intervals import FASTEST, Intervals
@@ -72,24 +73,17 @@ class Robot:
         self._closed = False
         self._clock = 0
         self.telling = Telling(hub, vehicle, self._publish)
+        flights = Flights(vehicle, self._commands, self.motion, self.parameters)
         missions = Missions(vehicle, self._commands, self.plans, self.motion)
-        payload = Payload(vehicle, self._commands, self.intervals)
+        leading = {**flights.verbs(), "action/mission/run": missions.run}
         logs = Logs(hub, vehicle)
         self._verbs: dict[str, Verb] = {
             "action/arm": self.motion.arm,
             "action/disarm": self.motion.disarm,
-            "action/takeoff": self._ending(self.motion.take_off),
-            "action/land": self._ending(self.motion.land),
-            "action/rtl": self._ending(self.motion.rtl),
-            "action/move_to": self._ending(self.motion.move_to),
-            "action/set_mode": self.motion.set_mode,
-            "action/mission/upload": missions.upload,
-            "action/mission/run": self._ending(missions.run),
-            "action/mission/pause": missions.pause,
-            "action/mission/resume": missions.resume,
-            "action/gimbal": payload.gimbal,
-            "action/camera/photo": payload.photo,
-            "action/calibrate": payload.calibrate,
+            "action/set_mode": self._set_mode,
+            **{name: self._ending(verb) for name, verb in leading.items()},
+            **missions.verbs(),
+            **Payload(vehicle, self._commands, self.intervals).verbs(),
             "service/mission/download": lambda _, __: self._download(MISSION),
             "service/mission/clear": lambda _, __: self._upload(MISSION, m.Items(())),
             "service/fence/upload": lambda items, _: self._upload(FENCE, items),
@@ -122,7 +116,8 @@ class Robot:
         self.vehicle.on_text.append(self.telling.text)
         self.telling.begin()
         self.intervals.begin()
-        self._start(self._first("HOME_POSITION"))
+        for message in ("AUTOPILOT_VERSION", "HOME_POSITION"):
+            self._start(self._first(message))
         self._start(self._list_parameters())
 
     def back(self) -> None:
@@ -248,6 +243,12 @@ class Robot:
         if not heard:
             raise DeviceTimeout("reboot: accepted, and nothing is heard since")
         self.intervals.begin()
+
+    async def _set_mode(self, given: m.SetMode, progress: Progress) -> m.SetMode:
+        family = self.vehicle.family
+        if family.px4 and given.mode.upper() == family.led != self.vehicle.mode:
+            await self.setpoints.offboard()
+        return await self.motion.set_mode(given, progress)
 
     def _ending(self, verb: Verb) -> Verb:
         """Let a command of its own end the set-points that are in force."""

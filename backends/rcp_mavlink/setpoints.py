@@ -16,6 +16,7 @@ __all__ = ["Setpoints"]
 
 _RATE = 10.0  # Hz
 _PARTING = 10  # times that rest is sent before it is left at that
+_LEADING = 6  # times that PX4 wants one before it lets itself be led
 _BODY_FRAME = 8
 _VELOCITY_AND_YAW_RATE = 0b0101_1100_0111
 _ATTITUDE_ALONE = 0b0000_0111
@@ -27,22 +28,26 @@ class Setpoints:
     def __init__(self, hub: Hub, vehicle: Vehicle, motion: Motion) -> None:
         self._hub, self._vehicle, self._motion = hub, vehicle, motion
         self._task: asyncio.Task[None] | None = None
+        self._entering: asyncio.Task[None] | None = None
         self._message: Any = None
         self._left: int | None = None
 
-    async def velocity(self, value: m.Velocity) -> None:
+    async def velocity(self, value: Any) -> None:
         """Move so in its own axes; all zeros is rest."""
-        vehicle = self._vehicle
-        resting = not (value.x or value.y or value.z or value.yaw_rate)
+        x, y, z = value.x, getattr(value, "y", 0.0), getattr(value, "z", 0.0)
+        resting = not (x or y or z or value.yaw_rate)
         if resting and (self._task is None or not self._leads()):
             self.end()
             return
         self._check()
-        message = self._hub.dialect.module.MAVLink_set_position_target_local_ned_message(
-            0, vehicle.system, vehicle.component, _BODY_FRAME, _VELOCITY_AND_YAW_RATE,
-            0.0, 0.0, 0.0, value.x, -value.y, -value.z, 0.0, 0.0, 0.0, 0.0, -value.yaw_rate,
+        message = self._moving(x, y, z, value.yaw_rate)
+        await self._lead(message, _PARTING if resting else None)
+
+    def _moving(self, x: float, y: float, z: float, yaw_rate: float) -> Any:
+        return self._hub.dialect.module.MAVLink_set_position_target_local_ned_message(
+            0, self._vehicle.system, self._vehicle.component, _BODY_FRAME, _VELOCITY_AND_YAW_RATE,
+            0.0, 0.0, 0.0, x, -y, -z, 0.0, 0.0, 0.0, 0.0, -yaw_rate,
         )  # fmt: skip
-        self._lead(message, _PARTING if resting else None)
 
     async def attitude(self, value: m.Attitude) -> None:
         """Hold an attitude; level with half the thrust is rest, and handed back to the autopilot."""
@@ -58,12 +63,11 @@ class Setpoints:
         message = self._hub.dialect.module.MAVLink_set_attitude_target_message(
             0, vehicle.system, vehicle.component, _ATTITUDE_ALONE, q, 0.0, 0.0, 0.0, value.thrust
         )
-        self._lead(message, None)
+        await self._lead(message, None)
 
     def _leads(self) -> bool:
         vehicle = self._vehicle
-        mode = "OFFBOARD" if vehicle.family.px4 else vehicle.family.guided
-        return vehicle.mode == mode and vehicle.armed
+        return vehicle.mode == vehicle.family.led and vehicle.armed
 
     def _check(self) -> None:
         """Make sure that it would follow.
@@ -71,38 +75,71 @@ class Setpoints:
         :raises ModeForbids: it is in a mode in which it does not.
         :raises PreconditionFailed: it is not in the air.
         """
-        vehicle = self._vehicle
+        vehicle, family = self._vehicle, self._vehicle.family
         vehicle.check()
-        if not self._leads():
-            mode = "OFFBOARD" if vehicle.family.px4 else vehicle.family.guided
+        modes = {family.led, family.guided} if family.px4 else {family.led}
+        if vehicle.mode not in modes or not vehicle.armed:
+            wanted = " or ".join(sorted(modes))
             raise ModeForbids(
-                f"in {vehicle.mode} the vehicle follows no set-point",
-                remedy=f"Arm it and bring it into {mode}: action/takeoff does both but arming.",
-            )
-        if vehicle.landed is True and vehicle.family.kind in ("copter", "px4"):
+                f"in {vehicle.mode}{'' if vehicle.armed else ', disarmed,'} the vehicle follows no set-point",
+                remedy=f"Arm it and bring it into {wanted} by action/set_mode.",
+            )  # fmt: skip
+        if vehicle.landed is True and family.flies:
             raise PreconditionFailed("the vehicle is on the ground", remedy="Take off first.")
 
-    def _lead(self, message: Any, left: int | None) -> None:
+    async def _lead(self, message: Any, left: int | None) -> None:
         self._message, self._left = message, left
         self._hub.send(self._vehicle, message)
         if self._task is None:
             self._task = asyncio.get_running_loop().create_task(self._repeat())
+        if not self._leads():
+            await self._enter()
+
+    async def _enter(self) -> None:
+        """Have it let itself be led: PX4 wants to hear set-points before it does."""
+        entering = self._entering
+        if entering is None or entering.done():
+            entering = asyncio.get_running_loop().create_task(self._entered())
+            self._entering = entering
+        await asyncio.wait({entering})
+        if entering.cancelled():
+            raise PreconditionFailed("the set-point was ended by another command")
+        if (error := entering.exception()) is not None:
+            self.end()
+            raise error
+
+    async def _entered(self) -> None:
+        before = self._vehicle.mode
+        await asyncio.sleep(_LEADING / _RATE)
+        if self._vehicle.mode != before:
+            raise ModeForbids(f"somebody else brought the vehicle into {self._vehicle.mode}")
+        await self._motion.to_mode(self._vehicle.family.led)
+
+    async def offboard(self) -> None:
+        """Begin to lead it with being at rest."""
+        if not self._vehicle.armed:
+            raise PreconditionFailed("OFFBOARD: the vehicle is not armed", remedy="Arm it first.")
+        await self._lead(self._moving(0.0, 0.0, 0.0, 0.0), None)
 
     async def _repeat(self) -> None:
         while self._left is None or self._left > 0:
             await asyncio.sleep(1 / _RATE)
-            if self._vehicle.lost or not self._leads():
+            entering = self._entering is not None and not self._entering.done()
+            if self._vehicle.lost or not (entering or self._leads()):
                 break
             self._hub.send(self._vehicle, self._message)
             if self._left is not None:
                 self._left -= 1
         self._task = None
+        if self._vehicle.family.px4 and self._leads():  # it would call their absence a failure
+            await self._motion.shielded(self._motion.hold)
 
     def end(self) -> None:
         """Say nothing more."""
-        if self._task is not None:
-            self._task.cancel()
-            self._task = None
+        for task in (self._task, self._entering):
+            if task is not None:
+                task.cancel()
+        self._task = self._entering = None
 
 
 def _quaternion(roll: float, pitch: float, yaw: float) -> list[float]:

@@ -15,7 +15,7 @@ from rcp_mavlink.vehicle import Text, Vehicle
 __all__ = ["Telling"]
 
 _FAILSAFES = ("failsafe", "breach", "crash", "ekf variance", "terminat")
-_PREARM = ("PreArm: ", "Arm: ")
+_PREARM = ("PreArm: ", "Arm: ", "Preflight Fail: ", "Arming denied: ", "Arming denied! ")
 _COMPLAINTS = 35.0  # s for which a complaint counts: the vehicle repeats them every 30 s
 _RECENT = 2.5  # s
 
@@ -51,8 +51,9 @@ class Telling:
             case "sensor/links":
                 return self._links()
             case "sensor/vehicle":
-                modes = list(vehicle.family.modes.values())
-                return m.VehicleInfo(vehicle.system, vehicle.family.kind, modes)
+                family: Any = vehicle.family
+                modes = list(family.modes.values())
+                return m.VehicleInfo(vehicle.system, family.autopilot, family.kind, modes)
             case _:
                 return None
 

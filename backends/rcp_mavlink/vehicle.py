@@ -18,6 +18,7 @@ __all__ = ["Fix", "Text", "Vehicle"]
 
 _ARMED = 128
 _PREARM = 1 << 28
+_BYTEWISE, _C_CAST = 1 << 4, 1 << 17
 _TEXTS = 50
 _LANDED, _IN_AIR = 1, (2, 3, 4)
 
@@ -105,7 +106,9 @@ class Vehicle:
 
     @property
     def landed(self) -> bool | None:
-        """Whether it stands on the ground; None: it has not said."""
+        """Whether it stands on the ground; None: it has not said, or is never anywhere else."""
+        if self.family.drives:
+            return None
         frame = self.latest.get("EXTENDED_SYS_STATE")
         state = 0 if frame is None else frame.fields()["landed_state"]
         return True if state == _LANDED else False if state in _IN_AIR else None
@@ -120,6 +123,13 @@ class Vehicle:
         if not fields["onboard_control_sensors_present"] & _PREARM:
             return None
         return bool(fields["onboard_control_sensors_health"] & _PREARM)
+
+    @property
+    def bytewise(self) -> bool:
+        """Whether it puts the bits of integers into the float of a parameter, as PX4 does."""
+        frame = self.latest.get("AUTOPILOT_VERSION")
+        can = 0 if frame is None else frame.fields()["capabilities"]
+        return bool(can & _BYTEWISE) or (self.family.px4 and not can & _C_CAST)
 
     @property
     def fix(self) -> Fix | None:

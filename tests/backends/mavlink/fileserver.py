@@ -96,6 +96,9 @@ class FileServer:
             case 9:
                 self.directories.add(path)
                 return b""
+            case 10 if path in self.directories:
+                self.directories.remove(path)
+                return b""
             case 13:
                 old, _, new = path.partition("\0")
                 if old not in self.files:

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import AsyncGenerator, Mapping, Sequence
-from contextlib import asynccontextmanager
+from contextlib import asynccontextmanager, suppress
 from typing import Any
+from unittest.mock import patch
 
 import msgspec
 
 import rcp_mavlink
+from backends.mavlink.fileserver import FileServer
 from backends.mavlink.flying import (
     agrees,
     airborne,
@@ -19,15 +21,20 @@ from backends.mavlink.flying import (
     speed,
     twin,
 )
+from rcp_kernel.errors import RcpError
 from rcp_kernel.testing import BackendSuite, Goal, eventually
+from rcp_mavlink.files import FileWrite, Remove
 from rcp_mavlink.sim import Twin, Vehicle
 from rcp_mavlink.sim.modes import Mode
+from rcp_mavlink.sim.peer import Peer
 from rcp_mavlink.sim.plans import Item
+from rcp_mavlink.sim.wire import mav
 
 PARAMS = ("WPNAV_SPEED", "RTL_ALT", "GUID_TIMEOUT")
 LAT, LON = -35.3632621, 149.1652374
 HERE = Item(16, 3, (0.0, 0.0, 0.0, 0.0), LAT, LON, 20.0, (round(LAT * 1e7), round(LON * 1e7)))
 FLOWN = msgspec.structs.replace(HERE, params=(2.0, 0.0, 0.0, 0.0))
+SCRIPT, MOVED, MADE = "/APM/scripts/a.lua", "/APM/scripts/b.lua", "/APM/made"
 LONG = msgspec.structs.replace(HERE, params=(900.0, 0.0, 0.0, 0.0))
 
 
@@ -39,6 +46,12 @@ class TestMavlink(BackendSuite):
 
     @asynccontextmanager
     async def twin(self) -> AsyncGenerator[Twin]:
+        with patch.object(Peer, "_take", _with_files(Peer._take)):
+            async with self._flying() as running:
+                yield running
+
+    @asynccontextmanager
+    async def _flying(self) -> AsyncGenerator[Twin]:
         async with twin(latency=0.06) as running:
             airborne(running.vehicle)
             self.link = f"udpout:127.0.0.1:{running.ports[0][1]}"
@@ -106,6 +119,7 @@ class TestMavlink(BackendSuite):
             "action/gimbal": Goal(good={"pitch": -0.5}),
             "action/camera/photo": Goal(good=None),
             "action/calibrate": Goal(good=None),
+            **_files(),
             "service/log/read": Goal(good={"id": 1}, bad={"id": 999}),
             "service/reboot": Goal(good=None),
         }
@@ -114,6 +128,8 @@ class TestMavlink(BackendSuite):
         vehicle = self.vehicle
         motion = self.backend.robots[""].motion
         await eventually(_nothing(motion.parting), "what was cancelled has ended")
+        if name.startswith("service/ftp/"):
+            await self._tidy()
         mission = vehicle.flight.mission
         if name in ("action/arm", "action/calibrate", "service/reboot"):
             on_the_ground(vehicle)
@@ -134,6 +150,14 @@ class TestMavlink(BackendSuite):
             else:
                 skip(vehicle, lambda: mission.current > 0)
         await agrees(self.backend, vehicle)
+
+    async def _tidy(self) -> None:
+        """Have the file there that is removed and renamed, and not the one that is made."""
+        robot = self.backend.robots[""]
+        for path, directory in ((MOVED, False), (MADE, True)):
+            with suppress(RcpError):
+                await robot.execute("service/ftp/remove", Remove(path, directory), _silent)
+        await robot.execute("service/ftp/write", FileWrite(SCRIPT, b"return 1"), _silent)
 
     async def confirms(self, name: str, result: Any) -> bool:
         vehicle = self.vehicle
@@ -172,6 +196,41 @@ class TestMavlink(BackendSuite):
 
     async def mend_link(self) -> None:
         self.device.muted = False
+
+
+def _silent(_: Any = None, *, fraction: float | None = None) -> None:
+    """Take no note of progress."""
+
+
+def _files() -> dict[str, Goal]:
+    gone = {"path": "/APM/gone.txt"}
+    return {
+        "service/ftp/list": Goal(good={"path": "/APM"}, bad=gone),
+        "service/ftp/read": Goal(good={"path": SCRIPT}, bad=gone),
+        "service/ftp/write": Goal(good={"path": SCRIPT, "data": "cmV0dXJuIDE="}),
+        "service/ftp/crc": Goal(good={"path": SCRIPT}, bad=gone),
+        "service/ftp/remove": Goal(good={"path": SCRIPT}, bad=gone),
+        "service/ftp/mkdir": Goal(good={"path": MADE}),
+        "service/ftp/rename": Goal(good={"path": SCRIPT, "to": MOVED}),
+    }
+
+
+def _with_files(take: Any) -> Any:
+    """Serve files where the twin does not."""
+    servers: dict[Any, FileServer] = {}
+
+    def taken(peer: Any, message: Any) -> None:
+        kind = message.get_type()
+        if kind != "FILE_TRANSFER_PROTOCOL" or kind in peer._handlers:
+            take(peer, message)
+            return
+        if peer not in servers:
+            make = mav.MAVLink_file_transfer_protocol_message
+            servers[peer] = FileServer(lambda _, *fields: peer.send(make(*fields)), {})
+            servers[peer].directories |= {"/APM", "/APM/scripts"}
+        servers[peer](message)
+
+    return taken
 
 
 def _nothing(tasks: set[Any]) -> Any:
