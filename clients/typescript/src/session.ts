@@ -183,6 +183,7 @@ export class Session {
     this.problem = undefined;
     this.#backoff.reset();
     this.#heard = Date.now();
+    if (!resuming) this.#loseAll("the session ended with the connection");
     this.#to("open");
     this.#pinging ??= setInterval(() => this.#ping(), (this.#options.ping ?? 2) * 1000);
     if (resuming) this.#resume();
@@ -199,7 +200,6 @@ export class Session {
 
   /** The session is a new one: nothing of an earlier one stands. */
   #begin(): void {
-    this.#loseAll("the session ended with the connection");
     this.#orphans.clear();
     for (const subscription of this.subscriptions.values()) {
       subscription.forget();

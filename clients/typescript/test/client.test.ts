@@ -41,6 +41,16 @@ test("hello says who and where, and pings measure the way and the clock", async 
   assert.ok(Math.abs(client.clock.offset) < 1, "one machine has one clock");
 });
 
+test("what is asked as soon as the connection is open is answered", async () => {
+  const client = new Client({ url, token, tenant: "alpha" });
+  open.push(client);
+  const answer = new Promise((resolve, reject) => {
+    client.onChange(() => client.state === "open" && client.read("/sensor/pose").then(resolve, reject));
+  });
+  await client.connect();
+  assert.ok(await answer);
+});
+
 test("without a token one is anonymous, with a wrong one refused", async () => {
   const client = await connected({});
   assert.equal(client.hello?.principal, "anonymous");

@@ -15,6 +15,7 @@ from pathlib import Path
 
 WEB = Path(__file__).resolve().parent
 STATIC = WEB.parent / "static"
+CLIENT = WEB.parents[2] / "clients" / "typescript" / "src"
 _MADE = WEB / ".made"
 _LOCK = WEB / "package-lock.json"
 _INSTALLED = WEB / "node_modules" / ".lock"
@@ -28,13 +29,15 @@ def sources() -> Iterable[Path]:
     for path in sorted(WEB.rglob("*")):
         if path.is_file() and not _SKIPPED & set(path.relative_to(WEB).parts):
             yield path
+    yield from sorted(CLIENT.rglob("*.ts"))
 
 
 def digest() -> str:
     """Return what tells one state of the sources from another."""
     found = hashlib.sha256()
     for path in sources():
-        found.update(path.relative_to(WEB).as_posix().encode() + b"\0" + path.read_bytes() + b"\0")
+        name = path.relative_to(WEB.parents[2]).as_posix().encode()
+        found.update(name + b"\0" + path.read_bytes() + b"\0")
     return found.hexdigest()
 
 

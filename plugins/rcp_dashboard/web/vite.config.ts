@@ -1,9 +1,14 @@
+import { fileURLToPath } from "node:url";
+
 import { svelte } from "@sveltejs/vite-plugin-svelte";
 import { defineConfig } from "vite";
 
 export default defineConfig({
   base: "./", // the page works below any prefix
   plugins: [svelte()],
+  resolve: {
+    alias: { "rcp-client": fileURLToPath(new URL("../../../clients/typescript/src/index.ts", import.meta.url)) },
+  },
   build: {
     outDir: "../static",
     emptyOutDir: true,

@@ -1,0 +1,73 @@
+/** Numbers, times and values as people read them. */
+
+export function number(value: unknown, digits = 3): string {
+  if (typeof value !== "number") return String(value);
+  if (Number.isInteger(value)) return String(value);
+  const size = Math.abs(value);
+  if (size !== 0 && (size >= 1e6 || size < 1e-3)) return value.toExponential(2);
+  return value.toFixed(size >= 100 ? 1 : digits);
+}
+
+/** A span in seconds, short. */
+export function span(seconds: number | undefined): string {
+  if (seconds === undefined) return "–";
+  if (seconds < 0.95) return `${Math.round(seconds * 10) / 10} s`;
+  if (seconds < 100) return `${Math.round(seconds)} s`;
+  if (seconds < 6000) return `${Math.round(seconds / 60)} min`;
+  if (seconds < 172800) return `${Math.round(seconds / 3600)} h`;
+  return `${Math.round(seconds / 86400)} d`;
+}
+
+export function clock(timestamp: string | undefined): string {
+  if (!timestamp) return "–";
+  const when = new Date(timestamp);
+  const today = when.toDateString() === new Date().toDateString();
+  const time = when.toLocaleTimeString([], { hour12: false });
+  return today ? time : `${when.toISOString().slice(0, 10)} ${time}`;
+}
+
+export function bytes(count: number | undefined): string {
+  if (count === undefined) return "–";
+  if (count < 1024) return `${count} B`;
+  if (count < 1048576) return `${(count / 1024).toFixed(1)} KiB`;
+  if (count < 1073741824) return `${(count / 1048576).toFixed(0)} MiB`;
+  return `${(count / 1073741824).toFixed(2)} GiB`;
+}
+
+/** A value on one line: enough to recognise it, never the whole of a map. */
+export function brief(value: unknown, room = 80): string {
+  const text = one(value, room);
+  return text.length > room ? `${text.slice(0, room - 1)}…` : text;
+}
+
+function one(value: unknown, room: number): string {
+  if (value === null || value === undefined) return "–";
+  if (typeof value === "number") return number(value);
+  if (typeof value === "boolean") return value ? "yes" : "no";
+  if (typeof value === "string") return value.slice(0, room + 1);
+  if (Array.isArray(value)) {
+    if (value.length > 6) return `${value.length} items`;
+    return `[${value.map((item) => one(item, room)).join(", ")}]`;
+  }
+  let text = "";
+  for (const [key, item] of Object.entries(value as object)) {
+    if (key === "timestamp" || key === "frame_id") continue;
+    const told = one(item, room);
+    text += `${text && "  "}${key} ${typeof item === "object" && item !== null && !Array.isArray(item) ? `{${told}}` : told}`;
+    if (text.length > room) break;
+  }
+  return text;
+}
+
+/** The value as text, with what is long cut: for a person to look at. */
+export function pretty(value: unknown): string {
+  return JSON.stringify(
+    value,
+    (_, item) => {
+      if (typeof item === "string" && item.length > 300) return `${item.slice(0, 60)}… (${item.length} characters)`;
+      if (Array.isArray(item) && item.length > 24) return [...item.slice(0, 12), `… ${item.length} items`];
+      return item;
+    },
+    2,
+  );
+}

@@ -1,0 +1,118 @@
+import { Validator } from "@cfworker/json-schema";
+import type { Resource, Schema } from "rcp-client";
+
+/** A part of a schema with its references resolved against the whole. */
+export function resolve(schema: Schema, root: Schema): Schema {
+  let found = schema;
+  for (let depth = 0; found["$ref"] && depth < 16; depth++) {
+    const { $ref, ...rest } = found;
+    const parts = ($ref as string).replace(/^#\//, "").split("/");
+    const target = parts.reduce<any>((at, part) => at?.[part.replaceAll("~1", "/").replaceAll("~0", "~")], root);
+    found = { ...(target ?? {}), ...rest };
+  }
+  return found;
+}
+
+/** Alternatives of a schema; one that may be null has `null` among them. */
+export function alternatives(schema: Schema): Schema[] {
+  return (schema["anyOf"] ?? schema["oneOf"] ?? []) as Schema[];
+}
+
+/** The one alternative that a person fills in, where the others are null or a spelling of odd numbers. */
+export function main(schema: Schema, root: Schema): { schema: Schema; nullable: boolean } {
+  const options = alternatives(schema).map((one) => resolve(one, root));
+  if (options.length === 0) return { schema, nullable: schema["type"] === "null" };
+  const nullable = options.some((one) => one["type"] === "null");
+  const real = options.filter((one) => one["type"] !== "null");
+  const numbers = real.filter((one) => one["type"] === "number" || one["type"] === "integer");
+  const pick = numbers[0] ?? (real.length === 1 ? real[0] : undefined);
+  const { anyOf: _, oneOf: __, ...around } = schema;
+  return { schema: pick ? { ...around, ...pick } : schema, nullable };
+}
+
+/** A value to begin with: the default, the least that is valid, or nothing. */
+export function initial(schema: Schema, root: Schema): unknown {
+  const whole = resolve(schema, root);
+  if ("default" in whole) return structuredClone(whole["default"]);
+  if ("const" in whole) return whole["const"];
+  const { schema: one, nullable } = main(whole, root);
+  if (nullable) return null;
+  if (one["enum"]) return one["enum"][0];
+  switch (one["type"]) {
+    case "object": {
+      const made: Record<string, unknown> = {};
+      const required: string[] = one["required"] ?? [];
+      for (const [key, part] of Object.entries((one["properties"] ?? {}) as Record<string, Schema>))
+        if (required.includes(key)) made[key] = initial(part, root);
+      return made;
+    }
+    case "array":
+      return [];
+    case "boolean":
+      return false;
+    case "number":
+    case "integer":
+      return Math.max(0, one["minimum"] ?? 0) <= (one["maximum"] ?? Infinity) ? Math.max(0, one["minimum"] ?? 0) : one["maximum"];
+    case "string":
+      return "";
+    default:
+      return null;
+  }
+}
+
+export interface Fault {
+  /** JSON Pointer of the field. */
+  pointer: string;
+  message: string;
+}
+
+/** Check a value before it is sent; the gateway checks again. */
+export function faults(value: unknown, schema: Schema): Fault[] {
+  const { $id: _, ...anonymous } = schema;
+  const result = new Validator(anonymous, "2020-12", false).validate(value);
+  if (result.valid) return [];
+  const leaves = result.errors.filter((error) => !["properties", "$ref", "anyOf", "items", "allOf", "oneOf"].includes(error.keyword));
+  const seen = new Set<string>();
+  return (leaves.length ? leaves : result.errors)
+    .map((error) => ({ pointer: error.instanceLocation.replace(/^#/, ""), message: error.error }))
+    .filter(({ pointer, message }) => !seen.has(pointer + message) && seen.add(pointer + message));
+}
+
+/** The properties of a resource's value, as far as its schema tells. */
+export function properties(resource: Resource): Set<string> {
+  const root = resource.schemas?.value;
+  if (!root) return new Set();
+  const whole = main(resolve(root, root), root).schema;
+  return new Set(Object.keys(whole["properties"] ?? {}));
+}
+
+/** The unit of a field, given by dots, or of the value itself. */
+export function unitOf(resource: Resource | undefined, field = ""): string {
+  const root = resource?.schemas?.value;
+  if (!resource || !root) return "";
+  let at = main(resolve(root, root), root).schema;
+  for (const part of field === "" ? [] : field.split(".")) {
+    const next = at["properties"]?.[part] ?? at["items"] ?? at["additionalProperties"];
+    if (!next) return "";
+    at = main(resolve(next, root), root).schema;
+  }
+  const unit = at["unit"] ?? (field === "" ? resource.unit : undefined) ?? "";
+  return unit === "1" ? "" : unit;
+}
+
+/** The numeric fields of a value, by their dotted names; long lists are left out. */
+export function numericFields(value: unknown, prefix = ""): string[] {
+  if (typeof value === "number") return [prefix];
+  if (typeof value === "boolean") return [prefix];
+  if (value === null || typeof value !== "object") return [];
+  if (Array.isArray(value) && value.length > 16) return [];
+  return Object.entries(value).flatMap(([key, item]) => numericFields(item, prefix ? `${prefix}.${key}` : key));
+}
+
+/** The number at a dotted name. */
+export function pick(value: unknown, field: string): number | null {
+  let at: any = value;
+  if (field !== "") for (const part of field.split(".")) at = at?.[part];
+  if (typeof at === "boolean") return at ? 1 : 0;
+  return typeof at === "number" ? at : null;
+}

@@ -1,0 +1,65 @@
+import type { Resource } from "rcp-client";
+
+import { properties } from "./schema.ts";
+
+/** What a page can make of a resource, told by the fields of its schema and not by its name. */
+export type Shape =
+  | "pose" | "odometry" | "scan" | "grid" | "image" | "cloud" | "geo" | "transforms" | "twist" | "battery" | "path" | "goal" | "urdf";
+
+const cache = new WeakMap<Resource, Set<Shape>>();
+
+export function shapes(resource: Resource): Set<Shape> {
+  let found = cache.get(resource);
+  if (!found) cache.set(resource, (found = new Set(look(resource))));
+  return found;
+}
+
+function* look(resource: Resource): Generator<Shape> {
+  const has = properties(resource);
+  const all = (...names: string[]): boolean => names.every((name) => has.has(name));
+  if (all("position", "orientation")) yield "pose";
+  if (all("pose", "twist")) yield "odometry";
+  else if (all("pose") && resource.kind === "sensor") yield "pose";
+  if (all("ranges", "angle_min", "angle_increment")) yield "scan";
+  if (all("resolution", "width", "height", "data") || all("info", "data")) yield "grid";
+  if ((all("width", "height", "data") && !has.has("resolution") && !has.has("point_step")) || all("format", "data")) yield "image";
+  if (all("point_step", "data") || has.has("points")) yield "cloud";
+  if (all("latitude", "longitude")) yield "geo";
+  if (has.has("transforms")) yield "transforms";
+  if (has.has("poses")) yield "path";
+  if (has.has("percentage") || (has.has("voltage") && has.has("current"))) yield "battery";
+  if (resource.kind === "actuator" && (all("linear", "angular") || has.has("twist"))) yield "twist";
+  if (resource.kind === "action") {
+    const text = JSON.stringify(resource.schemas?.input ?? {});
+    if (text.includes('"position"') || (text.includes('"pose"') && text.includes('"orientation"'))) yield "goal";
+    else if (text.includes('"latitude"')) yield "goal";
+  }
+  if (/robot_description|urdf/.test(resource.path)) yield "urdf";
+}
+
+export function ofShape(resources: Resource[], shape: Shape): Resource[] {
+  return resources.filter((one) => shapes(one).has(shape));
+}
+
+/** Heading in the plane of a quaternion, counter-clockwise from x, in rad. */
+export function yawOf(q: any): number {
+  const { x = 0, y = 0, z = 0, w = 1 } = q ?? {};
+  return Math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z));
+}
+
+export interface Pose {
+  position: { x: number; y: number; z: number };
+  orientation: { x: number; y: number; z: number; w: number };
+  frame: string;
+}
+
+/** The pose in a value of the shapes `pose` and `odometry`, however deep its type has it. */
+export function poseOf(value: any): Pose | undefined {
+  let at = value;
+  for (let depth = 0; depth < 3 && at && !at.position; depth++) at = at.pose;
+  if (!at?.position) return undefined;
+  const { x = 0, y = 0, z = 0 } = at.position;
+  const { x: qx = 0, y: qy = 0, z: qz = 0, w = 1 } = at.orientation ?? {};
+  const frame = value.frame_id ?? value.header?.frame_id ?? "map";
+  return { position: { x, y, z }, orientation: { x: qx, y: qy, z: qz, w }, frame };
+}

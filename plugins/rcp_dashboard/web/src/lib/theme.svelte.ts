@@ -1,0 +1,26 @@
+const KEY = "rcp.theme";
+
+/** Dark or light: as the person chose, else as the system is. */
+class Theme {
+  chosen = $state(localStorage.getItem(KEY) ?? "");
+  readonly #system = matchMedia("(prefers-color-scheme: light)");
+  name = $state<"dark" | "light">("dark");
+
+  constructor() {
+    this.#system.addEventListener("change", () => this.apply());
+  }
+
+  apply(): void {
+    const wanted = this.chosen || (this.#system.matches ? "light" : "dark");
+    this.name = wanted === "light" ? "light" : "dark";
+    document.documentElement.dataset["theme"] = this.name;
+  }
+
+  toggle(): void {
+    this.chosen = this.name === "dark" ? "light" : "dark";
+    localStorage.setItem(KEY, this.chosen);
+    this.apply();
+  }
+}
+
+export const theme = new Theme();

@@ -1,0 +1,18 @@
+import { app } from "./app.svelte.ts";
+
+/** A clock that ticks four times a second: ages are shown by it. */
+class Ticking {
+  now = $state(Date.now());
+  constructor() {
+    setInterval(() => (this.now = Date.now()), 250);
+  }
+}
+
+const ticking = new Ticking();
+
+/** Seconds since a timestamp of the gateway; it follows the time. */
+export function age(timestamp: string | undefined): number | undefined {
+  if (!timestamp) return undefined;
+  const now = ticking.now + app.client.clock.offset * 1000;
+  return Math.max(0, (now - Date.parse(timestamp)) / 1000);
+}
