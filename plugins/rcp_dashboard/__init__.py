@@ -6,8 +6,11 @@ from collections.abc import AsyncGenerator, Iterable
 from contextlib import asynccontextmanager
 from typing import Any
 
+from rcp_dashboard.api import PREFIX, Api
 from rcp_dashboard.config import DashboardConfig
-from rcp_dashboard.pages import Pages
+from rcp_dashboard.layouts import Layouts
+from rcp_dashboard.openapi import described
+from rcp_dashboard.pages import STATIC, Pages
 from rcp_kernel.door import Door, Mount
 from rcp_kernel.hookspecs import hookimpl
 from rcp_kernel.spi import AdapterKind
@@ -16,15 +19,22 @@ __all__ = ["DashboardConfig", "open_dashboard", "rcp_adapters"]
 
 
 @asynccontextmanager
-async def open_dashboard(_: DashboardConfig, door: Door) -> AsyncGenerator[dict[str, Any]]:
-    """Offer the pages to the listener while entered."""
-    pages = Pages()
-    mount = Mount(name="dashboard", prefix="/", app=pages)
-    door.mount(mount)
+async def open_dashboard(config: DashboardConfig, door: Door) -> AsyncGenerator[dict[str, Any]]:
+    """Offer the pages and the API to the listener while entered."""
+    pages = Pages(STATIC)
+    api = Api(door, config, Layouts(door.shelf("layouts"), config))
+    mounts = (
+        Mount(name="dashboard", prefix="/", app=pages),
+        Mount(name="dashboard api", prefix=PREFIX, app=api, openapi=described),
+    )
+    for mount in mounts:
+        door.mount(mount)
     try:
         yield {"path": "/", **pages.facts()}
     finally:
-        door.unmount(mount)
+        for mount in mounts:
+            door.unmount(mount)
+        api.close()
 
 
 @hookimpl

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import mimetypes
+import re
 from pathlib import Path
 from typing import Any
 
@@ -56,7 +57,7 @@ class File(msgspec.Struct, frozen=True):
         media = mimetypes.guess_type(name)[0] or "application/octet-stream"
         if media.startswith("text/") or name.endswith((".js", ".json", ".svg")):
             media += "; charset=utf-8"
-        etag = b'"%s"' % hashlib.sha256(body).hexdigest()[:20].encode()
+        etag = b'W/"%s"' % hashlib.sha256(body).hexdigest()[:20].encode()
         cache = _FOREVER if name.startswith("/assets/") else _ASK
         return cls(body, packed, media.encode(), etag, cache)
 
@@ -64,7 +65,7 @@ class File(msgspec.Struct, frozen=True):
 class Pages:
     """Serves them, as a plain ASGI application at `/`."""
 
-    def __init__(self, static: Path = STATIC) -> None:
+    def __init__(self, static: Path) -> None:
         self._files = dict(_load(static))
         self.built = "/index.html" in self._files
         """Whether the pages are there at all."""
@@ -103,14 +104,26 @@ class Pages:
 async def _give(scope: Scope, send: Send, file: File) -> None:
     headers = [*_SAFE, file.cache, _VARY, (b"etag", file.etag)]
     known = header(scope, b"if-none-match") or b""
-    if any(part.strip().removeprefix(b"W/") in (file.etag, b"*") for part in known.split(b",")):
+    if any(_same(part.strip(), file.etag) for part in known.split(b",")):
         await respond(send, 304, b"", headers=headers)
         return
     body = file.body
-    if file.packed is not None and b"gzip" in (header(scope, b"accept-encoding") or b""):
+    if file.packed is not None and _takes_gzip(header(scope, b"accept-encoding") or b""):
         body = file.packed
         headers.append((b"content-encoding", b"gzip"))
     await respond(send, 200, body, file.media, headers)
+
+
+def _same(named: bytes, etag: bytes) -> bool:
+    return named == b"*" or named.removeprefix(b"W/") == etag.removeprefix(b"W/")
+
+
+def _takes_gzip(accepted: bytes) -> bool:
+    for part in accepted.lower().split(b","):
+        name, *options = (text.strip() for text in part.split(b";"))
+        if name == b"gzip":
+            return not any(re.fullmatch(rb"q=0(\.0*)?", option) for option in options)
+    return False
 
 
 def _load(static: Path) -> list[tuple[str, File]]:

@@ -12,6 +12,7 @@ import pytest
 from docs.pages import DOCS, ROOT, keys, rows, section
 from rcp_a2a.config import Provider, PushConfig
 from rcp_asgi.config import TlsConfig
+from rcp_dashboard import DashboardConfig
 from rcp_kernel.access.acl import Role, Rule
 from rcp_kernel.config.envelopes import Bound, EnvelopeConfig, Fence
 from rcp_kernel.config.file import (
@@ -51,6 +52,7 @@ _TABLES = [
     ("`[store]`", StoreConfig),
     ("`[audit]`", AuditConfig),
     ("`[plans.actions.<name>]`", ActionTable),
+    ("`[plugins.dashboard]`", DashboardConfig),
 ]
 
 

@@ -1,0 +1,105 @@
+"""/dashboard/api: from a URL to its handler; whatever goes wrong is an envelope."""
+
+from __future__ import annotations
+
+from collections.abc import Awaitable, Callable
+
+from rcp_dashboard.asked import Asked
+from rcp_dashboard.camera import Cameras
+from rcp_dashboard.config import DashboardConfig
+from rcp_dashboard.layouts import Layouts
+from rcp_dashboard.telemetry import Telemetry
+from rcp_kernel.asgi import Headers, Receive, Scope, Send, refuse, respond
+from rcp_kernel.door import Door
+from rcp_kernel.errors import UnknownPath, UnsupportedOperation
+from rcp_kernel.operations.pending import crash
+
+__all__ = ["PREFIX", "Api"]
+
+PREFIX = "/dashboard/api"
+_NO_STORE: Headers = [(b"cache-control", b"no-store")]
+Handler = Callable[[Asked, Receive, Send], Awaitable[None]]
+
+
+class Api:
+    """Serves it."""
+
+    def __init__(self, door: Door, config: DashboardConfig, layouts: Layouts) -> None:
+        self._door = door
+        self._limit = config.layout_size
+        self._telemetry = Telemetry(door, config)
+        self._cameras = Cameras(door, config)
+        self._layouts = layouts
+        self._handlers: dict[str, dict[str, Handler]] = {
+            "/series": {"GET": self._series},
+            "/latest": {"GET": self._latest},
+            "/camera": {"GET": lambda asked, _, send: self._cameras.snapshot(asked, send)},
+            "/camera/stream": {"GET": self._cameras.stream},
+            "/layout": {"GET": self._layout, "PUT": self._save, "DELETE": self._forget},
+        }
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Serve one request."""
+        path: str = scope["path"]
+        headers: Headers = [*_NO_STORE]
+        begun = False
+
+        async def sending(message: dict[str, object]) -> None:
+            nonlocal begun
+            begun = True
+            await send(message)
+
+        try:
+            handlers = self._handlers.get(path.removeprefix(PREFIX))
+            if handlers is None:
+                known = ", ".join(PREFIX + rest for rest in self._handlers)
+                raise UnknownPath(f"nothing is at {path}", remedy=f"There are {known}.")
+            allowed = _allowed(handlers)
+            asked = Asked(scope)
+            if asked.method == "OPTIONS":
+                await respond(send, 204, b"", headers=[(b"allow", allowed)])
+                return
+            handler = handlers.get(asked.method)
+            if handler is None:
+                headers.append((b"allow", allowed))
+                raise UnsupportedOperation(
+                    f"{path} does not take {asked.method}",
+                    remedy=f"Use {' or '.join(handlers)}.",
+                )
+            await asked.identify(self._door)
+            await handler(asked, receive, sending)
+        except Exception as error:
+            if begun:
+                raise
+            told = crash(error, path=path)
+            self._door.refused("dashboard", told.code)
+            await refuse(send, told, headers=headers)
+
+    async def _series(self, asked: Asked, _: Receive, send: Send) -> None:
+        await respond(send, 200, await self._telemetry.series(asked), headers=_NO_STORE)
+
+    async def _latest(self, asked: Asked, _: Receive, send: Send) -> None:
+        await respond(send, 200, await self._telemetry.latest(asked), headers=_NO_STORE)
+
+    async def _layout(self, asked: Asked, _: Receive, send: Send) -> None:
+        asked.allow()
+        await respond(send, 200, self._layouts.get(asked.principal), headers=_NO_STORE)
+
+    async def _save(self, asked: Asked, receive: Receive, send: Send) -> None:
+        asked.allow()
+        self._layouts.put(asked.principal, await asked.body(receive, self._limit))
+        await respond(send, 204, b"", headers=_NO_STORE)
+
+    async def _forget(self, asked: Asked, _: Receive, send: Send) -> None:
+        asked.allow()
+        self._layouts.delete(asked.principal)
+        await respond(send, 204, b"", headers=_NO_STORE)
+
+    def close(self) -> None:
+        """Let go of everything."""
+        self._telemetry.close()
+        self._cameras.close()
+
+
+def _allowed(handlers: dict[str, Handler]) -> bytes:
+    return ", ".join((*handlers, "HEAD", "OPTIONS")).encode()

@@ -1,0 +1,197 @@
+"""Cameras: one picture, or a stream of them (multipart/x-mixed-replace) with the newest always next."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, Protocol
+
+import msgspec
+from msgspec import Raw
+
+from rcp_dashboard.asked import Asked
+from rcp_dashboard.config import DashboardConfig
+from rcp_dashboard.picture import Picture, picture
+from rcp_dashboard.watching import checked
+from rcp_kernel.asgi import Headers, Receive, Send, respond
+from rcp_kernel.clients.connections import Connection
+from rcp_kernel.clock import now, parse_time
+from rcp_kernel.door import Door
+from rcp_kernel.errors import QueueFull, RcpError
+from rcp_kernel.values import Encoding
+from rcp_kernel.wire import Request, encode_reply
+
+__all__ = ["Cameras"]
+
+_NO_STORE = (b"cache-control", b"no-store")
+_PART = b"--frame\r\ncontent-type: %b\r\ncontent-length: %d\r\nx-rcp-timestamp: %b\r\n\r\n%b\r\n"
+
+
+class _Seen(msgspec.Struct):
+    """A reply or an update, as far as it matters here."""
+
+    type: str
+    body: Any = None
+    timestamp: str = ""
+    source_timestamp: str = ""
+    state: str = ""
+
+
+_decode = msgspec.msgpack.Decoder(_Seen).decode
+
+
+class Body(Protocol):
+    """The listener's way past ASGI: `scope["extensions"]["rcp.stream"]`."""
+
+    writable: bool
+    drained: Callable[[], None] | None
+
+    def write(self, data: bytes) -> None:
+        """Send a part of the body."""
+        ...
+
+
+class Cameras:
+    """Answers questions for pictures."""
+
+    def __init__(self, door: Door, config: DashboardConfig) -> None:
+        self._door = door
+        self._config = config
+        self._pool = ThreadPoolExecutor(2, "dashboard jpeg")
+        self._streams = 0
+
+    async def _picture(self, value: Any, quality: int) -> Picture:
+        return await self._door.loop.run_in_executor(self._pool, picture, value, quality)
+
+    async def snapshot(self, asked: Asked, send: Send) -> None:
+        """Answer with the newest picture; `x-rcp-age` says how old it is, in s.
+
+        :raises RcpError: the caller may not have it, or it is none.
+        """
+        asked.allow("path", "quality")
+        quality = asked.whole("quality", 1, 100, self._config.jpeg_quality)
+        request = Request(type="read", path=asked.path())
+        reply = checked(await self._door.ask(asked.session, request))
+        seen = _decode(encode_reply(reply, Encoding.MSGPACK))
+        made = await self._picture(seen.body, quality)
+        age = (now() - parse_time(seen.source_timestamp)) / 1e9
+        headers: Headers = [
+            _NO_STORE,
+            (b"x-rcp-timestamp", seen.source_timestamp.encode()),
+            (b"x-rcp-age", b"%.3f" % age),
+            (b"x-rcp-state", seen.state.encode()),
+        ]
+        await respond(send, 200, made.data, made.media, headers)
+
+    async def stream(self, asked: Asked, receive: Receive, send: Send) -> None:
+        """Send pictures until the client leaves or may not have them any more.
+
+        :raises RcpError: nothing was sent yet, and nothing will be.
+        """
+        asked.allow("path", "quality", "rate")
+        quality = asked.whole("quality", 1, 100, self._config.jpeg_quality)
+        rate = asked.number("rate", 0.01, 120)
+        path = asked.path()
+        if self._streams >= self._config.streams:
+            raise QueueFull(
+                f"{self._streams} camera streams are open",
+                remedy="Close one, or raise [plugins.dashboard] streams.",
+            )
+        self._streams += 1
+        stream = Stream(asked, receive, send)
+        try:
+            connection = self._door.connect(
+                asked.principal, Encoding.MSGPACK, stream.wake, asked.tenant, asked.peer
+            )
+            try:
+                connection.session.listening = True
+                body: dict[str, Any] = {"qos": {"depth": 1}}
+                if rate is not None:
+                    body["rate"] = rate
+                raw = Raw(msgspec.json.encode(body))
+                request = Request(type="subscribe", path=path, id="camera", body=raw)
+                checked(await self._door.ask(connection.session, request))
+                await stream.run(connection, lambda value: self._picture(value, quality))
+            finally:
+                connection.close()
+        finally:
+            self._streams -= 1
+
+    def close(self) -> None:
+        """Let go of the threads."""
+        self._pool.shutdown(wait=False, cancel_futures=True)
+
+
+class Stream:
+    """One endless response: a picture is taken when the last one was, so that none piles up."""
+
+    def __init__(self, asked: Asked, receive: Receive, send: Send) -> None:
+        extensions = asked.scope["extensions"]
+        self._out: Body = extensions["rcp.stream"]
+        self._closing: set[Callable[[], None]] = extensions["rcp.closing"]
+        self._receive = receive
+        self._send = send
+        self._woken = asyncio.Event()
+        self._ended = False
+
+    def wake(self) -> None:
+        """Look again: there is a picture, or room for one."""
+        self._woken.set()
+
+    def finish(self) -> None:
+        """End the response."""
+        self._ended = True
+        self._woken.set()
+
+    async def run(self, connection: Connection, make: Callable[[Any], Any]) -> None:
+        """Send what the connection brings."""
+        media = b"multipart/x-mixed-replace; boundary=frame"
+        headers: Headers = [
+            (b"content-type", media),
+            _NO_STORE,
+            (b"x-accel-buffering", b"no"),  # nginx would hold pictures back
+        ]
+        await self._send({"type": "http.response.start", "status": 200, "headers": headers})
+        self._out.write(b"\r\n")  # the head goes out, before there is a picture
+        self._out.drained = self.wake
+        self._closing.add(self.finish)
+        watch = asyncio.ensure_future(self._watch())
+        try:
+            while not self._ended:
+                await self._woken.wait()
+                self._woken.clear()
+                if self._out.writable:
+                    await self._next(connection, make)
+        finally:
+            self._out.drained = None
+            self._closing.discard(self.finish)
+            watch.cancel()
+        await self._send({"type": "http.response.body", "body": b"", "more_body": False})
+
+    async def _next(self, connection: Connection, make: Callable[[Any], Any]) -> None:
+        newest: _Seen | None = None
+        for data in connection.mailbox.collect():
+            seen = _decode(data)
+            if seen.type == "update":
+                newest = seen
+        if newest is not None:
+            try:
+                made = await make(newest.body)
+            except RcpError:
+                self.finish()  # what it is it will be: the snapshot says why
+                return
+            stamp = newest.timestamp.encode()
+            if not self._ended:
+                self._out.write(_PART % (made.media, len(made.data), stamp, made.data))
+        if connection.mailbox.pending:
+            self._woken.set()
+        elif connection.expelled or not connection.session.subscriptions:
+            self.finish()
+
+    async def _watch(self) -> None:
+        """Take notice of the client's leaving."""
+        message: Any = await self._receive()
+        while message["type"] != "http.disconnect":
+            message = await self._receive()
+        self.finish()

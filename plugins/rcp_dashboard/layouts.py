@@ -1,0 +1,71 @@
+"""How users have laid their pages out: one document each, that only the page understands."""
+
+from __future__ import annotations
+
+import msgspec
+
+from rcp_dashboard.config import DashboardConfig
+from rcp_kernel.access.identity import Principal
+from rcp_kernel.errors import BadRequest, Forbidden, QueueFull, UnknownPath
+from rcp_kernel.record.shelf import Shelf
+
+__all__ = ["Layouts"]
+
+
+class Layouts:
+    """The layouts of all users."""
+
+    def __init__(self, shelf: Shelf, config: DashboardConfig) -> None:
+        self._shelf = shelf
+        self._config = config
+        self._found: dict[str, bytes] = {
+            key: value for key, value in shelf.load().items() if isinstance(value, bytes)
+        }
+
+    def get(self, principal: Principal) -> bytes:
+        """Return a user's layout, as JSON.
+
+        :raises UnknownPath: there is none.
+        """
+        found = self._found.get(_key(principal))
+        if found is None:
+            raise UnknownPath("no layout is kept for you", remedy="PUT one here.")
+        return found
+
+    def put(self, principal: Principal, data: bytes) -> None:
+        """Keep a user's layout in place of the last one.
+
+        :raises Forbidden: nobody in particular asks.
+        :raises BadRequest: it is not JSON.
+        :raises QueueFull: as many users have one as may.
+        """
+        key = _key(principal)
+        try:
+            msgspec.json.decode(data)
+        except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+            raise BadRequest(f"the layout is not JSON: {error}") from None
+        if key not in self._found and len(self._found) >= self._config.layouts:
+            raise QueueFull(
+                f"{len(self._found)} users have a layout",
+                remedy="Raise [plugins.dashboard] layouts.",
+            )
+        self._found[key] = data
+        self._shelf.put(key, data)
+
+    def delete(self, principal: Principal) -> None:
+        """Forget a user's layout.
+
+        :raises Forbidden: nobody in particular asks.
+        """
+        key = _key(principal)
+        if self._found.pop(key, None) is not None:
+            self._shelf.put(key, None)
+
+
+def _key(principal: Principal) -> str:
+    if principal.anonymous:
+        raise Forbidden(
+            "a layout is kept for who proves who they are",
+            remedy="Log in with a key or token, or keep it in the browser.",
+        )
+    return f"{principal.proof}:{principal.name}"

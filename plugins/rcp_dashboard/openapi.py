@@ -1,0 +1,141 @@
+"""The API in the OpenAPI document."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from rcp_kernel.clients.session import Session
+
+__all__ = ["described"]
+
+Node = dict[str, Any]
+_REFUSED: Node = {"description": "Refused, with an envelope."}
+_NUMBERS: Node = {"type": "array", "items": {"type": "number"}}
+_SERIES: Node = {
+    "type": "object",
+    "required": ["path", "capacity", "now", "series"],
+    "properties": {
+        "path": {"type": "string"},
+        "capacity": {"type": "integer", "description": "Samples kept of each field."},
+        "now": {"type": "number", "description": "The gateway's clock, s since the epoch."},
+        "series": {
+            "type": "array",
+            "items": {
+                "type": "object",
+                "required": ["field", "samples", "times", "values"],
+                "properties": {
+                    "field": {"type": "string", "description": "Empty: the value itself."},
+                    "samples": {"type": "integer", "description": "In the window."},
+                    "times": {**_NUMBERS, "description": "Of the source, s since the epoch."},
+                    "values": _NUMBERS,
+                },
+            },
+        },
+    },
+}
+_LATEST: Node = {
+    "type": "object",
+    "required": ["timestamp", "values"],
+    "properties": {
+        "timestamp": {"type": "string"},
+        "values": {
+            "type": "array",
+            "items": {
+                "type": "object",
+                "required": ["path", "status"],
+                "properties": {
+                    "path": {"type": "string"},
+                    "status": {"type": "string"},
+                    "body": {},
+                    "omitted": {"type": "integer", "description": "Bytes, of what is too long."},
+                    "seq": {"type": "integer"},
+                    "timestamp": {"type": "string"},
+                    "state": {"enum": ["fresh", "stale"]},
+                    "age": {"type": "number", "description": "s"},
+                    "error": {"type": "object"},
+                },
+            },
+        },
+    },
+}
+_PATH = ("path", "string", "A resource.")
+_QUALITY = ("quality", "integer", "Of JPEGs that are made of raw pixels, 1 to 100.")
+
+
+def described(_: Session) -> Node:
+    """Describe the calls; they are the same for everybody."""
+    image: Node = {
+        media: {"schema": {"type": "string", "format": "binary"}}
+        for media in ("image/jpeg", "image/png")
+    }
+    stream: Node = {"multipart/x-mixed-replace": {"schema": {"type": "string"}}}
+    layout: Node = {"application/json": {"schema": {}}}
+    none: Node = {"204": {"description": "Done."}, "default": _REFUSED}
+    save = {"summary": "Keep the caller's layout.", "requestBody": {"content": layout}}
+    return {
+        "paths": {
+            "/dashboard/api/series": {
+                "get": _call(
+                    "Fields over time, down-sampled.",
+                    _json(_SERIES),
+                    _PATH,
+                    ("field", "string", "A field that is a number; may be given again."),
+                    ("window", "number", "s, up to `until`."),
+                    ("until", "string", "ISO 8601 or s since the epoch; else the newest sample."),
+                    ("points", "integer", "At most so many, 4 to 5000; without it 600."),
+                    ("method", "string", "`minmax` (no extreme is lost) or `lttb`."),
+                )
+            },
+            "/dashboard/api/latest": {
+                "get": _call(
+                    "Present values.",
+                    _json(_LATEST),
+                    ("path", "string", "A path or pattern."),
+                    ("max_bytes", "integer", "Longer values are left out; without it 4096."),
+                )
+            },
+            "/dashboard/api/camera": {"get": _call("The newest picture.", image, _PATH, _QUALITY)},
+            "/dashboard/api/camera/stream": {
+                "get": _call(
+                    "Pictures until one side closes.",
+                    stream,
+                    _PATH,
+                    _QUALITY,
+                    ("rate", "number", "At most so many a second."),
+                )
+            },
+            "/dashboard/api/layout": {
+                "get": _call("The caller's layout.", layout),
+                "put": {**save, "tags": ["dashboard"], "responses": none},
+                "delete": {
+                    "summary": "Forget the caller's layout.",
+                    "tags": ["dashboard"],
+                    "responses": none,
+                },
+            },
+        }
+    }
+
+
+def _json(schema: Node) -> Node:
+    return {"application/json": {"schema": schema}}
+
+
+def _call(summary: str, content: Node, *parameters: tuple[str, str, str]) -> Node:
+    return {
+        "summary": summary,
+        "tags": ["dashboard"],
+        "parameters": [
+            {
+                "name": name,
+                "in": "query",
+                "required": name == "path",
+                "description": text,
+                "schema": {"type": "array", "items": {"type": kind}}
+                if name == "field"
+                else {"type": kind},
+            }
+            for name, kind, text in parameters
+        ],
+        "responses": {"200": {"description": summary, "content": content}, "default": _REFUSED},
+    }

@@ -1,0 +1,93 @@
+"""From a camera's value to what a browser shows: files as they are, raw pixels as JPEG."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import msgspec
+
+from rcp_kernel.errors import AdapterUnavailable, DeviceRejected
+
+__all__ = ["Picture", "picture"]
+
+_EDGE = 65_500  # pixels that libjpeg takes on a side
+_FILES = ((b"\xff\xd8\xff", b"image/jpeg"), (b"\x89PNG\r\n\x1a\n", b"image/png"))
+_LAYOUTS = {
+    "rgb8": ("RGB", 3),
+    "bgr8": ("BGR", 3),
+    "8uc3": ("BGR", 3),
+    "rgba8": ("RGBA", 4),
+    "bgra8": ("BGRA", 4),
+    "8uc4": ("BGRA", 4),
+    "mono8": ("GRAY", 1),
+    "8uc1": ("GRAY", 1),
+}
+"""Colours and bytes of a pixel, by the words that ROS and others have for them."""
+
+
+class Picture(msgspec.Struct, frozen=True):
+    """An image file."""
+
+    media: bytes
+    data: bytes
+
+
+def picture(value: Any, quality: int) -> Picture:
+    """Make a file of a value: bytes, or an object with `data`, raw ones with `width` and `height`.
+
+    Takes milliseconds for raw pixels: not on the event loop.
+
+    :raises DeviceRejected: it is no image, or one of a kind that no JPEG is made of.
+    :raises AdapterUnavailable: the library that makes JPEGs is not installed.
+    """
+    data = value.get("data") if isinstance(value, Mapping) else value
+    if isinstance(data, (bytes, bytearray, memoryview)):
+        head = bytes(data[:8])
+        for magic, media in _FILES:
+            if head.startswith(magic):
+                return Picture(media, bytes(data))
+        if isinstance(value, Mapping):
+            return Picture(b"image/jpeg", _compress(value, bytes(data), quality))
+    raise DeviceRejected(
+        "the value is not an image",
+        remedy="Name a resource of images: bytes of JPEG or PNG, or pixels with width and height.",
+    )
+
+
+def _compress(value: Mapping[str, Any], data: bytes, quality: int) -> bytes:
+    named = str(value.get("encoding") or value.get("format") or "")
+    layout = _LAYOUTS.get(named.lower())
+    if layout is None:
+        raise DeviceRejected(
+            f"no JPEG is made of an image in {named[:40]!r}",
+            remedy="Read the value itself; of ROS cameras `<sensor>/jpeg` knows more encodings.",
+            details={"encoding": named, "supported": list(_LAYOUTS)},
+        )
+    colours, depth = layout
+    width, height = _side(value.get("width")), _side(value.get("height"))
+    step = value.get("step") or width * depth
+    if not isinstance(step, int) or step < width * depth or len(data) < step * height:
+        raise DeviceRejected(
+            f"{len(data)} bytes in rows of {step} are no {width} x {height} pixels of '{named}'"
+        )
+    try:
+        import numpy as np
+        import simplejpeg
+    except ImportError as error:
+        raise AdapterUnavailable(
+            f"raw images cannot be made JPEGs here: {error}",
+            remedy="On the gateway: pip install 'rcp-gateway[dashboard]'.",
+        ) from error
+    rows = np.frombuffer(data, np.uint8, step * height).reshape(height, step)
+    pixels = np.ascontiguousarray(rows[:, : width * depth]).reshape(height, width, depth)
+    halved = "Gray" if colours == "GRAY" else "420"
+    return simplejpeg.encode_jpeg(
+        pixels, quality=quality, colorspace=colours, colorsubsampling=halved
+    )
+
+
+def _side(value: Any) -> int:
+    if isinstance(value, int) and 0 < value <= _EDGE:
+        return value
+    raise DeviceRejected(f"no JPEG is {value!r} pixels wide or high")

@@ -1,0 +1,54 @@
+"""The samples of one watched field: times and values side by side, the oldest given up first."""
+
+from __future__ import annotations
+
+from array import array
+
+__all__ = ["Ring"]
+
+
+class Ring:
+    """A bounded run of samples; it takes memory as it fills."""
+
+    __slots__ = ("_next", "_size", "_times", "_values", "skipped")
+
+    def __init__(self, size: int) -> None:
+        self._size = size
+        self._times = array("d")
+        self._values = array("d")
+        self._next = 0
+        """Where the next sample goes once the ring is full."""
+        self.skipped = 0
+        """Samples in which the field was no finite number."""
+
+    def __len__(self) -> int:
+        return len(self._times)
+
+    def add(self, time: float, value: float) -> None:
+        """Take a sample; `time` in s since the epoch."""
+        if len(self._times) < self._size:
+            self._times.append(time)
+            self._values.append(value)
+            return
+        place = self._next
+        self._times[place] = time
+        self._values[place] = value
+        self._next = place + 1 if place + 1 < self._size else 0
+
+    def window(
+        self, length: float | None, until: float | None = None
+    ) -> tuple[list[float], list[float]]:
+        """Return times and values in order of arrival, of the `length` s that end at `until`.
+
+        Without `until` they end with the newest sample, whatever the robot's clock says.
+        """
+        times = [*self._times[self._next :], *self._times[: self._next]]
+        values = [*self._values[self._next :], *self._values[: self._next]]
+        if not times or (length is None and until is None):
+            return times, values
+        end = max(times) if until is None else until
+        begin = float("-inf") if length is None else end - length
+        kept = [place for place, time in enumerate(times) if begin <= time <= end]
+        if len(kept) == len(times):
+            return times, values
+        return [times[place] for place in kept], [values[place] for place in kept]

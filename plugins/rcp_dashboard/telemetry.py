@@ -1,0 +1,102 @@
+"""Series and snapshots: what a page draws, in the form that it draws it from."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import msgspec
+
+from rcp_dashboard.asked import Asked
+from rcp_dashboard.config import DashboardConfig
+from rcp_dashboard.downsample import METHODS
+from rcp_dashboard.watching import Watchers, checked
+from rcp_kernel.clock import iso, now, parse_time
+from rcp_kernel.door import Door
+from rcp_kernel.errors import BadRequest
+from rcp_kernel.values import Encoding, dump
+from rcp_kernel.wire import Request, encode_reply
+
+__all__ = ["Telemetry"]
+
+_FIELDS = 16  # of one question
+_POINTS = 5000  # of one series
+
+
+class Telemetry:
+    """Answers questions for values."""
+
+    def __init__(self, door: Door, config: DashboardConfig) -> None:
+        self._door = door
+        self._watchers = Watchers(door, config)
+        self._samples = config.samples
+
+    async def series(self, asked: Asked) -> bytes:
+        """Return fields of one resource over time, with so many points as can be drawn.
+
+        :raises RcpError: the caller may not have it, or a field is no number.
+        """
+        asked.allow("path", "field", "window", "until", "points", "method")
+        path = asked.path()
+        fields = asked.several("field") or [""]
+        if len(fields) > _FIELDS:
+            raise BadRequest(f"one question is for {_FIELDS} fields at most")
+        window = asked.number("window", 0.001, 1e9)
+        until = asked.time("until")
+        points = asked.whole("points", 4, _POINTS, 600)
+        choose = METHODS[asked.word("method", tuple(METHODS))]
+        watcher = self._watchers.of(asked.principal, asked.tenant, asked.peer)
+        found: list[dict[str, Any]] = []
+        for field in fields:
+            ring = await watcher.ring(path, field)
+            if ring.skipped and not len(ring):
+                raise BadRequest(
+                    f"{field or 'the value'} of {path} is not a number",
+                    path=path,
+                    remedy="Name a field that holds one: ?field=position.x.",
+                )
+            times, values = ring.window(window, until)
+            chosen = choose(times, values, points)
+            found.append(
+                {
+                    "field": field,
+                    "samples": len(times),
+                    "times": [times[place] for place in chosen],
+                    "values": [values[place] for place in chosen],
+                }
+            )
+        body = {"path": path, "capacity": self._samples, "now": now() / 1e9, "series": found}
+        return msgspec.json.encode(body)
+
+    async def latest(self, asked: Asked) -> bytes:
+        """Return the present value of every resource that matches, long ones left out.
+
+        :raises RcpError: the caller may not have it.
+        """
+        asked.allow("path", "max_bytes")
+        longest = asked.whole("max_bytes", 1, 1 << 24, 4096)
+        request = Request(type="read", path=asked.path(pattern=True))
+        reply = checked(await self._door.ask(asked.session, request))
+        present = now()
+        read = msgspec.json.decode(encode_reply(reply, Encoding.JSON))
+        several = read["body"] if "*" in (request.path or "") else [read]
+        values = [_told(one, present, longest) for one in several]
+        return msgspec.json.encode({"timestamp": iso(present), "values": values})
+
+    def close(self) -> None:
+        """Let go of everything that is watched."""
+        self._watchers.close()
+
+
+def _told(one: dict[str, Any], present: int, longest: int) -> dict[str, Any]:
+    kept = ("path", "status", "seq", "timestamp", "state", "error")
+    told = {key: one[key] for key in kept if one.get(key) is not None}
+    if one.get("error") is None:
+        data = dump(one["body"], Encoding.JSON)
+        if len(data) > longest:
+            told["omitted"] = len(data)
+        else:
+            told["body"] = msgspec.Raw(data)
+        stamp = one.get("source_timestamp") or one.get("timestamp")
+        if stamp is not None:
+            told["age"] = round((present - parse_time(stamp)) / 1e9, 3)
+    return told
