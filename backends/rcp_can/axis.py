@@ -20,9 +20,11 @@ from rcp_can.codec import clamp
 from rcp_can.config_motor import MotorConfig
 from rcp_can.drive import Drive, Fault
 from rcp_can.faultbook import FaultBook
+from rcp_can.guard import STALLED, Loss, check_bus, heartless, loss
 from rcp_can.health import Health
 from rcp_can.ramp import Ramp
-from rcp_kernel.errors import AdapterUnavailable, ModeForbids, RcpError
+from rcp_can.setpoint import set_point
+from rcp_kernel.errors import AdapterUnavailable, ModeForbids, QueueFull, RcpError
 from rcp_kernel.spi import Host
 
 if TYPE_CHECKING:
@@ -65,16 +67,18 @@ class Axis:
         self.ended: Callable[[RcpError], None] | None = None
         """Told when what the action commanded is forgotten."""
         self._host, self._health = host, health
-        self._heard = 0.0
+        self.heard = 0.0
+        """When it said something, by the monotonic clock."""
         self._after_stop = 0
         self._seen = (0, 0, 0, 0)
         self._shown: m.MotorState | None = None
         self.faults = FaultBook(name, host)
-        self._ready = False
-        self._configuring: asyncio.Task[None] | None = None
+        self.configured = False
+        """Whether the drive is set up since it was last heard to boot or to come back."""
+        self.configuring: asyncio.Task[None] | None = None
         self._tick = 0
         self._step_due = False
-        self._wanted_on = False
+        self._wanted_on = self._in_use = False
         self.first = asyncio.Event()
         """Set when the drive was heard for the first time, and is configured."""
         bus.listen(self._take, *drive.routes())
@@ -108,7 +112,7 @@ class Axis:
     @property
     def met(self) -> bool:
         """Whether it was ever heard."""
-        return self._heard > 0.0
+        return self.heard > 0.0
 
     @property
     def resting(self) -> bool:
@@ -121,7 +125,7 @@ class Axis:
 
     def _take(self, message: can.Message) -> None:
         if self.drive.take(message):
-            self._heard = time.monotonic()
+            self.heard = time.monotonic()
 
     def _batch(self) -> None:
         status = self.status
@@ -130,33 +134,32 @@ class Axis:
             return
         old, self._seen = self._seen, seen
         if not self.online:
+            if heartless(self, time.monotonic()):
+                return
             self._appear()
         if status.resets != old[2]:
             self._reset()
         if status.twins != old[3]:
-            self.fault(
-                "duplicate_node",
-                f"two drives answer to node {self.drive.node}, or another master is at work",
-            )
+            self._doubled()
         if self._wanted_on and not status.enabled and status.enabled is not None:
             self._dropped()
         self.drive.look()
         if status.moved != old[0]:
             self._host.publish(f"sensor/{self.name}/motion", views.motion(self))
-            if self._ready and status.position is not None:
+            if self.configured and status.position is not None:
                 self.first.set()
         self.show()
 
     def _appear(self) -> None:
         self.online = True
-        self.faults.take_back("feedback_lost")
+        self.faults.take_back("feedback_lost", "heartbeat_lost")
         self._health.say(self.name, None)
         self._configure()
 
     def _configure(self) -> None:
-        if self._configuring is None or self._configuring.done():
-            self._ready = False
-            self._configuring = asyncio.create_task(self._prepare(), name=f"can {self.name}")
+        if self.configuring is None or self.configuring.done():
+            self.configured = False
+            self.configuring = asyncio.create_task(self._prepare(), name=f"can {self.name}")
 
     async def _prepare(self) -> None:
         while self.online:
@@ -167,7 +170,7 @@ class Axis:
                 await asyncio.sleep(_RETRY)
             else:
                 self.faults.take_back("configuration")
-                self._ready = True
+                self.configured = True
                 if self.status.position is not None:
                     self.first.set()
                 self.show()
@@ -180,6 +183,13 @@ class Axis:
         self.forget(AdapterUnavailable(f"motor '{self.name}': the drive has started anew"))
         self._configure()
 
+    def _doubled(self) -> None:
+        text = f"two drives answer to node {self.drive.node}"
+        self.fault("duplicate_node", text)
+        if self._in_use:
+            self.forget(ModeForbids(f"motor '{self.name}': {text}"))
+            self.stop()
+
     def _dropped(self) -> None:
         self._wanted_on = False
         why = "; ".join(f.text for f in self.status.faults) or "it switched itself off"
@@ -188,48 +198,6 @@ class Axis:
         self.forget(ModeForbids(f"motor '{self.name}' is not enabled any more: {why}"))
 
     # What is asked of it
-
-    def check(self) -> None:
-        """See that it can be commanded.
-
-        :raises AdapterUnavailable: its bus is down, or it is not heard of.
-        :raises ModeForbids: it is not enabled.
-        """
-        self.check_link()
-        if not self.status.enabled or not self._ready:
-            faults = ", ".join(fault.name for fault in self.status.faults)
-            raise ModeForbids(
-                f"motor '{self.name}' is {self.state}" + (f" ({faults})" if faults else ""),
-                remedy=f"Execute service/{self.name}/"
-                + ("clear_faults, then enable." if faults else "enable first."),
-            )
-
-    def check_link(self) -> None:
-        """See that it can be reached.
-
-        :raises AdapterUnavailable: its bus is down, or it is not heard of.
-        """
-        if not self.bus.up:
-            raise AdapterUnavailable(f"CAN bus '{self.bus.name}' is {self.bus.state}")
-        if not self.online:
-            raise AdapterUnavailable(
-                f"motor '{self.name}' (node {self.drive.node}) is silent",
-                remedy="Check its supply, its cable and its node id.",
-            )
-
-    async def ready(self) -> None:
-        """Wait until the drive is configured.
-
-        :raises AdapterUnavailable: it cannot be reached, or not be configured.
-        """
-        self.check_link()
-        if not self._ready and self._configuring is not None:
-            await asyncio.wait((self._configuring,), timeout=_RETRY)
-        if not self._ready:
-            fault = self.faults.own("configuration")
-            raise AdapterUnavailable(
-                f"motor '{self.name}': " + (fault.text if fault else "it is being configured")
-            )
 
     def command(
         self, mode: m.Mode, value: float, path: Callable[[], tuple[float, float]] | None = None
@@ -279,11 +247,15 @@ class Axis:
         self.show()
 
     async def enable(self) -> None:
-        """Switch on, at rest."""
+        """Switch on, at rest.
+
+        :raises RcpError: as `check_bus`, and of the drive.
+        """
+        check_bus(self)
         self.forget(None)
         self.stopping = False
         await self.drive.enable()
-        self._wanted_on = True
+        self._wanted_on = self._in_use = True
         if self.drive.holds:
             self.rest()
         self.show()
@@ -294,6 +266,7 @@ class Axis:
         self.forget(ModeForbids(f"motor '{self.name}' was disabled"))
         self.stopping = False
         await self.drive.disable()
+        self._in_use = False
 
     # Time
 
@@ -301,10 +274,12 @@ class Axis:
         """Send what is due; called at the motor's rate."""
         self._tick += 1
         self._step_due = True
-        if self.online and time.monotonic() - self._heard > self.config.timeout:
-            self._lose()
+        if self.online and (why := loss(self, time.monotonic())) is not None:
+            self._lose(why)
         if not self.bus.up:
             return
+        if self.mode is not None and self.bus.lag > STALLED:
+            self._stall()
         if self.stopping:
             if self.resting and self.status.moved > self._after_stop + 2:
                 self.stopping = False
@@ -320,29 +295,9 @@ class Axis:
 
     def step(self, dt: float) -> None:
         """Send the next set-point of the ramp."""
-        speed = 0.0
-        match self.mode:
-            case "velocity":
-                goal = self._within(self.goal)
-                value = self.ramp.to_velocity(goal, dt) * self.ratio
-            case "position":
-                goal = clamp(self.goal, self.low, self.high)
-                value = (self.ramp.to_position(goal, dt) - self.config.offset) * self.ratio
-                speed = self.ramp.velocity * self.ratio
-            case "torque":
-                value = clamp(self.goal, -self.torque_limit, self.torque_limit) / self.ratio
-            case _:
-                return
-        mode = self.mode
-        self._send(lambda: self.drive.command(mode, value, speed))
-
-    def _within(self, velocity: float) -> float:
-        """Let no velocity lead out of the positions that are allowed."""
-        position = self.position
-        if self.config.position is None or position is None:
-            return velocity
-        out = (position >= self.high and velocity > 0) or (position <= self.low and velocity < 0)
-        return 0.0 if out else velocity
+        due = set_point(self, dt)
+        if due is not None:
+            self._send(lambda: self.drive.command(*due))
 
     def _send(self, function: Callable[[], object]) -> None:
         try:
@@ -350,17 +305,23 @@ class Axis:
         except RcpError as error:  # the bus's own state tells of it; the next tick tries again
             log.debug("not_sent", motor=self.name, error=error.message)
 
-    def _lose(self) -> None:
+    def _lose(self, why: Loss) -> None:
         self.online = False
         self._wanted_on = False
         was_on = bool(self.status.enabled) or self.mode is not None
         self.status.enabled = None
-        text = f"nothing was heard of it for {self.config.timeout:g} s"
-        self.fault("feedback_lost", text)
-        self._health.say(self.name, f"motor '{self.name}': {text}")
-        self.forget(AdapterUnavailable(f"motor '{self.name}': {text}"))
+        self.fault(why.fault, why.text)
+        self._health.say(self.name, f"motor '{self.name}': {why.text}")
+        self.forget(AdapterUnavailable(f"motor '{self.name}': {why.text}"))
         if was_on:  # it may still run by its last set-point, and still hear us
             self.stop()
+
+    def _stall(self) -> None:
+        """Drop a set-point that does not leave: the ramp would be far ahead when it does."""
+        text = f"its set-points have not left for {STALLED:g} s: the bus takes no frames"
+        self.fault("not_sent", text, lasting=False)
+        self.forget(QueueFull(f"motor '{self.name}': {text}"))
+        self.stop()
 
     # What is shown
 
@@ -394,6 +355,6 @@ class Axis:
 
     async def close(self) -> None:
         """Let go of what runs in the background."""
-        if self._configuring is not None:
-            self._configuring.cancel()
-            await asyncio.wait((self._configuring,))
+        if self.configuring is not None:
+            self.configuring.cancel()
+            await asyncio.wait((self.configuring,))

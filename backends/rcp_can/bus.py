@@ -16,7 +16,7 @@ from rcp_can.health import Health
 from rcp_can.load import seconds_on_the_bus
 from rcp_can.opening import open_interface
 from rcp_can.wire import Wire
-from rcp_kernel.errors import AdapterUnavailable
+from rcp_kernel.errors import AdapterUnavailable, QueueFull
 from rcp_kernel.spi import Host
 
 if TYPE_CHECKING:
@@ -56,7 +56,7 @@ class Bus:
         self.name, self.config = name, config
         self.state: m.Condition = "down"
         self.told = m.BusState(state="down", detail="not open yet")
-        self.restarts = self.error_frames = self.malformed = 0
+        self.restarts = self.error_frames = self.malformed = self.refused = 0
         self.on_state: list[Callable[[m.Condition, m.Condition], None]] = []
         """Told of each change, the old state first."""
         self.taps: list[Callable[[can.Message], None]] = []
@@ -89,6 +89,12 @@ class Bus:
         """Whether frames can be sent."""
         return self._wire is not None and self.state != "bus_off"
 
+    @property
+    def lag(self) -> float:
+        """Seconds since the interface took a frame, while there are frames for it."""
+        wire = self._wire
+        return 0.0 if wire is None else wire.lag
+
     def send(
         self,
         identifier: int,
@@ -120,7 +126,11 @@ class Bus:
             bitrate_switch=switched,
             is_rx=False,
         )
-        wire.send(message, lifetime=lifetime, urgent=urgent)
+        try:
+            wire.send(message, lifetime=lifetime, urgent=urgent)
+        except QueueFull:
+            self.refused += 1
+            raise
         self._busy += self._duration(message)
         for tap in self.taps:
             tap(message)
@@ -267,13 +277,25 @@ class Bus:
 
     async def count(self) -> None:
         """Publish statistics at their period until cancelled."""
-        moment, rx, tx = time.monotonic(), 0, 0
+        moment, last = time.monotonic(), self.statistics()
         while True:
             await asyncio.sleep(self.config.statistics)
             now = time.monotonic()
-            value = self.statistics(now - moment, rx, tx)
-            moment, rx, tx, self._busy = now, value.rx, value.tx, 0.0
+            value = self.statistics(now - moment, last.rx, last.tx)
+            self._tell_losses(value, last)
+            moment, last, self._busy = now, value, 0.0
             self._host.publish(f"sensor/{self._prefix}/statistics", value)
+
+    def _tell_losses(self, now: m.Statistics, before: m.Statistics) -> None:
+        refused, expired = now.refused - before.refused, now.expired - before.expired
+        losses = {
+            "receive": (now.dropped - before.dropped, "the gateway was too slow for the bus"),
+            "send": (refused + expired, "the bus was too slow for what is sent"),
+        }
+        for queue, (lost, text) in losses.items():
+            if lost:
+                event = m.Overflow(queue=queue, lost=lost, text=f"{text}: {lost} frames are lost")  # type: ignore[arg-type]
+                self._host.publish(f"event/{self._prefix}/overflow", event)
 
     def statistics(self, period: float = 0.0, rx: int = 0, tx: int = 0) -> m.Statistics:
         """Sum up; rates are those since `rx` and `tx` were counted, `period` seconds ago."""
@@ -287,6 +309,7 @@ class Bus:
             **total,
             error_frames=self.error_frames,
             malformed=self.malformed,
+            refused=self.refused,
             queued=wire.waiting if wire else 0,
             restarts=self.restarts,
         )

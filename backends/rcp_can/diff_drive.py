@@ -5,6 +5,7 @@ from __future__ import annotations
 from rcp_can.axis import Axis
 from rcp_can.binding import Part
 from rcp_can.config_diff_drive import DiffDriveConfig
+from rcp_can.guard import check, check_link
 from rcp_kernel.errors import InvalidValue, ModeForbids, OutOfRange
 from rcp_kernel.model import Resource
 from rcp_kernel.types import Twist
@@ -61,6 +62,6 @@ class DiffDrivePart(Part):
         if axis.owner is not None:
             raise ModeForbids(f"motor '{axis.name}' is driven by {axis.owner}")
         if still:
-            axis.check_link()
+            check_link(axis)
         else:
-            axis.check()
+            check(axis)

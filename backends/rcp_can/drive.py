@@ -57,6 +57,8 @@ class Status:
         self.faults: tuple[Fault, ...] = ()
         self.reached: bool | None = None
         self.homed: bool | None = None
+        self.beat = 0.0
+        """When it sent its last heartbeat, by the monotonic clock."""
         self.moved = 0
         """Counts news of the motion."""
         self.told = 0
@@ -83,6 +85,11 @@ class Drive:
         self.node, self.options, self.bus = node, options, bus
         self.status = Status()
         self._waiters: list[tuple[Callable[[], bool], asyncio.Future[None]]] = []
+
+    @property
+    def beats(self) -> float | None:
+        """Seconds within which it must send heartbeats; None where it sends none, or none yet."""
+        return None
 
     @property
     def server(self) -> Sdo | None:

@@ -13,6 +13,7 @@ from rcp_can import motor_messages as m
 from rcp_can.axis import Axis
 from rcp_can.binding import Part
 from rcp_can.config_joints import JointGroupConfig
+from rcp_can.guard import check, check_link, ready
 from rcp_can.joint_types import joint_types
 from rcp_can.motor import abandon, drive_to, released, rested
 from rcp_can.path import Leg, Path
@@ -121,7 +122,7 @@ class JointGroupPart(Part):
         if name != self._states:
             return await super().read(name)
         for axis in self._axes:
-            axis.check_link()
+            check_link(axis)
         if (value := self._value()) is None:
             raise AdapterUnavailable(f"not every joint of '{self._name}' has told its position yet")
         return value
@@ -147,7 +148,7 @@ class JointGroupPart(Part):
 
     def _check(self, axis: Axis, *, moves: bool) -> None:
         if not moves:
-            axis.check_link()
+            check_link(axis)
             if axis.owner is not None:
                 axis.forget(ModeForbids(f"a stop of '{self._name}' ended the move"))
             return
@@ -155,13 +156,13 @@ class JointGroupPart(Part):
             raise ModeForbids(
                 f"motor '{axis.name}' is driven by {axis.owner}", remedy="Cancel that first."
             )
-        axis.check()
+        check(axis)
 
     async def execute(self, name: str, value: Any, progress: Progress) -> Any:
         """Move together, or switch all joints."""
         verb = name.rpartition("/")[2]
         for axis in self._axes:
-            await axis.ready()
+            await ready(axis)
             await released(axis)
         match verb:
             case "enable":

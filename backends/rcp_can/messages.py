@@ -12,6 +12,7 @@ __all__ = [
     "Condition",
     "Frame",
     "LogFile",
+    "Overflow",
     "StartLog",
     "Statistics",
 ]
@@ -61,6 +62,8 @@ class Statistics(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Received, and lost because the gateway was too slow."""
     expired: Count
     """Queued, and not sent because they had become too old."""
+    refused: Count
+    """Not even queued, for the queue was full: whoever sent them was told."""
     failed: Count
     """Refused by the interface."""
     malformed: Count
@@ -75,6 +78,14 @@ class BusEvent(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
 
     was: Condition
     now: Condition
+    text: str
+
+
+class Overflow(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Frames that were lost to a full queue since the last statistics."""
+
+    queue: Literal["receive", "send"]
+    lost: Count
     text: str
 
 

@@ -13,6 +13,7 @@ from rcp_can import motor_messages as m
 from rcp_can import views
 from rcp_can.axis import Axis
 from rcp_can.binding import Part
+from rcp_can.guard import check, check_link, ready
 from rcp_can.motor_resources import motor_resources
 from rcp_kernel.errors import (
     DeviceRejected,
@@ -54,10 +55,10 @@ class MotorPart(Part):
                 )
             axis.forget(ModeForbids("a zero set-point ended the move"))
         if value == 0.0 and mode != "position":
-            axis.check_link()
+            check_link(axis)
             if not axis.status.enabled or axis.stopping:
                 return
-        axis.check()
+        check(axis)
         axis.command(mode, value)
 
     async def read(self, name: str) -> Any:
@@ -67,10 +68,10 @@ class MotorPart(Part):
             case _ if name.endswith("/state"):
                 return views.state(axis)
             case _ if name.endswith("/motion"):
-                axis.check_link()
+                check_link(axis)
                 return views.motion(axis)
             case _ if name.endswith("/health"):
-                axis.check_link()
+                check_link(axis)
                 return views.health(axis)
             case _:
                 return await super().read(name)
@@ -79,7 +80,7 @@ class MotorPart(Part):
         """Run one of the motor's services or actions."""
         axis = self.axis
         verb = name.rpartition("/")[2]
-        await axis.ready()
+        await ready(axis)
         await released(axis)
         if axis.owner is not None and verb in ("enable", "set_zero", "home", "move_to"):
             raise ModeForbids(f"motor '{axis.name}' is driven by {axis.owner}")
@@ -113,7 +114,7 @@ class MotorPart(Part):
             return
         axis.stop()
         axis.forget(ModeForbids(f"motor '{axis.name}' was halted"))
-        axis.check_link()
+        check_link(axis)
         await rested(axis)
 
     async def _zero(self) -> None:
@@ -127,7 +128,7 @@ class MotorPart(Part):
 
     async def _home(self) -> None:
         axis = self.axis
-        axis.check()
+        check(axis)
         axis.forget(None)
         axis.owner = f"action/{axis.name}/home"
         try:
@@ -141,7 +142,7 @@ class MotorPart(Part):
 
     async def _move(self, move: m.Move, name: str, progress: Progress) -> m.Moved:
         axis = self.axis
-        axis.check()
+        check(axis)
         if not axis.low <= move.position <= axis.high:
             raise OutOfRange(
                 f"parameter 'position' exceeds allowed range: {move.position:g} rad is not "

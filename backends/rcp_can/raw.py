@@ -100,6 +100,12 @@ class BusPart(Part):
                 live=True,
             ),
             Resource(
+                name=f"event/{name}/overflow",
+                description="Frames were lost: a queue was full, or they had waited for too long.",
+                value=m.Overflow,
+                live=True,
+            ),
+            Resource(
                 name=self._frame,
                 description="Every frame on the bus, sent ones included; choose with `where` on `id`.",
                 value=m.Frame,

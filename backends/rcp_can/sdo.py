@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import struct
+import time
 from typing import TYPE_CHECKING
 
 from rcp_can.bus import Bus, Route
@@ -62,10 +63,14 @@ class Sdo:
 
     def __init__(self, bus: Bus, node: int) -> None:
         self.unasked = 0
-        """Answers that nobody waited for: a second master, or two nodes with one id."""
+        """Second answers to one question: two nodes with one id."""
         self._bus, self._node = bus, node
         self._lock = asyncio.Lock()
         self._answer: asyncio.Future[bytes] | None = None
+        self._asked = b""
+        """Index and sub-index that the next answer is for."""
+        self._last = b"", 0.0
+        """The answer of before, and when it came."""
 
     @property
     def route(self) -> Route:
@@ -84,10 +89,15 @@ class Sdo:
         """
         if len(message.data) < 8:
             raise ValueError("an SDO answer has 8 bytes")
-        if self._answer is None or self._answer.done():
+        data, now = bytes(message.data), time.monotonic()
+        again = data[:4] == self._last[0][:4] and now - self._last[1] < _TIMEOUT
+        if again and data[1:4] != self._asked:
             self.unasked += 1
-        else:
-            self._answer.set_result(bytes(message.data))
+        elif self._answer is not None and not self._answer.done():
+            self._answer.set_result(data)
+            self._last = data, now
+            self._asked = b""
+        # Others are late, or answers to another master.
 
     async def upload(self, index: int, sub: int = 0) -> bytes:
         """Read an object.
@@ -150,6 +160,7 @@ class Sdo:
 
     async def _ask(self, frame: bytes, index: int, sub: int) -> bytes:
         self._answer = asyncio.get_running_loop().create_future()
+        self._asked = struct.pack("<HB", index, sub)
         try:
             self._bus.send(0x600 + self._node, frame)
             async with asyncio.timeout(_TIMEOUT):  # `wait_for` may swallow a cancellation

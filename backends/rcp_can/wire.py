@@ -47,7 +47,8 @@ class Wire:
         self._inbox: deque[can.Message] = deque()
         self._outbox: deque[tuple[can.Message, float, float]] = deque()
         self._echoes: Counter[tuple[int, bytes]] | None = Counter() if echoes else None
-        self._barrier = 0.0
+        self._barrier = self._moving = 0.0
+        self._sending = False
         self._wake = threading.Event()
         self._waiting = False
         self._closing = False
@@ -63,6 +64,11 @@ class Wire:
         """How many frames wait to be sent."""
         return len(self._outbox)
 
+    @property
+    def lag(self) -> float:
+        """Seconds since the interface took a frame, while there are frames for it."""
+        return time.monotonic() - self._moving if self._sending or self._outbox else 0.0
+
     def send(self, message: can.Message, *, lifetime: float | None, urgent: bool) -> None:
         """Queue a frame; `lifetime` is how long (s) it is worth sending, urgent ones go first.
 
@@ -74,6 +80,8 @@ class Wire:
         if self._closing:
             raise AdapterUnavailable("the CAN interface is closed")
         now = time.monotonic()
+        if not self._outbox and not self._sending:
+            self._moving = now
         expires = now + lifetime if lifetime is not None else 0.0
         if urgent:
             self._barrier = now
@@ -140,10 +148,12 @@ class Wire:
                 if expires and (time.monotonic() > expires or queued <= self._barrier):
                     self.expired += 1
                     continue
+                self._sending = True
                 try:
                     self._note(message)
                     self._bus.send(message, timeout=_SEND)
                     self.tx, failures = self.tx + 1, 0
+                    self._moving = time.monotonic()
                 except Exception as error:
                     self.failed += 1
                     failures += 1
@@ -152,6 +162,8 @@ class Wire:
                     if failures >= _FAILURES:
                         self._tell(f"sending failed: {error}")
                         return
+                finally:
+                    self._sending = False
             if self._closing:
                 return
 

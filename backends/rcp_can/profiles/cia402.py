@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import struct
+import time
 from typing import TYPE_CHECKING
 
 from rcp_can.bus import Bus, Route
@@ -73,6 +74,11 @@ class Cia402Drive(Drive):
         self.modes = frozenset(mode for mode, target in _TARGETS.items() if target in carried)
 
     @property
+    def beats(self) -> float | None:
+        """Three of its periods, once they are set."""
+        return 0.003 * self.options.heartbeat or None if self._configured else None
+
+    @property
     def server(self) -> Sdo:
         """Its SDO server, of which there is one client."""
         return self.sdo
@@ -114,6 +120,7 @@ class Cia402Drive(Drive):
 
     def _on_heartbeat(self, state: int) -> None:
         status = self.status
+        status.beat = time.monotonic()
         if state == 0:
             self._nmt = 0
             self._configured = False
@@ -207,6 +214,7 @@ class Cia402Drive(Drive):
         moved = status.moved
         self._nmt = None
         await self.until(lambda: status.moved > moved, "sending PDOs", again=self._start_again)
+        status.beat = time.monotonic()
         self._configured = True
 
     def _start_again(self) -> None:

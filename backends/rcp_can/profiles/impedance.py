@@ -17,6 +17,7 @@ from rcp_can.motor_messages import Mode
 __all__ = ["FAST", "Gains", "ImpedanceDrive"]
 
 FAST = 0.05  # s: a set-point that could not leave within this is not worth sending
+_UNDER_WAY = 64  # questions that may have been lost, or wait to be sent
 _TOO_MANY = 4  # answers that nobody asked for
 
 
@@ -64,7 +65,7 @@ class ImpedanceDrive(Drive):
     def asked(self) -> None:
         """Count a frame that will be answered."""
         self._spoken = True
-        self._owed = min(self._owed + 1, 2)
+        self._owed = min(self._owed + 1, _UNDER_WAY)
 
     def answered(self) -> None:
         """Count an answer."""

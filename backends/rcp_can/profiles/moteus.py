@@ -32,6 +32,7 @@ _STILL = {"command_position": math.nan, "command_velocity": 0.0}
 _NAMES = {register.number: name for name, register in REGISTERS.items()}
 _ON = frozenset((Mode.POSITION, Mode.ZERO_VELOCITY, Mode.BRAKE, 13, 14))
 _WRAPS = 2**31 - 60_000  # ms: nearer to its end the clock may begin anew by itself
+_UNDER_WAY = 64  # questions that may have been lost, or wait to be sent
 _TOO_MANY = 4  # answers that nobody asked for
 
 _FAULTS = {
@@ -152,7 +153,7 @@ class MoteusDrive(Drive):
             for name, value in values.items()
         ]
         self._spoken = True
-        self._owed = min(self._owed + 1, 2)
+        self._owed = min(self._owed + 1, _UNDER_WAY)
         self.bus.send(
             0x8000 | self.options.source << 8 | self.node,
             pad(build(writes) + _QUERY),

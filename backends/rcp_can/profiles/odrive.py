@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time
 from typing import TYPE_CHECKING
 
 from msgspec import Struct
@@ -23,6 +24,7 @@ _IDLE, _HOMING, _CLOSED_LOOP = 1, 11, 8
 _CONTROL: dict[Mode, int] = {"torque": 1, "velocity": 2, "position": 3}
 _PASSTHROUGH, _TRAPEZOID = 1, 5
 _SLOW = 0.4  # s between two requests for a state, which take their time
+_BEATS = 0.5  # s within which a heartbeat must come
 _FAST = 0.05  # s: a set-point that could not leave within this is not worth sending
 
 
@@ -126,6 +128,11 @@ class OdriveDrive(Drive):
             )
         }
 
+    @property
+    def beats(self) -> float | None:
+        """Several of its periods, which are 100 ms unless somebody has set others."""
+        return _BEATS if self.status.beat else None
+
     def routes(self) -> tuple[Route, ...]:
         """Take all of the node's frames."""
         return (Route(self._base, 0x7E0),)
@@ -142,6 +149,7 @@ class OdriveDrive(Drive):
 
     def _on_heartbeat(self, error: int, state: int, result: int, done: int) -> None:
         status = self.status
+        status.beat = time.monotonic()
         if state == 0 or (self._state not in (0, 1) and state == _IDLE and error & 1):
             status.resets += 1
         self._state = state

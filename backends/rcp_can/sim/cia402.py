@@ -305,7 +305,7 @@ class Cia402Twin(Twin):
             word, self._controlled = self._controlled, None
             self._obey(word)
         period = self.get("heartbeat_period") / 1000
-        if period and self.every("heartbeat", period, now):
+        if period and not self.heartless and self.every("heartbeat", period, now):
             self.send(0x700 + self.node, bytes((self.local.nmt._state,)))  # noqa: SLF001
         self._send_pdos(lambda index, kind, t: kind >= 254 and t and self.every(f"{index}", t, now))
         timeout = (self.get_raw(0x1016, 1) & 0xFFFF) / 1000

@@ -125,7 +125,7 @@ class OdriveTwin(Twin):
             if self._homing <= 0:
                 self.state, self.plant.position = 8, 0.0
                 self.plant.hold()
-        if self.every("heartbeat", self._heartbeat, now):
+        if not self.heartless and self.every("heartbeat", self._heartbeat, now):
             self._say("heartbeat")
         if self.every("feedback", self._feedback, now):
             self._say("encoder")

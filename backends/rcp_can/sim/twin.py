@@ -28,6 +28,8 @@ class Twin:
         """Neither hears nor says anything: unplugged."""
         self.deaf = False
         """Says what it measures, and hears nothing."""
+        self.heartless = False
+        """Sends no heartbeats, where it has some; all else goes on."""
         self.refuses = False
         """Does not switch on."""
         self.send: Callable[..., None] = _nowhere

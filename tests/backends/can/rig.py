@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import asyncio
 import itertools
-from collections.abc import AsyncGenerator, Awaitable, Callable, Sequence
-from contextlib import asynccontextmanager
+import threading
+from collections.abc import AsyncGenerator, Awaitable, Callable, Generator, Sequence
+from contextlib import asynccontextmanager, contextmanager
 from typing import Any, Self
 
 import anyio
@@ -195,6 +196,24 @@ class Motor(Rig):
         self.bench.order(do)
         with anyio.fail_after(5):
             await done.wait()
+
+    @contextmanager
+    def jammed(self) -> Generator[None]:
+        """Let the bus take no frames while entered: each waits until it does again."""
+        gate = threading.Event()
+        bus = self.backend.buses["can0"]._wire._bus
+        real = bus.send
+
+        def send(message: can.Message, timeout: float | None = None) -> None:
+            gate.wait(20)
+            real(message, timeout)
+
+        bus.send = send
+        try:
+            yield
+        finally:
+            gate.set()
+            bus.send = real
 
     async def enable(self) -> None:
         await self.ran("service/m/enable")

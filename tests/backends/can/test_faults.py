@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import asyncio
+import time
+from contextlib import suppress
 
 import pytest
 
-from backends.can.rig import Node, motor
-from rcp_kernel.errors import AdapterUnavailable, ModeForbids
+from backends.can.rig import MOTORS, Node, motor
+from rcp_can.sim import make_twin
+from rcp_kernel.errors import AdapterUnavailable, ModeForbids, QueueFull
 
 
 async def test_bus_off_in_motion_ends_the_move_and_nothing_moves_when_the_bus_is_back() -> None:
@@ -83,3 +86,129 @@ async def test_a_frame_that_is_malformed_is_counted_and_upsets_nobody() -> None:
             await rig.host.published_as("sensor/can/can0/statistics", malformed=2)
         assert rig.axis.online
         assert rig.axis.position == pytest.approx(0, abs=0.01)
+
+
+@pytest.mark.parametrize("profile", ["cia402", "odrive"])
+async def test_a_heart_that_stops_is_a_lost_drive_whatever_else_it_sends(profile: str) -> None:
+    async with motor(profile, velocity=2.0) as rig:
+        await rig.enable()
+        moving = asyncio.ensure_future(rig.execute("action/m/move_to", {"position": 9.0}))
+        await rig.until(lambda: rig.twin.plant.velocity > 1.0)
+        rig.twin.heartless = True
+        with pytest.raises(AdapterUnavailable, match="heartbeats have stopped"):
+            await asyncio.wait_for(moving, 5)
+        assert "heartbeat_lost" in rig.faults()
+        assert "heartbeats" in (rig.host.reports[-1] or "")
+        told = len(rig.host.events("sensor/m/motion"))
+        await rig.until(lambda: abs(rig.twin.plant.velocity) < 0.1)
+        assert rig.axis.state == "offline"
+        assert len(rig.host.events("sensor/m/motion")) == told  # so that it grows stale
+        rig.twin.heartless = False
+        await rig.host.until(lambda: "heartbeat_lost" in rig.faults(active=False))
+        await rig.host.until(lambda: rig.host.reports[-1] is None)
+        await asyncio.sleep(0.2)
+        assert abs(rig.twin.plant.velocity) < 0.1
+        await rig.enable()
+        await rig.ran("action/m/move_to", {"position": rig.axis.position + 0.2})
+
+
+@pytest.mark.parametrize("profile", ["cia402", "odrive", "mit", "moteus"])
+async def test_a_second_drive_with_its_id_stops_it_and_it_is_not_enabled_until_that_is_gone(
+    profile: str,
+) -> None:
+    table = MOTORS[profile]
+    other = make_twin(profile, table["node"], **table.get("options", {}), serial=77)
+    other.silent = True
+    async with motor(profile, twins=[other], velocity=2.0) as rig:
+        await rig.enable()
+        await rig.write("actuator/m/velocity", 2.0)
+        await rig.until(lambda: rig.twin.plant.velocity > 1.0)
+        other.silent = False
+        if profile == "cia402":  # two nodes are told apart by their answers, and none is asked now
+            await rig.axis.drive.read("mode")
+        await rig.host.until(lambda: "duplicate_node" in rig.faults())
+        await rig.until(lambda: abs(rig.twin.plant.velocity) < 0.1)
+        for call in (rig.write("actuator/m/velocity", 1.0), rig.execute("service/m/enable")):
+            with pytest.raises(ModeForbids, match="two drives answer") as caught:
+                await call
+            assert "clear_faults" in caught.value.remedy
+        await rig.ordered(lambda: setattr(other, "silent", True))
+        await rig.ran("service/m/clear_faults")
+        await rig.host.until(lambda: "duplicate_node" in rig.faults(active=False))
+        await rig.enable()
+        await rig.write("actuator/m/velocity", 1.0)
+        await rig.until(lambda: rig.twin.plant.velocity > 0.5)
+
+
+async def test_another_master_that_asks_a_drive_is_no_second_drive() -> None:
+    async with motor("cia402") as rig:
+        with Node(rig.channel) as node:
+            for index in (b"\x00\x10", b"\x41\x60"):
+                node.send(0x605, b"\x40" + index + bytes(5))
+                await node.hears(lambda m, i=index: m.arbitration_id == 0x585 and m.data[1:3] == i)
+        await rig.enable()
+        assert rig.faults() == []
+
+
+@pytest.mark.parametrize("profile", ["odrive", "mit"])
+async def test_a_bus_that_takes_no_frames_drops_the_set_point_and_nothing_leaps_after_it(
+    profile: str,
+) -> None:
+    async with motor(profile, velocity=2.0, acceleration=20.0, timeout=1.0) as rig:
+        await rig.enable()
+        await rig.write("actuator/m/position", 9.0)
+        await rig.until(lambda: rig.twin.plant.velocity > 1.0)
+        with rig.jammed():
+            await rig.host.until(lambda: "not_sent" in rig.faults())
+            with pytest.raises((QueueFull, AdapterUnavailable)):
+                await rig.write("actuator/m/position", 1.0)
+        await rig.until(lambda: abs(rig.twin.plant.velocity) < 0.1)
+        await rig.host.until(lambda: rig.axis.online)
+        stood = rig.twin.plant.position
+        await asyncio.sleep(0.3)
+        assert abs(rig.twin.plant.position - stood) < 0.1
+        assert rig.axis.mode in (None, "velocity")
+
+
+async def test_an_action_whose_set_points_do_not_leave_ends_with_that_reason() -> None:
+    async with motor("damiao", velocity=2.0, timeout=2.0) as rig:
+        await rig.enable()
+        moving = asyncio.ensure_future(rig.execute("action/m/move_to", {"position": 9.0}))
+        await rig.until(lambda: rig.twin.plant.velocity > 1.0)
+        with rig.jammed(), pytest.raises(QueueFull, match="takes no frames"):
+            await asyncio.wait_for(moving, 5)
+        await rig.until(lambda: abs(rig.twin.plant.velocity) < 0.1)
+
+
+async def test_a_full_send_queue_refuses_and_is_an_event() -> None:
+    async with motor("odrive", bus={"queue": 4, "raw_send": True}) as rig:
+        with rig.jammed():
+            for number in range(
+                5
+            ):  # one is in the interface already, and the motor's are among them
+                with suppress(QueueFull):
+                    await rig.write("actuator/can/can0/frame", {"id": number})
+            with pytest.raises(QueueFull):
+                await rig.write("actuator/can/can0/frame", {"id": 9})
+            await rig.host.until(lambda: rig.host.events("event/can/can0/overflow"))
+        event = rig.host.last("event/can/can0/overflow")
+        assert (event.queue, event.lost > 0) == ("send", True)
+        await rig.host.until(lambda: rig.host.last("sensor/can/can0/statistics").queued == 0)
+        assert rig.host.last("sensor/can/can0/statistics").refused >= 1
+        await rig.enable()
+
+
+async def test_a_receive_queue_that_overflows_is_an_event_and_the_motor_goes_on() -> None:
+    async with motor("odrive", timeout=5.0) as rig:
+        with Node(rig.channel) as node:
+            for _ in range(18_000):
+                node.send(0x7FF)
+            end = time.monotonic() + 10
+            wire = rig.backend.buses["can0"]._wire
+            while not wire.dropped and time.monotonic() < end:
+                time.sleep(0.01)  # noqa: ASYNC251  # the loop is busy, as far as the reader can see
+        event = await rig.host.published_as("event/can/can0/overflow", queue="receive")
+        assert event.lost > 0
+        await rig.enable()
+        await rig.write("actuator/m/velocity", 1.0)
+        await rig.until(lambda: rig.twin.plant.velocity > 0.5)

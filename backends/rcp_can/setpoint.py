@@ -1,0 +1,47 @@
+"""What a motor is to be sent now: its set-point on the ramp, within its limits, at the drive's shaft."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+from rcp_can.codec import clamp
+from rcp_can.motor_messages import Mode
+
+if TYPE_CHECKING:
+    from rcp_can.axis import Axis
+
+__all__ = ["SetPoint", "set_point"]
+
+
+class SetPoint(NamedTuple):
+    """A set-point; `velocity` is that of the ramp in mode position."""
+
+    mode: Mode
+    value: float
+    velocity: float = 0.0
+
+
+def set_point(axis: Axis, dt: float) -> SetPoint | None:
+    """Advance the ramp and return the next set-point; None where none stands."""
+    match axis.mode:
+        case "velocity":
+            goal = _within(axis, axis.goal)
+            return SetPoint("velocity", axis.ramp.to_velocity(goal, dt) * axis.ratio)
+        case "position":
+            goal = clamp(axis.goal, axis.low, axis.high)
+            value = (axis.ramp.to_position(goal, dt) - axis.config.offset) * axis.ratio
+            return SetPoint("position", value, axis.ramp.velocity * axis.ratio)
+        case "torque":
+            torque = clamp(axis.goal, -axis.torque_limit, axis.torque_limit)
+            return SetPoint("torque", torque / axis.ratio)
+        case _:
+            return None
+
+
+def _within(axis: Axis, velocity: float) -> float:
+    """Let no velocity lead out of the positions that are allowed."""
+    position = axis.position
+    if axis.config.position is None or position is None:
+        return velocity
+    out = (position >= axis.high and velocity > 0) or (position <= axis.low and velocity < 0)
+    return 0.0 if out else velocity
