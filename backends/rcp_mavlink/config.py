@@ -10,7 +10,7 @@ from msgspec import Meta, Struct
 __all__ = ["LinkSpec", "MavlinkConfig", "TwinConfig"]
 
 _NET = re.compile(r"(udpin|udpout|tcp|tcpin):(?:\[([^\]]+)\]|([^:\[\]]+)):(\d{1,5})\Z")
-_SIM = re.compile(r"sim:(copter)\Z")
+_SIM = re.compile(r"sim:(copter|plane|rover|boat)\Z")
 _SERIAL = re.compile(r"serial:(/[^:]+)(?::(\d+))?\Z")
 _SEGMENT = re.compile(r"[A-Za-z0-9_.-]+\Z")
 
@@ -41,7 +41,7 @@ class LinkSpec(Struct, frozen=True):
             return cls("sim", sim[1], 0)
         raise ValueError(
             f"{text!r} is no link: write udpin, udpout, tcp or tcpin, host and port, "
-            "serial:DEVICE:BAUD, or sim:copter"
+            "serial:DEVICE:BAUD, or sim:copter, plane, rover or boat"
         )
 
 
@@ -63,6 +63,10 @@ class TwinConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Where it blows to, m/s north and east."""
     charge: Annotated[float, Meta(ge=0, le=1, extra_json_schema={"unit": "1"})] = 1.0
     """Of the battery at first."""
+    noise: Annotated[float, Meta(ge=0, le=10, extra_json_schema={"unit": "1"})] = 1.0
+    """Of the sensors, times the usual one."""
+    seed: int = 0
+    """Of the noise."""
     parameters: dict[str, float] = {}
     """Other values of the vehicle's parameters than usual."""
 

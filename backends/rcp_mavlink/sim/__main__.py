@@ -9,13 +9,14 @@ from contextlib import AsyncExitStack, suppress
 from hashlib import sha256
 
 from rcp_mavlink.sim import Options, Vehicle, fly
+from rcp_mavlink.sim.kinds import KINDS
 from rcp_mavlink.sim.parameters_table import table
 
 
 def _arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(
         prog="python -m rcp_mavlink.sim",
-        description="A simulated ArduCopter that speaks MAVLink 2, without any hardware.",
+        description="A simulated vehicle of ArduPilot that speaks MAVLink 2, without any hardware.",
     )
     parser.add_argument(
         "--link",
@@ -24,6 +25,7 @@ def _arguments() -> argparse.Namespace:
         help="udpout (call a ground station), udpin or tcpin (wait for one); may be given more "
         "than once; default udpout:127.0.0.1:14550 and tcpin:127.0.0.1:5760",
     )
+    parser.add_argument("--vehicle", choices=tuple(KINDS), default="copter")
     parser.add_argument("--system", type=int, default=1, help="MAVLink system id of the first one")
     parser.add_argument(
         "--count", type=int, default=1, help="so many vehicles; they share udpout links only"
@@ -38,6 +40,10 @@ def _arguments() -> argparse.Namespace:
     )
     parser.add_argument("--wind", default="0,0", help="where it blows to, m/s north,east")
     parser.add_argument("--charge", type=float, default=1.0, help="of the battery, 0 to 1")
+    parser.add_argument(
+        "--noise", type=float, default=1.0, help="of the sensors, times the usual one"
+    )
+    parser.add_argument("--seed", type=int, default=0, help="of the noise")
     parser.add_argument("--param", action="append", default=[], metavar="NAME=VALUE")
     parser.add_argument("--streaming", action="store_true", help="send telemetry unasked")
     parser.add_argument("--latency", type=float, default=0.0, help="of all it sends, s")
@@ -49,10 +55,11 @@ def _options(given: argparse.Namespace, number: int) -> Options:
     lat, lon, height = (float(part) for part in given.home.split(","))
     north, east = (float(part) for part in given.wind.split(","))
     parameters = dict(pair.split("=", 1) for pair in given.param)
-    unknown = sorted(parameters.keys() - table().keys())
+    unknown = sorted(parameters.keys() - table(given.vehicle).keys())
     if unknown:
         sys.exit(f"it has no parameter {', '.join(unknown)}")
     return Options(
+        vehicle=given.vehicle,
         system=given.system + number,
         home=(lat, lon + number * 5e-5, height),
         heading=given.heading,
@@ -60,6 +67,8 @@ def _options(given: argparse.Namespace, number: int) -> Options:
         warmup=given.warmup,
         wind=(north, east),
         charge=given.charge,
+        noise=given.noise,
+        seed=given.seed + number,
         parameters={name: float(value) for name, value in parameters.items()},
         streaming=given.streaming,
         latency=given.latency,

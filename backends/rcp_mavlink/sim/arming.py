@@ -29,7 +29,9 @@ def complaints(vehicle: Vehicle) -> list[str]:
     lowest = vehicle.params["BATT_ARM_VOLT"]
     if lowest and vehicle.battery.voltage < lowest:
         found.append("Battery 1 below minimum arming voltage")
-    if vehicle.battery_low and vehicle.params["BATT_FS_LOW_ACT"]:
+    if vehicle.failsafes.radio_lost:
+        found.append("Radio failsafe on")
+    if vehicle.failsafes.battery_low and vehicle.params["BATT_FS_LOW_ACT"]:
         found.append("Battery 1 low voltage failsafe")
     if vehicle.params["FENCE_ENABLE"] and vehicle.fence.breached:
         found.append("vehicle outside fence")

@@ -31,7 +31,7 @@ async def _run() -> None:
     owner = asyncio.StreamReader(limit=_LONGEST)
     await loop.connect_read_pipe(lambda: asyncio.StreamReaderProtocol(owner), sys.stdin)
     start = msgspec.json.decode(await owner.readline(), type=Start)
-    unknown = sorted(start.options.parameters.keys() - table().keys())
+    unknown = sorted(start.options.parameters.keys() - table(start.options.vehicle).keys())
     if unknown:
         sys.exit(f"it has no parameter {', '.join(unknown)}")
     async with fly(Vehicle(start.options), *start.links):

@@ -69,20 +69,23 @@ def _arm(c: Asked) -> int:
 
 
 def _take_off(c: Asked) -> int:
-    vehicle = c.peer.vehicle
-    if not math.isfinite(c.p[6]) or c.p[6] <= 0 or vehicle.flight.mode is not Mode.GUIDED:
-        return _FAILED
-    return _result(vehicle.flight.take_off(c.p[6]))
+    return _result(c.peer.vehicle.flight.take_off(c.p[6]))
 
 
-def _mode(number: Mode) -> Callable[[Asked], int]:
-    return lambda c: _result(c.peer.vehicle.set_mode(number))
+def _mode(mode: Mode) -> Callable[[Asked], int]:
+    def change(c: Asked) -> int:
+        vehicle = c.peer.vehicle
+        if mode not in vehicle.kind.modes.values():
+            return _UNSUPPORTED
+        return _result(vehicle.set_mode(mode))
+
+    return change
 
 
 def _set_mode(c: Asked) -> int:
     if not int(c.p[0]) & mav.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED:
         return _UNSUPPORTED
-    return _result(c.peer.vehicle.set_mode(int(c.p[1])))
+    return _result(c.peer.vehicle.set_custom_mode(int(c.p[1])))
 
 
 def _reposition(c: Asked) -> int:
@@ -105,6 +108,7 @@ def _reposition(c: Asked) -> int:
         vehicle.pilot.limits.speed = c.p[0]
     yaw = None if not math.isfinite(c.p[3]) or c.p[3] == 0 else c.p[3]
     vehicle.flight.aim(vehicle.place_of(lat, lon), -height, yaw=yaw)
+    vehicle.pilot.passes = False
     return _OK
 
 

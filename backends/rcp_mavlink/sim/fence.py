@@ -54,14 +54,16 @@ class Fence:
             self.breached = 0
             return
         now = self.crossed(vehicle.geographic(), -vehicle.body.d)
-        new = now & ~self.breached
+        new, over = now & ~self.breached, self.breached and not now
         self.breached = now
+        if over:
+            vehicle.say(5, "Fence breach cleared")
         if new and vehicle.armed:
             self.count += 1
             names = " and ".join(name for bit, name in _NAMES.items() if new & bit)
             vehicle.say(4, f"{names} fence breached")
             if vehicle.params["FENCE_ACTION"]:
-                vehicle.failsafe("FENCE", return_home=vehicle.params["FENCE_ACTION"] != 2)
+                vehicle.failsafe("Fence", return_home=vehicle.params["FENCE_ACTION"] != 2)
 
     def _inside(self, place: Point) -> bool:
         items, at = self.plan.items, 0

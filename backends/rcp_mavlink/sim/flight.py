@@ -1,8 +1,8 @@
-"""What each mode makes the pilot do: take off, go, hold, return, land, follow set-points."""
+"""What each mode makes the pilot do, as far as it is the same for every kind of vehicle."""
 
 from __future__ import annotations
 
-import math
+from abc import ABC, abstractmethod
 from typing import TYPE_CHECKING
 
 from rcp_mavlink.sim.mission import Mission
@@ -13,16 +13,20 @@ if TYPE_CHECKING:
 
 __all__ = ["Flight"]
 
-_ON_THE_FLOOR = 1.0  # s, until it believes that it has landed
-_HIGHEST_WITHOUT_CLIMB = 2.0  # m
 
-
-class Flight:
+class Flight(ABC):
     """The mode in force and how far it has come."""
+
+    radius = 1.0
+    """Within which a waypoint is reached, m."""
+    starts_itself = False
+    """Whether a mission begins in AUTO as soon as it is armed."""
+    patience = 3.0
+    """Real seconds that a set-point stands."""
 
     def __init__(self, vehicle: Vehicle) -> None:
         self._vehicle = vehicle
-        self.mode = Mode.STABILIZE
+        self.mode = vehicle.kind.first
         self.mission = Mission(vehicle)
         self.landed_for = 0.0
         """Simulated seconds on the floor."""
@@ -30,7 +34,6 @@ class Flight:
         self.phase = ""
         """Of RTL and LAND."""
         self._setpoint_ends: float | None = None
-        self._waited = 0.0
 
     def refusal(self, mode: Mode) -> str | None:
         """Say why a mode cannot be entered now; None: it can."""
@@ -54,36 +57,8 @@ class Flight:
             self.mission.leave()
         if mode is Mode.AUTO and vehicle.armed and not vehicle.body.landed:
             self.mission.start()
-        if mode is Mode.RTL:
-            self._climb_home()
-
-    def limits(self) -> None:
-        """Take the speeds from the parameters."""
-        p, limits = self._vehicle.params, self._vehicle.pilot.limits
-        limits.speed = p["WPNAV_SPEED"] / 100
-        limits.up, limits.down = p["WPNAV_SPEED_UP"] / 100, p["WPNAV_SPEED_DN"] / 100
-        limits.acceleration = p["WPNAV_ACCEL"] / 100
-        limits.climb_acceleration = p["WPNAV_ACCEL_Z"] / 100 * 1.5
-
-    def take_off(self, height: float) -> bool:
-        """Rise to a height over home, m; tell whether that can be done now."""
-        vehicle = self._vehicle
-        if (
-            not vehicle.armed
-            or not vehicle.body.landed
-            or self.mode not in (Mode.GUIDED, Mode.AUTO)
-        ):
-            return False
-        self.lift(height)
-        return True
-
-    def lift(self, height: float) -> None:
-        """Rise from here, straight up."""
-        pilot, body = self._vehicle.pilot, self._vehicle.body
-        pilot.reset()
-        pilot.place, pilot.velocity = (body.n, body.e), (0.0, 0.0)
-        pilot.depth = -height
-        pilot.spinning = self.taking_off = True
+        if mode in (Mode.RTL, Mode.SMART_RTL):
+            self.go_home()
 
     def aim(
         self, place: tuple[float, float] | None, depth: float | None, *, yaw: float | None = None
@@ -99,9 +74,9 @@ class Flight:
         if yaw is not None:
             pilot.yaw, pilot.yaw_rate = yaw, 0.0
 
-    def follow(self, seconds: float) -> None:
-        """Let the set-point that the pilot was given stand for so many real seconds."""
-        self._setpoint_ends = self._vehicle.wall + seconds
+    def follow(self) -> None:
+        """Let the set-point that the pilot was given stand for a while."""
+        self._setpoint_ends = self._vehicle.wall + self.patience
         self.taking_off = False
 
     def step(self, dt: float) -> None:
@@ -111,99 +86,61 @@ class Flight:
         if not vehicle.armed:
             vehicle.pilot.spinning = False
             return
-        match self.mode:
-            case Mode.GUIDED:
-                self._guided()
-            case Mode.AUTO:
-                self.mission.step(dt)
-            case Mode.RTL:
-                self._return(dt)
-            case Mode.LAND:
-                self.descend()
-            case Mode.STABILIZE | Mode.ALT_HOLD:
-                self._drift()
-            case _:
-                pass
-        self._rest(dt)
-
-    def _guided(self) -> None:
-        pilot = self._vehicle.pilot
-        if self.taking_off and pilot.at_place(0.3):
-            self.taking_off = False
-        if self._setpoint_ends is not None and self._vehicle.wall > self._setpoint_ends:
+        if self._setpoint_ends is not None and vehicle.wall > self._setpoint_ends:
             self._setpoint_ends = None
-            pilot.hold()
-
-    def _drift(self) -> None:
-        """Fly level with the sticks centred: the wind takes it along."""
-        pilot, body = self._vehicle.pilot, self._vehicle.body
-        pilot.place, pilot.velocity = None, (body.wind_n, body.wind_e)
-
-    def _climb_home(self) -> None:
-        vehicle = self._vehicle
-        pilot, body, home = vehicle.pilot, vehicle.body, vehicle.home_place()
-        height = -body.d
-        away = math.hypot(body.n - home[0], body.e - home[1])
-        wanted = vehicle.params["RTL_ALT"] / 100
-        cone = max(_HIGHEST_WITHOUT_CLIMB, away * vehicle.params["RTL_CONE_SLOPE"])
-        pilot.depth = -max(height, min(wanted, cone))
-        self.phase = "climb"
-        if vehicle.params["RTL_SPEED"] > 0:
-            pilot.limits.speed = vehicle.params["RTL_SPEED"] / 100
-
-    def _return(self, dt: float) -> None:
-        pilot, vehicle = self._vehicle.pilot, self._vehicle
-        if self.phase == "climb":
-            if abs(vehicle.body.d - (pilot.depth or 0.0)) < 0.5:
-                self.phase = "return"
-                pilot.place = vehicle.home_place()
-                pilot.yaw = self._bearing_home()
-        elif self.phase == "return":
-            if pilot.at_place(1.0):
-                self.phase, self._waited = "loiter", 0.0
-        elif self.phase == "loiter":
-            self._waited += dt
-            if self._waited >= vehicle.params["RTL_LOIT_TIME"] / 1000:
-                self.phase = "land"
+            vehicle.pilot.hold()
+        if self.mode is Mode.AUTO:
+            if self.starts_itself and not (self.mission.running or self.mission.complete):
+                self.mission.start()
+            self.mission.step(dt)
         else:
-            self.descend()
+            self.lead(dt)
+        self.rest()
 
-    def _bearing_home(self) -> float:
-        vehicle = self._vehicle
-        n, e = vehicle.home_place()
-        dn, de = n - vehicle.body.n, e - vehicle.body.e
-        return math.atan2(de, dn) if math.hypot(dn, de) > 2 else vehicle.pilot.yaw
+    def finished(self) -> None:  # noqa: B027 - a copter does nothing
+        """Do what is due at the end of a mission."""
 
-    def descend(self) -> None:
-        """Sink where it is, slower near the floor."""
-        p, pilot = self._vehicle.params, self._vehicle.pilot
-        pilot.depth = None
-        low = -self._vehicle.body.d < p["LAND_ALT_LOW"] / 100
-        fast = p["LAND_SPEED_HIGH"] or p["WPNAV_SPEED_DN"]
-        pilot.sinking = (p["LAND_SPEED"] if low else fast) / 100
+    @abstractmethod
+    def limits(self) -> None:
+        """Take the speeds from the parameters."""
+
+    @abstractmethod
+    def lead(self, dt: float) -> None:
+        """Lead the pilot for `dt` seconds in any mode but AUTO."""
+
+    @abstractmethod
+    def rest(self) -> None:
+        """Stop the motors where that is due."""
+
+    @abstractmethod
+    def take_off(self, height: float) -> bool:
+        """Rise to a height over home, m; tell whether that can be done now."""
+
+    @abstractmethod
+    def lift(self, height: float) -> None:
+        """Rise from here, as an item of a mission."""
+
+    @abstractmethod
+    def risen(self) -> bool:
+        """Tell whether it has risen as high as it should."""
+
+    @abstractmethod
+    def begin_landing(self, place: tuple[float, float]) -> None:
+        """Go to a place in order to land there, as an item of a mission."""
+
+    @abstractmethod
+    def come_down(self) -> bool:
+        """Go on with the landing of a mission; tell whether it is over."""
+
+    @abstractmethod
+    def begin_return(self) -> None:
+        """Go home, as an item of a mission; `come_down` goes on with it."""
+
+    @abstractmethod
+    def go_home(self) -> None:
+        """Begin RTL."""
 
     @property
+    @abstractmethod
     def landing(self) -> bool:
         """Whether it is on its way down to the floor."""
-        return (
-            self.mode is Mode.LAND
-            or (self.mode is Mode.RTL and self.phase == "land")
-            or (self.mode is Mode.AUTO and self.mission.landing)
-        )
-
-    def _rest(self, dt: float) -> None:
-        """Stop the motors after a landing, or where nobody takes off."""
-        vehicle = self._vehicle
-        if not vehicle.body.landed:
-            return
-        if self.landing and self.landed_for >= _ON_THE_FLOOR:
-            vehicle.disarm()
-            return
-        if self.taking_off:
-            return
-        if self.mode in (Mode.RTL, Mode.LAND):
-            return
-        vehicle.pilot.spinning = False
-        delay = vehicle.params["DISARM_DELAY"]
-        if delay and min(self.landed_for, vehicle.armed_for) >= delay:
-            vehicle.disarm()

@@ -101,6 +101,7 @@ class Mission:
             self.current = len(self.plan.items) - 1
             self.running, self.complete = False, True
             self._vehicle.pilot.hold()
+            self._vehicle.flight.finished()
 
     def _jump(self, item: Item) -> bool:
         done = self._jumps.get(self.current, 0)
@@ -118,11 +119,9 @@ class Mission:
             case mav.MAV_CMD_NAV_TAKEOFF:
                 vehicle.flight.lift(item.alt)
             case mav.MAV_CMD_NAV_LAND:
-                pilot.place, pilot.depth = self._place(item), vehicle.body.d
+                vehicle.flight.begin_landing(self._place(item))
             case mav.MAV_CMD_NAV_RETURN_TO_LAUNCH:
-                n, e = vehicle.home_place()
-                height = max(-vehicle.body.d, vehicle.params["RTL_ALT"] / 100)
-                pilot.place, pilot.depth = (n, e), -height
+                vehicle.flight.begin_return()
             case mav.MAV_CMD_DO_CHANGE_SPEED if item.params[1] > 0:
                 pilot.limits.speed = item.params[1]
             case mav.MAV_CMD_CONDITION_YAW:
@@ -141,7 +140,8 @@ class Mission:
         if way > 2:
             pilot.yaw = math.atan2(place[1] - body.e, place[0] - body.n)
         pilot.place, pilot.depth, pilot.attitude = place, self._depth(item), None
-        pilot.spinning = pilot.spinning or not body.landed
+        pilot.passes = item.command in (16, 82)
+        pilot.spinning = pilot.spinning or not body.landed or not self._vehicle.kind.flies
 
     def _place(self, item: Item) -> tuple[float, float]:
         if item.lat == 0 and item.lon == 0:
@@ -156,15 +156,11 @@ class Mission:
 
     def _done(self, item: Item, dt: float) -> bool:
         vehicle = self._vehicle
-        pilot = vehicle.pilot
         match item.command:
             case mav.MAV_CMD_NAV_TAKEOFF:
-                if pilot.at_place(0.5):
-                    vehicle.flight.taking_off = False
-                    return True
-                return False
+                return vehicle.flight.risen()
             case mav.MAV_CMD_NAV_LAND | mav.MAV_CMD_NAV_RETURN_TO_LAUNCH:
-                return self._come_down()
+                return vehicle.flight.come_down()
             case mav.MAV_CMD_NAV_LOITER_UNLIM:
                 return False
             case mav.MAV_CMD_NAV_WAYPOINT | mav.MAV_CMD_NAV_SPLINE_WAYPOINT:
@@ -178,15 +174,6 @@ class Mission:
                 return True
 
     def _stayed(self, seconds: float, dt: float) -> bool:
-        radius = max(0.5, self._vehicle.params["WPNAV_RADIUS"] / 100)
-        if self._waited or self._vehicle.pilot.at_place(radius):
+        if self._waited or self._vehicle.pilot.at_place(self._vehicle.flight.radius):
             self._waited += dt
         return self._waited > max(0.0, seconds)
-
-    def _come_down(self) -> bool:
-        vehicle = self._vehicle
-        if not self.landing and vehicle.pilot.at_place(1.0):
-            self.landing = True
-        if self.landing:
-            vehicle.flight.descend()
-        return self.landing and vehicle.body.landed

@@ -1,28 +1,39 @@
-"""The modes of an ArduCopter that the twin flies, and what each asks for before it can be armed."""
+"""The modes that are flown, and what each asks for before the motors may start in it."""
 
 from __future__ import annotations
 
-from enum import IntEnum
+from enum import Enum, auto
 
 __all__ = ["Mode", "armable", "needs_position"]
 
 
-class Mode(IntEnum):
-    """Custom mode numbers of ArduCopter."""
+class Mode(Enum):
+    """Modes by their names; what number one has depends on the kind of vehicle."""
 
-    STABILIZE = 0
-    ALT_HOLD = 2
-    AUTO = 3
-    GUIDED = 4
-    LOITER = 5
-    RTL = 6
-    LAND = 9
-    POSHOLD = 16
-    BRAKE = 17
+    MANUAL = auto()
+    STABILIZE = auto()
+    STEERING = auto()
+    ALT_HOLD = auto()
+    FBWA = auto()
+    FBWB = auto()
+    CRUISE = auto()
+    AUTO = auto()
+    GUIDED = auto()
+    LOITER = auto()
+    CIRCLE = auto()
+    TAKEOFF = auto()
+    RTL = auto()
+    SMART_RTL = auto()
+    LAND = auto()
+    POSHOLD = auto()
+    BRAKE = auto()
+    HOLD = auto()
 
 
-_NOT_ARMABLE = frozenset({Mode.RTL, Mode.LAND, Mode.BRAKE})
-_BLIND = frozenset({Mode.STABILIZE, Mode.ALT_HOLD, Mode.LAND})
+_NOT_ARMABLE = frozenset({Mode.RTL, Mode.SMART_RTL, Mode.LAND, Mode.BRAKE})
+_BLIND = frozenset(
+    {Mode.MANUAL, Mode.STABILIZE, Mode.ALT_HOLD, Mode.LAND, Mode.FBWA, Mode.FBWB, Mode.HOLD}
+)
 
 
 def armable(mode: Mode) -> bool:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 import msgspec
 
 __all__ = ["Options"]
@@ -10,7 +12,7 @@ __all__ = ["Options"]
 class Options(msgspec.Struct, frozen=True, kw_only=True):
     """One simulated vehicle."""
 
-    vehicle: str = "copter"
+    vehicle: Literal["copter", "plane", "rover", "boat"] = "copter"
     system: int = 1
     """MAVLink system id; its component is 1, the autopilot."""
     home: tuple[float, float, float] = (-35.3632621, 149.1652374, 584.0)
@@ -28,6 +30,10 @@ class Options(msgspec.Struct, frozen=True, kw_only=True):
     """Of the battery, mAh."""
     wind: tuple[float, float] = (0.0, 0.0)
     """Where it blows to, m/s north and east."""
+    noise: float = 1.0
+    """Of the sensors, times the usual one; 0 has none."""
+    seed: int = 0
+    """Of the noise."""
     parameters: dict[str, float] = {}
     """Other values than usual."""
     streaming: bool = False

@@ -24,10 +24,10 @@ _BITS = {"b": 7, "h": 15, "i": 31}
 class Parameters:
     """Names with types and values; a change is told to whoever asked to hear of it."""
 
-    def __init__(self, other: dict[str, float]) -> None:
+    def __init__(self, vehicle: str, other: dict[str, float]) -> None:
         self._kinds: dict[str, str] = {}
         self._values: dict[str, float] = {}
-        for name, (kind, value) in table().items():
+        for name, (kind, value) in table(vehicle).items():
             self._kinds[name], self._values[name] = kind, value
         for name, value in other.items():
             self.set(name, value)

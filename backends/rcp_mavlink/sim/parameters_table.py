@@ -5,7 +5,13 @@ Types: b int8, h int16, i int32, f float. `{}` runs over the numbers of the grou
 
 from __future__ import annotations
 
-__all__ = ["table"]
+from collections.abc import Callable
+from functools import cache
+
+__all__ = ["CASTS", "table"]
+
+CASTS: dict[str, Callable[[float], float]] = {"b": int, "h": int, "i": int, "f": float}
+"""What a value is, by the letter of its type."""
 
 _PLAIN = """
 ACRO_BAL_PITCH f 1|ACRO_BAL_ROLL f 1|ACRO_OPTIONS b 0|ACRO_RP_RATE f 360|ACRO_THR_MID f 0|ACRO_TRAINER b 2|ACRO_Y_RATE f 202.5
@@ -72,14 +78,46 @@ _GROUPS = (
 )  # fmt: skip
 
 
-def table() -> dict[str, tuple[str, float]]:
+_SIMULATED = """
+SIM_RC_FAIL b 0|SIM_GPS1_ENABLE b 1|SIM_WIND_SPD f 0|SIM_WIND_DIR f 180
+"""
+_COPTER_ONLY = (
+    "ACRO_", "ANGLE_MAX", "ATC_", "AUTOTUNE_", "CIRCLE_", "DISARM_DELAY", "FLTMODE", "FRAME_", "FS_THR_VALUE", "GUID_", "LAND_",
+    "LOIT_", "MOT_", "PHLD_", "PILOT_", "PSC_", "RTL_", "SIMPLE", "SRTL_", "SUPER_", "THROW_", "TUNE", "WPNAV_", "WP_", "ZIGZ_",
+)  # fmt: skip
+_PLANE_NO = (*_COPTER_ONLY, "FS_GCS_", "FS_THR_", "FS_EKF_", "FS_VIBE", "FS_CRASH")
+_PLANE = """
+AIRSPEED_CRUISE f 22|AIRSPEED_MAX f 30|AIRSPEED_MIN f 12|AIRSPEED_STALL f 11|ARSPD_TYPE b 1|CRASH_DETECT b 0|FS_GCS_ENABL b 0
+FS_LONG_ACTN b 0|FS_LONG_TIMEOUT f 5|FS_SHORT_ACTN b 0|FS_SHORT_TIMEOUT f 1.5|LAND_DISARMDELAY b 20|LAND_FLARE_ALT f 3
+LAND_FLARE_SEC f 2|MIXING_GAIN f 0.5|NAVL1_DAMPING f 0.75|NAVL1_PERIOD f 17|PTCH_LIM_MAX_DEG f 20|PTCH_LIM_MIN_DEG f -25
+ROLL_LIMIT_DEG f 45|RTL_ALTITUDE f 100|RTL_AUTOLAND b 0|RTL_RADIUS h 0|STALL_PREVENTION b 1|STICK_MIXING b 1|TECS_CLMB_MAX f 5
+TECS_SINK_MAX f 5|TECS_SINK_MIN f 2|THR_FAILSAFE b 1|THR_FS_VALUE h 950|THR_MAX b 100|THR_MIN b 0|TKOFF_ALT f 50
+TKOFF_DIST h 200|TKOFF_LVL_ALT f 5|TRIM_THROTTLE b 45|WP_LOITER_RAD h 60|WP_MAX_RADIUS h 0|WP_RADIUS h 30
+"""
+_ROVER = """
+ATC_ACCEL_MAX f 1|ATC_BRAKE b 1|ATC_DECEL_MAX f 0|ATC_SPEED_D f 0|ATC_SPEED_I f 0.2|ATC_SPEED_P f 0.2|ATC_STR_ANG_P f 2
+ATC_STR_RAT_FF f 0.2|ATC_STR_RAT_MAX f 120|ATC_TURN_MAX_G f 0.6|CRUISE_SPEED f 5|CRUISE_THROTTLE b 50|FRAME_CLASS b 1|FRAME_TYPE b 0
+FS_ACTION b 2|FS_TIMEOUT f 1.5|LOIT_RADIUS f 2|LOIT_SPEED_GAIN f 0.5|LOIT_TYPE b 0|MIS_DONE_BEHAVE b 0|MODE1 b 0|MODE6 b 0
+PILOT_STEER_TYPE b 0|RTL_SPEED f 0|SPEED_MAX f 6|TURN_RADIUS f 0.9|WP_ACCEL f 0|WP_PIVOT_ANGLE h 60|WP_RADIUS f 2|WP_SPEED f 2
+"""
+_OTHER = {"copter": ((), ""), "plane": (_PLANE_NO, _PLANE), "rover": (_COPTER_ONLY, _ROVER)}
+_OTHER["boat"] = (_COPTER_ONLY, _ROVER.replace("FRAME_CLASS b 1", "FRAME_CLASS b 2"))
+
+
+@cache
+def table(vehicle: str) -> dict[str, tuple[str, float]]:
     """Return type and usual value of each parameter by name, in the order they are listed in."""
-    entries = [entry for line in _PLAIN.split("\n") for entry in line.split("|") if entry]
+    plain = [entry for line in _PLAIN.split("\n") for entry in line.split("|") if entry]
     for numbers, text in _GROUPS:
-        entries += [e.format(number) for number in numbers for e in text.split("|")]
+        plain += [e.format(number) for number in numbers for e in text.split("|")]
+    lacks, own = _OTHER[vehicle]
+    entries = [entry for entry in plain if not (lacks and entry.startswith(lacks))]
+    more = (own + _SIMULATED).replace("\n", "|").split("|")
+    entries += [entry for entry in more if entry]
     found = {
         name: (kind, float(value)) for name, kind, value in (entry.split() for entry in entries)
     }
-    for motor in range(1, 5):
-        found[f"SERVO{motor}_FUNCTION"] = ("h", 32.0 + motor)
+    outputs = {"copter": (33, 34, 35, 36), "plane": (4, 19, 70, 21)}.get(vehicle, (26, 0, 70))
+    for output, function in enumerate(outputs, 1):
+        found[f"SERVO{output}_FUNCTION"] = ("h", float(function))
     return dict(sorted(found.items()))

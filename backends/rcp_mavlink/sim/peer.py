@@ -7,6 +7,7 @@ from collections.abc import Callable
 from typing import Any
 
 from rcp_mavlink.sim import commands, setpoints
+from rcp_mavlink.sim.ftp import Ftp
 from rcp_mavlink.sim.plans import Plan, Transfer
 from rcp_mavlink.sim.streams import Streams
 from rcp_mavlink.sim.telemetry import heartbeat
@@ -46,6 +47,7 @@ class Peer:
             signing.secret_key, signing.sign_outgoing = vehicle.options.key, True
             signing.timestamp = round((time.time() - _EPOCH) * 1e5)
         self._transfer: Transfer | None = None
+        self._ftp = Ftp(vehicle, self.send)
         self._params: list[str] = []
         self._log: tuple[int, int, int] | None = None
         self._tasks: list[Callable[[], None]] = []
@@ -70,6 +72,9 @@ class Peer:
             "SET_POSITION_TARGET_LOCAL_NED": self._setpoint,
             "SET_POSITION_TARGET_GLOBAL_INT": self._setpoint,
             "SET_ATTITUDE_TARGET": self._setpoint,
+            "FILE_TRANSFER_PROTOCOL": self._ftp.take,
+            "MANUAL_CONTROL": self._sticks,
+            "RC_CHANNELS_OVERRIDE": self._sticks,
             "LOG_REQUEST_LIST": self._log_list,
             "LOG_REQUEST_DATA": self._log_request,
             "LOG_REQUEST_END": self._log_end,
@@ -103,6 +108,7 @@ class Peer:
             self.send(message)
         self._list_params()
         self._send_log()
+        self._ftp.turn()
         if self._transfer is not None and self._transfer.late(self.send, wall):
             self._transfer = None
         self.flush()
@@ -124,7 +130,18 @@ class Peer:
 
     def _heartbeat(self, message: Any) -> None:
         if message.get_srcSystem() == self.vehicle.params["MAV_GCS_SYSID"]:
-            self.vehicle.heard_from_station()
+            self.vehicle.failsafes.heard_from_station()
+
+    def _sticks(self, message: Any) -> None:
+        vehicle = self.vehicle
+        if message.get_srcSystem() != vehicle.params["MAV_GCS_SYSID"]:
+            return
+        until = vehicle.wall + vehicle.params["RC_OVERRIDE_TIME"]
+        if message.get_type() == "MANUAL_CONTROL":
+            if message.target == vehicle.options.system:
+                vehicle.sticks.manual(message, until)
+        else:
+            vehicle.sticks.override(message, until)
 
     def _command(self, message: Any) -> None:
         result = commands.run(self, message)
@@ -132,7 +149,7 @@ class Peer:
         self.send(mav.MAVLink_command_ack_message(message.command, result, 0, 0, system, component))
 
     def _set_mode(self, message: Any) -> None:
-        done = self.vehicle.set_mode(message.custom_mode)
+        done = self.vehicle.set_custom_mode(message.custom_mode)
         result = mav.MAV_RESULT_ACCEPTED if done else mav.MAV_RESULT_FAILED
         self.send(mav.MAVLink_command_ack_message(mav.MAVLINK_MSG_ID_SET_MODE, result))
         self.send(heartbeat(self.vehicle))
@@ -148,6 +165,7 @@ class Peer:
             vehicle.flight.limits()
 
     def _param_list(self, _: Any) -> None:
+        self.vehicle.greet(self.send)
         self._params = list(self.vehicle.params.listed())
 
     def _list_params(self) -> None:

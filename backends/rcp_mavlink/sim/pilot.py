@@ -1,17 +1,12 @@
-"""The controller: from a place, a velocity or an attitude wanted to lean angles and thrust."""
+"""What every controller is told: a place, a velocity or an attitude to have."""
 
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
+from typing import Any
 
-from rcp_mavlink.sim.body import GRAVITY, Body
-
-__all__ = ["Limits", "Pilot"]
-
-_LEAN_MOST = 0.52  # rad
-_PLACE_GAIN = 1.0  # 1/s
-_SPEED_GAIN = 2.5  # 1/s
-_CLIMB_GAIN = 5.0  # 1/s
+__all__ = ["Limits", "Pilot", "clip", "pace"]
 
 
 class Limits:
@@ -25,10 +20,10 @@ class Limits:
         self.climb_acceleration = 1.5  # m/s2
 
 
-class Pilot:
-    """Flies a `Body`; north, east and down are each led by a place or by a velocity."""
+class Pilot(ABC):
+    """Steers a body; north, east and down are each led by a place or by a velocity."""
 
-    def __init__(self, body: Body) -> None:
+    def __init__(self, body: Any) -> None:
         self.body = body
         self.limits = Limits()
         self.place: tuple[float, float] | None = (0.0, 0.0)
@@ -42,8 +37,11 @@ class Pilot:
         self.yaw_rate = 0.0  # rad/s, lets `yaw` run
         self.attitude: tuple[float, float, float] | None = None
         """Roll, pitch (rad) and thrust (0…1, half is hovering) that rule instead of all else."""
+        self.lean: tuple[float, float] | None = None
+        """Roll and pitch (rad) that rule instead of place and velocity."""
+        self.passes = False
+        """A wing goes straight at the place, and not round it."""
         self.spinning = False
-        self._vn = self._ve = self._vd = 0.0
 
     def hold(self) -> None:
         """Stay where it would come to rest if it braked now."""
@@ -54,7 +52,7 @@ class Pilot:
         self.velocity = (0.0, 0.0)
         self.depth = body.d + body.vd * 0.5
         self.sinking = self.yaw_rate = 0.0
-        self.attitude = None
+        self.attitude = self.lean = None
 
     def at_place(self, tolerance: float) -> bool:
         """Tell whether it is where it should be, within `tolerance` m."""
@@ -64,77 +62,29 @@ class Pilot:
         n, e = self.place
         return math.dist((body.n, body.e, body.d), (n, e, self.depth)) <= tolerance
 
+    def away(self) -> float:
+        """Return how far the place to be at is, m over ground."""
+        if self.place is None:
+            return 0.0
+        return math.dist((self.body.n, self.body.e), self.place)
+
     def reset(self) -> None:
         """Begin from rest, as after arming."""
-        self._vn = self._ve = self._vd = 0.0
         self.yaw, self.yaw_rate, self.attitude = self.body.yaw, 0.0, None
 
+    @abstractmethod
     def step(self, dt: float) -> None:
-        """Say what the motors should do for the next `dt` seconds."""
-        body = self.body
-        if not self.spinning:
-            body.want_thrust = 0.0
-            return
-        self.yaw += self.yaw_rate * dt
-        body.want_yaw = self.yaw
-        if self.attitude is not None:
-            body.want_roll, body.want_pitch, thrust = self.attitude
-            body.want_thrust = 2 * thrust * GRAVITY
-            return
-        self._level(dt)
-        self._climb(dt)
-
-    def _level(self, dt: float) -> None:
-        body, limits = self.body, self.limits
-        if self.place is None:
-            vn, ve = self.velocity
-        else:
-            dn, de = self.place[0] - body.n, self.place[1] - body.e
-            way = math.hypot(dn, de)
-            pace = _pace(way, limits.speed, limits.acceleration)
-            part = pace / way if way > 1e-6 else 0.0
-            vn, ve = dn * part + self.velocity[0], de * part + self.velocity[1]
-        self._vn, self._ve = _toward((self._vn, self._ve), (vn, ve), limits.acceleration * 1.5 * dt)
-        an = _SPEED_GAIN * (self._vn - body.vn) + 0.12 * (body.vn - body.wind_n)
-        ae = _SPEED_GAIN * (self._ve - body.ve) + 0.12 * (body.ve - body.wind_e)
-        sy, cy = math.sin(body.yaw), math.cos(body.yaw)
-        forward, right = an * cy + ae * sy, ae * cy - an * sy
-        body.want_pitch = _clip(math.atan2(-forward, GRAVITY), _LEAN_MOST)
-        body.want_roll = _clip(math.atan2(right, GRAVITY), _LEAN_MOST)
-
-    def _climb(self, dt: float) -> None:
-        body, limits = self.body, self.limits
-        if self.depth is None:
-            wanted = self.sinking
-        else:
-            left = self.depth - body.d
-            fastest = limits.down if left > 0 else limits.up
-            pace = _pace(abs(left), fastest, limits.climb_acceleration)
-            wanted = math.copysign(pace, left)
-        change = _clip(wanted - self._vd, limits.climb_acceleration * 1.5 * dt)
-        self._vd += change
-        sink = _clip(_CLIMB_GAIN * (self._vd - body.vd), 6.0)
-        upright = max(0.5, math.cos(body.roll) * math.cos(body.pitch))
-        body.want_thrust = (GRAVITY - sink) / upright
+        """Say what the body should do for the next `dt` seconds."""
 
 
-def _pace(way: float, fastest: float, acceleration: float) -> float:
+def pace(way: float, fastest: float, acceleration: float, gain: float = 1.0) -> float:
     """Return the speed at which `way` m are still enough to brake in."""
-    linear = acceleration / (_PLACE_GAIN * _PLACE_GAIN)
+    linear = acceleration / (gain * gain)
     if way <= linear:
-        return min(fastest, _PLACE_GAIN * way)
+        return min(fastest, gain * way)
     return min(fastest, math.sqrt(2 * acceleration * (way - linear / 2)))
 
 
-def _toward(
-    now: tuple[float, float], wanted: tuple[float, float], most: float
-) -> tuple[float, float]:
-    dn, de = wanted[0] - now[0], wanted[1] - now[1]
-    way = math.hypot(dn, de)
-    if way <= most:
-        return wanted
-    return now[0] + dn / way * most, now[1] + de / way * most
-
-
-def _clip(value: float, most: float) -> float:
+def clip(value: float, most: float) -> float:
+    """Return a value between `-most` and `most`."""
     return min(most, max(-most, value))

@@ -19,10 +19,12 @@ _OFFSET_FRAMES = frozenset({7, 9})
 
 def take(vehicle: Vehicle, message: Any) -> None:
     """Take a set-point; there is no answer to it, whatever becomes of it."""
-    if vehicle.flight.mode is not Mode.GUIDED or not vehicle.armed or vehicle.body.landed:
+    grounded = vehicle.body.landed and vehicle.kind.flies
+    if vehicle.flight.mode is not Mode.GUIDED or not vehicle.armed or grounded:
         return
     if message.get_type() == "SET_ATTITUDE_TARGET":
-        _attitude(vehicle, message)
+        if vehicle.kind.name == "copter":
+            _attitude(vehicle, message)
     else:
         _place_or_velocity(vehicle, message)
 
@@ -39,7 +41,7 @@ def _attitude(vehicle: Vehicle, message: Any) -> None:
     pilot = vehicle.pilot
     pilot.attitude = (max(-most, min(most, roll)), max(-most, min(most, pitch)), thrust)
     pilot.yaw, pilot.yaw_rate = yaw, 0.0
-    vehicle.flight.follow(vehicle.params["GUID_TIMEOUT"])
+    vehicle.flight.follow()
 
 
 def _place_or_velocity(vehicle: Vehicle, message: Any) -> None:
@@ -57,7 +59,7 @@ def _place_or_velocity(vehicle: Vehicle, message: Any) -> None:
         vehicle.flight.aim((n, e), depth)
     elif not velocity:
         return
-    if velocity:
+    if velocity and vehicle.kind.name != "plane":
         vn, ve = _turned(vehicle, message.coordinate_frame, message.vx, message.vy)
         vd = message.vz
         if not all(map(math.isfinite, (vn, ve, vd))):
@@ -66,7 +68,7 @@ def _place_or_velocity(vehicle: Vehicle, message: Any) -> None:
         pilot.velocity = (vn, ve)
         if not place:
             pilot.place, pilot.depth, pilot.sinking = None, None, vd
-            vehicle.flight.follow(vehicle.params["GUID_TIMEOUT"])
+            vehicle.flight.follow()
     if not mask & _NO_YAW:
         pilot.yaw, pilot.yaw_rate = message.yaw, 0.0
     elif not mask & _NO_YAW_RATE:

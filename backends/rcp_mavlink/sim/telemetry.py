@@ -7,7 +7,11 @@ import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
-from rcp_mavlink.sim.body import GRAVITY
+from rcp_mavlink.geo import shifted
+from rcp_mavlink.sim import sensing
+from rcp_mavlink.sim.modes import Mode
+from rcp_mavlink.sim.sensing import microseconds as _us
+from rcp_mavlink.sim.sensing import milliseconds as _ms
 from rcp_mavlink.sim.wire import mav
 
 if TYPE_CHECKING:
@@ -15,13 +19,34 @@ if TYPE_CHECKING:
 
 __all__ = ["MAKERS", "heartbeat"]
 
-_SENSORS = 1 | 2 | 4 | 8 | 32 | 1024 | 2048 | 4096 | 8192 | 16384 | 32768 | 65536 | 2097152
+_GPS, _LEVEL, _PLACE, _MOTORS, _FENCE, _AHRS, _BATTERY = (
+    mav.MAV_SYS_STATUS_SENSOR_GPS,
+    mav.MAV_SYS_STATUS_SENSOR_Z_ALTITUDE_CONTROL,
+    mav.MAV_SYS_STATUS_SENSOR_XY_POSITION_CONTROL,
+    mav.MAV_SYS_STATUS_SENSOR_MOTOR_OUTPUTS,
+    mav.MAV_SYS_STATUS_GEOFENCE,
+    mav.MAV_SYS_STATUS_AHRS,
+    mav.MAV_SYS_STATUS_SENSOR_BATTERY,
+)
+_RECEIVER = mav.MAV_SYS_STATUS_SENSOR_RC_RECEIVER
+_SENSORS = (
+    mav.MAV_SYS_STATUS_SENSOR_3D_GYRO
+    | mav.MAV_SYS_STATUS_SENSOR_3D_ACCEL
+    | mav.MAV_SYS_STATUS_SENSOR_3D_MAG
+    | mav.MAV_SYS_STATUS_SENSOR_ABSOLUTE_PRESSURE
+    | mav.MAV_SYS_STATUS_SENSOR_ANGULAR_RATE_CONTROL
+    | mav.MAV_SYS_STATUS_SENSOR_ATTITUDE_STABILIZATION
+    | mav.MAV_SYS_STATUS_SENSOR_YAW_POSITION
+    | mav.MAV_SYS_STATUS_LOGGING
+    | _GPS | _LEVEL | _PLACE | _MOTORS | _FENCE | _AHRS | _BATTERY | _RECEIVER
+)  # fmt: skip
 _PREARM = mav.MAV_SYS_STATUS_PREARM_CHECK
 _CAPABLE = (
     mav.MAV_PROTOCOL_CAPABILITY_MISSION_FLOAT
     | mav.MAV_PROTOCOL_CAPABILITY_PARAM_FLOAT
     | mav.MAV_PROTOCOL_CAPABILITY_MISSION_INT
     | mav.MAV_PROTOCOL_CAPABILITY_COMMAND_INT
+    | mav.MAV_PROTOCOL_CAPABILITY_FTP
     | mav.MAV_PROTOCOL_CAPABILITY_SET_ATTITUDE_TARGET
     | mav.MAV_PROTOCOL_CAPABILITY_SET_POSITION_TARGET_LOCAL_NED
     | mav.MAV_PROTOCOL_CAPABILITY_SET_POSITION_TARGET_GLOBAL_INT
@@ -30,57 +55,45 @@ _CAPABLE = (
     | mav.MAV_PROTOCOL_CAPABILITY_MISSION_FENCE
     | mav.MAV_PROTOCOL_CAPABILITY_MISSION_RALLY
 )
-_NOTHING = 65535
-
-
-def _ms(v: Vehicle) -> int:
-    return round(v.time * 1000) & 0xFFFFFFFF
-
-
-def _us(v: Vehicle) -> int:
-    return round(v.time * 1e6)
 
 
 def heartbeat(v: Vehicle) -> Any:
     """Return the HEARTBEAT."""
-    mode = mav.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
-    mode |= mav.MAV_MODE_FLAG_STABILIZE_ENABLED
-    mode |= mav.MAV_MODE_FLAG_SAFETY_ARMED if v.armed else 0
-    state = mav.MAV_STATE_ACTIVE if v.armed and not v.body.landed else mav.MAV_STATE_STANDBY
+    mode = v.flight.mode
+    flags = mav.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED | mav.MAV_MODE_FLAG_MANUAL_INPUT_ENABLED
+    flags |= 0 if mode is Mode.MANUAL else mav.MAV_MODE_FLAG_STABILIZE_ENABLED
+    flags |= 0 if v.kind.by_hand(mode) else mav.MAV_MODE_FLAG_GUIDED_ENABLED
+    flags |= mav.MAV_MODE_FLAG_SAFETY_ARMED if v.armed else 0
     return mav.MAVLink_heartbeat_message(
-        mav.MAV_TYPE_QUADROTOR, mav.MAV_AUTOPILOT_ARDUPILOTMEGA, mode, v.flight.mode, state, 3
+        v.kind.type, mav.MAV_AUTOPILOT_ARDUPILOTMEGA, flags, v.kind.number(mode), _state(v), 3
     )
 
 
+def _state(v: Vehicle) -> int:
+    if v.failsafes.any:
+        return mav.MAV_STATE_CRITICAL
+    moving = v.armed and (not v.body.landed or not v.kind.flies)
+    return mav.MAV_STATE_ACTIVE if moving else mav.MAV_STATE_STANDBY
+
+
 def _sys_status(v: Vehicle) -> Any:
-    health = _SENSORS & ~(0 if v.time > 1 else 32)
     present = _SENSORS | _PREARM
-    health |= _PREARM if v.ready else 0
+    by_hand = v.kind.by_hand(v.flight.mode)
+    off = (_PLACE if by_hand else 0) | (0 if v.armed else _MOTORS)
+    off |= 0 if v.params["FENCE_ENABLE"] else _FENCE
+    failed = (0 if v.gps_ok else _GPS) | (0 if v.position_ok else _AHRS)
+    failed |= (_FENCE if v.fence.breached else 0) | (_RECEIVER if v.failsafes.radio_lost else 0)
+    failed |= (_BATTERY if v.failsafes.battery_low else 0) | (0 if v.ready else _PREARM)
     battery = v.battery
+    volts = round((battery.voltage + v.noise.white(0.01)) * 1000)
     return mav.MAVLink_sys_status_message(
-        present, present, health, 250, round(battery.voltage * 1000), round(battery.current * 100),
+        present, present & ~off, present & ~failed, 250, volts, round(battery.current * 100),
         round(battery.charge * 100), 0, 0, 0, 0, 0, 0,
     )  # fmt: skip
 
 
-def _gps(v: Vehicle) -> Any:
-    fixed = v.time >= min(5.0, v.options.warmup / 4)
-    if not fixed:
-        return mav.MAVLink_gps_raw_int_message(_us(v), 1, 0, 0, 0, 9999, 9999, 0, 0, 0)
-    lat, lon = v.geographic()
-    b = v.body
-    speed = math.hypot(b.vn, b.ve)
-    course = math.degrees(math.atan2(b.ve, b.vn)) % 360
-    height = v.origin[2] - b.d
-    return mav.MAVLink_gps_raw_int_message(
-        _us(v), 6, round(lat * 1e7), round(lon * 1e7), round(height * 1000), 121, 200,
-        round(speed * 100), round(course * 100) % 36000, 10, round(height * 1000), 300, 300, 40,
-    )  # fmt: skip
-
-
 def _attitude(v: Vehicle) -> Any:
-    b = v.body
-    return mav.MAVLink_attitude_message(_ms(v), b.roll, b.pitch, b.yaw, b.p, b.q, b.r)
+    return mav.MAVLink_attitude_message(_ms(v), *sensing.attitude(v))
 
 
 def quaternion(roll: float, pitch: float, yaw: float) -> tuple[float, float, float, float]:
@@ -97,27 +110,33 @@ def quaternion(roll: float, pitch: float, yaw: float) -> tuple[float, float, flo
 
 
 def _attitude_quaternion(v: Vehicle) -> Any:
-    b = v.body
-    w, x, y, z = quaternion(b.roll, b.pitch, b.yaw)
-    return mav.MAVLink_attitude_quaternion_message(_ms(v), w, x, y, z, b.p, b.q, b.r)
+    roll, pitch, yaw, *rates = sensing.attitude(v)
+    return mav.MAVLink_attitude_quaternion_message(_ms(v), *quaternion(roll, pitch, yaw), *rates)
+
+
+def _estimate(v: Vehicle) -> tuple[float, float, float, float, float, float]:
+    b, slow = v.body, v.noise.slow
+    return (
+        b.n + slow("n"), b.e + slow("e"), b.d + slow("d"),
+        b.vn + slow("vn"), b.ve + slow("ve"), b.vd + slow("vd"),
+    )  # fmt: skip
 
 
 def _local(v: Vehicle) -> Any:
     if not v.position_ok:
         return None
-    b = v.body
-    return mav.MAVLink_local_position_ned_message(_ms(v), b.n, b.e, b.d, b.vn, b.ve, b.vd)
+    return mav.MAVLink_local_position_ned_message(_ms(v), *_estimate(v))
 
 
 def _global(v: Vehicle) -> Any:
-    b = v.body
-    lat, lon = v.geographic() if v.position_ok else (0.0, 0.0)
-    height = v.origin[2] - b.d
+    n, e, d, *speeds = _estimate(v)
+    lat, lon = shifted(n, e, v.origin[:2]) if v.home is not None else (0.0, 0.0)
+    height = v.origin[2] - d
     over_home = height - (v.home or v.origin)[2]
-    heading = round(math.degrees(b.yaw) % 360 * 100) % 36000
+    heading = round(math.degrees(v.body.yaw + v.noise.slow("yaw")) % 360 * 100) % 36000
     return mav.MAVLink_global_position_int_message(
         _ms(v), round(lat * 1e7), round(lon * 1e7), round(height * 1000), round(over_home * 1000),
-        round(b.vn * 100), round(b.ve * 100), round(b.vd * 100), heading,
+        *(round(speed * 100) for speed in speeds), heading,
     )  # fmt: skip
 
 
@@ -131,88 +150,10 @@ def _hud(v: Vehicle) -> Any:
     )
 
 
-def _battery(v: Vehicle) -> Any:
-    battery = v.battery
-    cells = [round(battery.voltage * 1000), *([_NOTHING] * 9)]
-    return mav.MAVLink_battery_status_message(
-        0, 0, 1, 2500, cells, round(battery.current * 100), round(battery.consumed),
-        round(battery.consumed * battery.voltage * 0.036), round(battery.charge * 100),
-        round(battery.charge * battery.capacity / max(battery.current, 0.1) * 3.6),
-        2 if v.battery_low else 1,
-    )  # fmt: skip
-
-
-def _rc(v: Vehicle) -> Any:
-    return mav.MAVLink_rc_channels_message(
-        _ms(v), 8, *([1500] * 8), *([_NOTHING] * 10), 255
-    )  # fmt: skip
-
-
-def _servos(v: Vehicle) -> Any:
-    if not v.armed:
-        pulses = [1000] * 4
-    else:
-        pulses = [round(1000 + 1000 * max(m, 0.1)) for m in v.body.motors()]
-    return mav.MAVLink_servo_output_raw_message(_us(v) & 0xFFFFFFFF, 0, *pulses, 0, 0, 0, 0)
-
-
-def _specific(v: Vehicle) -> tuple[float, float, float]:
-    """Return what the accelerometers feel, m/s2 in the axes of the body."""
-    b = v.body
-    n, e, d = b.an, b.ae, b.ad - GRAVITY
-    sr, cr = math.sin(b.roll), math.cos(b.roll)
-    sp, cp = math.sin(b.pitch), math.cos(b.pitch)
-    sy, cy = math.sin(b.yaw), math.cos(b.yaw)
-    x = cp * cy * n + cp * sy * e - sp * d
-    y = (sr * sp * cy - cr * sy) * n + (sr * sp * sy + cr * cy) * e + sr * cp * d
-    z = (cr * sp * cy + sr * sy) * n + (cr * sp * sy - sr * cy) * e + cr * cp * d
-    return x, y, z
-
-
-def _field(v: Vehicle) -> tuple[int, int, int]:
-    """Return the magnetic field in the axes of the body, mgauss; level ones of heading only."""
-    yaw = v.body.yaw
-    return round(230 * math.cos(yaw)), round(-230 * math.sin(yaw)), -530
-
-
-def _imu(v: Vehicle) -> Any:
-    b = v.body
-    accel = [round(a / GRAVITY * 1000) for a in _specific(v)]
-    gyro = [round(w * 1000) for w in (b.p, b.q, b.r)]
-    return mav.MAVLink_raw_imu_message(_us(v), *accel, *gyro, *_field(v), 0, 4500)
-
-
-def _scaled_imu(v: Vehicle) -> Any:
-    b = v.body
-    accel = [round(a / GRAVITY * 1000) for a in _specific(v)]
-    gyro = [round(w * 1000) for w in (b.p, b.q, b.r)]
-    return mav.MAVLink_scaled_imu2_message(_ms(v), *accel, *gyro, *_field(v), 4500)
-
-
-def _pressure(v: Vehicle) -> Any:
-    height = v.origin[2] - v.body.d
-    pressure = 1013.25 * (1 - height / 44330) ** 5.255
-    return mav.MAVLink_scaled_pressure_message(_ms(v), pressure, 0.0, 3500)
-
-
-def _highres(v: Vehicle) -> Any:
-    b = v.body
-    height = v.origin[2] - b.d
-    pressure = 1013.25 * (1 - height / 44330) ** 5.255
-    field = [value / 1000 for value in _field(v)]
-    return mav.MAVLink_highres_imu_message(
-        _us(v), *_specific(v), b.p, b.q, b.r, *field, pressure, 0.0, height, 35.0, 0x1FFF
-    )
-
-
 def _ekf(v: Vehicle) -> Any:
-    flags = 1 | 2 | 4 | 8 | 16 | 32 | 512 if v.position_ok else 1 | 4 | 32 | 128
-    return mav.MAVLink_ekf_status_report_message(flags, 0.02, 0.02, 0.01, 0.03, 0.0)
-
-
-def _vibration(v: Vehicle) -> Any:
-    shake = 3.0 * v.body.throttle if v.armed else 0.001
-    return mav.MAVLink_vibration_message(_us(v), shake, shake, shake, 0, 0, 0)
+    flags = 1 | 2 | 4 | 8 | 16 | 32 | 256 | 512 if v.position_ok else 1 | 4 | 32 | 128
+    a, b, c, d = (abs(x + v.noise.white(x / 3)) for x in (0.02, 0.02, 0.01, 0.03))
+    return mav.MAVLink_ekf_status_report_message(flags, a, b, c, d, 0.0)
 
 
 def _wind(v: Vehicle) -> Any:
@@ -240,7 +181,9 @@ def _origin(v: Vehicle) -> Any:
 
 
 def _landed(v: Vehicle) -> Any:
-    if v.body.landed:
+    if not v.kind.flies:
+        state = mav.MAV_LANDED_STATE_UNDEFINED
+    elif v.body.landed:
         state = mav.MAV_LANDED_STATE_ON_GROUND
     elif v.flight.taking_off:
         state = mav.MAV_LANDED_STATE_TAKEOFF
@@ -272,7 +215,7 @@ def _controller(v: Vehicle) -> Any:
     bearing = round(math.degrees(math.atan2(e - b.e, n - b.n)))
     depth = b.d if pilot.depth is None else pilot.depth
     return mav.MAVLink_nav_controller_output_message(
-        math.degrees(b.want_roll), math.degrees(b.want_pitch), bearing, bearing,
+        math.degrees(b.roll), math.degrees(b.pitch), bearing, bearing,
         min(65535, round(math.hypot(n - b.n, e - b.e))), b.d - depth, 0.0, 0.0,
     )  # fmt: skip
 
@@ -295,15 +238,6 @@ def _fence(v: Vehicle) -> Any:
     )
 
 
-def _range(v: Vehicle) -> Any:
-    height = round(min(40.0, -v.body.d) * 100)
-    return mav.MAVLink_distance_sensor_message(_ms(v), 10, 4000, height, 0, 0, 25, 0)
-
-
-def _power(_: Vehicle) -> Any:
-    return mav.MAVLink_power_status_message(5000, 0, 0)
-
-
 def _system_time(v: Vehicle) -> Any:
     return mav.MAVLink_system_time_message(round(time.time() * 1e6), _ms(v))
 
@@ -315,9 +249,9 @@ def _mount(v: Vehicle) -> Any:
 
 def _version(v: Vehicle) -> Any:
     release = (4 << 24) | (7 << 16) | mav.FIRMWARE_VERSION_TYPE_DEV
-    nothing = [0] * 8
+    hashed, nothing = list(b"70746572"), [0] * 8
     return mav.MAVLink_autopilot_version_message(
-        _CAPABLE, release, 0, 0, 0, nothing, nothing, nothing, 0, 0, v.options.system
+        _CAPABLE, release, 0, 0, 0, hashed, nothing, nothing, 0, 0, v.options.system
     )
 
 
@@ -325,21 +259,21 @@ MAKERS: dict[int, Callable[[Vehicle], Any]] = {
     mav.MAVLINK_MSG_ID_HEARTBEAT: heartbeat,
     mav.MAVLINK_MSG_ID_SYS_STATUS: _sys_status,
     mav.MAVLINK_MSG_ID_SYSTEM_TIME: _system_time,
-    mav.MAVLINK_MSG_ID_GPS_RAW_INT: _gps,
+    mav.MAVLINK_MSG_ID_GPS_RAW_INT: sensing.gps,
     mav.MAVLINK_MSG_ID_ATTITUDE: _attitude,
     mav.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: _attitude_quaternion,
     mav.MAVLINK_MSG_ID_LOCAL_POSITION_NED: _local,
     mav.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: _global,
     mav.MAVLINK_MSG_ID_VFR_HUD: _hud,
-    mav.MAVLINK_MSG_ID_BATTERY_STATUS: _battery,
-    mav.MAVLINK_MSG_ID_RC_CHANNELS: _rc,
-    mav.MAVLINK_MSG_ID_SERVO_OUTPUT_RAW: _servos,
-    mav.MAVLINK_MSG_ID_RAW_IMU: _imu,
-    mav.MAVLINK_MSG_ID_SCALED_IMU2: _scaled_imu,
-    mav.MAVLINK_MSG_ID_SCALED_PRESSURE: _pressure,
-    mav.MAVLINK_MSG_ID_HIGHRES_IMU: _highres,
+    mav.MAVLINK_MSG_ID_BATTERY_STATUS: sensing.battery,
+    mav.MAVLINK_MSG_ID_RC_CHANNELS: sensing.rc,
+    mav.MAVLINK_MSG_ID_SERVO_OUTPUT_RAW: sensing.servos,
+    mav.MAVLINK_MSG_ID_RAW_IMU: sensing.raw_imu,
+    mav.MAVLINK_MSG_ID_SCALED_IMU2: sensing.scaled_imu,
+    mav.MAVLINK_MSG_ID_SCALED_PRESSURE: sensing.pressure,
+    mav.MAVLINK_MSG_ID_HIGHRES_IMU: sensing.highres,
     mav.MAVLINK_MSG_ID_EKF_STATUS_REPORT: _ekf,
-    mav.MAVLINK_MSG_ID_VIBRATION: _vibration,
+    mav.MAVLINK_MSG_ID_VIBRATION: sensing.vibration,
     mav.MAVLINK_MSG_ID_WIND: _wind,
     mav.MAVLINK_MSG_ID_HOME_POSITION: _home,
     mav.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN: _origin,
@@ -348,8 +282,8 @@ MAKERS: dict[int, Callable[[Vehicle], Any]] = {
     mav.MAVLINK_MSG_ID_NAV_CONTROLLER_OUTPUT: _controller,
     mav.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED: _target,
     mav.MAVLINK_MSG_ID_FENCE_STATUS: _fence,
-    mav.MAVLINK_MSG_ID_DISTANCE_SENSOR: _range,
-    mav.MAVLINK_MSG_ID_POWER_STATUS: _power,
+    mav.MAVLINK_MSG_ID_DISTANCE_SENSOR: sensing.range_finder,
+    mav.MAVLINK_MSG_ID_POWER_STATUS: sensing.power,
     mav.MAVLINK_MSG_ID_MOUNT_STATUS: _mount,
     mav.MAVLINK_MSG_ID_AUTOPILOT_VERSION: _version,
 }

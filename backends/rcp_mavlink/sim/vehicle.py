@@ -8,16 +8,19 @@ from typing import Any
 
 from rcp_mavlink.geo import offset, shifted
 from rcp_mavlink.sim.arming import complaints, mode_complaint
-from rcp_mavlink.sim.body import Body
+from rcp_mavlink.sim.crafts import body_of, flight_of, pilot_of
+from rcp_mavlink.sim.failsafes import Failsafes
 from rcp_mavlink.sim.fence import Fence
-from rcp_mavlink.sim.flight import Flight
+from rcp_mavlink.sim.files import Files
 from rcp_mavlink.sim.flightlog import FlightLog
+from rcp_mavlink.sim.kinds import KINDS
 from rcp_mavlink.sim.modes import Mode, needs_position
+from rcp_mavlink.sim.noise import Noise
 from rcp_mavlink.sim.options import Options
 from rcp_mavlink.sim.parameters import Parameters
-from rcp_mavlink.sim.pilot import Pilot
 from rcp_mavlink.sim.plans import Plan
 from rcp_mavlink.sim.power import Battery
+from rcp_mavlink.sim.sticks import Sticks
 from rcp_mavlink.sim.telemetry import MAKERS
 from rcp_mavlink.sim.wire import mav
 
@@ -26,44 +29,55 @@ __all__ = ["STEP", "Vehicle"]
 STEP = 0.005  # s, of the simulation
 _CHATTER = 30.0  # s between two complaints before arming
 _FORCE = (21196.0, 2989.0)
+_BOOT = (
+    (0.05, "EKF3 IMU0 initialised"),
+    (0.1, "GPS 1: detected u-blox"),
+    (0.3, "EKF3 IMU0 tilt alignment complete"),
+    (0.4, "EKF3 IMU0 MAG0 initial yaw alignment complete"),
+    (0.95, "EKF3 IMU0 origin set"),
+)
+"""What is said while it warms up, by the part of that time."""
 
 
 class Vehicle:
-    """One simulated copter; `advance` lets time pass, `tell` is where messages go."""
+    """One simulated vehicle; `advance` lets time pass, `tell` is where messages go."""
 
     def __init__(self, options: Options) -> None:
         self.options = options
+        self.kind = KINDS[options.vehicle]
         self.tell: list[Callable[[Any], None]] = []
         """Called with each message that goes to everybody."""
-        self.params = Parameters(options.parameters)
+        self.params = Parameters(options.vehicle, options.parameters)
+        self.noise = Noise(options.seed, options.noise)
         self.wall = 0.0
         """Real seconds, from whatever clock `advance` is given."""
         self.origin = options.home
         self.log = FlightLog()
-        self._heard = 0.0
+        self.files = Files(self)
         self._boot(math.radians(options.heading))
 
     def _boot(self, heading: float) -> None:
         self.time = 0.0
         """Simulated seconds since boot."""
-        self.body = Body()
+        self.body = body_of(self.kind)
         self.body.yaw = heading
         self.body.wind_n, self.body.wind_e = self.options.wind
-        self.pilot = Pilot(self.body)
+        self.pilot = pilot_of(self.kind, self.body)
         self.pilot.yaw = heading
         self.battery = Battery(self.options.capacity, self.options.charge)
         self.home: tuple[float, float, float] | None = None
         self.armed = False
         self.armed_for = 0.0
-        self.battery_low = self.station_lost = False
-        self.station_seen = False
+        self.failsafes = Failsafes(self)
+        self.sticks = Sticks()
         self.gimbal = (0.0, 0.0, 0.0)
         """Roll, pitch, yaw of the camera's mount, deg."""
         self.photos = 0
-        self.flight = Flight(self)
+        self.flight = flight_of(self)
+        self.flight.limits()
         self.fence = Fence(self)
         self.rally = Plan(mav.MAV_MISSION_TYPE_RALLY)
-        self._low_for = 0.0
+        self._told = 0
         self._chattered = 0.0
         self._left = 0.0
         self.rebooted = False
@@ -81,7 +95,13 @@ class Vehicle:
     @property
     def position_ok(self) -> bool:
         """Whether GPS and EKF know where it is."""
-        return self.time >= self.options.warmup
+        return self.time >= self.options.warmup and bool(self.params["SIM_GPS1_ENABLE"])
+
+    @property
+    def gps_ok(self) -> bool:
+        """Whether the receiver has a fix."""
+        fixed = self.time >= min(5.0, self.options.warmup / 4)
+        return fixed and bool(self.params["SIM_GPS1_ENABLE"])
 
     def geographic(self) -> tuple[float, float]:
         """Return latitude and longitude, deg."""
@@ -95,7 +115,23 @@ class Vehicle:
         """Return where home is, m."""
         return (0.0, 0.0) if self.home is None else self.place_of(*self.home[:2])
 
+    def haven(self) -> tuple[float, float]:
+        """Return where RTL goes to, m: home, or the nearest rally point that is not farther."""
+        n, e = self.body.n, self.body.e
+        places = [self.place_of(item.lat, item.lon) for item in self.rally.items]
+        most = self.params["RALLY_LIMIT_KM"] * 1000
+        near = [place for place in places if most <= 0 or math.dist(place, (n, e)) <= most]
+        if self.params["RALLY_INCL_HOME"] or not near:
+            near.append(self.home_place())
+        return min(near, key=lambda place: math.dist(place, (n, e)))
+
     # What it says
+
+    def greet(self, send: Callable[[Any], None]) -> None:
+        """Say what it is to one who asks."""
+        for text in (f"{self.kind.title} V4.7.0-dev (70746572)", self.kind.frame):
+            if text:
+                send(mav.MAVLink_statustext_message(6, text.encode()))
 
     def say(self, severity: int, text: str) -> None:
         """Send a STATUSTEXT to everybody."""
@@ -108,13 +144,16 @@ class Vehicle:
 
     # What is done with it
 
-    def set_mode(self, number: int) -> bool:
-        """Change the mode; tell whether it could be."""
-        try:
-            mode = Mode(number)
-        except ValueError:
+    def set_custom_mode(self, number: int) -> bool:
+        """Change the mode to one of a number; tell whether it could be."""
+        mode = self.kind.modes.get(number)
+        if mode is None:
             self.say(4, f"No such mode {number}")
             return False
+        return self.set_mode(mode)
+
+    def set_mode(self, mode: Mode) -> bool:
+        """Change the mode; tell whether it could be."""
         if mode is self.flight.mode:
             return True
         if (reason := self.flight.refusal(mode)) is not None:
@@ -168,21 +207,21 @@ class Vehicle:
             self.set_home(None if params[0] == 1 else place)
 
     def failsafe(self, why: str, *, return_home: bool) -> None:
-        """Come back, or down where the way back is not known."""
-        landing = self.flight.mode in (Mode.LAND, Mode.RTL)
-        if self.body.landed:
+        """Come back, or down where the way back is not known; the real one's words say what."""
+        if not self.kind.flies:
+            done = Mode.RTL if return_home and self.position_ok else self.kind.down
+        elif self.body.landed:
+            self.say(4, f"{why} Failsafe - Disarming")
             self.disarm()
-        elif not landing:
-            mode = Mode.RTL if return_home and self.position_ok else Mode.LAND
-            self.say(4, f"{why.title()} Failsafe: {mode.name}")
-            self.flight.enter(mode)
-
-    def heard_from_station(self) -> None:
-        """Note a heartbeat of the ground station that it obeys."""
-        self._heard, self.station_seen = self.wall, True
-        if self.station_lost:
-            self.station_lost = False
-            self.say(4, "GCS Failsafe Cleared")
+            return
+        elif self.flight.landing:
+            self.say(4, f"{why} Failsafe - Continuing Landing")
+            return
+        else:
+            done = Mode.RTL if return_home and self.position_ok else self.kind.down
+        self.say(4, f"{why} Failsafe")
+        if self.flight.mode is not done:
+            self.flight.enter(done)
 
     # Time
 
@@ -206,40 +245,31 @@ class Vehicle:
         self.log.step(self, dt)
 
     def _watch_over(self, seconds: float) -> None:
+        self._tell_of_boot()
         if self.home is None and self.position_ok:
             self.broadcast(MAKERS[mav.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN](self))
             self.set_home(None)
             self.say(6, "EKF3 IMU0 is using GPS")
+        self.sticks.look(self.wall)
+        self.noise.step(seconds)
+        self._blow()
         self.fence.look()
-        self._watch_battery(seconds)
-        self._watch_station()
+        self.failsafes.look(seconds)
         if not self.armed and self.time - self._chattered > _CHATTER:
             self._chattered = self.time
             for reason in complaints(self):
                 self.say(2, f"PreArm: {reason}")
 
-    def _watch_battery(self, seconds: float) -> None:
-        p, volts = self.params, self.battery.voltage
-        low = volts < p["BATT_LOW_VOLT"] or (
-            p["BATT_LOW_MAH"] > 0 and self.battery.consumed > p["BATT_CAPACITY"] - p["BATT_LOW_MAH"]
-        )
-        self._low_for = self._low_for + seconds if low else 0.0
-        if self.battery_low or self._low_for < p["BATT_LOW_TIMER"]:
-            return
-        self.battery_low = True
-        self.say(4, f"Battery 1 is low {volts:.2f}V used {self.battery.consumed:.0f} mAh")
-        if self.armed and p["BATT_FS_LOW_ACT"]:
-            self.failsafe("BATTERY", return_home=p["BATT_FS_LOW_ACT"] != 1)
+    def _tell_of_boot(self) -> None:
+        while self._told < len(_BOOT) and self.time >= _BOOT[self._told][0] * self.options.warmup:
+            self.say(6, _BOOT[self._told][1])
+            self._told += 1
 
-    def _watch_station(self) -> None:
-        p = self.params
-        late = self.wall - self._heard > p["FS_GCS_TIMEOUT"]
-        if self.station_lost or not (self.station_seen and late and p["FS_GCS_ENABLE"]):
-            return
-        self.station_lost = True
-        self.say(4, "GCS Failsafe")
-        if self.armed:
-            self.failsafe("GCS", return_home=p["FS_GCS_ENABLE"] != 5)
+    def _blow(self) -> None:
+        speed = self.params["SIM_WIND_SPD"]
+        if speed:
+            away = math.radians(self.params["SIM_WIND_DIR"] + 180)
+            self.body.wind_n, self.body.wind_e = speed * math.cos(away), speed * math.sin(away)
 
     @property
     def ready(self) -> bool:

@@ -119,3 +119,12 @@ async def test_a_signed_link_has_a_vehicle_that_signs() -> None:
         except NotReady as error:
             pytest.fail(str(error))
         assert not hub.links[0].framer.stats.rejected
+
+
+@pytest.mark.parametrize("kind", ["plane", "rover", "boat"])
+async def test_other_vehicles_are_simulated_too(kind: str) -> None:
+    config = MavlinkConfig(links=(f"sim:{kind}",), connect=10.0)
+    async with open_hub(config, dialect("ardupilotmega")) as hub:
+        await hub.first()
+        family = hub.vehicles[1].family.kind
+    assert family == kind

@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 
 from backends.mavlink.station import Station
+from rcp_mavlink.sim.modes import Mode
 from rcp_mavlink.sim.wire import mav
 
 OK, DENIED, UNSUPPORTED, FAILED = 0, 2, 3, 4
@@ -207,7 +208,7 @@ def test_outside_the_fence_it_comes_back_and_a_target_there_is_refused() -> None
     lat, lon, _ = station.vehicle.origin
     assert station.reposition(lat + 1e-3, lon, 10) == DENIED
     station.vehicle.flight.aim((80.0, 0.0), -10.0)
-    station.until(lambda: station.vehicle.flight.mode == RTL)
+    station.until(lambda: station.vehicle.flight.mode is Mode.RTL)
     assert "Circle fence breached" in station.texts
 
 
@@ -226,18 +227,18 @@ def test_an_uploaded_polygon_fences_in() -> None:
 
 
 def test_without_its_station_it_comes_home_only_if_it_is_told_to() -> None:
-    for enabled, mode in ((0, GUIDED), (1, RTL)):
+    for enabled, mode in ((0, Mode.GUIDED), (1, Mode.RTL)):
         station = Station(parameters={"FS_GCS_ENABLE": enabled})
         station.send(mav.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3))
         station.fly()
         station.pass_time(7)
-        assert station.vehicle.flight.mode == mode
+        assert station.vehicle.flight.mode is mode
 
 
 def test_an_empty_battery_brings_it_home() -> None:
     station = Station(capacity=120.0, parameters={"BATT_FS_LOW_ACT": 2})
     station.fly(5)
-    station.until(lambda: station.vehicle.flight.mode == RTL, 200)
+    station.until(lambda: station.vehicle.flight.mode is Mode.RTL, 200)
     assert station.vehicle.battery.voltage < 10.6
 
 

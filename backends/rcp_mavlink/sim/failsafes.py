@@ -1,0 +1,117 @@
+"""What watches over a flight: battery, ground station, transmitter, GPS. The words are the real one's."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from rcp_mavlink.sim.modes import Mode
+
+if TYPE_CHECKING:
+    from rcp_mavlink.sim.vehicle import Vehicle
+
+__all__ = ["Failsafes"]
+
+_RADIO_LATE = 1.5  # s without pulses of the receiver
+_BLIND = 1.0  # s without a position
+_LAND_ON_GCS, _LAND_ON_RADIO, _LAND_ON_LOW = 5, 3, 1
+
+
+class Failsafes:
+    """What has failed, and what was done about it."""
+
+    def __init__(self, vehicle: Vehicle) -> None:
+        self._vehicle = vehicle
+        self.battery_low = self.battery_critical = False
+        self.station_lost = self.radio_lost = self.blind = False
+        self._station_seen = False
+        self._heard = 0.0
+        self._low_for = self._critical_for = self._radio_gone = self._blind_for = 0.0
+
+    @property
+    def any(self) -> bool:
+        """Whether the state of the vehicle is critical."""
+        return self.battery_low or self.station_lost or self.radio_lost or self.blind
+
+    def look(self, seconds: float) -> None:
+        """See what has failed in the simulated seconds that passed."""
+        self._battery(seconds)
+        self._station()
+        self._radio(seconds)
+        self._position(seconds)
+
+    def heard_from_station(self) -> None:
+        """Note a heartbeat of the ground station that it obeys."""
+        self._heard, self._station_seen = self._vehicle.wall, True
+        if self.station_lost:
+            self.station_lost = False
+            self._vehicle.say(4, "GCS Failsafe Cleared")
+
+    def _battery(self, seconds: float) -> None:
+        vehicle, p = self._vehicle, self._vehicle.params
+        self._low_for = self._low_for + seconds if self._below("LOW") else 0.0
+        self._critical_for = self._critical_for + seconds if self._below("CRT") else 0.0
+        used = f"{vehicle.battery.voltage:.2f}V used {vehicle.battery.consumed:.0f} mAh"
+        if not self.battery_low and self._low_for >= p["BATT_LOW_TIMER"]:
+            self.battery_low = True
+            vehicle.say(4, f"Battery 1 is low {used}")
+            if vehicle.armed and (action := p["BATT_FS_LOW_ACT"]):
+                vehicle.failsafe("Battery", return_home=action != _LAND_ON_LOW)
+        if not self.battery_critical and self._critical_for >= p["BATT_LOW_TIMER"]:
+            self.battery_critical = True
+            vehicle.say(2, f"Battery 1 is critical {used}")
+            if vehicle.armed and (action := p["BATT_FS_CRT_ACT"]):
+                vehicle.failsafe("Battery", return_home=action != _LAND_ON_LOW)
+
+    def _below(self, level: str) -> bool:
+        p, battery = self._vehicle.params, self._vehicle.battery
+        volts, left = p[f"BATT_{level}_VOLT"], p[f"BATT_{level}_MAH"]
+        empty = left > 0 and battery.consumed > p["BATT_CAPACITY"] - left
+        return empty or (volts > 0 and battery.voltage < volts)
+
+    def _station(self) -> None:
+        vehicle, p = self._vehicle, self._vehicle.params
+        late = vehicle.wall - self._heard > p[vehicle.kind.param("FS_GCS_TIMEOUT")]
+        if self.station_lost or not (
+            self._station_seen and late and p[vehicle.kind.param("FS_GCS_ENABLE")]
+        ):
+            return
+        self.station_lost = True
+        if vehicle.armed:
+            vehicle.failsafe(
+                "GCS", return_home=p[vehicle.kind.param("FS_GCS_ENABLE")] != _LAND_ON_GCS
+            )
+        else:
+            vehicle.say(4, "GCS Failsafe")
+
+    def _radio(self, seconds: float) -> None:
+        vehicle, p = self._vehicle, self._vehicle.params
+        gone = bool(p["SIM_RC_FAIL"]) and not vehicle.sticks.held
+        self._radio_gone = self._radio_gone + seconds if gone else 0.0
+        if self.radio_lost and not gone:
+            self.radio_lost = False
+            vehicle.say(4, "Radio Failsafe Cleared")
+        elif (
+            not self.radio_lost
+            and self._radio_gone > _RADIO_LATE
+            and p[vehicle.kind.param("FS_THR_ENABLE")]
+        ):
+            self.radio_lost = True
+            if vehicle.armed:
+                vehicle.failsafe(
+                    "Radio", return_home=p[vehicle.kind.param("FS_THR_ENABLE")] != _LAND_ON_RADIO
+                )
+            else:
+                vehicle.say(4, "Radio Failsafe")
+
+    def _position(self, seconds: float) -> None:
+        vehicle = self._vehicle
+        gone = vehicle.home is not None and not vehicle.position_ok
+        self._blind_for = self._blind_for + seconds if gone else 0.0
+        if self.blind and not gone:
+            self.blind = False
+            vehicle.say(4, "EKF Failsafe Cleared")
+        elif not self.blind and self._blind_for > _BLIND and vehicle.armed:
+            self.blind = True
+            vehicle.say(2, "EKF variance: position horizontal")
+            if vehicle.flight.mode not in (Mode.STABILIZE, Mode.ALT_HOLD):
+                vehicle.failsafe("EKF", return_home=False)

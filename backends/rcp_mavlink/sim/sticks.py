@@ -1,0 +1,72 @@
+"""The sticks of who flies by hand: RC_CHANNELS_OVERRIDE and MANUAL_CONTROL, while they keep coming."""
+
+from __future__ import annotations
+
+from typing import Any
+
+__all__ = ["Sticks"]
+
+_CENTRE, _HALF = 1500, 400  # µs
+_RELEASE, _IGNORE = 0, 65535
+_NOTHING = 0x7FFF
+_CHANNELS = 8
+_DEAD = 0.05
+
+
+class Sticks:
+    """Eight channels; nobody at them, and they count as centred."""
+
+    def __init__(self) -> None:
+        self.pulses = [_CENTRE] * _CHANNELS  # µs
+        self._until = 0.0
+        self.held = False
+        """Whether somebody moves them."""
+
+    @property
+    def roll(self) -> float:
+        """Right is positive, -1…1; likewise the others."""
+        return self._stick(0)
+
+    @property
+    def pitch(self) -> float:
+        """Stick forward is negative, as on the real one: nose down."""
+        return self._stick(1)
+
+    @property
+    def throttle(self) -> float:
+        """Up is positive; centred neither climbs nor sinks."""
+        return self._stick(2)
+
+    @property
+    def yaw(self) -> float:
+        """Clockwise is positive."""
+        return self._stick(3)
+
+    def _stick(self, channel: int) -> float:
+        value = (self.pulses[channel] - _CENTRE) / _HALF
+        return 0.0 if abs(value) < _DEAD else max(-1.0, min(1.0, value))
+
+    def override(self, message: Any, until: float) -> None:
+        """Take RC_CHANNELS_OVERRIDE; what it releases is centred again."""
+        for channel in range(_CHANNELS):
+            pulse = getattr(message, f"chan{channel + 1}_raw")
+            if pulse == _RELEASE:
+                self.pulses[channel] = _CENTRE
+            elif pulse != _IGNORE:
+                self.pulses[channel] = pulse
+                self.held, self._until = True, until
+
+    def manual(self, message: Any, until: float) -> None:
+        """Take MANUAL_CONTROL: x is pitch, y roll, z throttle from 0, r yaw, all of a thousand."""
+        wanted = (message.y, -message.x, (message.z - 500) * 2, message.r)
+        given = (message.y, message.x, message.z, message.r)
+        for channel, (value, raw) in enumerate(zip(wanted, given, strict=True)):
+            if raw != _NOTHING:
+                self.pulses[channel] = round(_CENTRE + max(-1000, min(1000, value)) * _HALF / 1000)
+        self.held, self._until = True, until
+
+    def look(self, wall: float) -> None:
+        """Let go of sticks that nobody has moved for long."""
+        if self.held and wall > self._until:
+            self.held = False
+            self.pulses = [_CENTRE] * _CHANNELS
