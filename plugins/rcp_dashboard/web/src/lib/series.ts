@@ -1,0 +1,81 @@
+/** Numbers over time: a ring that grows to a bound, handed out as arrays in the order of time. */
+export class Series {
+  static readonly MOST = 100_000;
+  #times = new Float64Array(1024);
+  #values = new Float64Array(1024);
+  #from = 0;
+  #to = 0;
+
+  /** Add a value at a time in seconds; what is not newer than the last is left out. */
+  push(time: number, value: number): void {
+    if (this.#to > this.#from && time <= (this.#times[this.#to - 1] as number)) return;
+    if (this.#to === this.#times.length) this.#room();
+    this.#times[this.#to] = time;
+    this.#values[this.#to++] = value;
+  }
+
+  #room(): void {
+    const kept = Math.min(this.#to - this.#from, Series.MOST);
+    const size = Math.max(1024, kept * 2);
+    const [times, values] = [new Float64Array(size), new Float64Array(size)];
+    times.set(this.#times.subarray(this.#to - kept, this.#to));
+    values.set(this.#values.subarray(this.#to - kept, this.#to));
+    [this.#times, this.#values, this.#from, this.#to] = [times, values, 0, kept];
+  }
+
+  /** Forget what is older than a time. */
+  trim(time: number): void {
+    while (this.#from < this.#to && (this.#times[this.#from] as number) < time) this.#from++;
+  }
+
+  get times(): Float64Array {
+    return this.#times.subarray(this.#from, this.#to);
+  }
+
+  get values(): Float64Array {
+    return this.#values.subarray(this.#from, this.#to);
+  }
+}
+
+/** Put several series on one axis of time, as uPlot wants them; thinned to at most `most` points of time each. */
+export function joined(all: Series[], from: number, most: number): [number[], ...(number | null)[][]] {
+  const picked = all.map((series) => thin(series, from, most));
+  if (picked.length === 1) return [picked[0]!.times, picked[0]!.values];
+  const axis = [...new Set(picked.flatMap((one) => one.times))].sort((a, b) => a - b);
+  const rows = picked.map(({ times, values }) => {
+    let at = 0;
+    // Undefined where this series has no sample: uPlot joins over those, and breaks the line at null.
+    return axis.map((time) => (times[at] === time ? (values[at++] as number) : undefined)) as (number | null)[];
+  });
+  return [axis, ...rows];
+}
+
+/** The least and the greatest of each bucket: peaks stay, however many samples there are. */
+function thin(series: Series, from: number, most: number): { times: number[]; values: number[] } {
+  const { times, values } = series;
+  let first = 0;
+  let last = times.length;
+  while (first < last) {
+    const middle = (first + last) >> 1;
+    if ((times[middle] as number) < from) first = middle + 1;
+    else last = middle;
+  }
+  const count = times.length - first;
+  if (count <= most) return { times: [...times.subarray(first)], values: [...values.subarray(first)] };
+  const size = Math.ceil((count / most) * 2);
+  const out: { times: number[]; values: number[] } = { times: [], values: [] };
+  // Buckets begin at fixed places of the ring, else the picture would shimmer as it moves.
+  for (let start = first - (first % size); start < times.length; start += size) {
+    let low = Math.max(start, first);
+    let high = low;
+    for (let at = low; at < Math.min(start + size, times.length); at++) {
+      if ((values[at] as number) < (values[low] as number)) low = at;
+      if ((values[at] as number) > (values[high] as number)) high = at;
+    }
+    for (const at of low === high ? [low] : low < high ? [low, high] : [high, low]) {
+      out.times.push(times[at] as number);
+      out.values.push(values[at] as number);
+    }
+  }
+  return out;
+}
