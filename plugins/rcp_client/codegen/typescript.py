@@ -1,5 +1,7 @@
 """A TypeScript module: interfaces, maps from path to type, and a small client over HTTP and SSE.
 
+The maps are also what the npm package `rcp-client` checks paths and values by.
+
 Only syntax that can be erased, so that Node and browsers' build tools run it as it is.
 """
 
@@ -23,7 +25,7 @@ _WORDS = {
     "str": "string",
     "bytes": "Base64",
 }
-_RESERVED = ("Values", "Writes", "Commands", "Update", "Reply", "Rcp", "RcpError", "Float",
+_RESERVED = ("Values", "Writes", "Commands", "Gateway", "Update", "Reply", "Rcp", "RcpError", "Float",
              "Base64", "Record", "Promise", "Array", "AsyncGenerator", "Error")  # fmt: skip
 
 
@@ -56,6 +58,7 @@ def write_typescript(resources: list[ResourceInfo], url: str) -> str:
         _map("Values", "What can be read and watched, by path.", values),
         _map("Writes", "What can be written, by path.", writes),
         _map("Commands", "What can be executed, by path.", commands),
+        _GATEWAY,
         _CLIENT,
     ]
     return "\n\n".join(part.strip("\n") for part in parts) + "\n"
@@ -112,6 +115,15 @@ export type Float = number | "NaN" | "Infinity" | "-Infinity";
 
 /** Bytes in base64. */
 export type Base64 = string;
+"""
+
+_GATEWAY = """
+/** All of it, for the package `rcp-client`: `new Client<Gateway>({ url, token })`. */
+export interface Gateway {
+  values: Values;
+  writes: Writes;
+  commands: Commands;
+}
 """
 
 _CLIENT = """
@@ -226,7 +238,7 @@ export class Rcp {
     const response = await fetch(this.base + path, {
       method,
       headers: body === undefined ? this.headers : { ...this.headers, "Content-Type": "application/json" },
-      body: body === undefined ? undefined : JSON.stringify(body),
+      body: body === undefined ? null : JSON.stringify(body),
     });
     return Rcp.checked((await response.json()) as Reply);
   }

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import importlib.util
+import json
 import os
 import shutil
 import subprocess
@@ -19,6 +20,7 @@ from plugins.client.gateway import OPERATOR, Gateway, Point
 from rcp_client import Client, ResourceInfo
 from rcp_client.codegen import generate
 
+ROOT = Path(__file__).parents[3]
 ODD = 'Ends """ here */ \\ and\nthere\u2028. import os #'
 
 
@@ -194,3 +196,68 @@ async def test_a_typescript_client_runs(tmp_path: Path, connect: Callable[..., C
         env = {"URL": gateway.url, "TOKEN": OPERATOR}
         shown = await asyncio.to_thread(run_node, tmp_path / "generated.ts", **env)
     assert shown.split("\n") == ["1.5", '{"x":2,"y":0}', "7", "out_of_range", ""]
+
+
+_TYPED = """
+import { Client } from "rcp-client";
+
+import type { Gateway } from "./generated.ts";
+
+declare const robot: Client<Gateway>;
+const limit: number | string = (await robot.read("/tenant/alpha/param/limit")).value;
+await robot.write("/tenant/alpha/param/limit", 0.5);
+const went: { x: unknown } = await robot.execute("/tenant/alpha/action/go", { x: 2 }).result;
+for await (const update of robot.watch("/tenant/alpha/sensor/point")) console.log(update.body.x, limit, went);
+// @ts-expect-error no such path
+await robot.read("/tenant/alpha/param/limits");
+// @ts-expect-error a sensor is not written
+await robot.write("/tenant/alpha/sensor/point", { x: 1 });
+// @ts-expect-error not a number
+await robot.write("/tenant/alpha/param/limit", { x: 1 });
+// @ts-expect-error no such field
+await robot.execute("/tenant/alpha/action/go", { z: 2 });
+"""
+_OPTIONS = {
+    "target": "ES2022",
+    "lib": ["ES2023", "DOM", "DOM.Iterable"],
+    "types": [],
+    "module": "ESNext",
+    "moduleResolution": "bundler",
+    "strict": True,
+    "exactOptionalPropertyTypes": True,
+    "noUncheckedIndexedAccess": True,
+    "allowImportingTsExtensions": True,
+    "noEmit": True,
+}
+
+
+@pytest.mark.anyio
+async def test_the_types_hold_for_the_typescript_client(
+    tmp_path: Path, connect: Callable[..., Client]
+) -> None:
+    tsc, node_ = ROOT / "plugins/rcp_dashboard/web/node_modules/typescript/bin/tsc", node()
+    if node_ is None or not tsc.exists():
+        reason = "no TypeScript: `make dashboard` brings it"
+        if os.environ.get("RCP_CI"):
+            pytest.fail(reason)
+        pytest.skip(reason)
+    async with asyncio.timeout(60), Gateway(http=True) as gateway, connect(gateway) as client:
+        text = generate("typescript", [*await client.discover("/**")], gateway.url)
+    (tmp_path / "generated.ts").write_text(text)
+    (tmp_path / "hostile.ts").write_text(generate("typescript", HOSTILE, "http://h\n*/"))
+    (tmp_path / "use.ts").write_text(_TYPED)
+    source = str(ROOT / "clients/typescript/src/index.ts")
+    config = {
+        "compilerOptions": {**_OPTIONS, "paths": {"rcp-client": [source]}},
+        "files": ["generated.ts", "hostile.ts", "use.ts"],
+    }
+    (tmp_path / "tsconfig.json").write_text(json.dumps(config))
+    done = await asyncio.to_thread(
+        subprocess.run,
+        [node_, tsc, "-p", tmp_path],
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
+    assert done.returncode == 0, done.stdout
