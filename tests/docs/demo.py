@@ -19,21 +19,26 @@ _START = 20.0  # s
 
 @dataclass(frozen=True)
 class Demo:
-    """Where it runs and the operator's key."""
+    """Where it runs, the keys of the operator and the admin, and the process."""
 
     url: str
     key: str
+    admin: str
     banner: str
     environment: dict[str, str]
+    process: subprocess.Popen[bytes]
 
 
 @contextmanager
-def demo(runtime: Path) -> Generator[Demo]:
-    """Run `rcpd demo` on a free port while entered; `runtime` is where it leaves its key."""
+def demo(runtime: Path, port: int = 0) -> Generator[Demo]:
+    """Run `rcpd demo` while entered, on a free port if none is given.
+
+    `runtime` is where it leaves its key.
+    """
     environment = os.environ | {"XDG_RUNTIME_DIR": str(runtime), "PYTHONUNBUFFERED": "1"}
     for name in ("RCP_URL", "RCP_TOKEN", "RCP_TENANT"):
         environment.pop(name, None)
-    command = [str(BIN / "rcpd"), "demo", "--port", "0"]
+    command = [str(BIN / "rcpd"), "demo", "--port", str(port)]
     with subprocess.Popen(
         command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, env=environment
     ) as process:
@@ -42,8 +47,10 @@ def demo(runtime: Path) -> Generator[Demo]:
             url = re.search(r"http://[\w.:]+", banner)
             key = re.search(r"rcp_op_[\w-]+", banner)
             assert url is not None, banner
+            admin = re.search(r"rcp_ad_[\w-]+", banner)
             assert key is not None, banner
-            yield Demo(url[0], key[0], banner, environment)
+            assert admin is not None, banner
+            yield Demo(url[0], key[0], admin[0], banner, environment, process)
         finally:
             process.terminate()
             try:

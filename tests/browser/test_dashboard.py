@@ -1,0 +1,174 @@
+"""The dashboard in a real browser, beside the real demo."""
+
+from __future__ import annotations
+
+import re
+import socket
+from collections.abc import AsyncGenerator, Generator
+from contextlib import asynccontextmanager
+from pathlib import Path
+
+import pytest
+from playwright.async_api import Browser, expect
+
+from browser.proxy import below
+from browser.watched import Watched, log_in, watched
+from certs import Authority
+from docs.demo import Demo, demo
+from rcp_kernel.config.file import parse
+from rcp_kernel.process.log import configure
+from rcp_kernel.testing import serve
+
+pytestmark = pytest.mark.anyio
+expect.set_options(timeout=20_000)  # ms
+PAGES = ("", "explore", "teleop", "camera", "scene", "map", "plot", "commands", "log")
+GATEWAY = """
+[transports.asgi]
+port = 0
+{asgi}
+[plugins.dashboard]
+[[backends]]
+use = "sim"
+name = "rover"
+tenant = "alpha"
+[[backends]]
+use = "sim"
+name = "rover-beta"
+tenant = "beta"
+[[keys]]
+name = "looks-at-beta"
+role = "viewer"
+tenants = ["beta"]
+key = "a-key-that-may-only-look"
+{more}
+"""
+
+
+@pytest.fixture(scope="module")
+def running(tmp_path_factory: pytest.TempPathFactory) -> Generator[Demo]:
+    """Run the demo for all tests of this file."""
+    with demo(tmp_path_factory.mktemp("runtime")) as found:
+        yield found
+
+
+@pytest.fixture
+async def tab(browser: Browser, running: Demo) -> AsyncGenerator[Watched]:
+    """Open the demo's dashboard, watched."""
+    async with watched(browser, running.url) as found:
+        await found.open()
+        await found.connected()
+        yield found
+
+
+@asynccontextmanager
+async def gateway(asgi: str = "", more: str = "") -> AsyncGenerator[str]:
+    """Run a gateway with two rovers in this process; yield its address."""
+    configure("error", "json")
+    async with serve(parse(GATEWAY.format(asgi=asgi, more=more), "test")) as served:
+        yield next(facts["url"] for facts in served.server.status.transports if "url" in facts)
+
+
+async def test_every_page_opens_and_nothing_is_complained_of(tab: Watched) -> None:
+    await expect(tab.page.get_by_text("rover-alpha").first).to_be_visible()
+    for name in PAGES:
+        await tab.open(name)
+        await expect(tab.page.locator("main")).not_to_contain_text("Loading")
+        await expect(tab.page.locator("main")).not_to_contain_text("could not be loaded")
+        await tab.page.wait_for_load_state("networkidle")
+        await tab.shoot(f"page-{name or 'overview'}")
+
+
+async def test_light_and_small_look_right_too(browser: Browser, running: Demo) -> None:
+    tablet = {"width": 820, "height": 1180}
+    async with watched(browser, running.url, color_scheme="light", has_touch=True) as tab:
+        await tab.page.set_viewport_size(tablet)
+        for name in ("", "explore", "teleop"):
+            await tab.open(name)
+            await tab.connected()
+            await tab.shoot(f"tablet-light-{name or 'overview'}")
+            wide = await tab.page.evaluate("document.documentElement.scrollWidth")
+            assert wide <= tablet["width"], f"{name} has to be scrolled sideways"
+
+
+async def test_below_a_prefix_it_works_the_same(browser: Browser) -> None:
+    async with (
+        gateway() as url,
+        below("/site/robots", int(url.rpartition(":")[2])) as shown,
+        watched(browser, shown) as tab,
+    ):
+        await tab.open()
+        await tab.connected()
+        await expect(tab.page.get_by_text("rover").first).to_be_visible()
+        for name in PAGES:
+            await tab.open(name)
+            await expect(tab.page.locator("main")).not_to_contain_text("could not be loaded")
+
+
+async def test_where_the_gateway_knows_of_the_prefix_it_works_too(browser: Browser) -> None:
+    async with gateway(asgi='root_path = "/robots"') as url, watched(browser, url) as tab:
+        await tab.page.goto(url)  # without the slash
+        await tab.connected()
+        assert tab.page.url.startswith(f"{url}/")
+
+
+async def test_over_tls_it_works_the_same(browser: Browser, tmp_path: Path) -> None:
+    server = Authority(tmp_path).server()
+    tls = f'[transports.asgi.tls]\ncertificate = "{server.cert}"\nkey = "{server.key}"\n'
+    async with (
+        gateway(asgi=tls) as url,
+        watched(browser, url, ignore_https_errors=True) as tab,
+    ):
+        assert url.startswith("https://")
+        await tab.open()
+        await tab.connected()
+        await expect(tab.page.get_by_text("rover").first).to_be_visible()
+
+
+async def test_who_is_refused_is_told_and_may_log_in(browser: Browser) -> None:
+    closed = "[anonymous]\nrole = []\n"
+    async with gateway(more=closed) as url, watched(browser, url) as tab:
+        await tab.open()
+        await expect(tab.page.get_by_role("heading", name="Not let in")).to_be_visible()
+        await log_in(tab.page, "a-key-that-may-only-look")
+        await tab.connected()
+        await expect(tab.page.get_by_test_id("principal")).to_have_text("looks-at-beta")
+
+
+async def test_a_limited_role_sees_its_tenant_and_is_offered_no_more(browser: Browser) -> None:
+    async with gateway() as url, watched(browser, url) as tab:
+        await tab.open()
+        await tab.connected()
+        await log_in(tab.page, "a-key-that-may-only-look")
+        await expect(tab.page.get_by_test_id("principal")).to_have_text("looks-at-beta")
+        await expect(tab.page.get_by_test_id("roles")).to_have_text("viewer")
+        await expect(tab.page.get_by_text("rover-beta").first).to_be_visible()
+        await tab.open("explore")
+        await expect(tab.page.get_by_text("alpha")).to_have_count(0)
+        await tab.shoot("limited-role")
+        kept = await tab.page.evaluate("document.cookie + location.href")
+        assert "a-key-that-may-only-look" not in kept
+
+
+async def test_a_page_whose_gateway_is_killed_comes_back_with_it(
+    browser: Browser, tmp_path: Path
+) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        port = free.getsockname()[1]
+    with demo(tmp_path, port) as first:
+        async with watched(browser, first.url) as tab:
+            tab.expected += [
+                r"WebSocket connection.*failed",
+                r"ERR_CONNECTION",
+                "ERR_EMPTY",
+                "ERR_NETWORK",
+            ]
+            await tab.open()
+            await tab.connected()
+            first.process.kill()
+            await expect(tab.page.locator('[data-state="waiting"]')).to_be_visible()
+            await tab.shoot("gateway-gone")
+            with demo(tmp_path, port):
+                await tab.connected()
+                await expect(tab.page.get_by_text("rover-alpha").first).to_be_visible()
+                up = tab.page.get_by_text(re.compile(r"^Up$")).locator("xpath=following-sibling::*")
+                await expect(up).to_have_text(re.compile(r"^\d+ ?s$|^\d+:\d\d$"))
