@@ -10,7 +10,7 @@ DEMO := .venv/.demo
 TEST := .venv/.test
 PIP := $(BIN)/python -m pip install -qq --disable-pip-version-check
 WEB := plugins/rcp_dashboard/web
-PAGES := $(shell find $(WEB) -name node_modules -prune -o -type f ! -name .made -print)
+PAGES := $(shell find $(WEB) clients/typescript/src -name node_modules -prune -o -type f ! -name .made -print)
 NEEDS := pyproject.toml constraints.txt $(PAGES)
 
 .PHONY: help demo test dashboard lint format bench constraints picture clean

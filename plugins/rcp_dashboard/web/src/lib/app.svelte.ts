@@ -28,6 +28,9 @@ class App {
   #generation = -1;
   #timer: ReturnType<typeof setInterval> | undefined;
 
+  /** Whether a gateway that serves nobody without a token has let the page no further than its door. */
+  outside = $derived(this.state === "refused" || this.hello?.principal === "nobody");
+
   get token(): string | null {
     return sessionStorage.getItem(TOKEN) ?? localStorage.getItem(TOKEN);
   }
