@@ -6,7 +6,7 @@ also while the script does something else.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Coroutine, Generator, Iterable, Sequence
+from collections.abc import Callable, Coroutine, Generator, Iterable, Mapping, Sequence
 from contextlib import ExitStack
 from types import TracebackType
 from typing import Any, ParamSpec, Self, TypeVar
@@ -91,6 +91,20 @@ class Robot:
     def start(self, path: str, input: Any = None, **options: Any) -> BlockingCommand:  # noqa: A002
         """See `Client.start`."""
         return BlockingCommand(self._do, self._do(self._client.start, path, input, **options))
+
+    def plan(
+        self, plan: str | Sequence[Mapping[str, Any]] | Mapping[str, Any], **options: Any
+    ) -> list[dict[str, Any]]:
+        """See `Client.plan`."""
+        return self._do(self._client.plan, plan, **options)
+
+    def approve(self, approval: str, **options: Any) -> dict[str, Any]:
+        """See `Client.approve`."""
+        return self._do(self._client.approve, approval, **options)
+
+    def approvals(self) -> list[dict[str, Any]]:
+        """See `Client.approvals`."""
+        return self._do(self._client.approvals)
 
     def cancel(self, command: str) -> list[str]:
         """See `Client.cancel`."""

@@ -125,6 +125,7 @@ def read(ctx: click.Context, **arguments: Any) -> int:
               help="How long a velocity stands before the gateway stops the robot.")  # fmt: skip
 @click.option("--dry-run", is_flag=True, help="Check everything, change nothing.")
 @click.option("--key", metavar="TEXT", help="Idempotency key: sent twice, written once.")
+@click.option("--approval", metavar="ID", help="Of a person's approval, where one is needed.")
 @click.pass_context
 def write(ctx: click.Context, **arguments: Any) -> int:
     """Write VALUE to PATH and show what is in force."""
@@ -142,6 +143,7 @@ def write(ctx: click.Context, **arguments: Any) -> int:
               help="Show feedback while it runs [on a terminal].")  # fmt: skip
 @click.option("--dry-run", is_flag=True, help="Check everything, change nothing.")
 @click.option("--key", metavar="TEXT", help="Idempotency key: sent twice, run once.")
+@click.option("--approval", metavar="ID", help="Of a person's approval, where one is needed.")
 @click.pass_context
 def execute(ctx: click.Context, **arguments: Any) -> int:
     """Carry out the action or service at PATH.
@@ -149,6 +151,27 @@ def execute(ctx: click.Context, **arguments: Any) -> int:
     The first Ctrl-C has the command cancelled and waits for its final status; the second leaves.
     """
     return _run(ctx, "execute", **arguments)
+
+
+@rcpctl.command(context_settings=_CONTEXT)
+@_common
+@click.argument("file")
+@click.option("--wait/--no-wait", default=True, help="Wait for the end [--wait].")
+@click.option("--deadline", type=click.FloatRange(0, min_open=True), metavar="SECONDS",
+              help="Have it stopped if it takes longer [an hour].")  # fmt: skip
+@click.option("--feedback/--no-feedback", default=None,
+              help="Show each step while it runs [on a terminal].")  # fmt: skip
+@click.option("--dry-run", is_flag=True, help="Have it checked whole, change nothing.")
+@click.option("--key", metavar="TEXT", help="Idempotency key: sent twice, run once.")
+@click.option("--approval", metavar="ID", help="Of a person's approval, where one is needed.")
+@click.pass_context
+def plan(ctx: click.Context, file: str, **arguments: Any) -> int:
+    """Carry out the plan in FILE (- for standard input), checked whole before its first step.
+
+    FILE has steps in JSON, what a PDDL planner prints, or lines such as `execute /action/dock`.
+    Ctrl-C works as for `execute`.
+    """
+    return _run(ctx, "plan", input="-" if file == "-" else f"@{file}", **arguments)
 
 
 @rcpctl.command(context_settings=_CONTEXT)

@@ -6,7 +6,7 @@ import asyncio
 import os
 import secrets
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from ssl import SSLContext
 from typing import Any, Literal, Self
 
@@ -19,6 +19,7 @@ from rcp_client.command import CommandHandle, Feedback
 from rcp_client.credentials import find_token
 from rcp_client.lease import Lease
 from rcp_client.messages import Notice, Reply, ResourceInfo
+from rcp_client.plans import plan_of
 from rcp_client.settings import MARGIN, Settings
 from rcp_client.subscription import Subscription
 from rcp_client.tls import check_secrecy, secured
@@ -152,6 +153,7 @@ class Client:
         valid_for: float | None = None,
         dry_run: bool = False,
         idempotency_key: str | None = None,
+        approval: str | None = None,
         deadline: float | None = None,
     ) -> Any:
         """Write a value and return the one that is in force.
@@ -166,6 +168,7 @@ class Client:
                 "valid_for": valid_for,
                 "dry_run": dry_run or None,
                 "idempotency_key": idempotency_key or _key(),
+                "approval": approval,
                 "deadline": deadline,
             }
         )
@@ -181,6 +184,7 @@ class Client:
         *,
         deadline: float | None = None,
         idempotency_key: str | None = None,
+        approval: str | None = None,
         on_feedback: Callable[[Feedback], None] | None = None,
         type: Any = None,  # noqa: A002
     ) -> CommandHandle:
@@ -190,7 +194,8 @@ class Client:
 
         :raises RcpError: it was refused.
         """
-        handle = self._execute(path, input, deadline, idempotency_key, on_feedback, type)
+        more = {"idempotency_key": idempotency_key, "approval": approval}
+        handle = self._execute(path, input, deadline, more, on_feedback, type)
         await handle.accepted(self._first_wait(deadline))
         return handle
 
@@ -202,6 +207,7 @@ class Client:
         deadline: float | None = None,
         dry_run: bool = False,
         idempotency_key: str | None = None,
+        approval: str | None = None,
         on_feedback: Callable[[Feedback], None] | None = None,
         type: Any = None,  # noqa: A002
     ) -> Any:
@@ -212,7 +218,8 @@ class Client:
         if dry_run:
             envelope = {"type": "execute", "path": path, "dry_run": True, "body": _plain(input)}
             return (await self.channel.ask(envelope)).body
-        handle = self._execute(path, input, deadline, idempotency_key, on_feedback, type)
+        more = {"idempotency_key": idempotency_key, "approval": approval}
+        handle = self._execute(path, input, deadline, more, on_feedback, type)
         try:
             await handle.accepted(self._first_wait(deadline))
             return await handle.result()
@@ -229,12 +236,13 @@ class Client:
         path: str,
         value: Any,
         deadline: float | None,
-        key: str | None,
+        more: dict[str, Any],
         on_feedback: Callable[[Feedback], None] | None,
         type_: Any,
     ) -> CommandHandle:
         envelope: dict[str, Any] = {"type": "execute", "path": path}
-        envelope["idempotency_key"] = key or _key()
+        envelope |= _kept(more)
+        envelope.setdefault("idempotency_key", _key())
         if value is not None:
             envelope["body"] = _plain(value)
         if deadline is not None:
@@ -242,6 +250,48 @@ class Client:
         call = self.channel.start(envelope, _repeat(envelope))
         limit = None if deadline is None else deadline + MARGIN
         return CommandHandle(self.channel, call, limit=limit, type_=type_, on_feedback=on_feedback)
+
+    async def plan(
+        self,
+        plan: str | Sequence[Mapping[str, Any]] | Mapping[str, Any],
+        *,
+        dry_run: bool = False,
+        approval: str | None = None,
+        deadline: float | None = None,
+        idempotency_key: str | None = None,
+        on_feedback: Callable[[Feedback], None] | None = None,
+    ) -> list[dict[str, Any]]:
+        """Carry out many operations as one, checked whole before the first; return every step.
+
+        `plan` is a list of steps, a whole body, or a text: what a planner prints, or lines of
+        commands (docs/protocol.md, Plans). Feedback tells of each change of a step. `dry_run`
+        returns what would be sent; who stops waiting has the plan cancelled.
+
+        :raises RcpError: it was refused (`details["faults"]` says all that is wrong), or a step failed
+            (`details["body"]` has what became of each).
+        """
+        result = await self.execute(
+            "/system/plans",
+            plan_of(plan),
+            dry_run=dry_run,
+            approval=approval,
+            deadline=deadline,
+            idempotency_key=idempotency_key,
+            on_feedback=on_feedback,
+        )
+        return result["steps"]
+
+    async def approve(
+        self, approval: str, *, reject: bool = False, reason: str | None = None
+    ) -> dict[str, Any]:
+        """Decide on what somebody else wants approved (docs/protocol.md, Approvals)."""
+        decision = "reject" if reject else "approve"
+        body = _kept({"id": approval, "decision": decision, "reason": reason})
+        return await self.execute("/system/approvals", body)
+
+    async def approvals(self) -> list[dict[str, Any]]:
+        """List what this principal may decide on, and what it has asked for."""
+        return await self.read("/system/approvals")
 
     async def cancel(self, command: str) -> list[str]:
         """Cancel a command by the gateway's id, or whatever runs on a path; return the ids."""

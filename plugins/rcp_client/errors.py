@@ -39,6 +39,8 @@ def error_of(reply: Reply) -> RcpError | None:
     details = told.get("details")
     if str(code) not in BY_CODE and code is not None:
         details = {"code": code, **(details or {})}
+    if reply.body is not None:  # a plan's: what became of each step
+        details = {**(details or {}), "body": reply.body}
     error = class_(
         told.get("message") or reply.message or f"the gateway answered '{reply.status}'",
         path=told.get("path") or reply.path,

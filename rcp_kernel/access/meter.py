@@ -62,6 +62,7 @@ class Account:
         "name",
         "owner",
         "paid",
+        "plans",
         "quota",
         "refused",
         "sessions",
@@ -77,6 +78,8 @@ class Account:
         self.sessions: set[Session] = set()
         self.commands: set[str] = set()
         """Ids of those that have not ended."""
+        self.plans: set[str] = set()
+        """Ids of the commands of those that run."""
         self.waiting = 0
         """Bytes that waited for its clients at the last look."""
         self.refused: dict[str, int] = {}
@@ -100,7 +103,7 @@ class Account:
 
     def idle(self, moment: float) -> bool:
         """Tell whether nothing would be lost with it."""
-        return not self.sessions and not self.commands and self.paid < moment
+        return not (self.sessions or self.commands or self.plans) and self.paid < moment
 
     def full(self, what: str, limit: int) -> QueueFull:
         """Count a refusal and return it; it tells the limit, not who else has how much."""
@@ -118,6 +121,7 @@ class Account:
             "sessions": self.connected,
             "subscriptions": self.subscriptions,
             "commands": len(self.commands),
+            "plans": len(self.plans),
             "queue_bytes": self.waiting,
         }
         out: dict[str, Any] = {

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Accounts"]
 
+_PLANS = "/system/plans"
 _MANY = 10_000  # accounts, before idle ones are let go
 
 
@@ -151,35 +152,40 @@ class Accounts:
                     raise account.full("subscriptions", limit)
 
     def check_command(self, session: Session, path: str) -> None:
-        """Refuse one command too many; those of the gateway's own branch are past it.
+        """Refuse one command or plan too many; others of the gateway's own branch are past it.
 
         :raises QueueFull: its tenant or principal has as many as it may.
         """
-        if session.meter is not None and not path.startswith("/system/"):
-            for account in session.meter.accounts:
-                limit = account.quota.commands
-                if limit is not None and len(account.commands) >= limit:
-                    raise account.full("commands", limit)
+        if session.meter is None or (path.startswith("/system/") and path != _PLANS):
+            return
+        for account in session.meter.accounts:
+            what, limit, held = "commands", account.quota.commands, account.commands
+            if path == _PLANS:
+                what, limit, held = "plans", account.quota.plans, account.plans
+            if limit is not None and len(held) >= limit:
+                raise account.full(what, limit)
 
     def charge(self, session: Session, command: Command) -> None:
         """Count a command until it ends."""
-        if session.meter is None or command.path.startswith("/system/"):
+        if session.meter is None:
             return
         id_ = command.id
         self._charged[id_] = session.meter.accounts
         for account in session.meter.accounts:
-            account.commands.add(id_)
+            (account.plans if command.path == _PLANS else account.commands).add(id_)
         command.followers.append(lambda reply: self._release(id_) if reply.final else None)
 
     def _release(self, id_: str) -> None:
         for account in self._charged.pop(id_, ()):
             account.commands.discard(id_)
+            account.plans.discard(id_)
 
     def recount(self) -> None:
         """Count the running commands afresh: the quotas have changed."""
         for accounts in self._charged.values():
             for account in accounts:
                 account.commands.clear()
+                account.plans.clear()
         self._charged.clear()
         for command in self._gateway.commands.running.values():
             if command.asker is not None:
@@ -259,7 +265,7 @@ def _most_generous(default: Quota, quotas: list[Quota]) -> Quota:
     A role that does not name a thing gives of it what the default gives.
     """
     out: dict[str, Any] = {}
-    for what in ("sessions", "subscriptions", "commands", "queue_bytes", "requests"):
+    for what in ("sessions", "subscriptions", "commands", "plans", "queue_bytes", "requests"):
         given = [getattr(q, what) or getattr(default, what) for q in quotas]
         out[what] = None if None in given else max(given)
     if out["requests"] is not None:

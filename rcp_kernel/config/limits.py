@@ -51,6 +51,8 @@ class Quota(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     subscriptions: _Count | None = None
     commands: _Count | None = None
     """Running or waiting for their turn."""
+    plans: _Count | None = None
+    """Running."""
     queue_bytes: Annotated[int, Meta(ge=1024)] | None = None
     """Waiting for clients that take slower than they are sent."""
 

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 
 __all__ = ["EstopLane", "Executing", "Service"]
 
+_READ = Operation.READ
 _SERVICE_TIMEOUT = 10.0  # s for a service that declares none
 
 
@@ -275,13 +276,18 @@ class Executing:
 
     def sees(self, session: Session, command: Command) -> bool:
         """Tell whether a session may know of a command: of all that it is about."""
-        mask = session.rights.mask
-        if not mask(command.path):
+        if not session.rights.mask(command.path):
             return False
         if command.path != PLANS or _own(session, command):
             return True
         tenants = self._gateway.identities.tenants_of(session.principal)
-        return command.tenant in tenants and all(map(mask, command.touches))
+        return command.tenant in tenants and all(self._shown(session, p) for p in command.touches)
+
+    def _shown(self, session: Session, path: str) -> bool:
+        """Tell whether what a plan says of a path may be known: its value too, if it has one."""
+        entry = self._gateway.registry.entries.get(path)
+        mask = reach(session.rights.mask(path))
+        return bool(mask if entry is None or not entry.operations & _READ else mask & _READ)
 
     def command(self, session: Session, id_: str) -> Command:
         """Return a command that the session may see.

@@ -203,8 +203,7 @@ class _Check:
     def _operation(self, node: Node, step: Operate, known: dict[str, Node]) -> None:
         refers = self._references(step, known)
         if isinstance(step, Read) and "*" in step.path:
-            node.path = node.state.path = Pattern(step.path, self._session.tenant).text
-            self._decode(READ_OPTIONS, step.value, "read")
+            self._pattern(node, step)
             return
         entry = self._entry(step)
         node.path = node.state.path = entry.path
@@ -223,6 +222,14 @@ class _Check:
             self._checked.asks.append(node.id)
         if entry.path == "/system/leases" and is_map(step.value):
             self._acquires(step.value)
+
+    def _pattern(self, node: Node, step: Read) -> None:
+        pattern = Pattern(step.path, self._session.tenant)
+        node.path = node.state.path = pattern.text
+        self._decode(READ_OPTIONS, step.value, "read")
+        permits, found = self._session.rights.permits, self._gateway.registry.match(pattern)
+        assert self._checked is not None
+        self._checked.touches += [e.path for e in found if permits(e, Operation.READ)]
 
     def _entry(self, step: Operate) -> Entry:
         operation = _OPERATIONS[step.do]

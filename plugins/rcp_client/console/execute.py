@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import signal
-from collections.abc import Generator
+from collections.abc import Callable, Generator
 from contextlib import contextmanager
 from typing import Any
 
@@ -16,7 +16,7 @@ from rcp_client.console.value import meant
 from rcp_client.messages import Reply
 from rcp_kernel.errors import RcpError
 
-__all__ = ["execute"]
+__all__ = ["execute", "follow"]
 
 _INTERRUPTED = 130
 
@@ -29,7 +29,21 @@ async def execute(client: Client, out: Output, args: dict[str, Any]) -> int:
         envelope = {"type": "execute", "path": path, "body": value, "dry_run": True}
         show.reply(out, await client.request(envelope))
         return 0
+    return await follow(client, out, args, value)
+
+
+async def follow(
+    client: Client,
+    out: Output,
+    args: dict[str, Any],
+    value: Any,
+    told: Callable[[Output, Feedback], str] | None = None,
+    ended: Callable[[Output, Reply], None] = show.reply,
+    failed: Callable[[Output, RcpError], None] | None = None,
+) -> int:
+    """Start a command and follow it to its end; the functions say how all that is shown."""
     run = _Run(client, out, args, value)
+    run.told, run.ended, run.failed = told or _line, ended, failed
     with _interrupts(run):
         return await run.until_the_end()
 
@@ -37,8 +51,17 @@ async def execute(client: Client, out: Output, args: dict[str, Any]) -> int:
 class _Run:
     """One command and what Ctrl-C has asked for so far."""
 
-    def __init__(self, client: Client, out: Output, args: dict[str, Any], value: Any) -> None:
+    def __init__(
+        self,
+        client: Client,
+        out: Output,
+        args: dict[str, Any],
+        value: Any,
+    ) -> None:
         self._client = client
+        self.told: Callable[[Output, Feedback], str] = _line
+        self.ended: Callable[[Output, Reply], None] = show.reply
+        self.failed: Callable[[Output, RcpError], None] | None = None
         self._out = out
         self._args = args
         self._value = value
@@ -63,10 +86,12 @@ class _Run:
         try:
             reply = following.result()
         except RcpError as error:
+            if self.failed is not None:
+                self.failed(self._out, error)
             self._out.error(error)
             return _INTERRUPTED if self._asked else exit_code(error)
         if reply is not None:
-            show.reply(self._out, reply)
+            self.ended(self._out, reply)
         return _INTERRUPTED if self._asked else 0
 
     async def _follow(self) -> Reply | None:
@@ -76,6 +101,7 @@ class _Run:
             self._value,
             deadline=args["deadline"],
             idempotency_key=args["key"],
+            approval=args["approval"],
             on_feedback=self._heard,
         )
         if self._asked:
@@ -98,12 +124,10 @@ class _Run:
         out = self._out
         if out.json:
             out.document({"path": self._args["path"], **_facts(feedback)})
-            return
-        share = "" if feedback.progress is None else f"{feedback.progress:4.0%} "
-        body = "" if feedback.body is None else compact(feedback.body)
-        if feedback.status != "in_progress":
-            body = feedback.command or ""
-        out.line(f"{out.paint(feedback.status)} {share}{out.dim(body)}".rstrip())
+        elif feedback.status == "in_progress":
+            out.line(self.told(out, feedback).rstrip())
+        else:
+            out.line(f"{out.paint(feedback.status)} {out.dim(feedback.command or '')}".rstrip())
 
     def interrupted(self) -> None:
         """Have the command cancelled the first time, leave the second."""
@@ -124,6 +148,12 @@ class _Run:
 
         if self._handle is not None and not self._handle.done:
             self._cancelling = asyncio.get_running_loop().create_task(cancel(self._handle))
+
+
+def _line(out: Output, feedback: Feedback) -> str:
+    share = "" if feedback.progress is None else f"{feedback.progress:4.0%} "
+    body = "" if feedback.body is None else compact(feedback.body)
+    return f"{out.paint(feedback.status)} {share}{out.dim(body)}"
 
 
 def _facts(feedback: Feedback) -> dict[str, Any]:

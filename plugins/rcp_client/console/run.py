@@ -12,6 +12,7 @@ from rcp_client.client import Client, connect
 from rcp_client.console import show, whole
 from rcp_client.console.execute import execute
 from rcp_client.console.output import Output, exit_code
+from rcp_client.console.plan import plan
 from rcp_client.console.value import fetch, meant
 from rcp_client.messages import Notice, Update
 from rcp_kernel.errors import RcpError
@@ -102,7 +103,11 @@ async def _write(client: Client, out: Output, args: Arguments) -> int:
     path = args["path"]
     value = await meant(client, path, args["value"])
     envelope: dict[str, Any] = {"type": "write", "path": path, "body": value}
-    optional = {"valid_for": args["valid_for"], "idempotency_key": args["key"]}
+    optional = {
+        "valid_for": args["valid_for"],
+        "idempotency_key": args["key"],
+        "approval": args["approval"],
+    }
     envelope |= {key: item for key, item in optional.items() if item is not None}
     if args["dry_run"]:
         envelope["dry_run"] = True
@@ -240,6 +245,7 @@ _COMMANDS: dict[str, Callable[[Client, Output, Arguments], Awaitable[int]]] = {
     "read": _read,
     "write": _write,
     "execute": execute,
+    "plan": plan,
     "watch": _watch,
     "status": _status,
     "commands": _commands,

@@ -10,6 +10,7 @@ from rcp_kernel.testing.wire._discovery import Discovery
 from rcp_kernel.testing.wire._envelopes import Envelopes
 from rcp_kernel.testing.wire._once import Once
 from rcp_kernel.testing.wire._paths import Paths
+from rcp_kernel.testing.wire._plans import Planning
 from rcp_kernel.testing.wire._qos import Quality
 from rcp_kernel.testing.wire._reading import Reading
 from rcp_kernel.testing.wire._record import Records
@@ -43,6 +44,7 @@ class TransportSuite(
     Reading,
     Commands,
     Control,
+    Planning,
     Discovery,
     Streams,
     Quality,

@@ -18,8 +18,10 @@ from rcp_kernel.testing.wire._requirements import REQUIREMENTS
 from rcp_kernel.testing.wire._robot import DEAD, ROBOT, WireRobot
 from rcp_kernel.values import Encoding
 
-__all__ = ["LOCAL", "Wire", "World", "configuration"]
+__all__ = ["ASKING", "LOCAL", "Wire", "World", "configuration"]
 
+ASKING = "asking-of-the-test-kit"
+"""API key of somebody who has to have `service/nothing` approved."""
 LOCAL = "local-of-the-test-kit"
 """API key of an operator of one tenant, who may not see `sensor/secret`."""
 
@@ -50,6 +52,15 @@ small = true
 
 [roles.blinkered]
 deny = [{{ operations = ["discover"], paths = ["/sensor/secret"] }}]
+
+[roles.careful]
+approve = ["/service/nothing"]
+
+[[keys]]
+name = "asking"
+role = ["operator", "careful"]
+tenants = ["alpha"]
+key = "{ASKING}"
 
 [[keys]]
 name = "operator"

@@ -166,6 +166,17 @@ async def test_others_see_a_plan_only_if_they_may_see_all_that_it_is_about() -> 
         assert (await operator.final(id_))["status"] == "cancelled"
 
 
+async def test_a_value_in_a_plan_is_shown_to_who_may_read_it_alone() -> None:
+    async with world_of(PEOPLE) as world:
+        operator, half = world.client(), world.client(HALF)
+        world.robot.host.publish("sensor/level", 1.0)
+        await run(operator, step("read", "/sensor/*"))
+        assert (await half.ask(type="read", path="/system/plans"))["body"] == []
+        await run(operator, step("read", "/param/*"))
+        (seen,) = (await half.ask(type="read", path="/system/plans"))["body"]
+        assert seen["steps"][0]["path"] == "/tenant/alpha/param/*"
+
+
 async def test_lines_of_the_command_syntax_are_a_plan() -> None:
     async with world_of() as world:
         lines = """

@@ -287,6 +287,19 @@ async def test_no_more_plans_of_a_tenant_run_than_may() -> None:
         assert code(await run(client, echo())) == "completed"
 
 
+async def test_a_quota_of_plans_holds_for_a_principal() -> None:
+    async with world_of(CONFIG + "\n[quotas.principal]\nplans = 1\n") as world:
+        client, other = world.client(), world.client("admin-admin-admin")
+        id_ = send(client, go(2.0))
+        await begun(world)
+        reply = await run(client, echo())
+        assert reply["error"]["details"] == {"quota": "principal", "what": "plans", "limit": 1}
+        assert code(await run(other, echo())) == "completed"
+        world.robot.release.set()
+        await client.final(id_)
+        assert code(await run(client, echo())) == "completed"
+
+
 async def test_a_result_that_is_too_long_is_told_by_its_length_and_can_be_used() -> None:
     async with world_of() as world:
         text = "x" * 300_000
