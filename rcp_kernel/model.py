@@ -202,6 +202,9 @@ class Resource(msgspec.Struct, frozen=True, kw_only=True):
     """Type of the result of an action or service; None has no result."""
     feedback: Any = None
     """Type of the feedback of an action; None reports progress only."""
+    robot: str | None = None
+    """Which robot it is part of, where a backend fronts several and can halt each alone
+    (`Backend.halt_robot`): the segment after the branch."""
     operations: Operation | None = None
     """Fewer operations than the branch offers (a read-only param); None offers them all."""
     examples: tuple[Any, ...] = ()
@@ -232,3 +235,8 @@ class Resource(msgspec.Struct, frozen=True, kw_only=True):
 
     def __post_init__(self) -> None:
         kind_of(self.name)
+        if self.robot is not None and self.name.split("/")[1] != self.robot:
+            raise InvalidPath(
+                f"{self.name!r} is not a resource of robot {self.robot!r}",
+                remedy=f"Write <branch>/{self.robot}/<name>, or leave `robot` out.",
+            )

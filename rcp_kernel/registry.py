@@ -21,7 +21,7 @@ from rcp_kernel.streaming.samples import Sample
 from rcp_kernel.values import ValueType, value_type
 
 if TYPE_CHECKING:
-    from rcp_kernel.motion.latches import Latch
+    from rcp_kernel.motion.units import Unit
 
 __all__ = ["Entry", "Listener", "Owner", "Registry"]
 
@@ -35,10 +35,8 @@ class Owner(Protocol):
 
     samples: int
     latency: float | None
-    stops: int
-    """How many e-stops it has had: what was admitted before one never reaches it."""
-    released: int
-    """When the last e-stop on it was reset, ns; 0 if none was in this run."""
+    entries: dict[str, Entry]
+    """Its resources, by the backend's own names."""
 
     @property
     def name(self) -> str:
@@ -51,8 +49,17 @@ class Owner(Protocol):
         ...
 
     @property
-    def latch(self) -> Latch | None:
-        """The e-stop that holds it, or None."""
+    def robot(self) -> str | None:
+        """The segment after the branch in all its paths; None without one."""
+        ...
+
+    @property
+    def units(self) -> list[Unit]:
+        """What an e-stop can stop alone, each."""
+        ...
+
+    def unit(self, robot: str | None) -> Unit:
+        """Return what an e-stop stops: one of its robots, or all of them."""
         ...
 
     @property
@@ -101,6 +108,7 @@ class Entry:
         "seq",
         "sustained",
         "tenant",
+        "unit",
         "value_type",
         "written",
     )
@@ -112,6 +120,8 @@ class Entry:
         self.name = resource.name
         self.resource = resource
         self.owner = owner
+        self.unit = owner.unit(resource.robot)
+        """What an e-stop stops together with it."""
         self.tenant = tenant
         self.robot = robot
         self.kind: Kind = kind_of(resource.name)

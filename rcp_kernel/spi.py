@@ -156,6 +156,10 @@ class Backend(Protocol):
         """
         ...
 
+    async def halt_robot(self, robot: str) -> None:
+        """Bring one of several robots to rest, as `halt` does all: see `Resource.robot`."""
+        ...
+
 
 class BaseBackend:
     """A backend that refuses everything: a subclass writes only what its robot has."""
@@ -178,6 +182,10 @@ class BaseBackend:
 
     async def halt(self) -> None:
         """Do nothing: a robot without moving parts is at rest."""
+
+    async def halt_robot(self, robot: str) -> None:
+        """Halt all: nothing says how one is halted alone."""
+        await self.halt()
 
 
 class BackendKind(msgspec.Struct, frozen=True):

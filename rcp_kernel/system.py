@@ -16,6 +16,7 @@ from rcp_kernel.gateway import Gateway
 from rcp_kernel.model import Operation, Resource
 from rcp_kernel.motion.estop import HALT_WAIT, Estop, EstopRequest, EstopState
 from rcp_kernel.motion.leasing import LeaseRequest, LeaseState, Leasing
+from rcp_kernel.motion.units import Unit
 from rcp_kernel.plans.examples import EXAMPLES
 from rcp_kernel.plans.model import Plan, PlanResult, PlanState, StepState
 from rcp_kernel.process.log import Recent
@@ -51,9 +52,7 @@ class System(BaseBackend):
 
     name = "gateway"
     tenant = None
-    latch = None
-    stops = 0
-    released = 0
+    robot = None
 
     def __init__(
         self, gateway: Gateway, slots: list[Slot], status: StatusReport, recent: Recent
@@ -61,6 +60,7 @@ class System(BaseBackend):
         self._gateway = gateway
         self._status = status
         self.samples = 0
+        self._unit = Unit(self, None)
         estop = Estop(gateway, slots)
         leasing = Leasing(gateway)
         self.latency: float | None = None
@@ -105,6 +105,15 @@ class System(BaseBackend):
     def backend(self) -> Backend | None:
         """The gateway is always there."""
         return self
+
+    def unit(self, robot: str | None) -> Unit:
+        """Return what no e-stop holds."""
+        return self._unit
+
+    @property
+    def units(self) -> list[Unit]:
+        """There is nothing to stop."""
+        return []
 
     def unavailable(self) -> RcpError:
         """Never asked for."""

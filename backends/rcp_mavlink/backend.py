@@ -91,6 +91,12 @@ class MavlinkBackend(BaseBackend):
         there = [robot for robot in self.robots.values() if not robot.vehicle.lost]
         await asyncio.gather(*(robot.halt() for robot in there))
 
+    async def halt_robot(self, robot: str) -> None:
+        """Bring one vehicle to rest, by the configured policy."""
+        there = self.robots.get(robot)
+        if there is not None and not there.vehicle.lost:
+            await there.halt()
+
 
 @asynccontextmanager
 async def open_mavlink(config: MavlinkConfig, host: Host) -> AsyncGenerator[MavlinkBackend]:

@@ -9,12 +9,15 @@ from contextlib import AbstractAsyncContextManager, asynccontextmanager, suppres
 from fnmatch import fnmatchcase
 from typing import Any
 
+from msgspec.structs import replace
+
 from rcp_kernel.errors import (
     AdapterUnavailable,
     DeviceTimeout,
     RcpError,
     UnsupportedOperation,
 )
+from rcp_kernel.model import Resource
 from rcp_kernel.spi import Host, Progress
 from rcp_mavlink import messages as m
 from rcp_mavlink.commands import Command, Commands
@@ -110,8 +113,7 @@ class Robot:
     def begin(self) -> None:
         """Declare what it has and ask for its messages and parameters."""
         found = resources(self._hub, self.vehicle, list(self._sensors.values()), self.name)
-        self._host.declare(*found)
-        self._declared.update(resource.name for resource in found)
+        self._declare(found)
         self.vehicle.on_frame.append(self._frame)
         self.vehicle.on_text.append(self.telling.text)
         self.telling.begin()
@@ -126,6 +128,12 @@ class Robot:
         self._start(self._first("HOME_POSITION"))
         if not self.parameters.complete.is_set():
             self._start(self._list_parameters())
+
+    def _declare(self, resources: list[Resource]) -> None:
+        if self._prefix:
+            resources = [replace(resource, robot=self._prefix) for resource in resources]
+        self._host.declare(*resources)
+        self._declared.update(resource.name for resource in resources)
 
     async def close(self) -> None:
         """Let go of it."""
@@ -196,8 +204,7 @@ class Robot:
             for name in sorted(names)
         ]
         if made:
-            self._host.declare(*made)
-            self._declared.update(resource.name for resource in made)
+            self._declare(made)
         for name in names:
             self._parameter_told(name)
 

@@ -77,8 +77,15 @@ class Ros2Backend(BaseBackend):
 
     async def halt(self) -> None:
         """Publish what is safe on all that was commanded, and cancel every goal."""
-        bindings = list(self._catalog.bindings.values())
-        await asyncio.gather(*(binding.halt() for binding in bindings))
+        await asyncio.gather(*(binding.halt() for binding in self._bindings()))
+
+    async def halt_robot(self, robot: str) -> None:
+        """Do so for one of the robots."""
+        own = [binding for binding in self._bindings() if binding.resource.robot == robot]
+        await asyncio.gather(*(binding.halt() for binding in own))
+
+    def _bindings(self) -> list[Binding]:
+        return list(self._catalog.bindings.values())
 
 
 @asynccontextmanager

@@ -10,6 +10,7 @@ from functools import partial
 from typing import Any
 
 import structlog
+from msgspec.structs import replace
 
 from rcp_kernel.errors import AdapterUnavailable, ConfigError, PluginError, RcpError
 from rcp_kernel.model import Kind, Resource, kind_of
@@ -304,6 +305,9 @@ class Catalog:
         old = self.bindings.get(name)
         if old is not None:
             old.close()
+        robot = self._shared.naming.split(binding.mapping.target)[0]
+        if robot is not None and name.split("/")[1] == robot:
+            binding.resource = replace(binding.resource, robot=robot)
         try:
             self._shared.host.declare(binding.resource)
         except (PluginError, RcpError) as error:

@@ -20,6 +20,7 @@ from rcp_kernel.gateway import Gateway
 from rcp_kernel.motion.latches import GATEWAY, tenant_key
 from rcp_kernel.motion.safety import MOVING, halt
 from rcp_kernel.motion.scope import Scope
+from rcp_kernel.motion.units import Unit
 from rcp_kernel.process.supervisor import Slot
 
 __all__ = ["HALT_WAIT", "Estop", "EstopRequest", "EstopState"]
@@ -31,8 +32,8 @@ class EstopRequest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Stop, or with `reset` let commands through again; nothing moves until a new one."""
 
     scope: Annotated[str, Meta(max_length=256)] | None = None
-    """`/tenant/<tenant>`, a robot or sub-tree of one, or the name of a backend; None is every
-    robot that you may see."""
+    """`/tenant/<tenant>`, a robot or sub-tree of one, the name of a backend, or of one of its
+    robots (`<backend>/<robot>`); None is every robot that you may see."""
     reset: bool = False
     reason: Annotated[str, Meta(max_length=500)] | None = None
 
@@ -42,7 +43,7 @@ class EstopState(msgspec.Struct, frozen=True):
 
     active: bool
     robots: dict[str, dict[str, Any]]
-    """Latched backends by name: by whom, since when, why."""
+    """Latched robots by the backend's name, or `<backend>/<robot>`: by whom, since when, why."""
     scopes: dict[str, dict[str, Any]] = {}
     """Latches of whole tenants and of the gateway (`*`), which hold also robots that appear."""
 
@@ -54,32 +55,36 @@ class Estop:
         self._gateway = gateway
         self._slots = slots
         self._stops: set[asyncio.Future[None]] = set()
-        self._due: list[tuple[list[Slot], str, str | None]] = []
+        self._due: list[tuple[list[Unit], str, str | None]] = []
         """E-stops after which what ran has not been ended yet."""
 
     # -- what is latched -----------------------------------------------------------------------
 
     def state(self, session: Session) -> EstopState:
         """Return what a session may see of the latches."""
-        robots = {s.name: s.latch.plain() for s in self._visible(session) if s.latch is not None}
         mine = {tenant_key(t) for t in self._gateway.identities.tenants_of(session.principal)} | {
             GATEWAY
         }
         wide = {key: latch.plain() for key, latch in self._wide().items() if key in mine}
-        return EstopState(bool(robots or wide), robots, wide)
+        return _state(self._visible(session), wide)
 
     def everything(self) -> EstopState:
         """Return all that is latched."""
-        robots = {s.name: s.latch.plain() for s in self._slots if s.latch is not None}
-        wide = {key: latch.plain() for key, latch in self._wide().items()}
-        return EstopState(bool(robots or wide), robots, wide)
+        units = [unit for slot in self._slots for unit in slot.units]
+        return _state(units, {key: latch.plain() for key, latch in self._wide().items()})
 
     def _wide(self) -> dict[str, Any]:
         return self._gateway.latches.wide
 
-    def _visible(self, session: Session) -> list[Slot]:
-        rights = session.rights
-        return [s for s in self._slots if any(rights.mask(e.path) for e in s.entries.values())]
+    def _visible(self, session: Session) -> list[Unit]:
+        """List the robots that a session may see, one by one."""
+        seen = session.rights.mask
+        return [
+            unit
+            for slot in self._slots
+            for unit in slot.units
+            if any(seen(entry.path) for entry in unit.own.values())
+        ]
 
     # -- stop and reset ------------------------------------------------------------------------
 
@@ -97,8 +102,9 @@ class Estop:
         fresh = [robot for robot in robots if robot.latch is None]
         for key in keys:
             latches.set(key, by, asked.reason)
+        robots = _merged(robots)
         for robot in robots:
-            robot.stops += 1
+            robot.count_stop()
         stops = [halt(robot) for robot in robots]
         for stop in stops:  # held on to: they may have to go on after this request is answered
             self._stops.add(stop)
@@ -111,7 +117,7 @@ class Estop:
 
     def check(
         self, session: Session, asked: EstopRequest
-    ) -> tuple[dict[str, str | None], list[Slot]]:
+    ) -> tuple[dict[str, str | None], list[Unit]]:
         """Return the latches and robots that a request means; refuse it as `request` does."""
         keys, robots = self._meant(session, asked.scope)
         if not asked.reset:
@@ -128,21 +134,21 @@ class Estop:
         return keys, robots
 
     def _reset(
-        self, session: Session, asked: EstopRequest, keys: dict[str, str | None], robots: list[Slot]
+        self, session: Session, asked: EstopRequest, keys: dict[str, str | None], robots: list[Unit]
     ) -> None:
         self._end_due()
         freed = [robot for robot in robots if robot.latch is not None]
         latches = self._gateway.latches
         for robot in robots:
-            latches.reset(robot.name, robot.tenant)
+            latches.reset(robot.name, robot.keys)
         for key, tenant in keys.items():
-            latches.reset(key, tenant)
-        for robot in freed:
-            robot.released = now()
+            latches.reset(key, () if tenant is None else (tenant_key(tenant),))
+        for robot in _merged(freed):
+            robot.release(now())
         self._note(session, asked, keys, freed)
 
     def _note(
-        self, session: Session, asked: EstopRequest, keys: dict[str, str | None], robots: list[Slot]
+        self, session: Session, asked: EstopRequest, keys: dict[str, str | None], robots: list[Unit]
     ) -> None:
         tenants = {tenant for tenant in keys.values() if tenant is not None}
         self._gateway.audit.note(
@@ -162,7 +168,7 @@ class Estop:
 
     def _meant(
         self, session: Session, scope: str | None
-    ) -> tuple[dict[str, str | None], list[Slot]]:
+    ) -> tuple[dict[str, str | None], list[Unit]]:
         """Return the keys of the latches that a scope means, with their tenants, and the robots."""
         visible = self._visible(session)
         tenants = self._gateway.identities.tenants_of(session.principal)
@@ -173,22 +179,22 @@ class Estop:
                 keys[GATEWAY] = None
             else:
                 keys = self._widest(session, tenants, visible)
-        elif "/" not in scope:
-            robots = [slot for slot in visible if slot.name == scope]
-            keys = {slot.name: slot.tenant for slot in robots}
+        elif not scope.startswith("/"):
+            robots = [unit for unit in visible if scope in (unit.name, unit.whole.name)]
+            keys = _keys(robots)
         else:
             found = Scope(scope, session.tenant)
-            robots = [slot for slot in visible if self._within(session, slot, found)]
+            robots = [unit for unit in visible if self._within(session, unit, found)]
             if found.whole and found.tenant in tenants:
                 keys = self._widest(session, [found.tenant], robots)
             else:
-                keys = {slot.name: slot.tenant for slot in robots}
+                keys = _keys(robots)
         if not keys:
             raise UnknownPath(f"there is no robot in the scope {scope or 'of this session'!r}")
         return keys, robots
 
     def _widest(
-        self, session: Session, tenants: list[str], robots: list[Slot]
+        self, session: Session, tenants: list[str], robots: list[Unit]
     ) -> dict[str, str | None]:
         """Mean whole tenants where the session sees all their robots, else the robots it sees."""
         keys: dict[str, str | None] = {}
@@ -196,23 +202,23 @@ class Estop:
             if not self._hidden(session, tenant):
                 keys[tenant_key(tenant)] = tenant
             else:
-                keys |= {slot.name: tenant for slot in robots if slot.tenant == tenant}
+                keys |= _keys([unit for unit in robots if unit.tenant == tenant])
         return keys
 
     def _hidden(self, session: Session, tenant: str | None) -> bool:
         """Tell whether there is a robot that the session may not see, or none at all to go by."""
-        slots = [slot for slot in self._slots if tenant in (None, slot.tenant)]
+        units = [u for slot in self._slots for u in slot.units if tenant in (None, slot.tenant)]
         visible = self._visible(session)
-        return not slots or any(slot.entries and slot not in visible for slot in slots)
+        return not units or any(unit.own and unit not in visible for unit in units)
 
     @staticmethod
-    def _within(session: Session, slot: Slot, scope: Scope) -> bool:
-        if slot.tenant != scope.tenant:
+    def _within(session: Session, unit: Unit, scope: Scope) -> bool:
+        if unit.tenant != scope.tenant:
             return False
-        if scope.whole or (scope.robot is not None and scope.robot == slot.robot):
+        if scope.whole or (scope.robot is not None and scope.robot == unit.place):
             return True
         rights = session.rights
-        return any(scope.covers(e.path) and rights.mask(e.path) for e in slot.entries.values())
+        return any(scope.covers(e.path) and rights.mask(e.path) for e in unit.own.values())
 
     # -- carrying it out -----------------------------------------------------------------------
 
@@ -220,7 +226,7 @@ class Estop:
         while self._due:
             self._end_all(*self._due.pop())
 
-    def _end_all(self, robots: list[Slot], by: str, reason: str | None) -> None:
+    def _end_all(self, robots: list[Unit], by: str, reason: str | None) -> None:
         """End what runs, waits or is under way on stopped robots, and the leases on them."""
         gateway = self._gateway
         paths: set[str] = set()
@@ -239,7 +245,7 @@ class Estop:
         return self.state(session)
 
     async def _halted(
-        self, session: Session, robots: list[Slot], stops: Sequence[asyncio.Future[None]]
+        self, session: Session, robots: list[Unit], stops: Sequence[asyncio.Future[None]]
     ) -> EstopState:
         """Wait until every robot has confirmed its halt.
 
@@ -254,3 +260,24 @@ class Estop:
                     remedy="Use the robot's own emergency stop.",
                 )
         return self.state(session)
+
+
+def _state(units: list[Unit], wide: dict[str, dict[str, Any]]) -> EstopState:
+    robots = {unit.name: latch.plain() for unit in units if (latch := unit.latch) is not None}
+    return EstopState(bool(robots or wide), robots, wide)
+
+
+def _merged(units: list[Unit]) -> list[Unit]:
+    """Have backends halt as a whole of which all robots are to stop."""
+    meant = set(units)
+    return list(
+        dict.fromkeys(
+            unit.whole if unit.whole in meant or meant.issuperset(unit.owner.units) else unit
+            for unit in units
+        )
+    )
+
+
+def _keys(units: list[Unit]) -> dict[str, str | None]:
+    """Return the keys of the latches for robots, those of whole backends where they can be."""
+    return {unit.name: unit.tenant for unit in _merged(units)}

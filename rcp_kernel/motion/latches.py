@@ -51,21 +51,16 @@ class Latches:
         """Called after every change."""
         self._held = {key: _read(kept) for key, kept in store.load(_TABLE, unreadable={}).items()}
 
-    def of(self, robot: str, tenant: str) -> Latch | None:
-        """Return what holds a robot, the narrowest first."""
+    def of(self, keys: tuple[str, ...]) -> Latch | None:
+        """Return what holds a robot: its keys below the gateway's, the narrowest first."""
         held = self._held
         if not held:
             return None
-        if (own := held.get(robot)) is not None:
-            return own
-        place = tenant_key(tenant)
-        latch = held.get(place)
-        if latch is not None and robot not in latch.freed:
-            return latch
-        latch = held.get(GATEWAY)
-        if latch is None or robot in latch.freed or place in latch.freed:
-            return None
-        return latch
+        for key in (*keys, GATEWAY):
+            latch = held.get(key)
+            if latch is not None and latch.freed.isdisjoint(keys):
+                return latch
+        return None
 
     @property
     def wide(self) -> dict[str, Latch]:
@@ -80,21 +75,22 @@ class Latches:
         latch.freed.clear()
         self._keep(key, latch)
 
-    def reset(self, key: str, tenant: str | None) -> None:
-        """Let go of whom a key stands for: a robot of `tenant`, a whole tenant, everything."""
+    def reset(self, key: str, wider: Iterable[str]) -> None:
+        """Let go of whom a key stands for, also where a wider one holds it: all but the gateway's."""
         for narrower in self._within(key):
             del self._held[narrower]
             self._keep(narrower, None)
-        for wider in (GATEWAY, "" if tenant is None else tenant_key(tenant)):
-            latch = self._held.get(wider)
-            if latch is not None and wider != key:
+        for other in {*wider, GATEWAY} - {key}:
+            latch = self._held.get(other)
+            if latch is not None:
                 latch.freed.add(key)
-                self._keep(wider, latch)
+                self._keep(other, latch)
 
     def _within(self, key: str) -> list[str]:
         if key == GATEWAY:
             return list(self._held)
-        return [key] if key in self._held else []
+        below = key + "/"  # the robots of a backend; a tenant's are not named by it
+        return [held for held in self._held if held == key or held.startswith(below)]
 
     def _keep(self, key: str, latch: Latch | None) -> None:
         kept: dict[str, Any] | None = None

@@ -9,22 +9,21 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable, Generator
 from contextlib import contextmanager
-from typing import Any, Protocol
+from typing import Any
 
 from rcp_kernel.clock import iso, now, parse_time
 from rcp_kernel.errors import BadRequest, EstopActive, StaleCommand
 from rcp_kernel.model import Kind
 from rcp_kernel.motion.insist import insist
 from rcp_kernel.motion.latches import Latch
+from rcp_kernel.motion.units import Unit
 from rcp_kernel.registry import Entry
-from rcp_kernel.spi import Backend
 from rcp_kernel.wire import Request
 
 __all__ = [
     "ANSWER",
     "MOVING",
     "Deadman",
-    "Stoppable",
     "check_age",
     "check_motion",
     "halt",
@@ -33,17 +32,6 @@ __all__ = [
 
 ANSWER = 1.0  # s that a write's window is longer until the robot has answered it
 MOVING = frozenset((Kind.ACTUATOR, Kind.ACTION))
-
-
-class Stoppable(Protocol):
-    """A robot that can be halted."""
-
-    name: str
-
-    @property
-    def backend(self) -> Backend | None:
-        """The open backend, or None."""
-        ...
 
 
 def check_motion(entry: Entry, latch: Latch | None) -> None:
@@ -70,12 +58,12 @@ def check_age(entry: Entry, timestamp: str | float | None) -> None:
     if timestamp is None:
         return
     sent = parse_time(timestamp)
-    if sent < entry.owner.released and entry.kind in MOVING:
+    if sent < entry.unit.released and entry.kind in MOVING:
         raise StaleCommand(
-            f"the command is older than the reset of the e-stop on {entry.owner.name}",
+            f"the command is older than the reset of the e-stop on {entry.unit.name}",
             path=entry.path,
             remedy="Look at the robot, then send a new command.",
-            details={"reset": iso(entry.owner.released)},
+            details={"reset": iso(entry.unit.released)},
         )
     limit = entry.resource.max_age
     if limit is None:
@@ -89,14 +77,9 @@ def check_age(entry: Entry, timestamp: str | float | None) -> None:
         )
 
 
-def halt(robot: Stoppable) -> asyncio.Task[None]:
-    """Call `Backend.halt` until the robot confirms it; cancelled, the task gives up."""
-
-    async def once() -> None:
-        if (backend := robot.backend) is not None:
-            await backend.halt()
-
-    return insist(once, "halt_failed", backend=robot.name)
+def halt(unit: Unit) -> asyncio.Task[None]:
+    """Call the backend's `halt` until it confirms it; cancelled, the task gives up."""
+    return insist(unit.halt, "halt_failed", backend=unit.name)
 
 
 class Deadman:

@@ -38,7 +38,7 @@ class Admission:
         :raises OutOfRange, ModeForbids, PreconditionFailed: an envelope does not hold.
         """
         check_age(entry, request.timestamp)
-        check_motion(entry, entry.owner.latch)
+        check_motion(entry, entry.unit.latch)
         self._gateway.leases.check(session, entry)
         self._gateway.check_open()
         self._gateway.recording.check()
@@ -63,7 +63,7 @@ class Admission:
         called = entry.operations & Operation.EXECUTE
         self._gateway.check(session, entry, called or Operation.WRITE)
         check_age(entry, timestamp)
-        check_motion(entry, entry.owner.latch)
+        check_motion(entry, entry.unit.latch)
         self._gateway.leases.check(session, entry)
         backend = entry.owner.backend
         if backend is None:

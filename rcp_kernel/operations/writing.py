@@ -60,7 +60,7 @@ class Writing:
                 session,
                 request,
                 noted,
-                self._bring_into_force(session, request, entry, value, window, entry.owner.stops),
+                self._bring_into_force(session, request, entry, value, window, entry.unit.stops),
                 partial(_written, request, entry),
                 gateway.deadline(request, entry),
                 entry.path,
@@ -99,14 +99,14 @@ class Writing:
                 if entry.path in gateway.deadman.leaving:
                     await gateway.deadman.cleared(entry)
                 backend = gateway.admission.confirm(session, entry, value, request.timestamp)
-                if entry.owner.stops != stops and entry.kind in MOVING:
+                if entry.unit.stops != stops and entry.kind in MOVING:
                     gateway.envelopes.refused(entry, value)
                     text = "an e-stop has come and gone since this was sent"
                     raise EstopActive(text, path=entry.path)
                 return await self._send(backend, entry, value, window)
             except BaseException:
                 # An e-stop or a lost lease is why, whatever came of the write.
-                check_motion(entry, entry.owner.latch)
+                check_motion(entry, entry.unit.latch)
                 gateway.leases.check(session, entry)
                 raise
 

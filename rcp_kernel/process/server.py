@@ -226,7 +226,7 @@ async def _rest(gateway: Gateway, slots: list[Slot]) -> None:
     """Bring everything that moves to rest before anything closes."""
     gateway.closing = True
     _ground(gateway, slots)
-    halts = [halt(slot) for slot in slots if slot.backend is not None]
+    halts = [halt(slot.whole) for slot in slots if slot.backend is not None]
     await gateway.commands.close()
     await _halted(halts)
 
@@ -243,7 +243,7 @@ async def retire(server: Server, slots: list[Slot]) -> None:
     for slot in slots:
         slot.retire()
     _ground(server.gateway, slots)
-    await _halted([halt(s) for s in slots if s.backend is not None])
+    await _halted([halt(s.whole) for s in slots if s.backend is not None])
     await asyncio.gather(*(stop_backend(server, slot) for slot in slots))
 
 

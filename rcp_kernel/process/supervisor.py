@@ -23,7 +23,8 @@ from rcp_kernel.errors import AdapterUnavailable, ConfigError, NotReady, PluginE
 from rcp_kernel.gateway import Gateway
 from rcp_kernel.model import Resource, full_path
 from rcp_kernel.motion.latches import Latch
-from rcp_kernel.motion.safety import halt
+from rcp_kernel.motion.safety import MOVING, halt
+from rcp_kernel.motion.units import Unit
 from rcp_kernel.registry import Entry
 from rcp_kernel.spi import Backend, BackendKind, Publication
 
@@ -62,9 +63,9 @@ class Slot:
         """Seconds that the last call of the robot took."""
         self.samples = 0
         self.faults = 0
-        self.stops = 0
-        self.released = 0
-        self._retired: Latch | None = None
+        self._units: dict[str, Unit] = {}
+        self._stops: set[asyncio.Task[None]] = set()
+        self.whole = Unit(self, gateway.latches)
         self.entries: dict[str, Entry] = {}
         self.settled = asyncio.Event()
         """Set once the first attempt to open has ended, well or not."""
@@ -79,10 +80,25 @@ class Slot:
         """The open backend, or None while there is none that works."""
         return self._backend if self.state in ("ready", "degraded", "closing") else None
 
+    def unit(self, robot: str | None) -> Unit:
+        """Return what an e-stop stops: one of the backend's robots, or all of them."""
+        if robot is None:
+            return self.whole
+        unit = self._units.get(robot)
+        if unit is None:
+            unit = self._units[robot] = Unit(self, self._gateway.latches, robot)
+            if self._backend is not None and unit.latch is not None:
+                self._stops.add(stop := halt(unit))
+                stop.add_done_callback(self._stops.discard)
+        return unit
+
     @property
-    def latch(self) -> Latch | None:
-        """The e-stop that holds it, or None."""
-        return self._retired or self._gateway.latches.of(self.name, self.tenant)
+    def units(self) -> list[Unit]:
+        """The robots that can be stopped one by one, and all of the backend if more than they move."""
+        alone = [unit for unit in self._units.values() if unit.own]
+        if not alone or any(entry.kind in MOVING for entry in self.whole.own.values()):
+            alone.append(self.whole)
+        return alone
 
     def unavailable(self) -> RcpError:
         """Return the error that says why there is no backend now."""
@@ -109,13 +125,14 @@ class Slot:
             entry = self._gateway.registry.declare(
                 self, resource, tenant=self.tenant, robot=self.robot
             )
-            self.entries[resource.name] = entry
+            self.entries[resource.name] = entry.unit.own[resource.name] = entry
 
     def withdraw(self, *names: str) -> None:
         """Take resources out of the tree; commands that run on them end."""
         for name in names:
             entry = self.entries.pop(name, None)
             if entry is not None:
+                entry.unit.own.pop(name, None)
                 gone = AdapterUnavailable(f"{entry.path} was withdrawn by its backend")
                 self._gateway.commands.interrupt(entry.path, gone)
                 self._gateway.registry.withdraw(entry.path)
@@ -190,8 +207,10 @@ class Slot:
         async with kind.open(config, self) as backend:
             self._backend = backend
             self._enter("ready", None)
-            if self.latch is not None:
-                await asyncio.wait_for(halt(self), _LAST_RETRY)
+            held = [unit for unit in self.units if unit.latch is not None]
+            if len(held) == len(self.units):
+                held = [self.whole]
+            await asyncio.wait_for(asyncio.gather(*map(halt, held)), _LAST_RETRY)
             self.settled.set()
             try:
                 await self._closing.wait()
@@ -234,7 +253,7 @@ class Slot:
 
     def retire(self) -> None:
         """Let nothing move any more: the configuration has this backend no longer."""
-        self._retired = Latch("the gateway", "the backend is being closed")
+        self.whole.retired = Latch("the gateway", "the backend is being closed")
         self._interrupt("the configuration has it no longer")
 
     def close(self) -> None:
@@ -258,7 +277,7 @@ class Slot:
             "resources": len(self.entries),
             "samples": self.samples,
             "faults": self.faults,
-            "estop": self.latch.plain() if self.latch is not None else None,
+            "estop": next((u.latch.plain() for u in self.units if u.latch is not None), None),
         }
 
     def path(self, name: str) -> str:

@@ -14,7 +14,7 @@ import pytest
 
 import rcp_mavlink
 from rcp_kernel.errors import NotReady
-from rcp_kernel.testing import eventually
+from rcp_kernel.testing import Client, eventually
 from rcp_kernel.testing._serve import OPERATOR, serve_backend
 from rcp_mavlink.config import MavlinkConfig
 from rcp_mavlink.dialect import dialect
@@ -51,6 +51,16 @@ def alive(process: int) -> bool:
     return "Z" not in Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0]
 
 
+async def one_is_stopped(client: Client) -> None:
+    """Stop the vehicle on the ground: the one in the air is held by no latch."""
+    scope = "/tenant/t/vehicle1"
+    reply = await client.request("execute", "/system/estop", body={"scope": scope})
+    (latched,) = reply["body"]["robots"]
+    assert latched.endswith("/vehicle1")
+    refused = await client.request("execute", "/tenant/t/action/vehicle1/arm")
+    assert refused["error"]["code"] == "estop_active"
+
+
 async def test_two_simulated_vehicles_are_robots_and_one_is_flown() -> None:
     table = {"links": ["sim:copter", "sim:copter"], "discover": True, "params": [], "twin": QUICK}
     async with serve_backend(KIND, table) as served:
@@ -66,6 +76,8 @@ async def test_two_simulated_vehicles_are_robots_and_one_is_flown() -> None:
         for action in ("arm", "takeoff", "land"):
             reply = await client.request("execute", f"/tenant/t/action/vehicle2/{action}")
             assert reply["status"] == "completed", reply
+            if action == "takeoff":
+                await one_is_stopped(client)
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")

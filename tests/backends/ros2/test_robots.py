@@ -76,6 +76,28 @@ async def test_a_command_reaches_its_robot_alone(both: Robot, fleet: Fleet) -> N
     await both.backend.halt()
 
 
+def _forward(robot: Robot, name: str) -> float | None:
+    seen = robot.of(name)
+    return seen[-1].linear.x if seen else None
+
+
+async def test_one_robot_is_halted_and_the_other_drives_on(both: Robot, fleet: Fleet) -> None:
+    assert {name.split("/")[1]: made.robot for name, made in both.resources.items()} == {
+        "r1": "r1",
+        "r2": "r2",
+    }
+    for name in ("r1", "r2"):
+        path, seen = f"actuator/{name}/velocity", f"sensor/{name}/velocity"
+        async with both.backend.watch(seen, None):
+            await both.backend.write(path, both.input(path, {"linear": {"x": 0.25}}))
+            await both.until(lambda seen=seen: _forward(both, seen) == 0.25)
+    async with both.backend.watch("sensor/r1/velocity", None):
+        await both.backend.halt_robot("r1")
+        await both.until(lambda: _forward(both, "sensor/r1/velocity") == 0.0)
+    assert fleet.tell("driven", space="/fleet/r2") == 0.25
+    await both.backend.halt()
+
+
 async def test_a_robot_that_comes_is_there_and_one_that_leaves_is_not(
     both: Robot, fleet: Fleet, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -77,7 +77,7 @@ values = st.fixed_dictionaries(
 
 def let_through(type_: Any, bounds: dict[str, Bound], plain: Any) -> bool:
     """Ask the type and the envelope themselves."""
-    owner: Any = SimpleNamespace(name="o", latch=None)
+    owner: Any = SimpleNamespace(name="o", unit=lambda _: None)
     resource = Resource(name="actuator/it", description="It.", value=type_)
     entry = Registry().declare(owner, resource, tenant="t")
     table = EnvelopeConfig(name="e", paths=("/**",), bounds=bounds)
