@@ -280,7 +280,7 @@ class _Check:
 
     def _admit(self, entry: Entry, value: Any, *, refers: bool) -> None:
         gateway = self._gateway
-        check_motion(entry, entry.owner.latch)
+        check_motion(entry, entry.unit.latch)
         if not any(scope.covers(entry.path) for scope in self._leased):
             gateway.leases.check(self._session, entry)
         if entry.owner.backend is None:
