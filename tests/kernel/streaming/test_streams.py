@@ -241,5 +241,6 @@ async def test_updates_of_a_rate_never_come_in_pairs(world: World) -> None:
         found = [m for m in client.inbox if m["type"] == "update" and m["id"] == id_]
         times += [time.monotonic() for _ in found]
         client.inbox.clear()
-    # A pair would be apart by one ping; a late look at the first of two costs less than half a beat.
-    assert min(b - a for a, b in itertools.pairwise(times)) > 0.04 * 0.4
+    # In pairs, every second one would follow by a ping. A busy machine may look late at one or two.
+    gaps = [b - a for a, b in itertools.pairwise(times)]
+    assert sum(gap < 0.04 * 0.4 for gap in gaps) <= 2, gaps
