@@ -30,6 +30,7 @@ _WIDE_DIGITS = re.compile(rb"\d{16}")
 _HUGE_DIGITS = re.compile(rb"\d{19}")  # may lie past 64 bits, which msgspec alone lets through
 _AT = re.compile(r"(?s)(?P<what>.*?)(?: - at `(?:key in )?\$(?P<path>[^`]*)`)?\Z")
 _BOUND = re.compile(r"Expected `\w+` (?P<op>>=|<=|>|<) (?P<bound>\S+)\Z")
+_LACKING = re.compile(r"Object missing required field `(.+)`\Z", re.DOTALL)
 _STEP = re.compile(r"\.([^.\[\]]+)|\[(\d+|\.\.\.)\]")
 _BROKEN = {">=": "<", "<=": ">", ">": "<=", "<": ">="}
 
@@ -219,6 +220,10 @@ class ValueType:
         if bound and isinstance(found, (int, float)) and not isinstance(found, bool):
             limit = bound["bound"].removesuffix(".0")
             return self._beyond(label, pointer, found, f"{bound['op']} {limit}")
+        if plain is None:
+            details["missing"] = ""
+        elif lacking := _LACKING.match(what):
+            details["missing"] = f"{pointer}/{lacking[1]}"
         return InvalidValue(f"{_named(label, pointer)}: {what}", details=details)
 
 

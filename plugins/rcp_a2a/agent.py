@@ -8,7 +8,7 @@ import structlog
 from a2a.server.agent_execution import AgentExecutor, RequestContext
 from a2a.server.events.event_queue import EventQueue
 from a2a.types.a2a_pb2 import SendMessageRequest, Task, TaskState, TaskStatus
-from a2a.utils.errors import TaskNotCancelableError, UnsupportedOperationError
+from a2a.utils.errors import TaskNotCancelableError
 
 from rcp_a2a.callers import caller_of
 from rcp_a2a.messages import asked
@@ -24,22 +24,36 @@ log = structlog.get_logger("rcp.a2a")
 class Agent(AgentExecutor):
     """Carries out messages."""
 
-    def __init__(self, door: Door) -> None:
+    def __init__(self, door: Door, patience: float) -> None:
         self._door = door
+        self._patience = patience
         self._runs: dict[str, Run] = {}
 
     async def execute(self, context: RequestContext, event_queue: EventQueue) -> None:
-        """Run the plan of a message to its end."""
-        if context.current_task is not None:
-            raise UnsupportedOperationError("the task does not wait for a message")
-        task = _begun(context)
-        await event_queue.enqueue_event(task)
-        run = self._runs[task.id] = Run(self._door, caller_of(context.call_context), task)
+        """Run the plan of a message, or go on with it, to its end or the next question."""
+        caller = caller_of(context.call_context)
+        wanted = asked(_request(context))
+        task = context.current_task
+        if task is None:
+            task = _begun(context)
+            await event_queue.enqueue_event(task)
+            run = self._runs[task.id] = Run(self._door, task, self._patience, self._forget)
+            run.listen(event_queue)
+            run.start(caller, wanted)
+        else:
+            run = self._runs[task.id]
+            run.listen(event_queue)
+            if (text := run.answer(caller, wanted)) is not None:
+                await run.ask_again(text)
+                return
         try:
-            run.start(asked(_request(context)))
-            await run.attend(event_queue)
+            await run.attend()
         finally:
-            del self._runs[task.id]
+            if run.question is None:
+                self._forget(task.id)
+
+    def _forget(self, task_id: str) -> None:
+        self._runs.pop(task_id, None)
 
     async def cancel(self, context: RequestContext, event_queue: EventQueue) -> None:
         """Cancel the running steps of a task's plan."""

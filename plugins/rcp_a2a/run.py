@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import asyncio
 from collections import deque
+from collections.abc import Callable
+from contextlib import suppress
 from typing import Any
 
 import msgspec
@@ -15,7 +17,19 @@ from msgspec import Raw
 
 from rcp_a2a.callers import Caller
 from rcp_a2a.messages import Asked, data_part, told
+from rcp_a2a.questions import (
+    Decision,
+    Question,
+    decision_of,
+    is_plan,
+    mended,
+    question_of,
+    with_schemas,
+)
+from rcp_kernel.clients.session import Session
 from rcp_kernel.door import Door
+from rcp_kernel.errors import Forbidden, RcpError, UnknownPath
+from rcp_kernel.operations.discovery import Query
 from rcp_kernel.wire import Reply, Request
 
 __all__ = ["PLANS", "Run"]
@@ -35,54 +49,117 @@ _FINAL = {
 class Run:
     """A plan under way."""
 
-    def __init__(self, door: Door, caller: Caller, task: Task) -> None:
+    def __init__(
+        self, door: Door, task: Task, patience: float, forget: Callable[[str], object]
+    ) -> None:
         self._door = door
-        self._caller = caller
+        self._patience = patience
+        self._forget = forget
         self.task = task
+        self.question: Question | None = None
+        """What the client was asked for, while the task waits for it."""
+        self._plan: Asked
+        self._session: Session
+        self._lapse: asyncio.TimerHandle | None = None
         self.command: str | None = None
         self.cancelled = False
         """Whether the client cancelled the task."""
         self.ended = asyncio.Event()
         self._replies: deque[Reply] = deque()
         self._arrived = asyncio.Event()
+        self._known = asyncio.Event()
+        """The gateway has said something: a robot may move before it does."""
+        self._urgent = asyncio.Event()
+        """There is more to tell than progress."""
         self._states: dict[str, str] = {}
         self._updater: TaskUpdater
 
     # -- the gateway's side --------------------------------------------------------------------
 
-    def start(self, asked: Asked) -> None:
+    def start(self, caller: Caller, plan: Asked, approval: str | None = None) -> None:
         """Have the gateway check the plan and begin it."""
+        self._plan, self._session = plan, caller.session
         request = Request(
             type="execute",
             path=PLANS,
             id=f"a2a-{self.task.id}",
-            dry_run=asked.dry_run,
-            deadline=asked.deadline,
-            body=Raw(msgspec.json.encode(asked.body)),
+            dry_run=plan.dry_run,
+            deadline=plan.deadline,
+            approval=approval,
+            body=Raw(msgspec.json.encode(plan.body)),
         )
-        self._door.submit(self._caller.session, request, self._take)
+        self._door.submit(caller.session, request, self._take)
+
+    def answer(self, caller: Caller, answer: Asked) -> str | None:
+        """Go on with what a client answered; return what is still to be told if that is no use."""
+        question = self.question
+        assert question is not None
+        if question.approval is not None and not is_plan(answer):
+            return self._decide(caller, question.approval, decision_of(answer), answer)
+        plan = mended(self._plan, question, answer)
+        if plan is None:
+            return "That is neither a plan nor what is missing. " + question.text
+        self._resume()
+        self.start(caller, plan)
+        return None
+
+    def _decide(
+        self, caller: Caller, approval: str, decision: Decision | None, answer: Asked
+    ) -> str | None:
+        if decision is None:
+            return "Answer with the decision `approve` or `reject`, or with another plan."
+        try:
+            self._door.approve(caller.session, approval, decision, _reason(answer))
+        except Forbidden as error:
+            if decision == "reject":
+                return error.message
+            # It is for somebody else to decide; who has done so by now lets the plan pass.
+        except UnknownPath:
+            pass  # it has lapsed: the plan asks anew
+        except RcpError as error:
+            return error.message
+        self._resume()
+        self.start(caller, self._plan, None if decision == "reject" else approval)
+        return None
+
+    def _resume(self) -> None:
+        self.question = None
+        if self._lapse is not None:
+            self._lapse.cancel()
+            self._lapse = None
 
     def _take(self, reply: Reply) -> None:
         self.command = reply.command or self.command
+        self._known.set()
         last = self._replies[-1] if self._replies else None
         if last is not None and _passing(last) and _passing(reply) and _step(last) == _step(reply):
             self._replies.pop()  # the newest progress wins for a task that is behind
         self._replies.append(reply)
         self._arrived.set()
+        if not _passing(reply):
+            self._urgent.set()
 
     async def cancel(self, caller: Caller) -> None:
         """Have the plan's running steps cancelled; returns once the robots have confirmed it."""
         self.cancelled = True
-        if self.command is not None:
+        if self.question is not None:
+            self._resume()
+            await self._end(TaskState.TASK_STATE_CANCELED, "Cancelled before anything was begun.")
+            return
+        await self._known.wait()
+        if self.command is not None and not self.ended.is_set():
             request = Request(type="cancel", path=PLANS, command=self.command)
             await self._door.ask(caller.session, request)
         await self.ended.wait()
 
     # -- the client's side ---------------------------------------------------------------------
 
-    async def attend(self, queue: EventQueue) -> None:
-        """Tell what happens until the plan has ended."""
+    def listen(self, queue: EventQueue) -> None:
+        """Have everything told to a queue from now on."""
         self._updater = TaskUpdater(queue, self.task.id, self.task.context_id)
+
+    async def attend(self) -> None:
+        """Tell what happens until the plan has ended, or the client is asked for something."""
         final = False
         while not final:
             await self._arrived.wait()
@@ -94,7 +171,10 @@ class Run:
                 final = final or reply.final
                 passing = _passing(reply)
             if passing and not final:
-                await asyncio.sleep(_PACE)
+                self._urgent.clear()
+                with suppress(TimeoutError):
+                    async with asyncio.timeout(_PACE):
+                        await self._urgent.wait()
 
     async def _tell(self, reply: Reply) -> None:
         facts = told(reply)
@@ -103,19 +183,20 @@ class Run:
         elif reply.status == "in_progress" and isinstance(facts.get("body"), dict):
             await self._tell_step(facts)
         else:
-            await self._working(reply.message or "The plan was checked and begins.", facts)
+            await self._working(facts)
 
-    async def _working(self, text: str, facts: dict[str, Any]) -> None:
+    async def _working(self, facts: dict[str, Any]) -> None:
         metadata = {"command": facts["command"]} if "command" in facts else None
-        await self._updater.update_status(
-            TaskState.TASK_STATE_WORKING, self._message(text), metadata=metadata
-        )
+        message = self._message("The plan was checked and begins.")
+        await self._updater.update_status(TaskState.TASK_STATE_WORKING, message, metadata=metadata)
 
     async def _tell_step(self, facts: dict[str, Any]) -> None:
         step: dict[str, Any] = facts["body"]
         id_, state = str(step.get("step")), str(step.get("state"))
+        data = {key: step[key] for key in ("step", "do", "path", "state") if key in step}
         if state in _STEP_ENDED:
             await self._artifact(id_, step)
+            data["artifact"] = f"step-{id_}"
         if self._states.get(id_) == state:
             # Progress alone goes into the metadata, where the newest replaces the one before.
             metadata = {"step": step, "progress": facts.get("progress")}
@@ -123,7 +204,7 @@ class Run:
             return
         self._states[id_] = state
         await self._updater.update_status(
-            TaskState.TASK_STATE_WORKING, self._message(_line(id_, step), step)
+            TaskState.TASK_STATE_WORKING, self._message(_line(id_, step), data)
         )
 
     async def _artifact(self, id_: str, step: dict[str, Any]) -> None:
@@ -137,8 +218,15 @@ class Run:
 
     async def _conclude(self, facts: dict[str, Any]) -> None:
         status: str = facts["status"]
+        question = question_of(facts) if status == "rejected" and not self.cancelled else None
+        if question is not None and not self._plan.dry_run:
+            question = with_schemas(question, self._schema)
+            await self.ask(question, question.text)
+            return
         state = _FINAL[status]
-        text = facts.get("message") or f"The plan is {status}."
+        text = facts.get("message") or f"The plan has {status}."
+        if status == "completed" and not facts.get("dry_run"):
+            text = "The plan was carried out."
         if status == "cancelled" and not self.cancelled and self._door.closing:
             state, text = TaskState.TASK_STATE_FAILED, "The gateway was stopped in mid-task."
         if facts.get("dry_run"):
@@ -147,8 +235,37 @@ class Run:
         elif status == "completed" and not self._states and "body" in facts:
             parts = [data_part(facts["body"])]
             await self._updater.add_artifact(parts, "result", "result", last_chunk=True)
-        message = self._message(text, facts.get("error"))
-        await self._updater.update_status(state, message)
+        await self._end(state, text, facts.get("error"))
+
+    def _schema(self, path: str) -> Any:
+        """Return the schema of what a path takes, as its caller may see it."""
+        page = self._door.discover(self._session, path, Query(limit=1))
+        schemas = page["resources"][0]["schemas"] if page["resources"] else {}
+        return schemas.get("input") or schemas.get("value")
+
+    async def ask(self, question: Question, text: str) -> None:
+        """Ask the client, who may take some time for the answer."""
+        self.question = question
+        loop = asyncio.get_running_loop()
+        self._lapse = loop.call_later(self._patience, self._lapsed)
+        message = self._message(text, question.plain)
+        await self._updater.update_status(TaskState.TASK_STATE_INPUT_REQUIRED, message)
+
+    async def ask_again(self, text: str) -> None:
+        """Tell a client that its answer is of no use."""
+        question = self.question
+        assert question is not None
+        self._resume()
+        await self.ask(question, text)
+
+    def _lapsed(self) -> None:
+        self._resume()
+        text = f"Nobody answered within {self._patience:g} s."
+        self._late = asyncio.ensure_future(self._end(TaskState.TASK_STATE_FAILED, text))
+
+    async def _end(self, state: TaskState, text: str, data: Any = None) -> None:
+        await self._updater.update_status(state, self._message(text, data))
+        self._forget(self.task.id)
         self.ended.set()
 
     def _message(self, text: str, data: Any = None) -> Any:
@@ -172,4 +289,10 @@ def _step(reply: Reply) -> Any:
 def _line(id_: str, step: dict[str, Any]) -> str:
     what = " ".join(str(step[key]) for key in ("do", "path") if step.get(key))
     why = step.get("message") or (step.get("error") or {}).get("message")
-    return f"Step {id_}, {what}: {step.get('state')}" + (f" - {why}" if why else "") + "."
+    ended = step.get("state") == "completed"  # what is said of that says no more
+    return f"Step {id_}, {what}: {step.get('state')}" + (f", {why}" if why and not ended else "")
+
+
+def _reason(answer: Asked) -> str | None:
+    reason: Any = answer.body.get("reason") if isinstance(answer.body, dict) else None
+    return reason[:500] if isinstance(reason, str) else None

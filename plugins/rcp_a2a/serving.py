@@ -36,7 +36,7 @@ async def serving(config: A2aConfig, door: Door) -> AsyncGenerator[dict[str, Any
     subscribers.restore()
     notifier = Notifier(config.push, addresses, subscribers)
     handler = Handler(
-        Agent(door),
+        Agent(door, config.input_timeout),
         tasks,
         cards.plain(),
         push_config_store=subscribers if config.push.enabled else None,

@@ -27,7 +27,11 @@ PLAN = AgentSkill(
         "With `dry_run` in the message's metadata it is only checked."
     ),
     tags=["plan", "robot"],
-    examples=[],
+    examples=[
+        '{"steps": [{"do": "execute", "path": "/action/move_to", "deadline": 60}]}',
+        "(move_to rover1 1.0 2.0)",
+        'execute /action/move_to {"position": {"x": 1, "y": 2}}',
+    ],
 )
 
 
@@ -56,15 +60,23 @@ def _skill(resource: Node, root: str) -> AgentSkill:
         name=" ".join(names).replace("_", " "),
         description=resource["description"] + _parameters(resource["schemas"].get("input")),
         tags=[kind, *names[:-1]],
-        examples=[_example(short, value) for value in examples],
+        examples=[
+            *(_plan(short, value) for value in examples),
+            *(_line(short, value) for value in examples[:1]),
+        ],
     )
 
 
-def _example(path: str, value: Any) -> str:
-    step: Node = {"execute": path}
+def _plan(path: str, value: Any) -> str:
+    step: Node = {"do": "execute", "path": path}
     if value is not None:
-        step["body"] = value
+        step["value"] = value
     return msgspec.json.encode({"steps": [step]}).decode()
+
+
+def _line(path: str, value: Any) -> str:
+    given = "" if value is None else f" {msgspec.json.encode(value).decode()}"
+    return f"execute {path}{given}"
 
 
 def _parameters(schema: Node | None) -> str:

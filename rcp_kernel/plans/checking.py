@@ -128,6 +128,7 @@ class _Check:
         return nodes
 
     def _fault(self, node: Node, error: RcpError) -> None:
+        error.path = error.path or node.path
         self._faults.append(Fault(node.id, error))
 
     def _try(self, node: Node, look: Callable[[], None]) -> None:

@@ -110,6 +110,24 @@ def test_a_misfit_deep_inside_is_told_by_its_pointer() -> None:
     assert caught.value.details == {"pointer": "/points/1/y"}
 
 
+class Inner(msgspec.Struct, frozen=True):
+    x: float
+
+
+class Outer(msgspec.Struct, frozen=True):
+    inner: Inner
+
+
+@pytest.mark.parametrize(
+    ("data", "missing"), [(b"{}", "/inner"), (b'{"inner": {}}', "/inner/x"), (b"null", "")]
+)
+def test_what_is_not_there_at_all_is_pointed_to(data: bytes, missing: str) -> None:
+    with pytest.raises(InvalidValue) as caught:
+        value_type(Outer).decode(data, Encoding.JSON)
+    assert caught.value.details is not None
+    assert caught.value.details["missing"] == missing
+
+
 @pytest.mark.parametrize("text", ["18446744073709551616", '"18446744073709551616"', "-1", '"-1"'])
 def test_an_integer_past_its_type_is_refused_in_both_spellings(text: str) -> None:
     with pytest.raises(InvalidValue):

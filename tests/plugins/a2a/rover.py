@@ -1,0 +1,56 @@
+"""A gateway that speaks A2A around two simulated rovers, in fast time."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncGenerator
+from contextlib import asynccontextmanager
+
+from rcp_kernel.config.file import parse
+from rcp_kernel.process.log import configure
+from rcp_kernel.testing import serve
+
+OPERATOR = "operator-of-the-rovers"
+CAREFUL = "operator-who-is-careful"
+BETA = "operator-of-rover-beta"
+CONFIG = f"""
+[transports.asgi]
+port = 0
+[plugins.a2a]
+push = {{ http = true, private = ["127.0.0.0/8"], backoff = 0.05 }}
+[[backends]]
+use = "sim"
+name = "rover-alpha"
+tenant = "alpha"
+world = "empty"
+noise = 0
+time_scale = 10
+[[backends]]
+use = "sim"
+name = "rover-beta"
+tenant = "beta"
+world = "empty"
+[roles.asks]
+approve = ["/action/dock"]
+approve_own = true
+[[keys]]
+name = "operator"
+role = "operator"
+key = "{OPERATOR}"
+[[keys]]
+name = "careful"
+role = ["operator", "asks"]
+key = "{CAREFUL}"
+[[keys]]
+name = "beta"
+role = "operator"
+tenants = ["beta"]
+key = "{BETA}"
+"""
+
+
+@asynccontextmanager
+async def rovers() -> AsyncGenerator[str]:
+    """Run the gateway while entered; returns its URL."""
+    configure("error", "json")
+    async with serve(parse(CONFIG, "test")) as served:
+        yield next(f["url"] for f in served.server.status.transports if "url" in f)
