@@ -10,6 +10,7 @@ from typing import Any
 from rcp_kernel.errors import AdapterUnavailable
 from rcp_kernel.spi import BaseBackend, Host, Progress
 from rcp_mavlink.config import MavlinkConfig
+from rcp_mavlink.described import checked
 from rcp_mavlink.dialect import dialect
 from rcp_mavlink.hub import Hub, open_hub
 from rcp_mavlink.robot import Robot
@@ -102,10 +103,12 @@ class MavlinkBackend(BaseBackend):
 async def open_mavlink(config: MavlinkConfig, host: Host) -> AsyncGenerator[MavlinkBackend]:
     """Open the links and wait for the first vehicle; leaving takes back what was asked for.
 
-    :raises ConfigError: the dialect cannot be had.
+    :raises ConfigError: the dialect, or what describes the parameters, cannot be had.
     :raises NotReady: a link cannot be opened, or no vehicle is heard.
     """
-    async with open_hub(config, dialect(config.dialect)) as hub:
+    messages = await asyncio.to_thread(dialect, config.dialect)
+    await asyncio.to_thread(checked, config.parameters)
+    async with open_hub(config, messages) as hub:
         backend = MavlinkBackend(hub, host)
         hub.found, hub.changed = backend.found, backend.changed
         await hub.first()

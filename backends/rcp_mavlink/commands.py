@@ -44,6 +44,8 @@ class Command(msgspec.Struct, frozen=True):
     """Whether `x` and `y` are degrees."""
     whole: bool = False
     """Send it as COMMAND_INT from the start."""
+    component: int | None = None
+    """Whom it is for; None is the autopilot."""
 
 
 class Commands:
@@ -91,14 +93,17 @@ class Commands:
         """Send it until it is answered; return the MAV_RESULT."""
         answers: asyncio.Queue[tuple[int, int]] = asyncio.Queue()
         own = self._hub.config.source_system
+        to = self._vehicle.component if command.component is None else command.component
 
         def take(frame: Frame) -> None:
             ack = frame.fields()
+            if frame.component != to:
+                return
             if ack["command"] == command.number and ack.get("target_system", 0) in (0, own):
                 answers.put_nowait((ack["result"], ack.get("progress", 255)))
 
         config = self._hub.config
-        with self._vehicle.listening("COMMAND_ACK", take):
+        with self._vehicle.listening("COMMAND_ACK", take, anybody=True):
             late = self._orphans.pop(command.number, 0.0) - time.monotonic()
             if late > 0:  # it would be taken for the answer to this one
                 with suppress(TimeoutError):
@@ -126,7 +131,7 @@ class Commands:
 
     def _message(self, c: Command, attempt: int, *, whole: bool) -> Any:
         module, vehicle = self._hub.dialect.module, self._vehicle
-        to = (vehicle.system, vehicle.component)
+        to = (vehicle.system, vehicle.component if c.component is None else c.component)
         if not whole:
             return module.MAVLink_command_long_message(
                 *to, c.number, attempt, *c.params, c.x, c.y, c.z

@@ -90,6 +90,9 @@ class MavlinkConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     source_component: SystemId = 190
     params: tuple[str, ...] = ("*",)
     """Patterns of the parameters that get a path."""
+    parameters: str | None = None
+    """What the autopilot publishes of its parameters: a file `apm.pdef.xml` or `parameters.json`, or
+    `ftp:` and its path on board."""
     messages: tuple[str, ...] = ()
     """Patterns of further messages of the dialect that get a path: `VIBRATION`, `GPS*`."""
     rate: Annotated[float, Meta(ge=1, le=50, extra_json_schema={"unit": "Hz"})] = 4.0

@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import importlib
-import importlib.util
 import re
-import sys
-import tempfile
 from collections.abc import Callable
 from functools import cached_property, lru_cache
 from operator import itemgetter
@@ -18,6 +15,7 @@ import msgspec
 from rcp_kernel.errors import ConfigError
 from rcp_kernel.types import quantity
 from rcp_mavlink.units import converted
+from rcp_mavlink.xml_dialect import module_of
 
 __all__ = ["Definition", "Dialect", "Field", "dialect"]
 
@@ -29,6 +27,21 @@ _SENTINELS = {
     "INT8_MAX": 127, "INT16_MAX": 32767, "INT32_MAX": 2**31 - 1,
 }  # fmt: skip
 _NAME = re.compile(r"\w+\Z")
+_SIZES = {
+    "char": 1, "uint8_t": 1, "int8_t": 1, "uint16_t": 2, "int16_t": 2, "uint32_t": 4,
+    "int32_t": 4, "float": 4, "uint64_t": 8, "int64_t": 8, "double": 8,
+}  # fmt: skip
+_TIMES = {"time_boot_ms": "uint32_t", "time_usec": "uint64_t"}
+_CLOCKS = ("SYSTEM_TIME", "TIMESYNC")
+_NEEDED = {
+    "ATTITUDE", "COMMAND_ACK", "COMMAND_INT", "COMMAND_LONG", "EXTENDED_SYS_STATE",
+    "FILE_TRANSFER_PROTOCOL", "GLOBAL_POSITION_INT", "HEARTBEAT", "HOME_POSITION", "LOG_DATA",
+    "LOG_ENTRY", "MISSION_ACK", "MISSION_COUNT", "MISSION_CURRENT", "MISSION_ITEM_INT",
+    "MISSION_REQUEST", "MISSION_REQUEST_INT", "MISSION_REQUEST_LIST", "PARAM_REQUEST_LIST",
+    "PARAM_REQUEST_READ", "PARAM_SET", "PARAM_VALUE", "SET_ATTITUDE_TARGET",
+    "SET_POSITION_TARGET_LOCAL_NED", "STATUSTEXT", "SYS_STATUS",
+}  # fmt: skip
+"""Messages without which there is no leading a vehicle."""
 
 
 class Field(NamedTuple):
@@ -83,6 +96,18 @@ class Definition:
                 Field(name, kind, unit, factor, length, self._words(name), _missing(description, kind), description, place)
             )  # fmt: skip
         return tuple(found)
+
+    @cached_property
+    def stamp(self) -> tuple[int, int, int] | None:
+        """Place and size (bytes) of the time of measurement in the payload, and its unit in ns."""
+        cls, place = self.cls, 0
+        kinds = dict(zip(cls.fieldnames, cls.fieldtypes, strict=True))
+        for name, length in zip(cls.ordered_fieldnames, cls.array_lengths, strict=True):
+            size = _SIZES[kinds[name]]
+            if _TIMES.get(name) == kinds[name] and self.name not in _CLOCKS:
+                return place, size, 1_000_000 if size == 4 else 1000
+            place += size * max(1, length)
+        return None
 
     def _words(self, field: str) -> dict[int, str] | None:
         """Return the words of a field that is one of several; None for numbers and bits."""
@@ -192,14 +217,23 @@ class Dialect:
         self.by_name = {definition.name: definition for definition in self.by_id.values()}
 
 
-@lru_cache(maxsize=8)
 def dialect(name: str) -> Dialect:
-    """Load a dialect by its name, or from an XML file.
+    """Load a dialect by its name, or from an XML file, which takes seconds.
 
-    :raises ConfigError: there is none, pymavlink is missing, or the XML is not a dialect.
+    :raises ConfigError: there is none, it lacks what a vehicle is led with, or pymavlink is missing.
     """
-    if name.endswith(".xml"):
-        return Dialect(_generated(Path(name)))
+    found = Dialect(module_of(Path(name))) if name.endswith(".xml") else _of_pymavlink(name)
+    missing = sorted(_NEEDED - found.by_name.keys())
+    if missing:
+        raise ConfigError(
+            f"`dialect`: {name} has no {', '.join(missing[:3])}{', …' if missing[3:] else ''}: "
+            "include common.xml"
+        )
+    return found
+
+
+@lru_cache(maxsize=8)
+def _of_pymavlink(name: str) -> Dialect:
     if not _NAME.match(name):
         raise ConfigError(f"`dialect`: {name!r} is neither a dialect nor an XML file")
     try:
@@ -210,29 +244,3 @@ def dialect(name: str) -> Dialect:
         else:
             text = f"`dialect`: pymavlink has no {name!r}; name one it has, or an XML file"
         raise ConfigError(text) from error
-
-
-def _generated(path: Path) -> Any:
-    """Have pymavlink make a module of an XML file, and import it."""
-    try:
-        from pymavlink.generator import mavgen, mavparse
-    except ModuleNotFoundError as error:
-        raise ConfigError("pymavlink is missing: pip install 'rcp-gateway[mavlink]'") from error
-    if not path.is_file():
-        raise ConfigError(f"`dialect`: there is no file {path}")
-    with tempfile.TemporaryDirectory() as folder:
-        out = Path(folder) / f"rcp_dialect_{path.stem}.py"
-        options = mavgen.Opts(str(out), wire_protocol="2.0", language="Python3", validate=False)
-        try:
-            done = mavgen.mavgen(options, [str(path)])
-        except (Exception, SystemExit, mavparse.MAVParseError) as error:
-            raise ConfigError(f"`dialect`: {path} is not a dialect: {error}") from error
-        if not done:
-            raise ConfigError(f"`dialect`: {path} is not a dialect")
-        spec = importlib.util.spec_from_file_location(out.stem, out)
-        assert spec is not None
-        assert spec.loader is not None
-        module = importlib.util.module_from_spec(spec)
-        sys.modules[out.stem] = module
-        spec.loader.exec_module(module)
-    return module

@@ -71,6 +71,7 @@ class Hub:
                 if vehicle is None:
                     continue
             if frame.component != vehicle.component:
+                vehicle.overhear(frame)
                 continue
             if vehicle.lost:
                 vehicle.lost = False

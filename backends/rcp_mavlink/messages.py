@@ -254,6 +254,8 @@ class Photo(Struct, frozen=True):
     longitude: Degrees
     altitude: Length
     """Over home, m."""
+    url: str = ""
+    """Where the camera has it, if it says so."""
 
 
 class Calibrated(Struct, frozen=True):

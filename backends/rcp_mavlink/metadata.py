@@ -1,8 +1,9 @@
-"""What is known of parameters beyond their type: unit, bounds, a sentence. Bounds only describe."""
+"""What is known of parameters beyond their type: unit, range, words, a sentence. All of it only describes."""
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Mapping
+from typing import Any, NamedTuple
 
 __all__ = ["About", "about"]
 
@@ -12,6 +13,28 @@ class About(NamedTuple):
 
     text: str
     unit: str = "1"
+    range: tuple[float, float] | None = None
+    """Between which it makes sense; the autopilot may take others."""
+    values: Mapping[str, str] = {}
+    """What single values mean."""
+    bits: Mapping[str, str] = {}
+    """What single bits mean, by their place."""
+    restart: bool = False
+    """Whether it is heeded only after a restart."""
+
+    @property
+    def schema(self) -> dict[str, Any]:
+        """What of it stands in the schema of its value; none of it is enforced."""
+        found: dict[str, Any] = {"unit": self.unit}
+        if self.range is not None:
+            found["range"] = list(self.range)
+        if self.values:
+            found["values"] = dict(self.values)
+        if self.bits:
+            found["bits"] = dict(self.bits)
+        if self.restart:
+            found["restart"] = True
+        return found
 
 
 _KNOWN = {
@@ -48,6 +71,7 @@ _KNOWN = {
 }
 
 
-def about(name: str) -> About:
+def about(name: str, published: Mapping[str, About]) -> About:
     """Return what a parameter means, or that nothing is known but its name."""
-    return _KNOWN.get(name) or About(f"Parameter {name} of the autopilot.")
+    known = published.get(name) or _KNOWN.get(name)
+    return known or About(f"Parameter {name} of the autopilot.")

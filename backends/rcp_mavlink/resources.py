@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Annotated, Any
 
 from msgspec import Meta, structs
 
 from rcp_kernel.model import Resource
-from rcp_kernel.types import quantity
 from rcp_mavlink import messages as m
 from rcp_mavlink.files import (
     Check,
@@ -24,7 +23,7 @@ from rcp_mavlink.files import (
 from rcp_mavlink.flightmodes import Family
 from rcp_mavlink.hub import Hub
 from rcp_mavlink.logs import LogPiece, LogRange, OnBoard
-from rcp_mavlink.metadata import about
+from rcp_mavlink.metadata import About, about
 from rcp_mavlink.paramcoding import bounds
 from rcp_mavlink.sensors import Sensor
 from rcp_mavlink.vehicle import Vehicle
@@ -81,13 +80,12 @@ def resources(
     ]
 
 
-def parameter(path: str, name: str, type_: int) -> Resource:
+def parameter(path: str, name: str, type_: int, published: Mapping[str, About]) -> Resource:
     """Return the resource of a parameter of an autopilot."""
-    known, limits = about(name), bounds(type_)
-    value: Any = quantity(known.unit)
+    known, limits = about(name, published), bounds(type_)
+    value: Any = Annotated[float, Meta(extra_json_schema=known.schema)]
     if limits is not None:
-        extra: Any = {"unit": known.unit}
-        value = Annotated[int, Meta(ge=limits[0], le=limits[1], extra_json_schema=extra)]
+        value = Annotated[int, Meta(ge=limits[0], le=limits[1], extra_json_schema=known.schema)]
     return Resource(
         name=path, description=known.text, value=value, live=True, meta={"parameter": name}
     )

@@ -20,17 +20,21 @@ from rcp_kernel.errors import (
 from rcp_kernel.model import Resource
 from rcp_kernel.spi import Host, Progress
 from rcp_mavlink import messages as m
+from rcp_mavlink.calibration import Calibration
+from rcp_mavlink.cameras import Cameras
+from rcp_mavlink.clock import Clock
 from rcp_mavlink.commands import Command, Commands
+from rcp_mavlink.described import Described
 from rcp_mavlink.files import Files
 from rcp_mavlink.flights import Flights
 from rcp_mavlink.frames import Frame
+from rcp_mavlink.gimbals import Gimbals
 from rcp_mavlink.hub import Hub
 from rcp_mavlink.intervals import FASTEST, Intervals
 from rcp_mavlink.logs import Logs
 from rcp_mavlink.missions import Missions
 from rcp_mavlink.motion import Motion
 from rcp_mavlink.parameters import Parameters
-from rcp_mavlink.payload import Payload
 from rcp_mavlink.plans import FENCE, MISSION, RALLY, Plans
 from rcp_mavlink.resources import parameter, resources
 from rcp_mavlink.sensors import BASE, sensors
@@ -42,6 +46,12 @@ __all__ = ["Robot"]
 
 _ASKED_AGAIN = 3.0  # s without a message that is wanted
 _REBOOTED = 10.0  # s by which the vehicle's clock has gone back
+_TIMES = (2, 111)
+"""Messages that tell of its clock: SYSTEM_TIME, TIMESYNC."""
+_TIMED_AT_FIRST, _TIMED = (
+    5,
+    10,
+)  # looks: its clock is asked for at each of the first, then of so many
 _COMING_BACK = 30.0  # s that a reboot may take
 
 Verb = Callable[[Any, Progress], Awaitable[Any]]
@@ -74,19 +84,30 @@ class Robot:
         self._declared: set[str] = set()
         self._tasks: set[asyncio.Task[None]] = set()
         self._closed = False
-        self._clock = 0
+        self._booted = 0  # ms that its clock said last
+        self._clock = Clock()
+        self._looks = 0
         self.telling = Telling(hub, vehicle, self._publish)
+        self._heeded: dict[int, Callable[[Frame], None]] = {
+            **dict.fromkeys(Telling.heeded, self.telling.frame),
+            **dict.fromkeys(_TIMES, self._timed),
+            22: self.parameters.take,  # PARAM_VALUE
+            33: self._see_reboot,  # GLOBAL_POSITION_INT
+        }
         flights = Flights(vehicle, self._commands, self.motion, self.parameters)
         missions = Missions(vehicle, self._commands, self.plans, self.motion)
         leading = {**flights.verbs(), "action/mission/run": missions.run}
-        logs = Logs(hub, vehicle)
+        logs, files = Logs(hub, vehicle), Files(hub, vehicle)
+        self._described = Described(config.parameters, files)
         self._verbs: dict[str, Verb] = {
             "action/arm": self.motion.arm,
             "action/disarm": self.motion.disarm,
             "action/set_mode": self._set_mode,
             **{name: self._ending(verb) for name, verb in leading.items()},
             **missions.verbs(),
-            **Payload(vehicle, self._commands, self.intervals).verbs(),
+            "action/gimbal": Gimbals(hub, vehicle, self._commands, self.intervals).turn,
+            "action/camera/photo": Cameras(hub, vehicle, self._commands).photo,
+            "action/calibrate": Calibration(vehicle, self._commands).calibrate,
             "service/mission/download": lambda _, __: self._download(MISSION),
             "service/mission/clear": lambda _, __: self._upload(MISSION, m.Items(())),
             "service/fence/upload": lambda items, _: self._upload(FENCE, items),
@@ -95,7 +116,7 @@ class Robot:
             "service/rally/download": lambda _, __: self._download(RALLY),
             "service/log/list": logs.list,
             "service/log/read": logs.read,
-            **Files(hub, vehicle).verbs(),
+            **files.verbs(),
             "service/param/read": self._read_parameter,
             "service/param/save": self._save,
             "service/reboot": self._reboot,
@@ -118,6 +139,7 @@ class Robot:
         self.vehicle.on_text.append(self.telling.text)
         self.telling.begin()
         self.intervals.begin()
+        self._ask_time()
         for message in ("AUTOPILOT_VERSION", "HOME_POSITION"):
             self._start(self._first(message))
         self._start(self._list_parameters())
@@ -166,24 +188,34 @@ class Robot:
         number = frame.definition.id
         paths = self._paths.get(number)
         if paths is not None:
-            watched = frame.definition.name in self._watched
+            watched, at = frame.definition.name in self._watched, self._clock.of(frame)
             for name, live in paths:
                 if live or watched:
-                    self._host.publish(name, frame)
-        if number == 22:  # PARAM_VALUE
-            self.parameters.take(frame)
-        elif number == 33:  # GLOBAL_POSITION_INT
-            self._see_reboot(frame)
-        elif number in Telling.heeded:
-            self.telling.frame(frame)
+                    self._host.publish(name, frame, at)
+        heed = self._heeded.get(number)
+        if heed is not None:
+            heed(frame)
+
+    def _timed(self, frame: Frame) -> None:
+        f = frame.fields()
+        if "tc1" in f:
+            self._clock.answered(f["tc1"], f["ts1"])
+        else:
+            self._clock.told(f["time_unix_usec"], f["time_boot_ms"])
+
+    def _ask_time(self) -> None:
+        module = self._hub.dialect.module
+        if "TIMESYNC" in self._hub.dialect.by_name and not self.vehicle.lost:
+            self._hub.send(self.vehicle, module.MAVLink_timesync_message(0, self._clock.ask()))
 
     def _see_reboot(self, frame: Frame) -> None:
         """See by its clock whether it has begun anew, and has forgotten what it was asked for."""
         clock = int.from_bytes(frame.payload[:4], "little")
-        if clock + _REBOOTED * 1000 < self._clock:
+        if clock + _REBOOTED * 1000 < self._booted:
             self.telling.boot()
+            self._clock.forget()
             self.intervals.begin()
-        self._clock = clock
+        self._booted = clock
 
     def look(self) -> None:
         """Ask again for what is wanted and does not come; called now and then."""
@@ -192,15 +224,19 @@ class Robot:
         if not self.vehicle.lost and now - came > _ASKED_AGAIN:
             self.intervals.begin()
         self.telling.links()
+        if self._looks < _TIMED_AT_FIRST or self._looks % _TIMED == 0:
+            self._ask_time()
+        self._looks += 1
 
     # Parameters
 
     async def _list_parameters(self) -> None:
         await self.parameters.list()
+        published = await self._described.load()
         patterns = self._hub.config.params
         names = [n for n in self.parameters.known if any(fnmatchcase(n, p) for p in patterns)]
         made = [
-            parameter(self.name(f"param/{name}"), name, self.parameters.known[name].type)
+            parameter(self.name(f"param/{name}"), name, self.parameters.known[name].type, published)
             for name in sorted(names)
         ]
         if made:

@@ -48,6 +48,7 @@ _PX4 = (
     Sensor("sensor/imu", "HIGHRES_IMU", "Acceleration, turning rate, magnetic field, pressure."),
     Sensor("sensor/ekf", "ESTIMATOR_STATUS", "What the estimator is sure of: flags and ratios."),
     Sensor("sensor/wind", "WIND_COV", "The wind, north, east and down."),
+    Sensor("sensor/gimbal", "GIMBAL_DEVICE_ATTITUDE_STATUS", "Where the camera looks, as a quaternion."),
 )  # fmt: skip
 
 BASE = ("GLOBAL_POSITION_INT", "EXTENDED_SYS_STATE", "SYS_STATUS", "MISSION_CURRENT")

@@ -20,6 +20,7 @@ _ARMED = 128
 _PREARM = 1 << 28
 _BYTEWISE, _C_CAST = 1 << 4, 1 << 17
 _TEXTS = 50
+_PARTS = 32  # components of one system that are kept
 _LANDED, _IN_AIR = 1, (2, 3, 4)
 
 
@@ -60,6 +61,9 @@ class Vehicle:
         self.lost = False
         self.on_frame: list[Callable[[Frame], None]] = []
         self.on_text: list[Callable[[Text], None]] = []
+        self.components: dict[int, int] = {}
+        """What else is on board: component ids with their MAV_TYPE."""
+        self._eavesdroppers: dict[int, list[Callable[[Frame], None]]] = {}
         self._listeners: dict[int, list[Callable[[Frame], None]]] = {}
         self._waiters: list[tuple[Callable[[], bool], asyncio.Future[None]]] = []
 
@@ -81,6 +85,17 @@ class Vehicle:
         if self._waiters:
             self._look()
 
+    def overhear(self, frame: Frame) -> None:
+        """Take a frame of another component on board: a camera, a gimbal."""
+        number = frame.definition.id
+        if number == 0 and (frame.component in self.components or len(self.components) < _PARTS):
+            self.components[frame.component] = frame.fields()["type"]
+        listeners = self._eavesdroppers.get(number)
+        if listeners:
+            for listener in list(listeners):
+                listener(frame)
+            self._look()
+
     def _heartbeat(self, frame: Frame) -> None:
         beat = frame.fields()
         self.family = family(beat["autopilot"], beat["type"])
@@ -88,14 +103,23 @@ class Vehicle:
         self.armed = bool(beat["base_mode"] & _ARMED)
 
     @contextmanager
-    def listening(self, name: str, listener: Callable[[Frame], None]) -> Generator[None]:
-        """Call `listener` with each frame of a message while entered."""
-        listeners = self._listeners.setdefault(self.dialect.by_name[name].id, [])
-        listeners.append(listener)
+    def listening(
+        self, name: str, listener: Callable[[Frame], None], *, anybody: bool = False
+    ) -> Generator[None]:
+        """Call `listener` with each frame of a message while entered, if the dialect has it.
+
+        `anybody` stands for whatever is on board, not only the autopilot.
+        """
+        definition = self.dialect.by_name.get(name)
+        number = -1 if definition is None else definition.id
+        tables = [self._listeners, self._eavesdroppers] if anybody else [self._listeners]
+        for table in tables:
+            table.setdefault(number, []).append(listener)
         try:
             yield
         finally:
-            listeners.remove(listener)
+            for table in tables:
+                table[number].remove(listener)
 
     # What is known
 

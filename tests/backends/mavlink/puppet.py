@@ -12,6 +12,7 @@ from typing import Any
 from pymavlink.dialects.v20 import ardupilotmega
 
 import rcp_mavlink
+from rcp_kernel.testing import eventually
 from rcp_kernel.testing._serve import OPERATOR, serve_backend
 
 KIND = next(iter(rcp_mavlink.rcp_backends()))
@@ -222,5 +223,12 @@ async def station(puppet: Any, **config: Any) -> AsyncGenerator[Station]:
     async with listening(puppet) as port:
         table = {"links": [f"udpout:127.0.0.1:{port}"], "timeout": 0.3, "silence": 1.5, **config}
         async with serve_backend(KIND, table) as served:
-            assert served.lives, served.slot.detail
+            await _open(served)
             yield Station(served, puppet)
+
+
+async def _open(served: Any) -> None:
+    async def there() -> bool:
+        return bool(served.lives) and bool(served.life.backend.robots)
+
+    await eventually(there, "it is open", 20.0)

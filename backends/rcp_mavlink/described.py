@@ -1,0 +1,65 @@
+"""Where it is known from what parameters mean: a file of the operator's, or one on board."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Mapping
+from pathlib import Path
+
+from rcp_kernel.errors import ConfigError, RcpError
+from rcp_mavlink.files import FileRange, Files
+from rcp_mavlink.metadata import About
+from rcp_mavlink.paramfiles import described
+
+__all__ = ["Described", "checked"]
+
+_ON_BOARD = "ftp:"
+_LARGEST = 32 << 20  # bytes
+
+
+def checked(source: str | None) -> None:
+    """Make sure that a file is there and can be read.
+
+    :raises ConfigError: it is not, or holds something else.
+    """
+    if source is None or source.startswith(_ON_BOARD):
+        return
+    try:
+        described(Path(source).read_bytes())
+    except (OSError, ValueError) as error:
+        raise ConfigError(f"`parameters`: {source}: {error}") from error
+
+
+class Described:
+    """What the parameters of one vehicle mean; without a source, nothing is published of them."""
+
+    def __init__(self, source: str | None, files: Files) -> None:
+        self._source, self._files = source, files
+        self._known: Mapping[str, About] = {}
+
+    async def load(self) -> Mapping[str, About]:
+        """Return what is published; what is on board is read once."""
+        source = self._source
+        if source is None or self._known:
+            return self._known
+        try:
+            data = await self._read(source)
+            self._known = await asyncio.to_thread(described, data)
+        except (OSError, ValueError, RcpError):
+            return {}  # names and types there are all the same
+        return self._known
+
+    async def _read(self, source: str) -> bytes:
+        if not source.startswith(_ON_BOARD):
+            return await asyncio.to_thread(Path(source).read_bytes)
+        whole, path = b"", source.removeprefix(_ON_BOARD)
+        while len(whole) < _LARGEST:
+            piece = await self._files.read(FileRange(path, len(whole)), _silent)
+            whole += piece.data
+            if piece.end:
+                return whole
+        raise ValueError(f"{path} does not end")
+
+
+def _silent(feedback: object = None, *, fraction: float | None = None) -> None:
+    """Tell nobody."""
