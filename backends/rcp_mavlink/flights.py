@@ -22,6 +22,7 @@ __all__ = ["Flights"]
 
 _CHANGE_MODE = 1.0
 _RELATIVE, _ABSOLUTE = 6, 5
+_LOOKING = 3.0  # s
 _HOME = 5.0  # m from home that count as there, for what drives
 _CIRCLE = 80.0  # m of radius, of a plane that does not say
 _RADII = ("WP_LOITER_RAD", "NAV_LOITER_RAD")
@@ -67,7 +68,7 @@ class Flights:
             raise PreconditionFailed(
                 "take-off: the vehicle is in the air", remedy="Use action/move_to to climb."
             )
-        start = self._fix().height
+        start = (await self._located()).height
         async with self._holding():
             await self._rise(altitude)
 
@@ -110,7 +111,7 @@ class Flights:
         vehicle, family = self._vehicle, self._vehicle.family
         if vehicle.landed and not vehicle.armed and family.flies:
             raise PreconditionFailed(f"{what}: the vehicle stands on the ground already")
-        first = self._left(self._fix(), what)
+        first = self._left(await self._located(), what)
         near = 0.0
         if what == "return" and family.kind != "copter":
             near = self._reach(_HOME)
@@ -141,7 +142,7 @@ class Flights:
 
     async def move_to(self, goal: m.MoveTo, progress: Progress) -> m.Arrived:
         """Go to a place and stay there; a plane circles round it."""
-        vehicle, fix, family = self._vehicle, self._fix(), self._vehicle.family
+        vehicle, fix, family = self._vehicle, await self._located(), self._vehicle.family
         if family.flies and vehicle.landed is not False:
             raise PreconditionFailed(
                 "move_to: the vehicle is not in the air", remedy="Arm it and take off first."
@@ -216,6 +217,11 @@ class Flights:
     def _away(self, fix: Fix, lat: float, lon: float, altitude: float) -> float:
         flat = distance((fix.lat, fix.lon), (lat, lon))
         return flat if self._vehicle.family.drives else math.hypot(flat, fix.height - altitude)
+
+    async def _located(self) -> Fix:
+        """Return where it is, after what was asked for a moment before has come."""
+        await self._vehicle.until(lambda: self._vehicle.fix is not None, _LOOKING)
+        return self._fix()
 
     def _fix(self) -> Fix:
         fix = self._vehicle.fix
