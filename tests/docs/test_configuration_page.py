@@ -132,7 +132,7 @@ def test_every_transport_of_the_house_is_told() -> None:
 
 
 def test_every_adapter_of_the_house_is_told() -> None:
-    for name, kind in Plugins(parse("[plugins.a2a]\n", "test")).adapters.items():
+    for name, kind in Plugins(parse("[plugins.a2a]\n[plugins.mcp]\n", "test")).adapters.items():
         agree(section(PAGE, f"`[plugins.{name}]`"), kind.config)
 
 

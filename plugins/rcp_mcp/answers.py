@@ -1,0 +1,84 @@
+"""Replies of the gateway as results of tools: structured, in words, with the way out."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import msgspec
+from mcp import types
+
+from rcp_kernel.errors import RcpError
+from rcp_kernel.values import Encoding
+from rcp_kernel.wire import NO_BODY, Reply, encode_body, error_body
+from rcp_mcp.config import McpConfig
+from rcp_mcp.content import UNTRUSTED, Block, marked, show
+
+__all__ = ["answered", "body_of", "failed", "plain_of", "refused", "replied"]
+
+_ROBOTS = frozenset(("device_rejected", "device_timeout"))
+"""Errors whose sentence the robot has written."""
+
+
+def body_of(reply: Reply) -> Any:
+    """Return a reply's body as plain data that JSON carries."""
+    return None if reply.body is NO_BODY else plain_of(reply.body)
+
+
+def plain_of(body: Any) -> Any:
+    """Return a body as plain data that JSON carries."""
+    return msgspec.json.decode(encode_body(body, Encoding.JSON))
+
+
+def answered(facts: dict[str, Any], *blocks: Block) -> types.CallToolResult:
+    """Answer with facts, in words as well if there are no blocks that say them."""
+    said: list[Any] = list(blocks)
+    if not said:
+        said.append(types.TextContent(type="text", text=msgspec.json.encode(facts).decode()))
+    return types.CallToolResult(content=said, structured_content=facts)
+
+
+def refused(error: RcpError) -> types.CallToolResult:
+    """Answer with an error that the model can act on."""
+    return failed(error_body(error), error.status)
+
+
+def failed(error: dict[str, Any], status: str, **facts: Any) -> types.CallToolResult:
+    """Answer with the contract's `error` object."""
+    code, message, remedy = error["code"], error["message"], error.get("remedy")
+    untrusted = code in _ROBOTS
+    said = f"{status}: {code}: "
+    said += marked(message, error.get("path")) if untrusted else message
+    if remedy:
+        said += f"\nWhat to do: {remedy}"
+    told = {key: item for key, item in error.items() if key != "trace_id"}
+    known = {key: item for key, item in facts.items() if item is not None}
+    structured: dict[str, Any] = {"status": status, **known, "error": told}
+    if untrusted:
+        structured["untrusted"] = True
+    block = types.TextContent(
+        type="text", text=said, _meta={UNTRUSTED: True} if untrusted else None
+    )
+    return types.CallToolResult(content=[block], structured_content=structured, is_error=True)
+
+
+def replied(reply: Reply, config: McpConfig) -> types.CallToolResult:
+    """Answer with the final reply of a write or a command."""
+    if reply.error is not None:
+        return failed(reply.error, reply.status, path=reply.path, command=reply.command)
+    facts: dict[str, Any] = {"status": reply.status, "path": reply.path, "command": reply.command}
+    facts["dry_run"] = True if reply.dry_run else None
+    facts["message"] = reply.message
+    blocks: list[Block] = []
+    body = body_of(reply)
+    if body is not None and not reply.dry_run:
+        shown = show(body, reply.path or "", budget=config.budget, image=config.image)
+        facts["result" if shown.whole else "summary"] = shown.plain
+        facts["untrusted"] = True if shown.untrusted else None
+        blocks = [*shown.blocks]
+    elif body is not None:
+        facts["would"] = body
+    facts = {key: item for key, item in facts.items() if item is not None}
+    head = reply.message or f"{reply.path}: {reply.status}."
+    if body is not None and reply.dry_run:
+        head += " Nothing was done: " + msgspec.json.encode(body).decode()
+    return answered(facts, types.TextContent(type="text", text=head), *blocks)

@@ -1,0 +1,42 @@
+"""Who calls: the session that the endpoint found for a request, and what its client can do."""
+
+from __future__ import annotations
+
+from typing import Any, cast
+
+from rcp_kernel.clients.session import Session
+from rcp_mcp.offers import Context
+
+__all__ = ["SESSION", "TASKS", "asks_people", "modern", "session_of", "takes_tasks"]
+
+SESSION = "rcp.session"
+"""Key of the request's scope under which the endpoint leaves the session."""
+TASKS = "io.modelcontextprotocol/tasks"
+_FIRST_MODERN = "2026-07-28"
+
+
+def session_of(ctx: Context) -> Session:
+    """Return the session of a request."""
+    request: Any = ctx.request
+    return cast("Session", request.scope[SESSION])
+
+
+def modern(ctx: Context) -> bool:
+    """Tell whether a client speaks a version without sessions."""
+    return ctx.protocol_version >= _FIRST_MODERN
+
+
+def asks_people(ctx: Context) -> bool:
+    """Tell whether the client shows questions to a person."""
+    capabilities = ctx.session.client_capabilities
+    if capabilities is None or capabilities.elicitation is None:
+        return False
+    asks = capabilities.elicitation
+    return asks.form is not None or asks.url is None
+
+
+def takes_tasks(ctx: Context) -> bool:
+    """Tell whether the client follows tasks."""
+    capabilities = ctx.session.client_capabilities
+    extensions: dict[str, Any] | None = None if capabilities is None else capabilities.extensions
+    return modern(ctx) and extensions is not None and TASKS in extensions

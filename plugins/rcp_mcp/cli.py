@@ -1,0 +1,52 @@
+"""`rcpd mcp`: a gateway for assistants that start their servers themselves and speak by stdio."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+from pathlib import Path
+from urllib.parse import urlsplit
+
+import click
+
+__all__ = ["mcp"]
+
+
+@click.command()
+@click.option(
+    "--url",
+    envvar="RCP_URL",
+    default="http://127.0.0.1:8080",
+    show_default=True,
+    help="The gateway; `/mcp` is added unless it has a path.",
+)
+@click.option(
+    "--token-file",
+    type=click.Path(path_type=Path, dir_okay=False),
+    help="A file with the token; else RCP_TOKEN, else none.",
+)
+@click.option("--tenant", envvar="RCP_TENANT", help="Which tenant relative paths mean.")
+@click.option(
+    "--cacert", envvar="RCP_CACERT", help="Certificates to trust, as PEM, beside the system's."
+)
+def mcp(url: str, token_file: Path | None, tenant: str | None, cacert: str | None) -> None:
+    """Serve a gateway's MCP on stdin and stdout, for assistants on the desktop."""
+    parts = urlsplit(url)
+    if parts.scheme not in ("http", "https") or not parts.netloc:
+        raise click.BadParameter("write it like http://127.0.0.1:8080", param_hint="--url")
+    if parts.path in ("", "/"):
+        url = url.rstrip("/") + "/mcp"
+    token = os.environ.get("RCP_TOKEN")
+    if token_file is not None:
+        try:
+            token = token_file.read_text(encoding="utf-8").strip()
+        except OSError as error:
+            raise click.BadParameter(
+                f"cannot be read: {error.strerror}", param_hint="--token-file"
+            ) from None
+    from rcp_mcp.bridge import bridge
+
+    headers = {"x-rcp-tenant": tenant} if tenant else {}
+    if token:
+        headers["authorization"] = f"Bearer {token}"
+    asyncio.run(bridge(url, headers, cacert))

@@ -1,0 +1,134 @@
+"""The endpoint: who calls, where a token is to be had, and the SDK's handling of the rest.
+
+Foreign names and origins were refused before: the listener checks `Host` and `Origin` of every
+request, against DNS rebinding too, by the rules of its own table.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import anyio
+import msgspec
+from mcp.server.auth.middleware.bearer_auth import AuthenticatedUser
+from mcp.server.auth.provider import AccessToken
+from mcp.server.streamable_http_manager import StreamableHTTPSessionManager
+
+from rcp_kernel.asgi import Receive, Scope, Send, header, respond, retry_after, session_of
+from rcp_kernel.clients.session import Session
+from rcp_kernel.door import Door
+from rcp_kernel.errors import RcpError
+from rcp_kernel.operations.pending import crash
+from rcp_kernel.wire import error_body
+from rcp_mcp.caller import SESSION
+from rcp_mcp.config import McpConfig
+
+__all__ = ["WELL_KNOWN", "Endpoint", "Metadata"]
+
+WELL_KNOWN = "/.well-known/oauth-protected-resource"
+_UNAUTHORIZED = -32001
+_REFUSED = -32600
+
+
+class Endpoint:
+    """The ASGI application."""
+
+    def __init__(
+        self, config: McpConfig, door: Door, manager: StreamableHTTPSessionManager
+    ) -> None:
+        self._config = config
+        self._door = door
+        self._manager = manager
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Serve one request as its caller."""
+        try:
+            session = await session_of(self._door, scope)
+        except Exception as error:
+            told = crash(error, path=scope["path"])
+            self._door.refused("request", told.code)
+            await _refuse(self._config, scope, send, told)
+            return
+        scope[SESSION] = session
+        # RFC 9110 5.5: the SDK compares values with the body that still have their white space.
+        scope["headers"] = [(name, value.strip(b" \t")) for name, value in scope["headers"]]
+        if not session.principal.anonymous:
+            scope["user"] = _user(session)
+        await self._serve(session, scope, receive, send)
+
+    async def _serve(self, session: Session, scope: Scope, receive: Receive, send: Send) -> None:
+        """Let the SDK answer, for as long as the caller's proof is good and the listener open."""
+        begun = ended = False
+
+        async def sent(message: Any) -> None:
+            nonlocal begun, ended
+            begun = begun or message["type"] == "http.response.start"
+            if message["type"] == "http.response.body":
+                ended = not message.get("more_body", False)
+            await send(message)
+
+        with anyio.CancelScope() as serving:
+            closing: set[Callable[[], None]] = scope["extensions"]["rcp.closing"]
+            closing.add(serving.cancel)
+            forget = self._door.until_end(session, lambda _error: serving.cancel())
+            try:
+                await self._manager.handle_request(scope, receive, sent)
+            finally:
+                closing.discard(serving.cancel)
+                forget()
+        if serving.cancelled_caught and not ended:
+            if not begun:
+                await send({"type": "http.response.start", "status": 503, "headers": []})
+            await send({"type": "http.response.body", "body": b"", "more_body": False})
+
+
+class Metadata:
+    """Where tokens for the endpoint come from: RFC 9728."""
+
+    def __init__(self, config: McpConfig, door: Door) -> None:
+        self._config = config
+        self._door = door
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Answer; it is told to everybody."""
+        if scope["path"] not in (WELL_KNOWN, WELL_KNOWN + self._config.path):
+            await respond(send, 404, b"{}")
+            return
+        facts: dict[str, Any] = {
+            "resource": _base(self._config, scope) + self._config.path,
+            "resource_name": "RCP gateway",
+            "bearer_methods_supported": ["header"],
+        }
+        if issuers := self._door.proofs.issuers:
+            facts["authorization_servers"] = list(issuers)
+        headers = [(b"cache-control", b"max-age=300"), (b"access-control-allow-origin", b"*")]
+        await respond(send, 200, msgspec.json.encode(facts), headers=headers)
+
+
+def _user(session: Session) -> AuthenticatedUser:
+    """Tell the SDK whose session it is, so that nobody else goes on with it."""
+    principal = session.principal
+    who = f"{principal.proof}:{principal.name}:{session.tenant}"
+    return AuthenticatedUser(AccessToken(token="", client_id=who, scopes=[], subject=who))
+
+
+async def _refuse(config: McpConfig, scope: Scope, send: Send, error: RcpError) -> None:
+    told = error_body(error)
+    said = f"{error.message}. {error.remedy}" if error.remedy else error.message
+    code = _UNAUTHORIZED if error.http == 401 else _REFUSED
+    body = {"jsonrpc": "2.0", "id": None, "error": {"code": code, "message": said, "data": told}}
+    headers = retry_after(error.retry_after)
+    if error.http == 401:
+        where = _base(config, scope) + WELL_KNOWN + config.path
+        why = ', error="invalid_token"' if header(scope, b"authorization") else ""
+        headers.append((b"www-authenticate", f'Bearer resource_metadata="{where}"{why}'.encode()))
+    await respond(send, error.http, msgspec.json.encode(body), headers=headers)
+
+
+def _base(config: McpConfig, scope: Scope) -> str:
+    """Return the gateway's address: as configured, or as the client called it."""
+    if config.url is not None:
+        return config.url.rstrip("/")
+    host = (header(scope, b"host") or b"localhost").decode("latin-1")
+    return f"{scope['scheme']}://{host}{scope.get('root_path', '')}"

@@ -1,0 +1,74 @@
+"""A subscription of this adapter: a connection of its own, for as long as somebody listens."""
+
+from __future__ import annotations
+
+import asyncio
+from collections import deque
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+
+from rcp_kernel.clients.session import Session
+from rcp_kernel.door import Door
+from rcp_kernel.values import Encoding
+from rcp_kernel.wire import Reply, Request
+
+if TYPE_CHECKING:
+    from rcp_kernel.streaming.feeds import Feed as KernelFeed
+    from rcp_kernel.streaming.samples import Sample
+
+__all__ = ["Feed"]
+
+_HELD = 1000  # updates that wait for who listens
+
+
+class Feed:
+    """Updates of some paths, in the order in which they came."""
+
+    def __init__(self, door: Door, session: Session) -> None:
+        self._door = door
+        self._news = asyncio.Event()
+        self._updates: deque[tuple[str, bytes]] = deque(maxlen=_HELD)
+        self.ended = False
+        """Nothing comes any more: the session's proof is over, or nothing is subscribed."""
+        self._connection = door.connect(
+            session.principal, Encoding.JSON, self._flush, session.tenant
+        )
+        self._connection.mailbox.alone = True
+        self._connection.session.listening = True
+
+    def _flush(self) -> None:
+        connection = self._connection
+        connection.mailbox.collect(wrap=self._take)
+        if connection.expelled or not connection.session.subscriptions:
+            self.ended = True
+        if connection.mailbox.pending:
+            connection.mailbox.mark()
+        self._news.set()
+
+    def _take(self, data: bytes, feed: KernelFeed | None, sample: Sample | None) -> bytes:
+        if feed is not None and sample is not None:
+            self._updates.append((feed.entry.path, data))
+        return b""
+
+    async def subscribe(self, paths: Sequence[str], **options: Any) -> Reply:
+        """Begin; a refusal is the reply's error."""
+        body = {"paths": list(paths[1:]), **options}
+        raw = msgspec.Raw(msgspec.json.encode(body))
+        request = Request(type="subscribe", path=paths[0], body=raw)
+        return await self._door.ask(self._connection.session, request)
+
+    async def next(self) -> list[tuple[str, bytes]]:
+        """Wait for updates; return the path of each and its envelope. None at all: it has ended."""
+        while not self._updates and not self.ended:
+            self._news.clear()
+            await self._news.wait()
+        taken = list(self._updates)
+        self._updates.clear()
+        return taken
+
+    def close(self) -> None:
+        """Let go."""
+        self._connection.session.greeted = False
+        self._connection.close()

@@ -1,0 +1,72 @@
+"""What the streams of one session have said, so that its client reads on after a cut.
+
+The SDK names streams by their requests alone, which sessions have in common: a journal that they
+shared would give one client what another was told.
+"""
+
+from __future__ import annotations
+
+import secrets
+from collections import deque
+from typing import NamedTuple
+
+from mcp.server.streamable_http import EventCallback, EventId, EventMessage, EventStore, StreamId
+from mcp.server.streamable_http_manager import StreamableHTTPSessionManager
+from mcp.types import JSONRPCMessage
+
+__all__ = ["Journal", "Manager"]
+
+_EVENTS = 256
+_BYTES = 2_000_000
+
+
+class _Event(NamedTuple):
+    id: EventId
+    stream: StreamId
+    message: JSONRPCMessage | None
+    size: int
+
+
+class Journal(EventStore):
+    """The last events of one session, in memory."""
+
+    def __init__(self) -> None:
+        self._events: deque[_Event] = deque()
+        self._bytes = 0
+
+    async def store_event(self, stream_id: StreamId, message: JSONRPCMessage | None) -> EventId:
+        """Keep one event, at the cost of the oldest; return its id."""
+        size = 0 if message is None else len(message.model_dump_json())
+        event = _Event(secrets.token_hex(8), stream_id, message, size)
+        self._events.append(event)
+        self._bytes += size
+        while len(self._events) > _EVENTS or (self._bytes > _BYTES and len(self._events) > 1):
+            self._bytes -= self._events.popleft().size
+        return event.id
+
+    async def replay_events_after(
+        self, last_event_id: EventId, send_callback: EventCallback
+    ) -> StreamId | None:
+        """Say again what came after an event on its stream; None if it is not known any more."""
+        events = list(self._events)
+        place = next((n for n, event in enumerate(events) if event.id == last_event_id), None)
+        if place is None:
+            return None
+        stream = events[place].stream
+        for event in events[place + 1 :]:
+            if event.stream == stream and event.message is not None:
+                await send_callback(EventMessage(event.message, event.id))
+        return stream
+
+
+class Manager(StreamableHTTPSessionManager):
+    """Gives each session a journal of its own."""
+
+    @property
+    def event_store(self) -> EventStore | None:
+        """Make one; the SDK asks once for each session."""
+        return Journal()
+
+    @event_store.setter
+    def event_store(self, value: EventStore | None) -> None:
+        """Ignore what the base class sets."""

@@ -1,0 +1,168 @@
+"""Schemas as tools need them: an object at the root, self-contained, units in words as well."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+from rcp_kernel._plain import is_list, is_map
+
+__all__ = ["Arguments", "arguments", "result", "worded"]
+
+_DEFS = "$defs"
+_ANY_VALUE = {"description": "Anything that JSON carries."}
+ERROR: dict[str, Any] = {
+    "type": "object",
+    "description": "Why it was refused or failed, and what to do about it.",
+    "properties": {
+        "code": {"type": "string"},
+        "message": {"type": "string"},
+        "remedy": {"type": "string"},
+        "path": {"type": "string"},
+        "retryable": {"type": "boolean"},
+        "retry_after": {"type": "number", "unit": "s"},
+        "details": {"type": "object"},
+    },
+    "required": ["code", "message"],
+}
+
+
+class Arguments(NamedTuple):
+    """What a tool takes, and how that becomes the input of its command."""
+
+    schema: dict[str, Any]
+    wrapped: bool
+    """The input is no object: it is the argument `value`."""
+    optional: bool
+    """No arguments at all mean no input."""
+    options: frozenset[str]
+    """Properties that are options of the call, not part of the input."""
+
+
+def arguments(
+    schema: dict[str, Any] | None, examples: list[Any], extra: dict[str, dict[str, Any]]
+) -> Arguments:
+    """Make the input schema of a tool from that of a command; `extra` are options of the call.
+
+    An option gives way to a field of the same name.
+    """
+    found, wrapped, optional = _object(schema)
+    properties = found.get("properties", {})
+    added = {name: option for name, option in extra.items() if name not in properties}
+    if added:
+        found["properties"] = {**properties, **added}
+    if schema is None:
+        found["additionalProperties"] = False
+    shown = [{"value": one} if wrapped else one for one in examples]
+    shown = [one for one in shown if is_map(one)]
+    if shown:
+        found["examples"] = shown
+    return Arguments(worded(found), wrapped, optional, frozenset(added))
+
+
+def result(schema: dict[str, Any] | None, feedback: dict[str, Any] | None) -> dict[str, Any]:
+    """Make the output schema of a command's tool."""
+    body, defs = _part(schema)
+    told, more = _part(feedback) if feedback is not None else (_ANY_VALUE, {})
+    if any(more[name] != defs.get(name, more[name]) for name in more):
+        told, more = _ANY_VALUE, {}
+    out: dict[str, Any] = {
+        "type": "object",
+        "properties": {
+            "status": {
+                "enum": ["completed", "in_progress", "failed", "rejected", "cancelled"],
+                "description": "`in_progress`: it goes on; ask `status` with the command's id.",
+            },
+            "path": {"type": "string"},
+            "command": {"type": "string", "description": "Id for `status` and `cancel`."},
+            "message": {"type": "string"},
+            "result": body,
+            "feedback": told,
+            "progress": {"type": "number", "minimum": 0, "maximum": 1, "unit": "1"},
+            "dry_run": {"type": "boolean"},
+            "untrusted": {"type": "boolean"},
+            "error": ERROR,
+        },
+        "required": ["status"],
+    }
+    if defs or more:
+        out[_DEFS] = {**more, **defs}
+    return worded(out)
+
+
+def worded(node: Any) -> Any:
+    """Write units into descriptions, where every model reads them."""
+    if is_list(node):
+        return [worded(item) for item in node]
+    if not is_map(node):
+        return node
+    kept = ("default", "examples", "enum", "const", "required")
+    out = {key: item if key in kept else worded(item) for key, item in node.items()}
+    unit = out.get("unit")
+    if isinstance(unit, str) and unit != "1":
+        text = out.get("description")
+        said = f"Unit: {unit}."
+        if not isinstance(text, str):
+            out["description"] = said
+        elif said not in text:
+            out["description"] = f"{text} {said}"
+    return out
+
+
+def _part(schema: dict[str, Any] | None) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Take a schema apart into what stands at its place, and its definitions for the root."""
+    if schema is None:
+        return {"type": "null"}, {}
+    bare = {key: item for key, item in schema.items() if key not in ("$id", _DEFS)}
+    # A field without a value is left out or null: backends may answer either.
+    return {"anyOf": [bare, {"type": "null"}]}, dict(schema.get(_DEFS, {}))
+
+
+def _object(schema: dict[str, Any] | None) -> tuple[dict[str, Any], bool, bool]:
+    """Return a schema whose root is an object, whether the value is wrapped in it, or optional."""
+    if schema is None:
+        return {"type": "object", "properties": {}}, False, True
+    defs: dict[str, Any] = schema.get(_DEFS, {})
+    bare = {key: item for key, item in schema.items() if key not in ("$id", _DEFS)}
+    choices = bare.get("anyOf")
+    optional = False
+    if is_list(choices) and {"type": "null"} in choices:
+        rest = [one for one in choices if one != {"type": "null"}]
+        optional = True
+        if len(rest) == 1:
+            bare = {**rest[0], **{k: v for k, v in bare.items() if k != "anyOf"}}
+    target = _named(bare, defs)
+    if target is not None:
+        own = {key: item for key, item in bare.items() if key != "$ref"}
+        bare = {**target, **own}
+    if bare.get("type") == "object":
+        return _with(bare, defs), False, optional
+    wrapped = {
+        "type": "object",
+        "properties": {"value": bare},
+        "required": [] if optional else ["value"],
+        "additionalProperties": False,
+    }
+    return _with(wrapped, defs), True, optional
+
+
+def _named(node: dict[str, Any], defs: dict[str, Any]) -> dict[str, Any] | None:
+    ref = node.get("$ref")
+    found = defs.get(ref.rpartition("/")[2]) if isinstance(ref, str) else None
+    return found if is_map(found) else None
+
+
+def _with(root: dict[str, Any], defs: dict[str, Any]) -> dict[str, Any]:
+    """Give a root the definitions that it reaches, and no other."""
+    used: dict[str, Any] = {}
+    waiting: list[Any] = [root]
+    while waiting:
+        node = waiting.pop()
+        if is_list(node):
+            waiting.extend(node)
+        elif is_map(node):
+            name = node["$ref"].rpartition("/")[2] if isinstance(node.get("$ref"), str) else None
+            if name in defs and name not in used:
+                used[name] = defs[name]
+                waiting.append(defs[name])
+            waiting.extend(node.values())
+    return {**root, _DEFS: used} if used else dict(root)

@@ -1,0 +1,131 @@
+"""The extension for tasks: a long action is one, under the id of its command.
+
+Its state is the command's, so it survives the client, and a restart of the gateway: what that cut
+off has failed, and says so. A robot's refusal is a result that is an error; a task fails only
+where there is no result to tell.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from mcp import types
+from mcp.shared.exceptions import MCPError
+
+from rcp_kernel.clock import iso
+from rcp_kernel.door import Door
+from rcp_kernel.errors import RcpError, UnknownPath
+from rcp_kernel.operations.command import Command
+from rcp_kernel.wire import Request
+from rcp_mcp.answers import replied
+from rcp_mcp.caller import TASKS, modern, session_of, takes_tasks
+from rcp_mcp.config import McpConfig
+from rcp_mcp.offers import Context, Method
+
+__all__ = ["Tasks"]
+
+_TTL = 3_600_000  # ms that a command is remembered at least, with few of them
+_POLL = 1000  # ms
+_CUT_OFF = "internal"
+
+
+class _TaskParams(types.RequestParams):
+    task_id: str
+
+
+class _UpdateParams(_TaskParams):
+    input_responses: dict[str, Any] | None = None
+
+
+class Tasks:
+    """The handlers."""
+
+    def __init__(self, config: McpConfig, door: Door) -> None:
+        self._config = config
+        self._door = door
+
+    def methods(self) -> Sequence[Method]:
+        """List the requests of the extension."""
+        return [
+            Method("tasks/get", _TaskParams, self.get),
+            Method("tasks/update", _UpdateParams, self.update),
+            Method("tasks/cancel", _TaskParams, self.cancel),
+        ]
+
+    def created(self, ctx: Context, id_: str) -> dict[str, Any]:
+        """Answer a call with the task that it has begun."""
+        command = self._door.command(session_of(ctx), id_)
+        return {"resultType": "task", **_base(command), "status": "working"}
+
+    async def get(self, ctx: Context, params: _TaskParams) -> dict[str, Any]:
+        """Tell how far a task is; a result or error is told with it."""
+        command = self._found(ctx, params)
+        facts = {"resultType": "complete", **_base(command)}
+        if not command.final:
+            return {**facts, "status": "working"}
+        if command.status == "cancelled":
+            return {**facts, "status": "cancelled"}
+        error = command.reply().error
+        if error is not None and error["code"] == _CUT_OFF:
+            said = {key: item for key, item in error.items() if key != "trace_id"}
+            told = {"code": types.INTERNAL_ERROR, "message": error["message"], "data": said}
+            return {**facts, "status": "failed", "error": told}
+        result = replied(command.reply(), self._config)
+        plain = result.model_dump(by_alias=True, mode="json", exclude_none=True)
+        return {**facts, "status": "completed", "result": plain}
+
+    async def update(self, ctx: Context, params: _UpdateParams) -> dict[str, Any]:
+        """Take answers; a task has no questions: those are asked before it begins."""
+        self._found(ctx, params)
+        return {"resultType": "complete"}
+
+    async def cancel(self, ctx: Context, params: _TaskParams) -> dict[str, Any]:
+        """Stop the robot; how the task ended is told by the next `tasks/get`."""
+        command = self._found(ctx, params)
+        if not command.final:
+            request = Request(type="cancel", command=command.id)
+            reply = await self._door.ask(session_of(ctx), request)
+            if reply.error is not None:
+                raise MCPError(types.INVALID_REQUEST, reply.message or "", reply.error)
+        return {"resultType": "complete"}
+
+    def _found(self, ctx: Context, params: _TaskParams) -> Command:
+        """Return the command of a task.
+
+        :raises MCPError: there is none that is the caller's, or the client takes no tasks.
+        """
+        if not modern(ctx):
+            raise MCPError(types.METHOD_NOT_FOUND, "Method not found", ctx.method)
+        if not takes_tasks(ctx):
+            raise MCPError(
+                types.MISSING_REQUIRED_CLIENT_CAPABILITY,
+                "the client does not take tasks",
+                {"requiredCapabilities": {"extensions": {TASKS: {}}}},
+            )
+        request: Any = ctx.request
+        if request.headers.get("mcp-name") != params.task_id:
+            raise MCPError(types.HEADER_MISMATCH, "mcp-name does not match the task's id")
+        session = session_of(ctx)
+        try:
+            command = self._door.command(session, params.task_id)
+            if (command.principal, command.proof) != session.principal.identity:
+                raise UnknownPath(f"there is no command '{params.task_id[:64]}'")
+        except UnknownPath:
+            raise MCPError(types.INVALID_PARAMS, "Task not found") from None
+        except RcpError as error:
+            raise MCPError(types.INVALID_REQUEST, error.message) from None
+        return command
+
+
+def _base(command: Command) -> dict[str, Any]:
+    facts: dict[str, Any] = {
+        "taskId": command.id,
+        "createdAt": iso(command.created),
+        "lastUpdatedAt": iso(command.history[-1].time),
+        "ttlMs": _TTL,
+        "pollIntervalMs": _POLL,
+    }
+    if command.progress is not None and not command.final:
+        facts["statusMessage"] = f"{command.progress:.0%} done"
+    return facts

@@ -1,0 +1,150 @@
+"""The robots' tree as an offer: fixed tools, one tool for each action and service, resources."""
+
+from __future__ import annotations
+
+from collections.abc import Awaitable, Callable, Mapping, Sequence
+from typing import Any
+
+import structlog
+from mcp import types
+from mcp.shared.exceptions import MCPError
+
+from rcp_kernel.clients.session import Session
+from rcp_kernel.door import Door
+from rcp_kernel.errors import InvalidValue, RcpError
+from rcp_kernel.operations.pending import crash
+from rcp_kernel.wire import error_body
+from rcp_mcp.answers import refused
+from rcp_mcp.caller import TASKS, session_of
+from rcp_mcp.catalogue import Catalogue
+from rcp_mcp.commanding import Commanding
+from rcp_mcp.completing import Completing
+from rcp_mcp.config import McpConfig
+from rcp_mcp.fixed import FIXED, Fixed
+from rcp_mcp.looking import Looking
+from rcp_mcp.offers import Context, Method, Offer, Outcome
+from rcp_mcp.prompts import PROMPTS, written
+from rcp_mcp.resources import Resources
+from rcp_mcp.watching import Watching
+
+__all__ = ["Tree"]
+
+log = structlog.get_logger("rcp.mcp")
+Handler = Callable[[Context, Session, Any], Awaitable[Outcome]]
+
+
+def _taken(one: Fixed, arguments: dict[str, Any]) -> Any:
+    """Check the arguments of a fixed tool.
+
+    :raises InvalidValue: they do not fit.
+    """
+    try:
+        return one.takes.convert(arguments, f"the arguments of {one.tool.name}")
+    except InvalidValue as error:
+        error.remedy = f"Call `{one.tool.name}` with arguments that fit its input schema."
+        raise
+
+
+class Tree(Offer):
+    """What the callers' rights show of the robots."""
+
+    def __init__(self, config: McpConfig, door: Door, commanding: Commanding) -> None:
+        self._door = door
+        self._catalogue = commanding.catalogue
+        self._commanding = commanding
+        self._resources = Resources(config, door, self._catalogue)
+        self._completing = Completing(self._catalogue)
+        looking = Looking(config, door, self._catalogue)
+        self._handlers: dict[str, Handler] = {
+            "discover": looking.discover,
+            "read": looking.read,
+            "status": looking.status,
+            "write": commanding.write,
+            "execute": commanding.execute,
+            "cancel": commanding.cancel,
+            "watch": Watching(config, door).watch,
+        }
+
+    @property
+    def catalogue(self) -> Catalogue:
+        """What callers may see."""
+        return self._catalogue
+
+    def methods(self) -> Sequence[Method]:
+        """Serve tasks."""
+        return self._commanding.tasks.methods()
+
+    def extensions(self) -> Mapping[str, dict[str, Any]]:
+        """Serve tasks."""
+        return {TASKS: {}}
+
+    async def tools(self, ctx: Context) -> Sequence[types.Tool]:
+        """List the fixed tools that the caller can use at all, then those of actions and services."""
+        session = self._paying(ctx)
+        held = {name for one in self._catalogue.all(session) for name in one["operations"]}
+        found = [one.tool for one in FIXED.values() if one.needs is None or one.needs in held]
+        return [*found, *(one.tool for one in self._catalogue.tools(session).values())]
+
+    async def call(self, ctx: Context, params: types.CallToolRequestParams) -> Outcome | None:
+        """Call a tool; what goes wrong is an answer that the model can act on."""
+        session = session_of(ctx)
+        arguments = params.arguments or {}
+        try:
+            if (one := FIXED.get(params.name)) is not None:
+                taken = _taken(one, arguments)
+                return await self._handlers[params.name](ctx, session, taken)
+            typed = self._catalogue.tools(session).get(params.name)
+            if typed is None:
+                return None
+            return await self._commanding.call(ctx, session, typed, arguments)
+        except MCPError:
+            raise
+        except RcpError as error:
+            return refused(error)
+        except Exception as error:
+            return refused(crash(error, tool=params.name))
+
+    async def resources(self, ctx: Context) -> Sequence[types.Resource]:
+        """List what the caller may read."""
+        return self._resources.all(self._paying(ctx))
+
+    async def templates(self, ctx: Context) -> Sequence[types.ResourceTemplate]:
+        """List how URIs are made."""
+        return self._resources.templates()
+
+    async def read(
+        self, ctx: Context, params: types.ReadResourceRequestParams
+    ) -> types.ReadResourceResult | None:
+        """Read a value as it is, whole."""
+        return await self._resources.read(session_of(ctx), params.uri)
+
+    async def prompts(self, ctx: Context) -> Sequence[types.Prompt]:
+        """List prompts for common jobs."""
+        return PROMPTS
+
+    async def prompt(
+        self, ctx: Context, params: types.GetPromptRequestParams
+    ) -> types.GetPromptResult | None:
+        """Write a prompt out."""
+        return written(params.name, params.arguments or {})
+
+    async def complete(
+        self, ctx: Context, params: types.CompleteRequestParams
+    ) -> types.Completion | None:
+        """Complete tenants and paths, of those that the caller may see."""
+        return self._completing.complete(self._paying(ctx), params)
+
+    def _paying(self, ctx: Context) -> Session:
+        """Return the session of a request that no handler of the gateway counts.
+
+        :raises MCPError: a quota does not allow it now.
+        """
+        session = session_of(ctx)
+        try:
+            self._door.pay(session)
+        except RcpError as error:
+            told = {key: item for key, item in error_body(error).items() if key != "trace_id"}
+            raise MCPError(
+                types.INVALID_REQUEST, f"{error.message}. {error.remedy}", told
+            ) from None
+        return session

@@ -1,0 +1,95 @@
+"""The tool of one action or service: its name, words, schemas and hints."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from mcp import types
+
+from rcp_mcp.config import McpConfig
+from rcp_mcp.naming import tool_name
+from rcp_mcp.schemas import Arguments, arguments, result
+
+__all__ = ["OPTIONS", "typed_tool"]
+
+OPTIONS: dict[str, dict[str, Any]] = {
+    "deadline": {
+        "type": "number",
+        "exclusiveMinimum": 0,
+        "maximum": 86400,
+        "unit": "s",
+        "description": "Give up, and stop, if it is not done by then.",
+    },
+    "wait": {
+        "type": "number",
+        "minimum": 0,
+        "maximum": 3600,
+        "unit": "s",
+        "description": "Answer after that long, while it goes on.",
+    },
+    "dry_run": {
+        "type": "boolean",
+        "description": "Check everything, do nothing, and say what would happen.",
+    },
+    "approval": {
+        "type": "string",
+        "maxLength": 128,
+        "description": "Id of a person's approval of exactly this, as the refusal named it.",
+    },
+}
+_DESCRIPTION = 900  # characters that a robot's own words may have
+
+
+def typed_tool(
+    facts: dict[str, Any], tenant: str | None, config: McpConfig, *, stops: bool
+) -> tuple[types.Tool, Arguments]:
+    """Make the tool of a resource that may be executed, from its entry in the catalogue."""
+    schemas = facts.get("schemas", {})
+    taken = arguments(
+        facts.get("command_schema") or schemas.get("input"), facts["examples"], OPTIONS
+    )
+    path: str = facts["path"]
+    return (
+        types.Tool(
+            name=tool_name(path, tenant),
+            title=path,
+            description=_words(facts, config, stops=stops),
+            input_schema=taken.schema,
+            output_schema=result(schemas.get("output"), schemas.get("feedback")),
+            annotations=_hints(facts),
+            _meta={"rcp/path": path},
+        ),
+        taken,
+    )
+
+
+def _words(facts: dict[str, Any], config: McpConfig, *, stops: bool) -> str:
+    said = [" ".join(str(facts["description"]).split())[:_DESCRIPTION]]
+    if facts["kind"] == "action":
+        said.append(
+            f"It takes a while: after {config.wait:g} s (or `wait`) the answer is `in_progress` "
+            "with a command id for `status` and `cancel`."
+        )
+        said.append(
+            "Cancelling the call stops the robot."
+            if stops
+            else "Cancelling the call does not stop the robot: it goes on; use `cancel` for that."
+        )
+    if envelopes := facts.get("envelopes"):
+        names = ", ".join(str(one.get("name")) for one in envelopes)
+        said.append(f"Held to limits of the gateway: {names}.")
+    said.append(f"Path {facts['path']}.")
+    return " ".join(said)
+
+
+def _hints(facts: dict[str, Any]) -> types.ToolAnnotations:
+    """Say what a call does to the world, as far as the resource tells."""
+    meta = facts.get("meta", {})
+    hints: dict[str, Any] = meta.get("hints", {}) if isinstance(meta, dict) else {}
+    stop = facts["path"] == "/system/estop"
+    return types.ToolAnnotations(
+        read_only_hint=bool(hints.get("read_only", False)),
+        destructive_hint=bool(hints.get("destructive", not stop)),
+        idempotent_hint=bool(hints.get("idempotent", stop)),
+        open_world_hint=facts["kind"] == "action",
+    )

@@ -1,0 +1,47 @@
+"""The suite of the protocol's authors, against the endpoint with the fixtures that it asks for."""
+
+from __future__ import annotations
+
+import asyncio
+
+import pytest
+from mcp.shared.exceptions import MCPDeprecationWarning
+
+from node import bin_of
+from plugins.mcp.fixtures import Fixtures
+from plugins.mcp.rig import site
+from rcp_kernel.model import Resource
+
+pytestmark = pytest.mark.filterwarnings(
+    f"ignore::{MCPDeprecationWarning.__module__}.{MCPDeprecationWarning.__name__}"
+)
+_PATIENCE = 120.0  # s for one run of the suite
+
+
+async def run(*command: str) -> tuple[int, str]:
+    """Run a program to its end; return its code and what it said."""
+    process = await asyncio.create_subprocess_exec(
+        *command, stdout=asyncio.subprocess.PIPE, stderr=asyncio.subprocess.STDOUT
+    )
+    async with asyncio.timeout(_PATIENCE):
+        said, _ = await process.communicate()
+    assert process.returncode is not None
+    return process.returncode, said.decode()
+
+
+@pytest.mark.parametrize("revision", ["2026-07-28", "2025-11-25"])
+async def test_every_scored_scenario_passes(revision: str) -> None:
+    suite = bin_of("mcp", "conformance")
+    changes = 0
+
+    def change() -> None:
+        nonlocal changes
+        changes += 1
+        made.robot.host.declare(
+            Resource(name=f"service/new_{changes}", description="Came later.", output=int)
+        )
+
+    async with site(more='[anonymous]\nrole = "operator"\n', offers=[Fixtures(change)]) as made:
+        code, said = await run(*suite, "server", "--url", made.url, "--requirements", revision)
+
+    assert code == 0, said

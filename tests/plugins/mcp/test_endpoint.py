@@ -1,0 +1,260 @@
+"""The endpoint: who gets in, whose session it is, and what those who listen are told."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from collections.abc import AsyncGenerator, AsyncIterator, Callable
+from contextlib import asynccontextmanager, suppress
+from datetime import UTC, datetime, timedelta
+from typing import Any
+
+import httpx
+import pytest
+
+from plugins.mcp.rig import BOUND, OPERATOR, Caller, Site, caller, site
+from rcp_kernel.model import Resource
+
+INITIALIZE: dict[str, Any] = {
+    "jsonrpc": "2.0",
+    "id": 1,
+    "method": "initialize",
+    "params": {
+        "protocolVersion": "2025-06-18",
+        "capabilities": {},
+        "clientInfo": {"name": "old", "version": "1"},
+    },
+}
+HEADERS = {
+    "accept": "application/json, text/event-stream",
+    "authorization": f"Bearer {OPERATOR}",
+}
+
+
+async def test_a_token_that_is_not_good_is_refused_with_where_to_get_one(gateway: Site) -> None:
+    async with caller(gateway, "nonsense") as stranger:
+        body = stranger.body("tools/list", {})
+        response = await stranger.http.post(
+            stranger.url, json=body, headers={"mcp-method": "tools/list"}
+        )
+        assert response.status_code == 401
+        where = f"{gateway.base}/.well-known/oauth-protected-resource/mcp"
+        assert f'resource_metadata="{where}"' in response.headers["www-authenticate"]
+        assert response.json()["error"]["data"]["code"] == "unauthenticated"
+        told = (await stranger.http.get(where)).json()
+        assert told["resource"] == gateway.url
+        assert told["bearer_methods_supported"] == ["header"]
+
+
+async def test_foreign_names_and_origins_are_refused(gateway: Site) -> None:
+    async with httpx.AsyncClient(headers=HEADERS, trust_env=False) as client:
+        for header in ({"host": "evil.example"}, {"origin": "https://evil.example"}):
+            response = await client.post(gateway.url, json=INITIALIZE, headers=header)
+            assert response.status_code == 403
+
+
+async def test_a_session_is_its_openers_alone(gateway: Site) -> None:
+    async with httpx.AsyncClient(headers=HEADERS, trust_env=False) as client:
+        opened = await client.post(gateway.url, json=INITIALIZE)
+        session = {"mcp-session-id": opened.headers["mcp-session-id"]}
+        ping = {"jsonrpc": "2.0", "id": 2, "method": "ping"}
+        assert (await client.post(gateway.url, json=ping, headers=session)).status_code == 200
+        del client.headers["authorization"]
+        stolen = await client.post(gateway.url, json=ping, headers=session)
+        assert stolen.status_code == 404
+
+
+@asynccontextmanager
+async def listening(client: Caller, **wanted: Any) -> AsyncGenerator[asyncio.Queue[dict[str, Any]]]:
+    """Listen; what comes is put into the queue."""
+    heard: asyncio.Queue[dict[str, Any]] = asyncio.Queue()
+
+    async def listen() -> None:
+        body = client.body("subscriptions/listen", {"notifications": wanted})
+        headers = {"mcp-method": "subscriptions/listen"}
+        async with client.http.stream("POST", client.url, json=body, headers=headers) as response:
+            async for line in response.aiter_lines():
+                if line.startswith("data:"):
+                    heard.put_nowait(json.loads(line[5:]))
+
+    task = asyncio.create_task(listen())
+    try:
+        async with asyncio.timeout(BOUND):
+            first = await heard.get()
+            assert first["method"] == "notifications/subscriptions/acknowledged"
+            yield heard
+    finally:
+        task.cancel()
+        await asyncio.gather(task, return_exceptions=True)
+
+
+async def test_who_listens_hears_of_changes_that_he_may_see(
+    gateway: Site, operator: Caller
+) -> None:
+    async with listening(operator, toolsListChanged=True) as heard:
+        gateway.robots[1].host.declare(Resource(name="service/other", description="Of beta."))
+        gateway.robot.host.declare(Resource(name="service/late", description="Came late."))
+        assert (await heard.get())["method"] == "notifications/tools/list_changed"
+        assert "service-late" in await operator.tools()
+        gateway.robot.host.withdraw("service/late")
+        assert (await heard.get())["method"] == "notifications/tools/list_changed"
+        assert "service-late" not in await operator.tools()
+
+
+async def test_a_change_that_is_hidden_makes_no_news(gateway: Site, operator: Caller) -> None:
+    async with listening(operator, toolsListChanged=True) as heard:
+        gateway.robots[1].host.declare(Resource(name="service/other", description="Of beta."))
+        await asyncio.sleep(0.6)  # twice as long as the tree is left alone
+        assert heard.empty()
+
+
+async def test_who_listens_to_a_resource_hears_of_new_values(
+    gateway: Site, operator: Caller
+) -> None:
+    uris = ["rcp://alpha/sensor/level", "rcp://beta/sensor/level", "rcp://alpha/sensor/none"]
+    async with listening(operator, resourceSubscriptions=uris) as heard:
+        for level in range(50):
+            gateway.robots[1].host.publish("sensor/level", float(level))
+            gateway.robot.host.publish("sensor/level", float(level))
+            await asyncio.sleep(0.01)
+            if not heard.empty():
+                break
+        told = await heard.get()
+        assert told["method"] == "notifications/resources/updated"
+        assert told["params"]["uri"] == "rcp://alpha/sensor/level"
+
+
+class Older:
+    """A client of 2025-11-25 with a session."""
+
+    def __init__(self, url: str, http: httpx.AsyncClient) -> None:
+        self.url = url
+        self.http = http
+        self.session: dict[str, str] = {}
+
+    async def open(self) -> None:
+        params = {**INITIALIZE["params"], "protocolVersion": "2025-11-25"}
+        opened = await self.http.post(self.url, json={**INITIALIZE, "params": params})
+        self.session = {
+            "mcp-session-id": opened.headers["mcp-session-id"],
+            "mcp-protocol-version": "2025-11-25",
+        }
+        await self.post({"method": "notifications/initialized"})
+
+    async def post(self, message: dict[str, Any]) -> httpx.Response:
+        return await self.http.post(
+            self.url, json={"jsonrpc": "2.0", **message}, headers=self.session
+        )
+
+    @asynccontextmanager
+    async def stream(self, **headers: str) -> AsyncGenerator[AsyncIterator[str]]:
+        async with self.http.stream(
+            "GET", self.url, headers={**self.session, **headers}
+        ) as response:
+            assert response.status_code == 200
+            yield response.aiter_lines()
+
+
+@pytest.fixture
+async def older(gateway: Site) -> AsyncGenerator[Callable[[], Older]]:
+    async with httpx.AsyncClient(headers=HEADERS, trust_env=False, timeout=BOUND) as http:
+        yield lambda: Older(gateway.url, http)
+
+
+async def methods(lines: AsyncIterator[str], count: int) -> list[str]:
+    """Return what the next notifications are about."""
+    found: list[str] = []
+    async with asyncio.timeout(BOUND):
+        async for line in lines:
+            if line.startswith("data: {"):
+                found.append(json.loads(line[6:])["method"].removeprefix("notifications/"))
+                if len(found) == count:
+                    break
+    return found
+
+
+async def test_an_older_client_hears_of_changes_and_values_too(
+    gateway: Site, older: Callable[[], Older]
+) -> None:
+    client = older()
+    await client.open()
+    async with client.stream() as lines:
+        gateway.robot.host.declare(Resource(name="service/late", description="Came late."))
+        changed = {"tools/list_changed", "resources/list_changed"}
+        assert set(await methods(lines, 2)) == changed
+    params = {"uri": "rcp://alpha/sensor/level"}
+    await client.post({"id": 2, "method": "resources/subscribe", "params": params})
+    async with client.stream() as lines:
+        telling = asyncio.create_task(methods(lines, 1))
+        for level in range(200):
+            gateway.robot.host.publish("sensor/level", float(level))
+            await asyncio.sleep(0.02)
+            if telling.done():
+                break
+        assert await telling == ["resources/updated"]
+
+
+async def test_a_session_reads_on_after_a_cut_and_no_other_reads_that(
+    gateway: Site, older: Callable[[], Older]
+) -> None:
+    one, other = older(), older()
+    await one.open()
+    await other.open()
+    call = {"name": "read", "arguments": {"path": "/sensor/level"}}
+    answer = await one.post({"id": 7, "method": "tools/call", "params": call})
+    await other.post({"id": 7, "method": "tools/call", "params": call})
+    first = next(line[4:] for line in answer.text.splitlines() if line.startswith("id: "))
+
+    async def again(client: Older) -> str:
+        said = ""
+        with suppress(TimeoutError):
+            async with asyncio.timeout(2), client.stream(**{"last-event-id": first}) as lines:
+                async for line in lines:
+                    said += line
+                    if "1.25" in said:
+                        break
+        return said
+
+    assert "1.25" in await again(one)
+    assert "1.25" not in await again(other)
+
+
+async def test_a_proof_that_ends_closes_what_it_opened() -> None:
+    ends = datetime.now(UTC) + timedelta(seconds=3)
+    short = f"""
+[[keys]]
+name = "short"
+role = "operator"
+tenants = ["alpha"]
+key = "short-key-of-these-tests"
+expires = "{ends.isoformat()}"
+"""
+    async with site(more=short) as made, caller(made, "short-key-of-these-tests") as client:
+        async with asyncio.timeout(BOUND):
+            with suppress(httpx.RemoteProtocolError):
+                body = client.body("subscriptions/listen", {"notifications": {}})
+                headers = {"mcp-method": "subscriptions/listen"}
+                async with client.http.stream(
+                    "POST", client.url, json=body, headers=headers
+                ) as response:
+                    assert response.status_code == 200
+                    async for _ in response.aiter_lines():
+                        pass
+        answer = await client.send("tools/list")
+        assert answer["error"]["data"]["code"] == "token_expired"
+
+
+async def test_lists_count_against_a_quota_as_calls_do() -> None:
+    hasty = """
+[quotas.principal]
+requests = 0.5
+burst = 3
+"""
+    async with site(more=hasty) as made, caller(made) as client:
+        answers = [await client.send("tools/list") for _ in range(6)]
+        refused = [one["error"] for one in answers if "error" in one]
+        assert refused
+        assert refused[0]["data"]["code"] == "rate_limited"
+        assert refused[0]["data"]["retry_after"] > 0
+        call = await client.call("read", path="/sensor/level")
+        assert call["structuredContent"]["error"]["code"] == "rate_limited"
