@@ -20,6 +20,7 @@ ALL = (
     "guarded",
     "mavlink",
     "can_axes",
+    "dashboard",
     "beside_rosbridge",
 )
 

@@ -7,6 +7,7 @@ import socket
 from collections.abc import AsyncGenerator, Generator
 from contextlib import asynccontextmanager
 from pathlib import Path
+from urllib.parse import urlencode
 
 import pytest
 from playwright.async_api import Browser, expect
@@ -22,6 +23,19 @@ from rcp_kernel.testing import serve
 pytestmark = pytest.mark.anyio
 expect.set_options(timeout=20_000)  # ms
 PAGES = ("", "explore", "teleop", "camera", "scene", "map", "plot", "commands", "log")
+SHOWN = {
+    "explore": "path=/tenant/alpha/sensor/pose",
+    "plot": urlencode(
+        [
+            ("p", "/tenant/alpha/sensor/imu#linear_acceleration.x"),
+            ("p", "/tenant/alpha/sensor/imu#linear_acceleration.z"),
+            ("p", "/tenant/beta/sensor/imu#angular_velocity.z"),
+            ("p", "/tenant/alpha/sensor/battery#voltage,/tenant/beta/sensor/battery#voltage"),
+            ("span", "10"),
+        ]
+    ),
+}
+"""What the pages show that show nothing by themselves."""
 GATEWAY = """
 [transports.asgi]
 port = 0
@@ -71,7 +85,7 @@ async def gateway(asgi: str = "", more: str = "") -> AsyncGenerator[str]:
 async def test_every_page_opens_and_nothing_is_complained_of(tab: Watched) -> None:
     await expect(tab.page.get_by_text("rover-alpha").first).to_be_visible()
     for name in PAGES:
-        await tab.open(name)
+        await tab.open(f"{name}?{SHOWN.get(name, 'robot=rover-alpha')}")
         await expect(tab.page.locator("main")).not_to_contain_text("Loading")
         await expect(tab.page.locator("main")).not_to_contain_text("could not be loaded")
         await tab.page.wait_for_load_state("networkidle")
