@@ -234,6 +234,26 @@ def estop(ctx: click.Context, **arguments: Any) -> int:
     return _run(ctx, "estop", **arguments)
 
 
+@rcpctl.command(context_settings=_CONTEXT)
+@_common
+@click.option("--all", "every", is_flag=True, help="Those that are decided or over, too.")
+@click.pass_context
+def approvals(ctx: click.Context, **arguments: Any) -> int:
+    """List what waits for a person's approval: what you may decide on, and what you asked for."""
+    return _run(ctx, "approvals", **arguments)
+
+
+@rcpctl.command(context_settings=_CONTEXT)
+@_common
+@click.argument("approval", metavar="ID")
+@click.option("--reject", is_flag=True, help="Reject it instead.")
+@click.option("--reason", metavar="TEXT", help="Why, for the record and for whoever asked.")
+@click.pass_context
+def approve(ctx: click.Context, **arguments: Any) -> int:
+    """Let what somebody else asked for pass once; look at `rcpctl approvals` first."""
+    return _run(ctx, "approve", **arguments)
+
+
 @rcpctl.group(context_settings=_CONTEXT)
 @_common
 def lease() -> None:

@@ -125,13 +125,13 @@ class Rights:
     __slots__ = (
         "__weakref__",
         "_allow",
-        "_approve",
         "_asked",
         "_conditions",
         "_deny",
         "_held",
         "_room",
         "_terms",
+        "approve",
         "grants",
         "masks",
         "tenants",
@@ -159,12 +159,13 @@ class Rights:
             for rule in role.deny
             for r in _reaches(rule, t)
         ]
-        self._approve = [
+        self.approve = [
             r
             for t, role in self._held
             if role.approve
             for r in _reaches(Rule(("write", "execute"), role.approve), t)
         ]
+        """Where a person has to approve commands; empty for nearly everybody."""
         self._asked: dict[str, bool] = {}
         self._conditions = conditions
         self._room = room or Room()
@@ -179,12 +180,12 @@ class Rights:
 
     def asks(self, path: str) -> bool:
         """Tell whether a person has to approve commands on a path first."""
-        if not self._approve:
+        if not self.approve:
             return False
         found = self._asked.get(path)
         if found is None:
             self._room.take()
-            found = self._asked[path] = bool(self._matching(self._approve, path))
+            found = self._asked[path] = bool(self._matching(self.approve, path))
         return found
 
     def may_approve(self, tenant: str | None) -> bool:

@@ -32,7 +32,7 @@ from rcp_kernel.config.limits import Limits, Quota, Quotas
 from rcp_kernel.config.roles import check_pattern, check_roles
 from rcp_kernel.config.safety import Safety
 from rcp_kernel.errors import ConfigError
-from rcp_kernel.plans.config import PlansConfig
+from rcp_kernel.plans.config import PlansConfig, check_plans
 
 __all__ = [
     "Anonymous",
@@ -338,3 +338,4 @@ def _check(config: GatewayConfig, source: str) -> None:
         raise ConfigError(f"{source}: [safety] lease_ttl is longer than lease_ttl_max")
     check_roles(config.roles, source)
     check_envelopes(config.envelopes, source, roles, config.tenant_names)
+    check_plans(config.plans, source)

@@ -93,7 +93,7 @@ class Executing:
             return would(request, entry, {"execute": value, **facts})
         if work is not None:
             work.approve(session, request, entry)
-        else:
+        elif session.rights.approve:
             gateway.approvals.check(session, request, entry, value)
         command = Command(
             id="cmd-" + secrets.token_hex(8),

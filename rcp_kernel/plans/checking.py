@@ -14,6 +14,7 @@ from rcp_kernel._plain import is_map
 from rcp_kernel.access.conditions import condition
 from rcp_kernel.clients.session import Session
 from rcp_kernel.errors import (
+    BY_CODE,
     BadRequest,
     ConfigError,
     DuplicateRequest,
@@ -30,7 +31,7 @@ from rcp_kernel.operations.reading import READ_OPTIONS
 from rcp_kernel.plans.fault import Fault, nearest, refusal
 from rcp_kernel.plans.lines import from_lines
 from rcp_kernel.plans.looking import looked_at
-from rcp_kernel.plans.model import Execute, Group, Operate, Parallel, Plan, Read, Step, Write
+from rcp_kernel.plans.model import Execute, Group, Operate, Parallel, Plan, Read, Retry, Step, Write
 from rcp_kernel.plans.naming import Naming
 from rcp_kernel.plans.node import Checked, Node, references
 from rcp_kernel.plans.symbolic import from_symbolic
@@ -124,6 +125,7 @@ class _Check:
             if isinstance(step, Group):
                 node.children = self._level(step.steps, f"{node.id}.", depth + 1)
             node.fallback = self._level(step.fallback, f"{node.id}.fallback.", depth + 1)
+            self._try(node, lambda retry=step.retry: _codes(retry))
             nodes.append(node)
         return nodes
 
@@ -306,3 +308,18 @@ class _Check:
             node.when = found
         else:
             node.until = found
+
+
+def _codes(retry: Retry | None) -> None:
+    """Refuse to try again on what is no code: it never would be.
+
+    :raises InvalidValue: one is none.
+    """
+    for code in retry.on if retry is not None else ():
+        if code not in BY_CODE:
+            near = nearest(code, BY_CODE, 0.8)
+            raise InvalidValue(
+                f"`retry` names '{code[:64]}', which is no error code",
+                remedy=f"Did you mean {', '.join(near)}?" if near else None,
+                details={"near": near, "pointer": "/retry/on"},
+            )

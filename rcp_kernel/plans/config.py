@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
+import re
 from typing import Annotated, Any, Literal
 
 import msgspec
 from msgspec import Meta
 
-__all__ = ["ActionTable", "PlansConfig"]
+from rcp_kernel.errors import ConfigError, InvalidPath
+from rcp_kernel.model import parse_path
+
+__all__ = ["ARGUMENT", "ActionTable", "PlansConfig", "check_plans"]
+
+ARGUMENT = re.compile(r"\{(\d+)((?:\.\w+)*)\}")
+"""`{1}`, or `{1.x}` for a field of an object."""
 
 
 class ActionTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -36,3 +43,24 @@ class PlansConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
     actions: dict[str, ActionTable] = {}
     objects: dict[str, Any] = {}
     """Values by the names that symbolic plans use for them."""
+
+
+def check_plans(config: PlansConfig, source: str) -> None:
+    """Refuse actions that could never be carried out.
+
+    :raises ConfigError: with the file and the table.
+    """
+    for name, table in config.actions.items():
+        where = f"{source}: [plans.actions.{name}]"
+        if any(match[2] for match in ARGUMENT.finditer(table.path)):
+            raise ConfigError(
+                f"{where} path = {table.path!r}: a field of an object has no place in it"
+            )
+        try:
+            parse_path(ARGUMENT.sub("x", table.path), "t")
+        except InvalidPath as error:
+            raise ConfigError(
+                f"{where} path = {table.path!r} is no path: {error.remedy} An argument is {{0}}, {{1}}…"
+            ) from None
+        if table.do == "write" and table.value is None:
+            raise ConfigError(f"{where} writes, and has no `value`")

@@ -16,6 +16,7 @@ from rcp_kernel.clock import iso, now
 from rcp_kernel.errors import (
     BY_CODE,
     DeadlineExceeded,
+    EstopActive,
     InternalError,
     PreconditionFailed,
     RcpError,
@@ -82,7 +83,9 @@ class Engine:
             raise
         except RcpError as error:
             self._telling.change(node, "failed", error=error_body(error), message=error.message)
-            if not node.fallback:
+            if not node.fallback or isinstance(
+                error, EstopActive
+            ):  # that ends it, whatever it says
                 raise _of_step(node, error) from None
             await self._sequence(node.fallback)
             self._telling.change(node, "recovered")
@@ -208,7 +211,8 @@ class Engine:
             done, running = await asyncio.wait(running, return_when=asyncio.FIRST_COMPLETED)
             for task in done:
                 failed = failed or (None if task.cancelled() else task.exception())
-            if failed is not None and step.need == "all":
+            stopped = isinstance(failed, EstopActive)
+            if failed is not None and (step.need == "all" or stopped):
                 raise failed
             ended = (child.state.state for child in children)
             if step.need == "any" and any(s in ("completed", "recovered") for s in ended):
@@ -261,7 +265,7 @@ class Engine:
 
 
 def _again(retry: Retry | None, error: RcpError) -> bool:
-    if retry is None:
+    if retry is None or isinstance(error, EstopActive):
         return False
     return error.code in retry.on if retry.on else error.retryable
 

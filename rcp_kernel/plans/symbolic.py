@@ -10,7 +10,7 @@ import msgspec
 
 from rcp_kernel._plain import is_list, is_map
 from rcp_kernel.errors import BadRequest, InvalidPath, InvalidValue, RcpError
-from rcp_kernel.plans.config import PlansConfig
+from rcp_kernel.plans.config import ARGUMENT, PlansConfig
 from rcp_kernel.plans.fault import Fault
 from rcp_kernel.plans.lines import word
 from rcp_kernel.plans.model import Execute, Parallel, Read, Step, Write
@@ -22,7 +22,6 @@ _ACTION = re.compile(
     rf"\s*(?:(?P<time>{_NUMBER})\s*:)?\s*\((?P<words>[^()]*)\)\s*(?:\[\s*(?P<length>{_NUMBER})\s*\])?"
 )
 _SEGMENT = re.compile(r"[A-Za-z0-9_.-]+\Z")
-_PLACE = re.compile(r"\{(\d+)((?:\.\w+)*)\}")
 _SYNTAX = "Write one action a line: `(name argument …)`, `; ` begins a comment."
 
 
@@ -88,7 +87,7 @@ def _step(id_: str, action: Action, config: PlansConfig, unlisted: Unlisted) -> 
     if table is None:
         path, value = unlisted(action, config.objects)
         return Execute(id=id_, path=path, value=value)
-    path = _PLACE.sub(lambda m: _in_path(m, action), table.path)
+    path = ARGUMENT.sub(lambda m: _in_path(m, action), table.path)
     value = _fill(table.value, action, config.objects)
     if table.do == "read":
         return Read(id=id_, path=path, value=value, deadline=table.deadline)
@@ -109,7 +108,7 @@ def _argument(match: re.Match[str], action: Action) -> str:
 
 def _in_path(match: re.Match[str], action: Action) -> str:
     text = _argument(match, action)
-    if not _SEGMENT.match(text) or match[2]:
+    if not _SEGMENT.match(text):
         raise InvalidPath(f"'{text[:40]}' of ({action.name} …) cannot stand in a path")
     return text
 
@@ -121,10 +120,10 @@ def _fill(template: Any, action: Action, objects: dict[str, Any]) -> Any:
         return [_fill(v, action, objects) for v in template]
     if not isinstance(template, str):
         return template
-    whole = _PLACE.fullmatch(template)
+    whole = ARGUMENT.fullmatch(template)
     if whole is not None:
         return _object(whole, action, objects)
-    return _PLACE.sub(lambda m: str(_object(m, action, objects)), template)
+    return ARGUMENT.sub(lambda m: str(_object(m, action, objects)), template)
 
 
 def _object(match: re.Match[str], action: Action, objects: dict[str, Any]) -> Any:

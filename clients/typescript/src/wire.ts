@@ -21,6 +21,8 @@ export interface Request {
   idempotency_key?: string;
   valid_for?: number;
   dry_run?: boolean;
+  /** Of the approval that lets a write or execute pass, once. */
+  approval?: string;
   command?: string;
 }
 

@@ -186,6 +186,29 @@ async def _estop(client: Client, out: Output, args: Arguments) -> int:
     return 0
 
 
+async def _approvals(client: Client, out: Output, args: Arguments) -> int:
+    listed = await client.approvals()
+    if not args["every"]:
+        listed = [one for one in listed if one["status"] in ("pending", "approved")]
+    if out.json:
+        for one in listed:
+            out.document(one)
+    elif listed:
+        show.approvals(out, listed)
+    else:
+        out.aside("Nothing waits for approval.")
+    return 0
+
+
+async def _approve(client: Client, out: Output, args: Arguments) -> int:
+    state = await client.approve(args["approval"], reject=args["reject"], reason=args["reason"])
+    if out.json:
+        out.document(state)
+    else:
+        show.approvals(out, [state])
+    return 0
+
+
 async def _lease_list(client: Client, out: Output, _: Arguments) -> int:
     listed = await client.leases()
     if out.json:
@@ -251,6 +274,8 @@ _COMMANDS: dict[str, Callable[[Client, Output, Arguments], Awaitable[int]]] = {
     "commands": _commands,
     "cancel": _cancel,
     "estop": _estop,
+    "approvals": _approvals,
+    "approve": _approve,
     "lease list": _lease_list,
     "lease acquire": _lease_acquire,
     "lease release": _lease_release,

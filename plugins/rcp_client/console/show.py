@@ -14,6 +14,7 @@ from rcp_kernel.errors import BadRequest
 from rcp_kernel.values import Encoding, parse
 
 __all__ = [
+    "approvals",
     "commands",
     "estop",
     "item",
@@ -50,6 +51,16 @@ def resource(out: Output, found: ResourceInfo) -> None:
         out.rows([("  " + field, type_, note) for field, type_, note in outline(schema)])
     for example in found.examples:
         out.line(f"example  {compact(example)}")
+
+
+def approvals(out: Output, listed: list[dict[str, Any]]) -> None:
+    """Show what wants approval, with what would be sent."""
+    rows = [
+        (a["approval"], out.paint(a["status"]), a["principal"], a["request"], a["path"],
+         a["expires"][11:19], compact(a.get("value")))
+        for a in listed
+    ]  # fmt: skip
+    out.table(("ID", "STATUS", "BY", "WANTS TO", "PATH", "UNTIL", "VALUE"), rows)
 
 
 def value_facts(reply: Reply) -> dict[str, Any]:

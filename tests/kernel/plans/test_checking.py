@@ -44,6 +44,7 @@ async def test_everything_that_is_wrong_is_told_at_once_and_nothing_is_begun() -
             echo(id="twice"),
             echo(id="twice"),
             echo(after=["typo"], id="order"),
+            echo(retry={"times": 1, "on": ["device_rejectd"]}, id="code"),
         )
         assert faults(reply) == {
             "typo": "unknown_path",
@@ -56,12 +57,14 @@ async def test_everything_that_is_wrong_is_told_at_once_and_nothing_is_begun() -
             "nested": "unsupported_operation",
             "twice": "duplicate_request",
             "order": "bad_request",
+            "code": "invalid_value",
         }
         near = {
             f["step"]: f.get("details", {}).get("near") for f in reply["error"]["details"]["faults"]
         }
         assert near["typo"] == ["/tenant/alpha/param/limit"]
         assert near["reference"] == ["bound"]
+        assert near["code"] == ["device_rejected"]
         assert world.robot.writes == []
 
 

@@ -177,7 +177,12 @@ async def test_a_person_approves_what_an_agent_asks_for() -> None:
             await agent.plan(text)
         id_ = (asked.value.details or {})["approval"]
         assert [one["approval"] for one in await person.approvals()] == [id_]
-        await person.approve(id_, reason="the way is free")
+        listed = await _rcpctl(server, "approvals", token="admin-of-these-plans")
+        assert json.loads(listed.stdout)["approval"] == id_
+        why = "the way is free"
+        approve = ("approve", id_, "--reason", why, "--text")
+        shown = await _rcpctl(server, *approve, token="admin-of-these-plans")
+        assert "approved" in shown.stdout, shown.stderr
         assert states(await agent.plan(text, approval=id_)) == ["completed", "completed"]
 
 
@@ -200,8 +205,10 @@ async def test_rcpctl_runs_and_checks_plans(tmp_path: Path) -> None:
         assert "out_of_range" in refused.stderr
 
 
-async def _rcpctl(server: Server, *arguments: str) -> subprocess.CompletedProcess[str]:
-    environment = {**os.environ, "RCP_URL": url_of(server), "RCP_TOKEN": "operator-of-these-plans"}
+async def _rcpctl(
+    server: Server, *arguments: str, token: str = "operator-of-these-plans"
+) -> subprocess.CompletedProcess[str]:
+    environment = {**os.environ, "RCP_URL": url_of(server), "RCP_TOKEN": token}
     process = await asyncio.create_subprocess_exec(
         BIN / "rcpctl",
         *arguments,
