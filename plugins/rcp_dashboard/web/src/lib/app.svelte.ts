@@ -24,7 +24,10 @@ class App {
   /** Rises with each login, so that what was made for the old one is made anew. */
   epoch = $state(0);
   byPath = $derived(new Map(this.resources.map((one) => [one.path, one])));
-  robots = $derived(robotsOf(this.resources, this.status));
+  /** How each robot's backend is, by name; it changes every second, and `robots` only with the tree. */
+  health = $derived(new Map<string, any>((this.status?.backends ?? []).map((one: any) => [one.name, one])));
+  #backends = $derived(JSON.stringify((this.status?.backends ?? []).map((one: any) => [one.name, one.tenant])));
+  robots = $derived(robotsOf(this.resources, JSON.parse(this.#backends)));
   #generation = -1;
   #timer: ReturnType<typeof setInterval> | undefined;
 

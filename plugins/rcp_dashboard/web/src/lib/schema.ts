@@ -78,9 +78,9 @@ export function faults(value: unknown, schema: Schema): Fault[] {
     .filter(({ pointer, message }) => !seen.has(pointer + message) && seen.add(pointer + message));
 }
 
-/** The properties of a resource's value, as far as its schema tells. */
-export function properties(resource: Resource): Set<string> {
-  const root = resource.schemas?.value;
+/** The properties of a resource's value, or of its input, as far as the schema tells. */
+export function properties(resource: Resource, of: "value" | "input" = "value"): Set<string> {
+  const root = resource.schemas?.[of];
   if (!root) return new Set();
   const whole = main(resolve(root, root), root).schema;
   return new Set(Object.keys(whole["properties"] ?? {}));

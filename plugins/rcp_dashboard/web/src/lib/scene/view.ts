@@ -1,0 +1,157 @@
+import {
+  AmbientLight, Color, DirectionalLight, GridHelper, MOUSE, type Object3D, OrthographicCamera, PerspectiveCamera, Plane, Raycaster, Scene, TOUCH,
+  Vector2, Vector3, WebGLRenderer,
+} from "three";
+import { OrbitControls } from "three/addons/controls/OrbitControls.js";
+
+export type Mode = "2d" | "3d";
+
+const REACH = 12; // m from the middle to the edge of what is seen at first
+
+/** A window into a world that is x forward, y left, z up, in metres. It draws when something has changed. */
+export class View {
+  readonly scene = new Scene();
+  mode: Mode = "2d";
+  /** Frames drawn so far. */
+  drawn = 0;
+  readonly #renderer: WebGLRenderer;
+  readonly #flat = new OrthographicCamera(-1, 1, 1, -1, 0.1, 2000);
+  readonly #deep = new PerspectiveCamera(50, 1, 0.05, 2000);
+  #controls!: OrbitControls;
+  #middle = new Vector3();
+  #dirty = true;
+  #frame = 0;
+  readonly #observer: ResizeObserver;
+  readonly #box: HTMLElement;
+  #grid: GridHelper | undefined;
+
+  /** Raises what WebGL raises where it is not there. */
+  constructor(box: HTMLElement) {
+    this.#box = box;
+    this.#renderer = new WebGLRenderer({ antialias: true, powerPreference: "low-power" });
+    this.#renderer.setPixelRatio(Math.min(devicePixelRatio, 2));
+    box.append(this.#renderer.domElement);
+    this.scene.add(new AmbientLight(0xffffff, 1.6));
+    const sun = new DirectionalLight(0xffffff, 1.8);
+    sun.position.set(4, -6, 12);
+    this.scene.add(sun);
+    for (const camera of [this.#flat, this.#deep]) camera.up.set(0, 0, 1);
+    this.#flat.up.set(0, 1, 0);
+    this.setMode("2d");
+    this.#observer = new ResizeObserver(() => this.#fit());
+    this.#observer.observe(box);
+    this.#fit();
+    const draw = (): void => {
+      this.#frame = requestAnimationFrame(draw);
+      this.#controls.update();
+      if (!this.#dirty) return;
+      this.#dirty = false;
+      this.drawn += 1;
+      this.#renderer.render(this.scene, this.camera);
+    };
+    draw();
+  }
+
+  get camera(): OrthographicCamera | PerspectiveCamera {
+    return this.mode === "2d" ? this.#flat : this.#deep;
+  }
+
+  get canvas(): HTMLCanvasElement {
+    return this.#renderer.domElement;
+  }
+
+  changed(): void {
+    this.#dirty = true;
+  }
+
+  setMode(mode: Mode): void {
+    this.#controls?.dispose();
+    this.mode = mode;
+    const at = this.#middle;
+    if (mode === "2d") this.#flat.position.set(at.x, at.y, 500);
+    else this.#deep.position.set(at.x - REACH, at.y - REACH * 0.8, REACH);
+    const controls = new OrbitControls(this.camera, this.canvas);
+    controls.target.copy(at);
+    controls.enableRotate = mode === "3d";
+    controls.zoomToCursor = true;
+    controls.maxPolarAngle = Math.PI / 2;
+    if (mode === "2d") {
+      controls.mouseButtons = { LEFT: MOUSE.PAN, MIDDLE: MOUSE.DOLLY, RIGHT: MOUSE.PAN };
+      controls.touches = { ONE: TOUCH.PAN, TWO: TOUCH.DOLLY_PAN };
+    }
+    controls.addEventListener("change", () => this.changed());
+    this.#controls = controls;
+    controls.update();
+    this.changed();
+  }
+
+  /** Hold the camera still while something else is done with the pointer. */
+  hold(still: boolean): void {
+    this.#controls.enabled = !still;
+  }
+
+  /** Move so that a place is in the middle. */
+  look(x: number, y: number): void {
+    const by = new Vector3(x, y, 0).sub(this.#controls.target).setZ(0);
+    this.camera.position.add(by);
+    this.#controls.target.add(by);
+    this.#middle.copy(this.#controls.target);
+    this.changed();
+  }
+
+  colours(ground: string, line: string): void {
+    this.scene.background = new Color(ground);
+    if (this.#grid) this.scene.remove(this.#grid);
+    this.#grid = new GridHelper(100, 100, new Color(line), new Color(line));
+    this.#grid.rotation.x = Math.PI / 2;
+    this.#grid.position.z = -0.02;
+    this.scene.add(this.#grid);
+    this.changed();
+  }
+
+  add(thing: Object3D): void {
+    this.scene.add(thing);
+    this.changed();
+  }
+
+  remove(thing: Object3D): void {
+    this.scene.remove(thing);
+    this.changed();
+  }
+
+  /** Where the pointer is on the floor. */
+  floor(event: PointerEvent): { x: number; y: number } | undefined {
+    const box = this.canvas.getBoundingClientRect();
+    const at = new Vector2(((event.clientX - box.left) / box.width) * 2 - 1, 1 - ((event.clientY - box.top) / box.height) * 2);
+    const ray = new Raycaster();
+    ray.setFromCamera(at, this.camera);
+    const hit = ray.ray.intersectPlane(new Plane(new Vector3(0, 0, 1)), new Vector3());
+    return hit ? { x: hit.x, y: hit.y } : undefined;
+  }
+
+  #fit(): void {
+    const { clientWidth: width, clientHeight: height } = this.#box;
+    if (width === 0 || height === 0) return;
+    this.#renderer.setSize(width, height);
+    const wide = width / height;
+    Object.assign(this.#flat, { left: -REACH * wide, right: REACH * wide, top: REACH, bottom: -REACH });
+    this.#deep.aspect = wide;
+    this.#flat.updateProjectionMatrix();
+    this.#deep.updateProjectionMatrix();
+    this.changed();
+  }
+
+  dispose(): void {
+    cancelAnimationFrame(this.#frame);
+    this.#observer.disconnect();
+    this.#controls.dispose();
+    this.scene.traverse((thing: any) => {
+      thing.geometry?.dispose();
+      thing.material?.map?.dispose();
+      thing.material?.dispose?.();
+    });
+    this.#renderer.dispose();
+    this.#renderer.forceContextLoss();
+    this.canvas.remove();
+  }
+}
