@@ -33,8 +33,8 @@ class Watched:
         self.url = url.rstrip("/")
         self.complaints: list[str] = []
         self.strays: list[str] = []
-        self.expected: list[str] = []
-        """Regular expressions of complaints that belong to the test."""
+        self.expected: list[str] = ["GL Driver Message"]
+        """Regular expressions of complaints that belong to the test, and of drawing in software."""
         page.on("console", self._console)
         page.on("pageerror", lambda error: self.complaints.append(f"uncaught: {error}"))
         page.on("request", self._request)

@@ -5,6 +5,7 @@ import { steering, type Steering } from "./twist.ts";
 
 const PERIOD = 80; // ms between writes while a dead-man is held
 const VALID = 0.4; // s that a write stands: what is lost on the way stops the robot this soon
+const TTL = 3; // s that control outlives its page
 const SLOW = 1000; // ms of one write beyond which driving ends
 
 /** What a source wants, each −1…1: forward, and turning to the left. */
@@ -48,11 +49,11 @@ export class Drive {
     return this.lease !== undefined;
   }
 
-  async take(over = false): Promise<void> {
+  async take(over = false, again = TTL * 2 + 1): Promise<void> {
     this.error = undefined;
     try {
       this.lease = await app.client.lease(this.resource.path, {
-        ttl: 3,
+        ttl: TTL,
         ...(over && { take: true, reason: "taken over on the dashboard" }),
         lost: (notice) => {
           this.lease = undefined;
@@ -62,7 +63,14 @@ export class Drive {
         },
       });
     } catch (problem) {
-      this.error = problem as RcpError;
+      const error = problem as RcpError;
+      // A page that was closed or loaded anew has left its lease to lapse: that is waited for.
+      const own = error.code === "lease_held" && error.details["holder"] === app.hello?.principal;
+      if (!own || again <= 0) this.error = error;
+      else {
+        await new Promise((resolve) => setTimeout(resolve, 500));
+        await this.take(over, again - 1);
+      }
     }
   }
 

@@ -1,0 +1,212 @@
+"""The dashboard's views, with a real browser and the real demo: scene, plots, cameras, map, commands, log."""
+
+from __future__ import annotations
+
+import asyncio
+import re
+from collections.abc import AsyncGenerator, Callable, Generator
+from typing import Any
+
+import httpx
+import pytest
+from playwright.async_api import Browser, Locator, Page, expect
+
+from browser.watched import Watched, log_in, watched
+from docs.demo import Demo, demo
+
+pytestmark = pytest.mark.anyio
+expect.set_options(timeout=20_000)  # ms
+_BOUND = 20.0  # s
+_STILL = 0.02  # m in a quarter of a second
+
+
+class Robot:
+    """The demo's rovers as they are, seen past the dashboard."""
+
+    def __init__(self, running: Demo) -> None:
+        found = re.search(r"rcp_ad_[\w-]+", running.banner)
+        assert found is not None
+        self.admin = found[0]
+        self._client = httpx.AsyncClient(
+            base_url=f"{running.url}/rcp/v1/context",
+            headers={"authorization": f"Bearer {found[0]}"},
+        )
+
+    async def read(self, path: str) -> Any:
+        return (await self._client.get(path)).raise_for_status().json()["body"]
+
+    async def execute(self, path: str, value: Any) -> None:
+        (await self._client.post(path, json=value, params={"wait": 10})).raise_for_status()
+
+    async def place(self, tenant: str = "alpha") -> tuple[float, float]:
+        position = (await self.read(f"tenant/{tenant}/sensor/pose"))["position"]
+        return position["x"], position["y"]
+
+    async def until(self, so: Callable[[tuple[float, float]], bool], tenant: str = "alpha") -> None:
+        async with asyncio.timeout(_BOUND):
+            while True:
+                if so(await self.place(tenant)):
+                    return
+                await asyncio.sleep(0.05)
+
+    async def stands(self) -> None:
+        """Wait until the rover of alpha does not move any more."""
+        async with asyncio.timeout(_BOUND):
+            before = await self.place()
+            while True:
+                await asyncio.sleep(0.25)
+                now = await self.place()
+                if abs(now[0] - before[0]) + abs(now[1] - before[1]) < _STILL:
+                    return
+                before = now
+
+    async def home(self) -> None:
+        """Carry the rovers back to where they started, and let them move."""
+        await self.execute("system/estop", {"reset": True})
+        for tenant in ("alpha", "beta"):
+            await self.execute(f"tenant/{tenant}/service/reset_system", {"pose": True})
+
+    async def close(self) -> None:
+        await self._client.aclose()
+
+
+@pytest.fixture(scope="module")
+def running(tmp_path_factory: pytest.TempPathFactory) -> Generator[Demo]:
+    """Run the demo for all tests of this file."""
+    with demo(tmp_path_factory.mktemp("runtime")) as found:
+        yield found
+
+
+@pytest.fixture
+async def robot(running: Demo) -> AsyncGenerator[Robot]:
+    made = Robot(running)
+    await made.home()
+    yield made
+    await made.close()
+
+
+@pytest.fixture
+async def tab(browser: Browser, running: Demo, robot: Robot) -> AsyncGenerator[Watched]:
+    """Open the demo's dashboard for its operator."""
+    async with watched(browser, running.url) as found:
+        await found.open()
+        await found.connected()
+        await log_in(found.page, running.key)
+        await expect(found.page.get_by_test_id("principal")).to_have_text("demo-operator")
+        yield found
+
+
+async def look(tab: Watched, path: str) -> None:
+    await tab.open(f"explore?path={path}")
+    await expect(tab.page.get_by_role("heading", name=path)).to_be_visible()
+
+
+async def take_control(page: Page) -> Locator:
+    await page.get_by_role("button", name="Take control").click()
+    await expect(page.get_by_test_id("control")).to_contain_text("You have control")
+    return page.get_by_test_id("stick")
+
+
+async def push(page: Page, stick: Locator) -> None:
+    """Press the stick and push it forward, without letting go."""
+    box = await stick.bounding_box()
+    assert box is not None
+    x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+    await page.mouse.move(x, y)
+    await page.mouse.down()
+    await page.mouse.move(x, y - box["height"] / 3, steps=4)
+
+
+async def test_a_command_is_watched_and_cancelled(tab: Watched, robot: Robot) -> None:
+    await look(tab, "/tenant/alpha/action/move_to")
+    form = tab.page.get_by_test_id("ask-execute")
+    await form.locator("[data-pointer='/position/x'] input").fill("8")
+    await form.locator("[data-pointer='/position/y'] input").fill("0")
+    await form.get_by_role("button", name="Execute", exact=True).click()
+    await expect(form.get_by_test_id("running")).to_contain_text("in_progress")
+    await tab.open("commands")
+    running = tab.page.locator("tr[data-status=in_progress]")
+    await expect(running).to_contain_text("/tenant/alpha/action/move_to")
+    await tab.shoot("commands-running")
+    await running.get_by_role("button", name="Cancel").click()
+    await expect(tab.page.locator("tr[data-status=cancelled]").first).to_be_visible()
+    await robot.stands()
+
+
+async def test_the_rover_stops_when_the_page_loses_the_eyes_on_it(
+    tab: Watched, robot: Robot
+) -> None:
+    await tab.open("teleop?robot=rover-alpha")
+    await push(tab.page, await take_control(tab.page))
+    await robot.until(lambda at: at[0] > 0.2)
+    await tab.page.evaluate("""
+        Object.defineProperty(document, "hidden", {value: true});
+        document.dispatchEvent(new Event("visibilitychange"));
+    """)
+    await expect(tab.page.get_by_test_id("deadman")).to_contain_text("let go")
+    await robot.stands()
+
+
+async def test_a_click_into_the_scene_sends_the_rover_there(tab: Watched, robot: Robot) -> None:
+    await tab.open("scene?robot=rover-alpha")
+    scene = tab.page.get_by_test_id("scene")
+    await expect(scene.locator("canvas")).to_be_visible()
+    await expect(tab.page.get_by_test_id("where")).to_contain_text("in map")
+    await tab.page.get_by_test_id("aim").click()
+    box = await scene.bounding_box()
+    assert box is not None
+    metre = box["height"] / 24
+    await tab.page.mouse.click(
+        box["x"] + box["width"] / 2 + 2 * metre, box["y"] + box["height"] / 2 - metre
+    )
+    await robot.until(lambda at: abs(at[0] - 2) < 0.3 and abs(at[1] - 1) < 0.3)
+    await expect(tab.page.get_by_test_id("goal-status")).to_contain_text("completed")
+    await tab.shoot("scene-2d")
+    await tab.page.get_by_role("button", name="3D").click()
+    await tab.shoot("scene-3d")
+
+
+async def test_a_plot_follows_and_pauses(tab: Watched, robot: Robot) -> None:
+    imu = "/tenant/alpha/sensor/imu%23linear_acceleration"
+    await tab.open(f"plot?p={imu}.x,{imu}.z&span=10")
+    chart = tab.page.get_by_test_id("chart")
+    await expect(chart.locator("canvas")).to_be_visible()
+    await expect(chart).to_contain_text(re.compile(r"linear_acceleration.z\s+9\.\d+ m/s"))
+    await tab.page.get_by_label("Path").fill("/tenant/alpha/sensor/battery")
+    await tab.page.get_by_role("button", name="voltage", exact=True).click()
+    await expect(chart).to_have_count(2)
+    await tab.shoot("plot")
+    await tab.page.get_by_test_id("pause").click()
+    await expect(tab.page.get_by_test_id("pause")).to_have_attribute("aria-pressed", "true")
+    await tab.page.reload()
+    await expect(chart).to_have_count(2)  # the address has kept them
+
+
+async def test_a_picture_that_is_old_is_covered(tab: Watched, robot: Robot) -> None:
+    await tab.open("camera?robot=rover-alpha")
+    camera = tab.page.get_by_test_id("camera")
+    await expect(camera).to_have_attribute("data-stale", "false")
+    await expect(camera).to_have_attribute("data-frames", re.compile(r"\d"))
+    await tab.shoot("camera")
+    fault = {"fault": "sensor_stop", "target": "sensor/camera", "seconds": 60}
+    await robot.execute("tenant/alpha/service/inject_fault", fault)
+    await expect(camera).to_have_attribute("data-stale", "true")
+    await expect(camera.get_by_role("alert")).to_contain_text("Do not drive by it")
+    await tab.shoot("camera-stale")
+
+
+async def test_the_map_shows_who_tells_where_on_earth_it_is(tab: Watched, robot: Robot) -> None:
+    await tab.open("map")
+    await expect(tab.page.get_by_test_id("map")).to_have_attribute("data-tracks", "1")
+    await expect(tab.page.locator("main")).to_contain_text("drone-gamma")
+    await tab.shoot("map")
+
+
+async def test_the_log_has_events_and_for_who_may_the_audit(tab: Watched, robot: Robot) -> None:
+    await tab.open("log")
+    await expect(tab.page.locator("tr[data-source=event]").first).to_be_visible()
+    await expect(tab.page.locator("main")).to_contain_text("does not see the audit")
+    await tab.page.get_by_role("button", name="Log out").click()
+    await log_in(tab.page, robot.admin)
+    await expect(tab.page.locator("tr[data-source=audit]").first).to_be_visible()
+    await tab.shoot("log")
