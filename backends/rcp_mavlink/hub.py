@@ -152,8 +152,8 @@ class Hub:
         except TimeoutError:
             who = "no vehicle" if self.config.system is None else f"no vehicle {self.config.system}"
             errors = [f"{link.text}: {link.error}" for link in self.links if link.error]
-            rejected = sum(link.framer.stats.rejected for link in self.links)
-            if rejected:
+            stats = [link.framer.stats for link in self.links]
+            if (rejected := sum(s.unsigned + s.rejected for s in stats)) > 0:
                 errors.append(f"{rejected} messages were not signed with `key`")
             where = "; ".join(errors) or ", ".join(self.config.links)
             raise NotReady(f"{who} is heard ({where})") from None

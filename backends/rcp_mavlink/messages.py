@@ -214,8 +214,10 @@ class LinkState(Struct, frozen=True):
     bad: Count
     """Bytes and frames that were damaged."""
     unknown: Count
+    unsigned: Count
+    """Not signed, where there is a key."""
     rejected: Count
-    """Not signed, or wrongly."""
+    """Signed with another key, or come a second time."""
     sent: Count
 
 

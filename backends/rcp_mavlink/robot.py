@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import math
 import time
 from collections.abc import AsyncGenerator, Awaitable, Callable, Coroutine
 from contextlib import AbstractAsyncContextManager, asynccontextmanager, suppress
@@ -34,6 +35,7 @@ from rcp_mavlink.intervals import FASTEST, Intervals
 from rcp_mavlink.logs import Logs
 from rcp_mavlink.missions import Missions
 from rcp_mavlink.motion import Motion
+from rcp_mavlink.paramcoding import REAL
 from rcp_mavlink.parameters import Parameters
 from rcp_mavlink.plans import FENCE, MISSION, RALLY, Plans
 from rcp_mavlink.resources import parameter, resources
@@ -251,7 +253,8 @@ class Robot:
 
     def _value(self, name: str) -> float | int:
         known = self.parameters.known[name]
-        return known.value if known.type >= 9 else int(known.value)
+        whole = known.type < REAL and math.isfinite(known.value)
+        return int(known.value) if whole else known.value
 
     async def _read_parameter(self, given: m.ReadParam, _: Progress) -> m.ParamValue:
         return m.ParamValue(given.name, await self.parameters.read(given.name))

@@ -76,7 +76,17 @@ class Telling:
             s = link.framer.stats
             up = link.number in heard
             found.append(
-                m.LinkState(link.text, up, s.frames, s.lost, s.bad, s.unknown, s.rejected, s.sent)
+                m.LinkState(
+                    link.text,
+                    up,
+                    s.frames,
+                    s.lost,
+                    s.bad,
+                    s.unknown,
+                    s.unsigned,
+                    s.rejected,
+                    s.sent,
+                )
             )
         return found
 

@@ -47,7 +47,7 @@ async def flying(options: dict[str, Any] | None = None, **config: Any) -> AsyncG
         link = f"udpout:127.0.0.1:{running.ports[0][1]}"
         table = {"links": [link], "silence": 1.5, **config}
         async with serve_backend(KIND, table) as served:
-            assert served.lives, served.slot.detail
+            await eventually(lambda: _is(bool(served.lives)), "it is heard", 10.0)
             yield Pilot(served, running)
 
 

@@ -38,6 +38,7 @@ async def reading(*links: str, **config: Any) -> AsyncGenerator[Any]:
 
 
 async def mode_of(served: Any, name: str = "sensor/mode") -> str:
+    await eventually(lambda: _is(bool(served.lives)), "it is heard", 10.0)
     reply = await served.client(OPERATOR).request("read", f"/tenant/t/{name}")
     assert reply["status"] == "completed", reply
     return reply["body"]
