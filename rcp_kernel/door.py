@@ -141,6 +141,11 @@ class Door:
         """Return a table of the caller's own in the gateway's store."""
         return Shelf(self._gateway.store, f"{self.name}.{table}")
 
+    @property
+    def issuers(self) -> list[str]:
+        """Who gives out tokens that this gateway takes, for clients that look for one."""
+        return [one.issuer for one in self._gateway.config.jwt]
+
     def mount(self, mount: Mount) -> None:
         """Offer a part of the HTTP tree to the listener.
 

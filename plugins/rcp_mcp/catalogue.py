@@ -20,6 +20,7 @@ __all__ = ["Catalogue", "Facts", "Typed", "matches"]
 
 Facts = dict[str, Any]
 _PAGE = 1000
+_PLANS = "/system/plans"  # wants approval for the steps it has
 
 
 class Typed(NamedTuple):
@@ -70,7 +71,10 @@ class Catalogue:
             path = one["path"]
             if "execute" in one["operations"] and matches(self._config.tools, path):
                 stops = not matches(self._config.keeps_going, path)
-                tool, arguments = typed_tool(one, session.tenant, self._config, stops=stops)
+                asks = path == _PLANS or session.rights.asks(path)
+                tool, arguments = typed_tool(
+                    one, session.tenant, self._config, stops=stops, asks=asks
+                )
                 made.append((tool.name, Typed(tool, one, arguments)))
         return made
 

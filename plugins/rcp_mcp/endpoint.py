@@ -100,8 +100,8 @@ class Metadata:
             "resource_name": "RCP gateway",
             "bearer_methods_supported": ["header"],
         }
-        if issuers := self._door.proofs.issuers:
-            facts["authorization_servers"] = list(issuers)
+        if issuers := self._door.issuers:
+            facts["authorization_servers"] = issuers
         headers = [(b"cache-control", b"max-age=300"), (b"access-control-allow-origin", b"*")]
         await respond(send, 200, msgspec.json.encode(facts), headers=headers)
 

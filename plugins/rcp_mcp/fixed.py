@@ -178,7 +178,7 @@ _SAMPLE: dict[str, Any] = {
     },
     "required": ["path"],
 }
-_COMMAND = result(None, None)
+_COMMAND = result(None, long=True)
 _COMMAND["properties"] |= {"result": {}, "feedback": {}, "summary": {}, "would": {}}
 
 FIXED: dict[str, Fixed] = {

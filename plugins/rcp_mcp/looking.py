@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from typing import Any
 
 import msgspec
@@ -27,6 +28,7 @@ __all__ = ["Looking", "sampled"]
 
 _STEPS = 5  # of a command's history that are told
 _RUNNING = 20
+_HEAVY = 200_000  # bytes of JSON whose pictures and summaries are made beside the event loop
 
 
 class Looking:
@@ -91,7 +93,9 @@ class Looking:
                     "state": reply.state,
                 }
             ]
-        return sampled("values", samples, self._config)
+        if size(samples) < _HEAVY:
+            return sampled("values", samples, self._config)
+        return await asyncio.to_thread(sampled, "values", samples, self._config)
 
     async def status(self, ctx: Context, session: Session, asked: Status) -> Outcome:
         """Tell how the gateway is, or one command."""

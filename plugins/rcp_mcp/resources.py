@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from typing import Any
 
 import msgspec
@@ -81,7 +82,8 @@ class Resources:
                 f"{reply.error['code']}: {reply.message}",
                 {key: item for key, item in reply.error.items() if key != "trace_id"},
             )
-        value, pictures = taken_out(body_of(reply))
+        # A raw picture becomes a JPEG, which takes a while.
+        value, pictures = await asyncio.to_thread(taken_out, body_of(reply))
         facts: dict[str, Any] = {
             "path": path,
             "timestamp": reply.source_timestamp,

@@ -12,16 +12,7 @@ _DEFS = "$defs"
 _ANY_VALUE = {"description": "Anything that JSON carries."}
 ERROR: dict[str, Any] = {
     "type": "object",
-    "description": "Why it was refused or failed, and what to do about it.",
-    "properties": {
-        "code": {"type": "string"},
-        "message": {"type": "string"},
-        "remedy": {"type": "string"},
-        "path": {"type": "string"},
-        "retryable": {"type": "boolean"},
-        "retry_after": {"type": "number", "unit": "s"},
-        "details": {"type": "object"},
-    },
+    "description": "`code`, `message`, and in `remedy` what to do about it.",
     "required": ["code", "message"],
 }
 
@@ -59,33 +50,31 @@ def arguments(
     return Arguments(worded(found), wrapped, optional, frozenset(added))
 
 
-def result(schema: dict[str, Any] | None, feedback: dict[str, Any] | None) -> dict[str, Any]:
-    """Make the output schema of a command's tool."""
+def result(
+    schema: dict[str, Any] | None, feedback: dict[str, Any] | None = None, *, long: bool
+) -> dict[str, Any]:
+    """Make the output schema of a command's tool; a `long` one may answer before it has ended."""
     body, defs = _part(schema)
-    told, more = _part(feedback) if feedback is not None else (_ANY_VALUE, {})
-    if any(more[name] != defs.get(name, more[name]) for name in more):
-        told, more = _ANY_VALUE, {}
-    out: dict[str, Any] = {
-        "type": "object",
-        "properties": {
-            "status": {
-                "enum": ["completed", "in_progress", "failed", "rejected", "cancelled"],
-                "description": "`in_progress`: it goes on; ask `status` with the command's id.",
-            },
-            "path": {"type": "string"},
-            "command": {"type": "string", "description": "Id for `status` and `cancel`."},
-            "message": {"type": "string"},
-            "result": body,
-            "feedback": told,
-            "progress": {"type": "number", "minimum": 0, "maximum": 1, "unit": "1"},
-            "dry_run": {"type": "boolean"},
-            "untrusted": {"type": "boolean"},
-            "error": ERROR,
-        },
-        "required": ["status"],
+    properties: dict[str, Any] = {
+        "status": {"enum": ["completed", "failed", "rejected", "cancelled", "in_progress"]},
+        "path": {"type": "string"},
+        "command": {"type": "string", "description": "Id for `status` and `cancel`."},
+        "message": {"type": "string"},
+        "result": body,
+        "dry_run": {"type": "boolean"},
+        "untrusted": {"type": "boolean"},
+        "error": ERROR,
     }
-    if defs or more:
-        out[_DEFS] = {**more, **defs}
+    if long:
+        told, more = _part(feedback) if feedback is not None else (_ANY_VALUE, {})
+        if any(more[name] != defs.get(name, more[name]) for name in more):
+            told, more = _ANY_VALUE, {}
+        defs = {**more, **defs}
+        properties["feedback"] = told
+        properties["progress"] = {"type": "number", "minimum": 0, "maximum": 1}
+    out: dict[str, Any] = {"type": "object", "properties": properties, "required": ["status"]}
+    if defs:
+        out[_DEFS] = defs
     return worded(out)
 
 

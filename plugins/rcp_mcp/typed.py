@@ -41,12 +41,18 @@ _DESCRIPTION = 900  # characters that a robot's own words may have
 
 
 def typed_tool(
-    facts: dict[str, Any], tenant: str | None, config: McpConfig, *, stops: bool
+    facts: dict[str, Any], tenant: str | None, config: McpConfig, *, stops: bool, asks: bool
 ) -> tuple[types.Tool, Arguments]:
-    """Make the tool of a resource that may be executed, from its entry in the catalogue."""
+    """Make the tool of a resource that may be executed, from its entry in the catalogue.
+
+    `stops` says what cancelling its call does, `asks` whether a person may have to approve it.
+    """
     schemas = facts.get("schemas", {})
+    long = facts["kind"] == "action"
+    left_out = {"wait": not long, "approval": not asks}
+    options = {name: one for name, one in OPTIONS.items() if not left_out.get(name)}
     taken = arguments(
-        facts.get("command_schema") or schemas.get("input"), facts["examples"], OPTIONS
+        facts.get("command_schema") or schemas.get("input"), facts["examples"], options
     )
     path: str = facts["path"]
     return (
@@ -55,7 +61,7 @@ def typed_tool(
             title=path,
             description=_words(facts, config, stops=stops),
             input_schema=taken.schema,
-            output_schema=result(schemas.get("output"), schemas.get("feedback")),
+            output_schema=result(schemas.get("output"), schemas.get("feedback"), long=long),
             annotations=_hints(facts),
             _meta={"rcp/path": path},
         ),

@@ -1,4 +1,4 @@
-"""`rcpd`, the gateway: demo, serve, check, plugins, new, audit, token, version."""
+"""`rcpd`, the gateway: demo, serve, check, plugins, new, audit, token, version; and what plugins add."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import asyncio
 import signal
 import sys
 from collections.abc import Callable
+from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
 
@@ -26,7 +27,26 @@ __all__ = ["main"]
 _FAILED = 1
 
 
-@click.group(context_settings={"help_option_names": ["-h", "--help"]})
+class _Commands(click.Group):
+    """The commands of the kernel, and those that plugins bring: entry points `rcp.commands`."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        """Return every name."""
+        return sorted({*super().list_commands(ctx), *_brought()})
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        """Return a command; a plugin is imported only for its own."""
+        found = super().get_command(ctx, cmd_name)
+        if found is None and (point := _brought().get(cmd_name)) is not None:
+            found = point.load()
+        return found
+
+
+def _brought() -> dict[str, EntryPoint]:
+    return {point.name: point for point in entry_points(group="rcp.commands")}
+
+
+@click.group(cls=_Commands, context_settings={"help_option_names": ["-h", "--help"]})
 def main() -> None:
     """Run the RCP gateway: one server between robots and everybody who talks to them."""
 

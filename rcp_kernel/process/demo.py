@@ -25,6 +25,8 @@ port = {port}
 
 [plugins.a2a]
 
+[plugins.mcp]
+
 [log]
 level = "{level}"
 
@@ -127,6 +129,7 @@ RCP gateway demo: {where}
   {url}/                  the dashboard: open it in a browser
   {url}/rcp/v1/discovery  everything there is
   {url}/metrics           for Prometheus
+  {url}/mcp               for models: tools and resources over MCP
 
   operator key  {self._operator}   (reads, writes, commands)
   admin key     {self._admin}   (and resets an e-stop)

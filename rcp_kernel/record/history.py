@@ -60,6 +60,7 @@ def _as_row(command: Command) -> dict[str, Any]:
         "id": command.id,
         "path": command.path,
         "principal": command.principal,
+        "proof": command.proof,
         "tenant": command.tenant,
         "request_id": command.request_id,
         "session": None if command.session is None else hashed(command.session),

@@ -72,6 +72,12 @@ async def test_the_person_at_the_client_is_asked_and_lets_it_pass(
     assert again["resultType"] == "input_required"
 
 
+async def test_a_tool_says_whether_it_may_want_approval(agent: Caller) -> None:
+    tools = await agent.tools()
+    assert "approval" in tools["action-go"]["inputSchema"]["properties"]
+    assert "approval" not in tools["service-double"]["inputSchema"]["properties"]
+
+
 async def test_a_write_is_asked_about_too(made: Site, agent: Caller) -> None:
     write = {"name": "write", "arguments": {"path": "/param/limit", "value": 2}}
     asked = await agent.ask("tools/call", **write)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import re
 
 import pytest
 from mcp.shared.exceptions import MCPDeprecationWarning
@@ -45,3 +46,9 @@ async def test_every_scored_scenario_passes(revision: str) -> None:
         code, said = await run(*suite, "server", "--url", made.url, "--requirements", revision)
 
     assert code == 0, said
+    summary = said[said.index("=== SUMMARY ===") :]
+    results = dict(re.findall(r"[✓✗] ([a-z0-9-]+): (\d+) passed", summary))
+    unscored = set(re.findall(r"[✓✗] ([a-z0-9-]+) \(", summary))
+    skipped = {name for name, passed in results.items() if passed == "0"} - unscored
+    assert not skipped
+    assert len(results.keys() - unscored) >= 25

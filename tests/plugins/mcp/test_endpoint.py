@@ -46,6 +46,27 @@ async def test_a_token_that_is_not_good_is_refused_with_where_to_get_one(gateway
         assert told["bearer_methods_supported"] == ["header"]
 
 
+async def test_without_anonymous_nobody_looks_and_the_issuer_is_told() -> None:
+    more = """
+anonymous = false
+"""
+    issuer = """
+[[jwt]]
+issuer = "https://login.example"
+audience = "rcp"
+role = "viewer"
+jwks_url = "https://login.example/keys"
+"""
+    async with site(top=more, more=issuer) as made, caller(made, None) as stranger:
+        body = stranger.body("tools/list", {})
+        response = await stranger.http.post(
+            made.url, json=body, headers={"mcp-method": "tools/list"}
+        )
+        assert response.status_code == 401
+        told = await stranger.http.get(f"{made.base}/.well-known/oauth-protected-resource/mcp")
+        assert told.json()["authorization_servers"] == ["https://login.example"]
+
+
 async def test_foreign_names_and_origins_are_refused(gateway: Site) -> None:
     async with httpx.AsyncClient(headers=HEADERS, trust_env=False) as client:
         for header in ({"host": "evil.example"}, {"origin": "https://evil.example"}):

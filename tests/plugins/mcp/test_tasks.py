@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import AsyncGenerator
+from pathlib import Path
 from typing import Any
 
 import pytest
 
-from plugins.mcp.rig import BOUND, Caller, Site, caller
+from plugins.mcp.rig import BOUND, Caller, Site, caller, site
 
 TASKS: dict[str, Any] = {"extensions": {"io.modelcontextprotocol/tasks": {}}}
 
@@ -89,6 +90,24 @@ async def test_tasks_are_their_callers_alone_and_of_clients_that_take_them(
     await plain.http.aclose()
     mismatch = await client.send("tasks/get", taskId=made["taskId"])
     assert mismatch["error"]["code"] == -32020
+
+
+async def test_a_restart_leaves_a_task_failed_with_the_reason(tmp_path: Path) -> None:
+    kept = f'[store]\npath = "{tmp_path}/store.db"\n'
+    async with site(more=kept) as made:
+        first = Client(made.url, **TASKS)
+        id_ = (await first.call("action-go", x=3))["taskId"]
+        await first.http.aclose()
+        # As after a power cut: nothing of the command's end is kept.
+        made.server.gateway.history.save = lambda _command: None  # type: ignore[method-assign]
+    async with site(more=kept) as made:
+        second = Client(made.url, **TASKS)
+        found = await second.state(id_)
+        assert found["status"] == "failed"
+        assert found["error"]["message"] == "the gateway stopped while the command was running"
+        told = await second.call("status", command=id_)
+        assert told["structuredContent"]["command"]["status"] == "failed"
+        await second.http.aclose()
 
 
 async def test_who_takes_no_tasks_waits_for_the_result(gateway: Site) -> None:
