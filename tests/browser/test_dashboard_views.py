@@ -180,6 +180,13 @@ async def test_a_plot_follows_and_pauses(tab: Watched, robot: Robot) -> None:
     await expect(tab.page.get_by_test_id("pause")).to_have_attribute("aria-pressed", "true")
     await tab.page.reload()
     await expect(chart).to_have_count(2)  # the address has kept them
+    await tab.page.get_by_role("button", name="Save").click()
+    await expect(tab.page.get_by_role("status").get_by_text("kept")).to_be_visible()
+    await tab.open("plot?span=10")
+    await tab.page.reload()
+    await expect(chart).to_have_count(0)
+    await tab.page.get_by_role("button", name="Load").click()
+    await expect(chart).to_have_count(2)  # and so has the gateway
 
 
 async def test_a_picture_that_is_old_is_covered(tab: Watched, robot: Robot) -> None:
