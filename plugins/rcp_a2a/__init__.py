@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import AsyncGenerator, Iterable
 from contextlib import asynccontextmanager
+from importlib import import_module
 from typing import Any
 
 from rcp_a2a.config import A2aConfig
@@ -18,12 +20,12 @@ __all__ = ["A2aConfig", "open_a2a", "rcp_adapters"]
 async def open_a2a(config: A2aConfig, door: Door) -> AsyncGenerator[dict[str, Any]]:
     """Offer the agent to the listener while entered.
 
-    :raises ConfigError: the key of the card cannot be read, or a network of `push` is none.
+    :raises ConfigError: a key or CA cannot be read, or a network of `push` is none.
     """
-    # The official SDK takes half a second to load: only a gateway that speaks A2A pays for it.
-    from rcp_a2a.serving import serving
-
-    async with serving(config, door) as facts:
+    # The official SDK takes half a second to load: only a gateway that speaks A2A pays for it, and
+    # the robots that are open by now do not wait meanwhile.
+    loaded = await asyncio.to_thread(import_module, "rcp_a2a.serving")
+    async with loaded.serving(config, door) as facts:
         yield facts
 
 

@@ -17,7 +17,7 @@ import msgspec
 from rcp_a2a.config import PushConfig
 from rcp_kernel.errors import ConfigError
 
-__all__ = ["Addresses", "Judged", "Unfit"]
+__all__ = ["Addresses", "Judged", "Unfit", "Unknown"]
 
 Address = IPv4Address | IPv6Address
 _LOOKUP = 5.0  # s
@@ -27,6 +27,10 @@ _NAT64 = ip_network("64:ff9b::/96")  # RFC 6052: an IPv4 address within
 
 class Unfit(Exception):
     """A URL that is not called, with the reason."""
+
+
+class Unknown(Unfit):
+    """Its name could not be looked up, which may be otherwise in a while."""
 
 
 class Judged(msgspec.Struct, frozen=True):
@@ -59,9 +63,11 @@ class Addresses:
                 ) from None
 
     async def fits(self, url: str) -> bool:
-        """Tell whether a URL may be called."""
+        """Tell whether a URL may be named; each call of it is judged again."""
         try:
             await self.judge(url)
+        except Unknown:
+            return True
         except Unfit:
             return False
         return True
@@ -70,6 +76,7 @@ class Addresses:
         """Look a URL's name up; return how it is called.
 
         :raises Unfit: it may not be called.
+        :raises Unknown: its name cannot be looked up now.
         """
         if len(url) > _LONGEST:
             raise Unfit("the URL is too long")
@@ -94,7 +101,7 @@ class Addresses:
             async with asyncio.timeout(_LOOKUP):
                 found = await loop.getaddrinfo(name, port, type=socket.SOCK_STREAM)
         except (OSError, UnicodeError, TimeoutError) as error:
-            raise Unfit("the URL's host cannot be found") from error
+            raise Unknown("the URL's host cannot be found") from error
         addresses = [ip_address(str(info[4][0]).partition("%")[0]) for info in found]
         # All of them: a name with a public and a private address is a way in.
         if not addresses or not all(map(self._fit, addresses)):

@@ -11,9 +11,8 @@ from a2a.types.a2a_pb2 import SendMessageRequest, Task, TaskState, TaskStatus
 from a2a.utils.errors import TaskNotCancelableError
 
 from rcp_a2a.callers import caller_of
-from rcp_a2a.messages import asked
+from rcp_a2a.messages import asked, stamp
 from rcp_a2a.run import Run
-from rcp_kernel.clock import now
 from rcp_kernel.door import Door
 
 __all__ = ["Agent"]
@@ -70,7 +69,7 @@ def _request(context: RequestContext) -> SendMessageRequest:
 
 def _begun(context: RequestContext) -> Task:
     status = TaskStatus(state=TaskState.TASK_STATE_SUBMITTED)
-    status.timestamp.FromNanoseconds(now())
+    status.timestamp.FromJsonString(stamp())
     return Task(
         id=context.task_id,
         context_id=context.context_id,

@@ -19,6 +19,7 @@ from starlette.routing import Mount
 
 from rcp_a2a.callers import CALLER, Caller, Callers
 from rcp_a2a.cards import Cards
+from rcp_a2a.config import A2aConfig
 from rcp_a2a.places import CARD, JWKS, Place, place_of
 from rcp_a2a.refusals import NOT_FOUND, NOT_TAKEN, Trouble, refuse, trouble_of
 from rcp_kernel.asgi import Receive, Scope, Send, header, read_body, session_of
@@ -48,7 +49,11 @@ class _Call(msgspec.Struct):
 class App:
     """Serves the cards and both bindings."""
 
-    def __init__(self, door: Door, cards: Cards, handler: RequestHandler, *, old: bool) -> None:
+    def __init__(
+        self, config: A2aConfig, door: Door, cards: Cards, handler: RequestHandler
+    ) -> None:
+        old = config.compatible
+        self._limit = min(config.message, door.limits.message)
         self._door = door
         self._cards = cards
         callers = Callers()
@@ -76,9 +81,8 @@ class App:
             body = b""
             if scope["method"] == "POST":
                 _check_type(scope)
-                body = await read_body(receive, self._door.limits.message, _BODY_TIMEOUT)
-            if place.binding == "jsonrpc":
-                call = _read(body)
+                body = await read_body(receive, self._limit, _BODY_TIMEOUT)
+                call = _read(scope, place, body)
             _check_state(scope, place, call)
             session = await session_of(self._door, scope, _tenant(place, call))
             self._door.pay(session)
@@ -92,16 +96,19 @@ class App:
         except Exception as error:
             told = crash(error, path=scope["path"])
             self._door.refused("a2a", told.code)
-            trouble = error.trouble if isinstance(error, _Malformed) else trouble_of(told)
-            await refuse(send, trouble, place.binding, call.id, wait=told.retry_after)
+            trouble, id_ = trouble_of(told), call.id
+            if isinstance(error, _Malformed):
+                trouble, id_ = error.trouble, id_ or error.id
+            await refuse(send, trouble, place.binding, id_, wait=told.retry_after)
 
 
 class _Malformed(BadRequest):
     """A fault that the SDK would let pass."""
 
-    def __init__(self, trouble: Trouble) -> None:
+    def __init__(self, trouble: Trouble, id_: str | int | None = None) -> None:
         super().__init__(trouble.message)
         self.trouble = trouble
+        self.id = id_
 
 
 def _check_type(scope: Scope) -> None:
@@ -129,12 +136,30 @@ def _http(place: Place, trouble: Trouble) -> int:
     return 200 if place.binding == "jsonrpc" else trouble.http
 
 
-def _read(body: bytes) -> _Call:
-    """Look who is meant; what is malformed is told by the SDK."""
-    try:
-        return msgspec.json.decode(body, type=_Call)
-    except (msgspec.DecodeError, UnicodeDecodeError):
+def _read(scope: Scope, place: Place, body: bytes) -> _Call:
+    """Look who and what is meant; what is not JSON goes no further, as the SDK takes too much.
+
+    It would keep a `NaN` with the task, and never be able to write that out again.
+    """
+    if not body and place.binding == "rest":
         return _Call()
+    try:
+        plain = msgspec.json.decode(body)
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+        text = f"the body is not JSON: {error}"
+        trouble = Trouble(400, "INVALID_ARGUMENT", "INVALID_REQUEST", -32700, text)
+        raise _Malformed(msgspec.structs.replace(trouble, http=_http(place, trouble))) from None
+    if place.binding == "rest":
+        return _Call()
+    try:
+        call = msgspec.convert(plain, _Call)
+    except msgspec.ValidationError:
+        return _Call()
+    if "/" in call.method and (header(scope, b"a2a-version") or b"").startswith(b"1"):
+        # The names of 0.3: they mean nothing in the version that is asked for.
+        trouble = Trouble(200, "UNIMPLEMENTED", "METHOD_NOT_FOUND", -32601, "Method not found")
+        raise _Malformed(trouble, call.id)
+    return call
 
 
 def _tenant(place: Place, call: _Call) -> str | None:
@@ -172,6 +197,8 @@ class _Exchange:
         self._send = send
         self._body: bytes | None = body
         self._over = asyncio.Event()
+        self._open = False
+        """The response was begun and has not ended."""
 
     async def run(self, app: Asgi) -> None:
         """Have the SDK answer; a stream ends with the proof of its client, or with the gateway."""
@@ -179,10 +206,17 @@ class _Exchange:
         keep = self._door.until_end(self._scope[CALLER].session, self._expired)
         closing.add(self._over.set)
         try:
-            await app(self._scope, self._next, self._send)
+            await app(self._scope, self._next, self._passed)
+            if self._open and self._over.is_set():
+                # The SDK takes our end for the client's, and leaves the response as it is.
+                await self._send({"type": "http.response.body", "body": b"", "more_body": False})
         finally:
             closing.discard(self._over.set)
             keep()
+
+    async def _passed(self, message: Any) -> None:
+        self._open = message["type"] != "http.response.body" or message.get("more_body", False)
+        await self._send(message)
 
     def _expired(self, _error: RcpError) -> None:
         self._over.set()

@@ -88,7 +88,6 @@ class Cards:
             (b"etag", b'W/"' + tag + b'"'),
             (b"cache-control", b"public, max-age=%d" % self._config.card_max_age),
             (b"vary", b"host"),
-            (b"access-control-allow-origin", b"*"),
         ]
         known = header(scope, b"if-none-match") or b""
         if known.strip() == b"*" or tag in known:
@@ -112,6 +111,8 @@ class Cards:
 
     def _stranger(self, tenant: str | None) -> Session | None:
         """Return what those have who prove nothing; nothing for a tenant that is not theirs."""
+        if not self._door.proofs.anonymous:
+            return None
         try:
             return self._door.session(self._door.authenticate(None), tenant)
         except (Unauthenticated, Forbidden):
@@ -202,3 +203,5 @@ class Cards:
         for name, scheme in schemes.items():
             card.security_schemes[name].CopyFrom(scheme)
             card.security_requirements.append(SecurityRequirement(schemes={name: StringList()}))
+        if proofs.anonymous and schemes:
+            card.security_requirements.append(SecurityRequirement())  # or nothing at all

@@ -23,6 +23,8 @@ class PushConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     enabled: bool = True
     http: bool = False
     """Whether addresses without TLS are taken."""
+    ca: str | None = None
+    """A PEM file of CAs that are trusted beside those that everybody trusts."""
     private: tuple[str, ...] = ()
     """Networks (`10.0.5.0/24`) that are no part of the internet and may be called all the same."""
     per_task: Annotated[int, Meta(ge=1, le=100)] = 8
@@ -52,6 +54,10 @@ class A2aConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     """How long a card may be taken from a cache."""
     compatible: bool = True
     """Whether clients of A2A 0.3 are served too."""
+    message: Annotated[int, Meta(ge=1024)] = 1_048_576
+    """Longest request, in bytes."""
+    tasks_size: Annotated[int, Meta(ge=1024)] = 33_554_432
+    """Bytes that the tasks of one principal in one tenant may take; the oldest that have ended give way."""
     tasks: Annotated[int, Meta(ge=1)] = 1000
     """That are kept of one principal in one tenant; the oldest that have ended give way."""
     retention: Annotated[float, Meta(gt=0)] = 604_800.0

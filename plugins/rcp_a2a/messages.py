@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from datetime import UTC, datetime
 from typing import Any
 
 import msgspec
@@ -13,7 +15,7 @@ from google.protobuf.struct_pb2 import Struct, Value
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import Reply, encode_reply
 
-__all__ = ["Asked", "asked", "check", "data_part", "plain", "struct", "told"]
+__all__ = ["Asked", "asked", "check", "data_part", "plain", "stamp", "told"]
 
 _DATA = "application/json"
 _TEXT = "text/plain"
@@ -27,6 +29,8 @@ class Asked(msgspec.Struct, frozen=True):
     """A plan as `/system/plans` takes it, or the answer to a question."""
     dry_run: bool = False
     deadline: float | None = None
+    words: bool = False
+    """Whether the client takes data only as text."""
 
 
 def check(message: Message) -> None:
@@ -61,7 +65,18 @@ def asked(request: SendMessageRequest) -> Asked:
         body = _written(body)
     deadline = options.get("deadline")
     good = isinstance(deadline, (int, float)) and deadline > 0
-    return Asked(body, options.get("dry_run") is True, float(deadline) if good else None)  # pyright: ignore[reportArgumentType]
+    return Asked(
+        body,
+        dry_run=options.get("dry_run") is True,
+        deadline=float(deadline) if good else None,  # pyright: ignore[reportArgumentType]
+        words=_wants_text(request.configuration.accepted_output_modes),
+    )
+
+
+def _wants_text(modes: Iterable[str]) -> bool:
+    """Tell whether a client that says what it accepts accepts text, and no data."""
+    accepted = {mode.partition(";")[0].strip().lower() for mode in modes}
+    return _TEXT in accepted and not accepted & {_DATA, "application/*", "*/*"}
 
 
 def _written(text: str) -> Any:
@@ -103,11 +118,13 @@ def told(reply: Reply) -> dict[str, Any]:
     return msgspec.json.decode(encode_reply(reply, Encoding.JSON))
 
 
-def data_part(value: Any) -> Part:
-    """Make a part of plain data."""
+def data_part(value: Any, *, words: bool = False) -> Part:
+    """Make a part of plain data, or of the text that it is."""
+    if words:
+        return Part(text=msgspec.json.encode(value).decode(), media_type=_TEXT)
     return Part(data=ParseDict(value, Value()), media_type=_DATA)
 
 
-def struct(value: dict[str, Any]) -> Struct:
-    """Make a map of plain data, for metadata."""
-    return ParseDict(value, Struct())
+def stamp() -> str:
+    """Return the present time as the specification writes it: UTC, in milliseconds."""
+    return datetime.now(UTC).isoformat(timespec="milliseconds")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import ssl
 from collections import deque
 from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager
@@ -20,9 +21,10 @@ from a2a.utils.proto_utils import to_stream_response
 from google.protobuf.json_format import MessageToDict
 from google.protobuf.message import DecodeError
 
-from rcp_a2a.addresses import Addresses, Unfit
+from rcp_a2a.addresses import Addresses, Unfit, Unknown
 from rcp_a2a.callers import owner_of
 from rcp_a2a.config import PushConfig
+from rcp_kernel.errors import ConfigError
 from rcp_kernel.record.shelf import Shelf
 
 __all__ = ["Notifier", "Subscribers"]
@@ -97,6 +99,18 @@ def _check(config: TaskPushNotificationConfig) -> None:
             raise InvalidParamsError("a token or credential does not fit into a header")
 
 
+def _trusted(ca: str | None) -> ssl.SSLContext:
+    context = httpx.create_ssl_context(trust_env=False)
+    if ca is not None:
+        try:
+            context.load_verify_locations(ca)
+        except OSError as error:
+            raise ConfigError(
+                f"[plugins.a2a.push] ca cannot be read ({error}): name a PEM file of certificates"
+            ) from None
+    return context
+
+
 class _Waiting(msgspec.Struct, frozen=True):
     config: TaskPushNotificationConfig
     body: bytes
@@ -106,6 +120,10 @@ class Notifier(PushNotificationSender):
     """Posts in order for each address, in the background; a full queue loses its oldest."""
 
     def __init__(self, config: PushConfig, addresses: Addresses, subscribers: Subscribers) -> None:
+        """Read the CAs.
+
+        :raises ConfigError: they cannot be read.
+        """
         self._config = config
         self._addresses = addresses
         self._subscribers = subscribers
@@ -113,12 +131,16 @@ class Notifier(PushNotificationSender):
         self._count = 0
         self._workers: dict[tuple[str, str], asyncio.Task[None]] = {}
         self._client: httpx.AsyncClient | None = None
+        self._trusted = _trusted(config.ca)
 
     @asynccontextmanager
     async def running(self) -> AsyncGenerator[None]:
         """Post while entered."""
         client = httpx.AsyncClient(
-            timeout=self._config.timeout, follow_redirects=False, trust_env=False
+            timeout=self._config.timeout,
+            follow_redirects=False,
+            trust_env=False,
+            verify=self._trusted,
         )
         async with client:
             self._client = client
@@ -167,6 +189,8 @@ class Notifier(PushNotificationSender):
         for attempt in range(1, self._config.attempts + 1):
             try:
                 again = await self._post(one)
+            except Unknown as error:
+                again = str(error)
             except Unfit as error:
                 log.warning("push_refused", task=task, reason=str(error))
                 return

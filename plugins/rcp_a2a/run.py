@@ -12,11 +12,11 @@ import msgspec
 import structlog
 from a2a.server.events.event_queue import EventQueue
 from a2a.server.tasks import TaskUpdater
-from a2a.types.a2a_pb2 import Part, Task, TaskState
+from a2a.types.a2a_pb2 import Message, Part, Task, TaskState
 from msgspec import Raw
 
 from rcp_a2a.callers import Caller
-from rcp_a2a.messages import Asked, data_part, told
+from rcp_a2a.messages import Asked, data_part, stamp, told
 from rcp_a2a.questions import (
     Decision,
     Question,
@@ -188,7 +188,7 @@ class Run:
     async def _working(self, facts: dict[str, Any]) -> None:
         metadata = {"command": facts["command"]} if "command" in facts else None
         message = self._message("The plan was checked and begins.")
-        await self._updater.update_status(TaskState.TASK_STATE_WORKING, message, metadata=metadata)
+        await self._status(TaskState.TASK_STATE_WORKING, message, metadata=metadata)
 
     async def _tell_step(self, facts: dict[str, Any]) -> None:
         step: dict[str, Any] = facts["body"]
@@ -200,16 +200,14 @@ class Run:
         if self._states.get(id_) == state:
             # Progress alone goes into the metadata, where the newest replaces the one before.
             metadata = {"step": step, "progress": facts.get("progress")}
-            await self._updater.update_status(TaskState.TASK_STATE_WORKING, metadata=metadata)
+            await self._status(TaskState.TASK_STATE_WORKING, metadata=metadata)
             return
         self._states[id_] = state
-        await self._updater.update_status(
-            TaskState.TASK_STATE_WORKING, self._message(_line(id_, step), data)
-        )
+        await self._status(TaskState.TASK_STATE_WORKING, self._message(_line(id_, step), data))
 
     async def _artifact(self, id_: str, step: dict[str, Any]) -> None:
         await self._updater.add_artifact(
-            [data_part(step)],
+            [self._data(step)],
             artifact_id=f"step-{id_}",
             name=step.get("path") or step.get("do"),
             metadata={"step": id_, "state": step.get("state")},
@@ -230,10 +228,10 @@ class Run:
         if status == "cancelled" and not self.cancelled and self._door.closing:
             state, text = TaskState.TASK_STATE_FAILED, "The gateway was stopped in mid-task."
         if facts.get("dry_run"):
-            parts = [data_part(facts.get("body"))]
+            parts = [self._data(facts.get("body"))]
             await self._updater.add_artifact(parts, "check", "check", last_chunk=True)
         elif status == "completed" and not self._states and "body" in facts:
-            parts = [data_part(facts["body"])]
+            parts = [self._data(facts["body"])]
             await self._updater.add_artifact(parts, "result", "result", last_chunk=True)
         await self._end(state, text, facts.get("error"))
 
@@ -249,7 +247,7 @@ class Run:
         loop = asyncio.get_running_loop()
         self._lapse = loop.call_later(self._patience, self._lapsed)
         message = self._message(text, question.plain)
-        await self._updater.update_status(TaskState.TASK_STATE_INPUT_REQUIRED, message)
+        await self._status(TaskState.TASK_STATE_INPUT_REQUIRED, message)
 
     async def ask_again(self, text: str) -> None:
         """Tell a client that its answer is of no use."""
@@ -264,12 +262,18 @@ class Run:
         self._late = asyncio.ensure_future(self._end(TaskState.TASK_STATE_FAILED, text))
 
     async def _end(self, state: TaskState, text: str, data: Any = None) -> None:
-        await self._updater.update_status(state, self._message(text, data))
+        await self._status(state, self._message(text, data))
         self._forget(self.task.id)
         self.ended.set()
 
-    def _message(self, text: str, data: Any = None) -> Any:
-        parts = [Part(text=text)] + ([] if data is None else [data_part(data)])
+    async def _status(self, state: TaskState, message: Message | None = None, **more: Any) -> None:
+        await self._updater.update_status(state, message, stamp(), **more)
+
+    def _data(self, value: Any) -> Part:
+        return data_part(value, words=self._plan.words)
+
+    def _message(self, text: str, data: Any = None) -> Message:
+        parts = [Part(text=text)] + ([] if data is None else [self._data(data)])
         return self._updater.new_agent_message(parts)
 
 

@@ -13,6 +13,7 @@ from rcp_a2a.callers import Contexts
 from rcp_a2a.cards import Cards
 from rcp_a2a.config import A2aConfig
 from rcp_a2a.handler import Handler
+from rcp_a2a.logs import quieted
 from rcp_a2a.places import CARD, PREFIX
 from rcp_a2a.push import Notifier, Subscribers
 from rcp_a2a.tasks import Tasks
@@ -25,11 +26,11 @@ __all__ = ["serving"]
 async def serving(config: A2aConfig, door: Door) -> AsyncGenerator[dict[str, Any]]:
     """Offer the agent while entered.
 
-    :raises ConfigError: the key of the card cannot be read, or a network of `push` is none.
+    :raises ConfigError: a key or CA cannot be read, or a network of `push` is none.
     """
     cards = Cards(config, door)
     addresses = Addresses(config.push)
-    tasks = Tasks(door.shelf("tasks"), config.tasks, config.retention)
+    tasks = Tasks(door.shelf("tasks"), config)
     subscribers = Subscribers(door.shelf("push"), config.push.per_task)
     tasks.forgotten.append(subscribers.forget)
     tasks.restore()
@@ -46,8 +47,9 @@ async def serving(config: A2aConfig, door: Door) -> AsyncGenerator[dict[str, Any
         extended_card_modifier=cards.extended,
         push_url_validator=addresses.fits,
     )
-    app = App(door, cards, handler, old=config.compatible)
+    app = App(config, door, cards, handler)
     async with AsyncExitStack() as stack:
+        stack.enter_context(quieted())
         await stack.enter_async_context(notifier.running())
         stack.push_async_callback(handler.aclose)
         for prefix in (PREFIX, CARD):

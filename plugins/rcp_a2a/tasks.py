@@ -18,6 +18,8 @@ from a2a.types.a2a_pb2 import (
 from google.protobuf.message import DecodeError
 
 from rcp_a2a.callers import owner_of
+from rcp_a2a.config import A2aConfig
+from rcp_a2a.messages import stamp
 from rcp_kernel.clock import now
 from rcp_kernel.record.shelf import Shelf
 
@@ -39,11 +41,12 @@ _CUT_OFF = "the gateway was restarted while the task was under way; the robot wa
 class Tasks(InMemoryTaskStore):
     """The SDK's store, whose every task is also kept on a shelf."""
 
-    def __init__(self, shelf: Shelf, most: int, retention: float) -> None:
+    def __init__(self, shelf: Shelf, config: A2aConfig) -> None:
         super().__init__(owner_of)
         self._shelf = shelf
-        self._most = most
-        self._retention = int(retention * _S)
+        self._most = config.tasks
+        self._size = config.tasks_size
+        self._retention = int(config.retention * _S)
         self.forgotten: list[Callable[[str], None]] = []
         """Told the id of each task that is let go of."""
 
@@ -68,11 +71,10 @@ class Tasks(InMemoryTaskStore):
     async def save(self, task: Task, context: ServerCallContext) -> None:
         """Keep a task as it is now."""
         owner = owner_of(context)
-        known = self._owners.get(owner, {})
-        fresh = task.id not in known
+        fresh = task.id not in self._owners.get(owner, {})
         await super().save(task, context)
         self._keep(owner, task)
-        if fresh:
+        if fresh or task.status.state in ENDED:
             self._make_room(owner)
 
     async def delete(self, task_id: str, context: ServerCallContext) -> None:
@@ -90,15 +92,17 @@ class Tasks(InMemoryTaskStore):
             told(task_id)
 
     def _make_room(self, owner: str) -> None:
-        """Let go of what ended too long ago, and of the oldest where there are too many."""
+        """Let go of what ended too long ago, and of the oldest where there is too much."""
         known = self._owners[owner]
         ended = [task for task in known.values() if task.status.state in ENDED]
         ended.sort(key=_when)
         latest = now() - self._retention
         surplus = len(known) - self._most
+        beyond = sum(task.ByteSize() for task in known.values()) - self._size
         for place, task in enumerate(ended):
-            if place >= surplus and _when(task) >= latest:
+            if place >= surplus and beyond <= 0 and _when(task) >= latest:
                 break
+            beyond -= task.ByteSize()
             del known[task.id]
             self._forget(task.id)
 
@@ -117,7 +121,7 @@ def _read(key: str, row: Any) -> Task | None:
 
 def _cut_off(task: Task) -> None:
     task.status.state = TaskState.TASK_STATE_FAILED
-    task.status.timestamp.FromNanoseconds(now())
+    task.status.timestamp.FromJsonString(stamp())
     task.status.message.CopyFrom(
         Message(
             message_id=f"{task.id}.cut-off",

@@ -1,5 +1,6 @@
 // Drives a rover with the protocol's own JavaScript client over one binding; prints what it saw.
 import { readFileSync } from 'node:fs'
+import { verifyAgentCardSignature } from '@a2a-js/sdk'
 import {
   ClientFactory,
   DefaultAgentCardResolver,
@@ -65,6 +66,15 @@ const client = await clientOf(keys.operator)
 const report = { binding: client.transport.protocolName }
 
 report.skills = (await client.getAgentCard()).skills.map((skill) => skill.id)
+const verify = verifyAgentCardSignature(async (kid, jku) => {
+  const { keys: known } = await (await fetch(jku)).json()
+  return known.find((one) => one.kid === kid)
+})
+// As it came: what the resolver makes of it has lost the schemes by the time it is verified.
+console.debug = () => {} // it would stand in the report
+const card = await (await fetch(`${url}/.well-known/agent-card.json`)).json()
+report.signed = await verify(card).then(() => true)
+report.forged = await refused(() => verify({ ...card, description: 'another' })) !== null
 
 const driven = await until(client.sendMessageStream(plan([move(0.4)])), 'COMPLETED')
 report.artifacts = driven

@@ -5,6 +5,9 @@ from __future__ import annotations
 from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager
 
+from cryptography.hazmat.primitives.asymmetric import ec
+from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat
+
 from rcp_kernel.config.file import parse
 from rcp_kernel.process.log import configure
 from rcp_kernel.testing import serve
@@ -12,10 +15,16 @@ from rcp_kernel.testing import serve
 OPERATOR = "operator-of-the-rovers"
 CAREFUL = "operator-who-is-careful"
 BETA = "operator-of-rover-beta"
+CARD_KEY = (
+    ec.generate_private_key(ec.SECP256R1())
+    .private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption())
+    .decode()
+)
 CONFIG = f"""
 [transports.asgi]
 port = 0
 [plugins.a2a]
+card_key = '''{CARD_KEY}'''
 push = {{ http = true, private = ["127.0.0.0/8"], backoff = 0.05 }}
 [[backends]]
 use = "sim"

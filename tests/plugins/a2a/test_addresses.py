@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rcp_a2a.addresses import Addresses, Unfit
+from rcp_a2a.addresses import Addresses, Unfit, Unknown
 from rcp_a2a.config import PushConfig
 from rcp_kernel.errors import ConfigError
 
@@ -113,6 +113,18 @@ def test_whatever_is_called_is_on_the_internet_or_listed(address: Any) -> None:
     fits = asyncio.run(judge.fits(f"https://{host}/"))
     plain = getattr(address, "ipv4_mapped", None) or address
     assert not fits or plain in listed or ip_address(str(plain)).is_global
+
+
+async def test_a_name_that_cannot_be_looked_up_may_be_named_and_is_not_called(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    async def getaddrinfo(*_: Any, **__: Any) -> list[Any]:
+        raise socket.gaierror
+
+    monkeypatch.setattr(asyncio.get_running_loop(), "getaddrinfo", getaddrinfo)
+    assert await Addresses(PushConfig()).fits("https://later.example/hook")
+    with pytest.raises(Unknown):
+        await Addresses(PushConfig()).judge("https://later.example/hook")
 
 
 def test_a_network_that_is_none_is_told_with_its_place() -> None:

@@ -2,17 +2,50 @@
 
 from __future__ import annotations
 
+from collections.abc import AsyncGenerator
 from typing import Any
 
 import httpx
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 
-from plugins.a2a.agent import caller, data, rpc, sent, text, wrapped
+from plugins.a2a.agent import agent, caller, data, rpc, sent, text, wrapped
 from transports.robot import KEY, Site
 
 pytestmark = pytest.mark.anyio
 NOWHERE = "execute /service/nowhere"
+METHODS = [
+    "SendMessage", "SendStreamingMessage", "GetTask", "ListTasks", "CancelTask", "SubscribeToTask",
+    "CreateTaskPushNotificationConfig", "GetTaskPushNotificationConfig",
+    "ListTaskPushNotificationConfigs", "DeleteTaskPushNotificationConfig", "GetExtendedAgentCard",
+]  # fmt: skip
+FIELDS = st.sampled_from(
+    [
+        "message", "messageId", "role", "parts", "text", "data", "id", "taskId", "contextId", "url",
+        "configuration", "historyLength", "tenant", "pageSize", "pageToken", "status", "metadata",
+        "steps", "do", "path", "value", "deadline", "token", "taskPushNotificationConfig",
+    ]
+)  # fmt: skip
 INFO = "type.googleapis.com/google.rpc.ErrorInfo"
+
+
+@pytest.fixture(scope="module")
+def anyio_backend() -> str:
+    return "asyncio"
+
+
+@pytest.fixture(scope="module")
+async def gateway() -> AsyncGenerator[Site]:
+    """One for all: nothing here depends on what others left, but for those that take `fresh`."""
+    async with agent() as made:
+        yield made
+
+
+@pytest.fixture
+async def fresh() -> AsyncGenerator[httpx.AsyncClient]:
+    async with agent() as site, caller(site) as made:
+        yield made
 
 
 async def refused(
@@ -122,12 +155,12 @@ async def test_history_is_cut_as_asked(client: httpx.AsyncClient) -> None:
     assert [m["messageId"] for m in whole["history"]] == ["m-1"]
 
 
-async def test_tasks_are_listed_in_pages_newest_first(client: httpx.AsyncClient) -> None:
-    ids = [(await sent(client, text(NOWHERE)))["id"] for _ in range(5)]
+async def test_tasks_are_listed_in_pages_newest_first(fresh: httpx.AsyncClient) -> None:
+    ids = [(await sent(fresh, text(NOWHERE)))["id"] for _ in range(5)]
     seen: list[str] = []
     token = ""
     while True:
-        page = (await client.get(f"/a2a/tasks?pageSize=2&pageToken={token}")).json()
+        page = (await fresh.get(f"/a2a/tasks?pageSize=2&pageToken={token}")).json()
         assert page["totalSize"] == 5
         assert page["pageSize"] <= 2
         seen += [task["id"] for task in page["tasks"]]
@@ -138,13 +171,13 @@ async def test_tasks_are_listed_in_pages_newest_first(client: httpx.AsyncClient)
     assert seen == ids[::-1]
 
 
-async def test_tasks_are_listed_by_context_status_and_time(client: httpx.AsyncClient) -> None:
-    first = await sent(client, text(NOWHERE))
-    second = await sent(client, text(NOWHERE, contextId="elsewhere"))
+async def test_tasks_are_listed_by_context_status_and_time(fresh: httpx.AsyncClient) -> None:
+    first = await sent(fresh, text(NOWHERE))
+    second = await sent(fresh, text(NOWHERE, contextId="elsewhere"))
 
     async def listed(**wanted: str) -> list[str]:
-        over_rest = (await client.get("/a2a/tasks", params=wanted)).json()
-        over_rpc = (await rpc(client, "ListTasks", **wanted))["result"]
+        over_rest = (await fresh.get("/a2a/tasks", params=wanted)).json()
+        over_rpc = (await rpc(fresh, "ListTasks", **wanted))["result"]
         assert over_rest == over_rpc
         return [task["id"] for task in over_rest["tasks"]]
 
@@ -206,7 +239,7 @@ async def test_a_body_that_is_not_json_by_its_type_is_refused(client: httpx.Asyn
 
 
 async def test_a_body_beyond_the_limit_is_refused(client: httpx.AsyncClient) -> None:
-    big = data("x" * 17_000_000)
+    big = data("x" * 1_100_000)
     answer = await client.post("/a2a/message:send", json=big)
     assert answer.status_code == 413
 
@@ -232,3 +265,56 @@ async def test_tenants_are_named_by_the_address_or_the_parameters(gateway: Site)
         assert "error" in await rpc(client, "GetTask", id=task["id"], tenant="alpha")
         asked = {"jsonrpc": "2.0", "id": 1, "method": "GetTask", "params": {"id": task["id"]}}
         assert "result" in (await client.post("/a2a/beta", json=asked)).json()
+
+
+@pytest.mark.parametrize(
+    "value",
+    [b"NaN", b"1e999", b'"\\ud800"', b"[" * 3000 + b"]" * 3000, b'"\xff"'],
+    ids=["NaN", "infinite", "surrogate", "deep", "no UTF-8"],
+)
+async def test_what_json_does_not_have_is_refused_and_kept_nowhere(
+    client: httpx.AsyncClient, value: bytes
+) -> None:
+    before = (await rpc(client, "ListTasks"))["result"]["totalSize"]
+    headers = {"content-type": "application/json"}
+    message = (
+        b'{"message": {"messageId": "1", "role": "ROLE_USER", "parts": [{"data": %s}]}}' % value
+    )
+    over_rest = await client.post("/a2a/message:send", content=message, headers=headers)
+    assert over_rest.status_code == 400
+    asked = b'{"jsonrpc": "2.0", "id": 1, "method": "SendMessage", "params": %s}' % message
+    over_rpc = await client.post("/a2a", content=asked, headers=headers)
+    assert (over_rpc.status_code, over_rpc.json()["error"]["code"]) == (200, -32700)
+    assert (await rpc(client, "ListTasks"))["result"]["totalSize"] == before
+
+
+async def test_the_names_of_the_version_before_mean_nothing_in_this_one(
+    client: httpx.AsyncClient,
+) -> None:
+    answer = await rpc(client, "message/send", **text(NOWHERE))
+    assert answer["error"]["code"] == -32601
+
+
+JSON = st.recursive(
+    st.none() | st.booleans() | st.integers(-9, 9) | st.sampled_from(["", "x", "m-1", "alpha"]),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(FIELDS, inner, max_size=4),
+    max_leaves=12,
+)
+
+
+@settings(
+    max_examples=40, suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None
+)
+@given(method=st.sampled_from(METHODS), params=st.dictionaries(FIELDS, JSON, max_size=5))
+async def test_whatever_is_sent_is_answered_in_the_words_of_the_protocol(
+    client: httpx.AsyncClient, method: str, params: dict[str, Any]
+) -> None:
+    asked = {"jsonrpc": "2.0", "id": 1, "method": method, "params": params}
+    answer = await client.post("/a2a", json=asked)
+    assert answer.status_code in (200, 403), answer.text
+    if answer.headers["content-type"].startswith("application/json"):
+        told = answer.json()
+        assert ("result" in told) != ("error" in told)
+        assert told.get("error", {}).get("code") not in (-32603, -32006), told
+    else:
+        assert "-32603" not in answer.text

@@ -72,6 +72,9 @@ async def test_the_card_tells_how_one_proves_oneself(gateway: Site) -> None:
     async with caller(gateway, None) as client:
         card = (await client.get(CARD)).json()
     assert card["securitySchemes"]["bearer"]["httpAuthSecurityScheme"]["scheme"] == "Bearer"
+    assert card["securityRequirements"] == [{"schemes": {"bearer": {}}}, {}]
+    async with agent(top="anonymous = false") as site, caller(site, None) as client:
+        card = (await client.get(CARD)).json()
     assert card["securityRequirements"] == [{"schemes": {"bearer": {}}}]
 
 

@@ -49,6 +49,8 @@ async def test_a_rover_is_driven_from_javascript(binding: str, tmp_path: Path) -
     assert report.pop("stranger") is not None
     assert report == {
         "binding": binding,
+        "signed": True,
+        "forged": True,
         "artifacts": ["step-1"],
         "kept": 1,
         "resubscribed": "WORKING",

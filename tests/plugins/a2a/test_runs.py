@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import asyncio
 import json
+import re
 from collections.abc import AsyncGenerator, AsyncIterator
-from contextlib import asynccontextmanager
+from contextlib import AsyncExitStack, asynccontextmanager
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
@@ -163,6 +165,18 @@ async def test_a_whole_number_stays_one_on_its_way_to_a_step(client: httpx.Async
     assert state(await sent(client, data(plan))) == "COMPLETED"
 
 
+async def test_times_are_told_in_milliseconds(client: httpx.AsyncClient) -> None:
+    task = await sent(client, text("execute /service/add 1"))
+    assert re.fullmatch(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d(\.\d{3})?Z", task["status"]["timestamp"])
+
+
+async def test_a_client_that_takes_text_only_gets_no_data(client: httpx.AsyncClient) -> None:
+    modes = {"acceptedOutputModes": ["text/plain"]}
+    task = await sent(client, text("execute /service/add 1", configuration=modes))
+    (part,) = task["artifacts"][0]["parts"]
+    assert json.loads(part["text"])["result"] == 2.0
+
+
 async def test_who_does_not_wait_gets_the_task_at_once(
     gateway: Site, client: httpx.AsyncClient
 ) -> None:
@@ -274,6 +288,34 @@ async def test_a_task_under_way_takes_no_messages(gateway: Site, client: httpx.A
     assert answer["error"]["code"] == -32004
     gateway.robot.release.set()
     assert state(await ended(client, id_)) == "COMPLETED"
+
+
+async def test_a_stop_of_the_gateway_ends_streams_and_tells_why() -> None:
+    async with AsyncExitStack() as stack:
+        site = await stack.enter_async_context(agent())
+        async with (
+            caller(site) as client,
+            streamed(client, "POST", "/a2a/message:stream", json=text(GO)) as stream,
+        ):
+            await stream.until("WORKING")
+            await site.robot.started.wait()
+            async with asyncio.timeout(BOUND):
+                ending = asyncio.ensure_future(stack.aclose())
+                await stream.rest()
+                await ending
+
+
+async def test_a_stream_ends_with_the_proof_of_its_client() -> None:
+    soon = datetime.now(UTC) + timedelta(seconds=2)
+    key = f'[[keys]]\nname = "brief"\nrole = "operator"\nkey = "key-that-ends-soon"\nexpires = "{soon.isoformat()}"'
+    async with (
+        agent(more=key) as site,
+        caller(site, "key-that-ends-soon") as client,
+        streamed(client, "POST", "/a2a/message:stream", json=text(GO)) as stream,
+    ):
+        await stream.until("WORKING")
+        await stream.rest()
+        assert (await client.get("/a2a/tasks")).status_code == 401
 
 
 async def test_a_stop_of_the_gateway_leaves_the_task_failed(tmp_path: Path) -> None:

@@ -6,6 +6,7 @@ import asyncio
 from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager
 from pathlib import Path
+from typing import Any
 
 import pytest
 from a2a.server.context import ServerCallContext
@@ -14,6 +15,7 @@ from a2a.types.a2a_pb2 import ListTasksRequest, Task, TaskState, TaskStatus
 from plugins.a2a.agent import agent, caller, sent, text
 from plugins.a2a.receiver import receiver
 from rcp_a2a.callers import CALLER, Caller
+from rcp_a2a.config import A2aConfig
 from rcp_a2a.tasks import Tasks
 from rcp_kernel.access.acl import Rights
 from rcp_kernel.access.identity import Principal
@@ -24,13 +26,12 @@ from rcp_kernel.record.store import DiskStore
 
 pytestmark = pytest.mark.anyio
 NOWHERE = "execute /service/nowhere"
-DAY = 86_400.0  # s
 
 
 @asynccontextmanager
-async def kept(path: Path, *, most: int = 100, retention: float = DAY) -> AsyncGenerator[Tasks]:
+async def kept(path: Path, **config: Any) -> AsyncGenerator[Tasks]:
     store = DiskStore(path / "store.db", asyncio.get_running_loop())
-    tasks = Tasks(Shelf(store, "a2a.tasks"), most, retention)
+    tasks = Tasks(Shelf(store, "a2a.tasks"), A2aConfig(**config))
     tasks.restore()
     try:
         yield tasks
@@ -90,7 +91,7 @@ async def test_a_task_is_its_owners_alone_after_a_restart_too(tmp_path: Path) ->
 async def test_the_oldest_that_have_ended_give_way(tmp_path: Path) -> None:
     ada = called_by("ada")
     gone: list[str] = []
-    async with kept(tmp_path, most=3) as tasks:
+    async with kept(tmp_path, tasks=3) as tasks:
         tasks.forgotten.append(gone.append)
         await tasks.save(made("running", WORKING, age=100), ada)
         for age in (9, 8, 7, 6):
@@ -102,6 +103,17 @@ async def test_the_oldest_that_have_ended_give_way(tmp_path: Path) -> None:
     async with kept(tmp_path) as tasks:
         assert await tasks.get("ended-9", ada) is None
         assert await tasks.get("of-another", called_by("bob")) is not None
+
+
+async def test_large_tasks_give_way_sooner(tmp_path: Path) -> None:
+    ada = called_by("ada")
+    async with kept(tmp_path, tasks_size=100_000) as tasks:
+        for age in (3, 2, 1):
+            task = made(f"ended-{age}", DONE, age=age)
+            task.metadata["x"] = "x" * 40_000
+            await tasks.save(task, ada)
+        listed = await tasks.list(ListTasksRequest(), ada)
+        assert [task.id for task in listed.tasks] == ["ended-1", "ended-2"]
 
 
 async def test_what_ended_too_long_ago_is_let_go_of(tmp_path: Path) -> None:
