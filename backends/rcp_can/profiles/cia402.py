@@ -15,13 +15,13 @@ from rcp_can.profiles.cia402_objects import (
     MESSAGES,
     MODES,
     OBJECTS,
-    PDOS,
     emergency,
     state_of,
 )
 from rcp_can.profiles.cia402_options import Cia402Options
 from rcp_can.profiles.cia402_pdos import eds_map, own_map
-from rcp_can.sdo import Sdo, SdoAborted
+from rcp_can.profiles.cia402_setup import map_pdos, set_up
+from rcp_can.sdo import Sdo
 from rcp_kernel.errors import DeviceRejected
 
 if TYPE_CHECKING:
@@ -67,6 +67,7 @@ class Cia402Drive(Drive):
         self._moving = False
         self._heard = 0
         self._configured = False
+        self._sync = options.sync
         self._probes = 0
         self._emergencies: dict[int, Fault] = {}
         self._pdos = eds_map(options.eds, node) if options.eds else own_map(node)
@@ -196,18 +197,11 @@ class Cia402Drive(Drive):
 
     async def configure(self) -> None:
         """Set heartbeats, quick stop and PDOs, and start the node."""
-        options = self.options
         self._configured = False
         self._nmt_command(0x80)
-        if options.heartbeat:
-            await self.write("heartbeat_period", options.heartbeat)
-        if options.watchdog:
-            await self._optional("heartbeat_consumer", options.master << 16 | options.watchdog)
-        # 6: slow down on the quick stop ramp and stay in quick stop active.
-        await self._optional("quick_stop_option", 6)
-        if options.map_pdos:
-            for name in PDOS:
-                await self._map(name)
+        await set_up(self.sdo, self.options)
+        if self.options.map_pdos:
+            self._sync = await map_pdos(self.sdo, self.node, self.options)
         self._control = COMMANDS["disable_voltage"]
         self._nmt_command(_START)
         status = self.status
@@ -219,33 +213,8 @@ class Cia402Drive(Drive):
 
     def _start_again(self) -> None:
         self._nmt_command(_START)
-        if self.options.sync:
+        if self._sync:
             self.bus.send(0x080)
-
-    async def _optional(self, name: str, value: int) -> None:
-        try:
-            await self.write(name, value)
-        except SdoAborted as aborted:
-            if aborted.abort not in (0x06020000, 0x06090011, 0x06010002):
-                raise
-
-    async def _map(self, name: str) -> None:
-        """Map one PDO, switched off meanwhile (CiA 301, 7.5.2.36)."""
-        pdo, sends = PDOS[name], PDOS[name].parameters >= 0x1800
-        cob = pdo.cob + self.node
-        download, mapping = self.sdo.download, pdo.parameters + 0x200
-        await download(pdo.parameters, 1, struct.pack("<I", 0x80000000 | cob))
-        await download(mapping, 0, b"\0")
-        for sub, entry in enumerate(pdo.objects, 1):
-            index, subindex, code = OBJECTS[entry]
-            word = index << 16 | subindex << 8 | struct.calcsize(code) * 8
-            await download(mapping, sub, struct.pack("<I", word))
-        await download(mapping, 0, bytes((len(pdo.objects),)))
-        kind = 1 if self.options.sync and sends else 255
-        await download(pdo.parameters, 2, bytes((kind,)))
-        if sends and kind == 255:
-            await download(pdo.parameters, 5, struct.pack("<H", self.options.feedback))
-        await download(pdo.parameters, 1, struct.pack("<I", cob))
 
     def _nmt_command(self, command: int) -> None:
         self.bus.send(0x000, MESSAGES["nmt"][1].encode(command=command, node=self.node))
@@ -261,7 +230,7 @@ class Cia402Drive(Drive):
                 device_type = struct.pack("<BHBxxxx", 0x40, 0x1000, 0)
                 bus.send(0x600 + self.node, device_type, lifetime=_FAST)
             return
-        if options.sync and bus.paced("sync", 0.9 * options.sync / 1000):
+        if self._sync and bus.paced("sync", 0.9 * self._sync / 1000):
             bus.send(0x080, lifetime=_FAST)
         if options.watchdog and bus.paced("heartbeat", options.watchdog / 5000):
             bus.send(0x700 + options.master, bytes((_OPERATIONAL,)), lifetime=_FAST)

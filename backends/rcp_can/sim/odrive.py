@@ -162,4 +162,4 @@ class OdriveTwin(Twin):
         values = self._values(name)
         if values is not None:
             command, layout = MESSAGES[name]
-            self.send(self.node << 5 | command, layout.encode(**values))
+            self.send(self.node << 5 | command, layout.encode(**values).ljust(8, b"\0"))

@@ -29,9 +29,9 @@ def durand_network(channel: str) -> Iterator[Any]:
     finally:
         with contextlib.suppress(Exception):
             get_scheduler().stop()
+        turning.join(2)
         network.stop()
         line.shutdown()
-        turning.join(2)
 
 
 @contextmanager
