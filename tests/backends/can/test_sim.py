@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import asyncio
+import random
 import subprocess
 import sys
 import tomllib
@@ -52,3 +54,29 @@ async def test_the_example_configuration_drives() -> None:
         await rig.host.until(lambda: rig.backend.axes["wheel"].velocity > 4.0)
         await rig.backend.halt()
         assert abs(rig.backend.axes["wheel"].velocity) < 0.1
+
+
+async def test_a_twin_in_a_process_of_its_own_is_driven_over_multicast() -> None:
+    group = f"239.{random.randrange(64, 128)}.{random.randrange(256)}.{random.randrange(1, 255)}"
+    bus = {"interface": "udp_multicast", "channel": group}
+    motors = {
+        "m": {"bus": "can0", "profile": "odrive", "node": 1, "velocity": 10.0, "timeout": 2.0}
+    }
+    command = [sys.executable, "-m", "rcp_can.sim", "--channel", group, "odrive:1"]
+    twins = await asyncio.create_subprocess_exec(*command, stdout=asyncio.subprocess.PIPE)
+    try:
+        assert twins.stdout is not None
+        async with asyncio.timeout(30):
+            assert (await twins.stdout.readline()).startswith(b"1 drives on")
+        async with opened({"buses": {"can0": bus}, "motors": motors, "grace": 10.0}) as rig:
+            assert rig.host.reports == []
+            await rig.ran("service/m/enable")
+            moved = await rig.ran("action/m/move_to", {"position": 1.0}, seconds=20)
+            assert moved["position"] == pytest.approx(1.0, abs=0.02)
+            twins.terminate()
+            await twins.wait()
+            await rig.host.published_as("sensor/m/state", seconds=10, state="offline")
+    finally:
+        if twins.returncode is None:
+            twins.kill()
+            await twins.wait()
