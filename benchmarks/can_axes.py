@@ -2,6 +2,7 @@
 
 What jitters is measured on the bus, by a third node: how far the set-points of one axis are from 2 ms
 apart. Beside it, bare python-can: a loop that sends and a Notifier that reads, without any gateway.
+Run it with a real-time priority (`chrt -f 10`), or it measures what else the machine does.
 """
 
 from __future__ import annotations

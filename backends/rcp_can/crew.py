@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Generator, Iterable
+from collections.abc import Awaitable, Callable, Generator, Iterable
 from contextlib import ExitStack, contextmanager
 
 import msgspec
@@ -14,12 +14,14 @@ from rcp_can.bus import Bus
 from rcp_can.config import CanConfig
 from rcp_can.health import Health
 from rcp_can.profiles import profile
+from rcp_can.ticker import Ticker
 from rcp_kernel.errors import ConfigError
 from rcp_kernel.spi import Host
 
 __all__ = ["by_rate", "heard", "make_axes", "run_axes", "simulated"]
 
 _LATE = 0.1  # s: a longer gap counts as this, so that no ramp leaps
+_COARSE = 100.0  # Hz above which the loop's own timers are too coarse
 _HEALTH = 1.0  # s between two looks at temperatures
 
 
@@ -65,15 +67,34 @@ def by_rate(axes: Iterable[Axis]) -> list[list[Axis]]:
 
 async def run_axes(axes: list[Axis]) -> None:
     """Tick motors at their rate until cancelled."""
-    period = 1 / axes[0].config.rate
-    last = due = time.monotonic()
-    shown = 0.0
-    while True:
+    rate = axes[0].config.rate
+    if rate > _COARSE:
+        ticker = Ticker(rate)
+        with ticker.running():
+            await _run(axes, ticker.beat)
+    else:
+        await _run(axes, _sleeper(1 / rate))
+
+
+def _sleeper(period: float) -> Callable[[], Awaitable[None]]:
+    due = time.monotonic()
+
+    async def beat() -> None:
+        nonlocal due
         due += period
         now = time.monotonic()
         if due < now - _LATE:
             due = now
         await asyncio.sleep(max(0.0, due - now))
+
+    return beat
+
+
+async def _run(axes: list[Axis], beat: Callable[[], Awaitable[None]]) -> None:
+    last = time.monotonic()
+    shown = 0.0
+    while True:
+        await beat()
         now = time.monotonic()
         dt, last = min(now - last, _LATE), now
         for axis in axes:
