@@ -8,8 +8,10 @@ from msgspec import Meta, Struct
 
 from rcp_can.config_names import BusName, Seconds
 
-__all__ = ["MotorConfig"]
+__all__ = ["HOUSE", "MotorConfig"]
 
+HOUSE = "cia402", "odrive", "mit", "tmotor", "damiao", "moteus", "vesc", "cybergear"
+"""Profiles that come with the backend."""
 Positive = Annotated[float, Meta(gt=0, le=1e6)]
 
 
@@ -17,7 +19,8 @@ class MotorConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
     """One motor. Limits are those of the joint, behind the gear."""
 
     bus: BusName
-    profile: Literal["cia402", "odrive", "mit", "tmotor", "damiao", "moteus", "vesc", "cybergear"]
+    profile: Annotated[str, Meta(max_length=200)]
+    """One of the house's, or `module:NAME` of one of your own."""
     node: Annotated[int, Meta(ge=0, le=0x7FF)]
     gear: Positive = 1.0
     """Turns of the drive's shaft for one of the joint."""
@@ -44,5 +47,10 @@ class MotorConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
     """What the profile needs beside; see its table."""
 
     def __post_init__(self) -> None:
+        if self.profile not in HOUSE and ":" not in self.profile:
+            known = ", ".join(HOUSE)
+            raise ValueError(
+                f"`profile`: no {self.profile!r}; there are {known}, and <module>:<NAME>"
+            )
         if self.position is not None and self.position[0] >= self.position[1]:
             raise ValueError("`position` is [lowest, highest], and the lowest is less")

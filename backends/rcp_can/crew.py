@@ -35,7 +35,10 @@ def make_axes(
     axes: dict[str, Axis] = {}
     taken: dict[tuple[str, str, int], str] = {}
     for name, motor in config.motors.items():
-        kind = profile(motor.profile)
+        try:
+            kind = profile(motor.profile)
+        except ConfigError as error:
+            raise ConfigError(f"motors.{name}.profile: {error}") from error
         if motor.node not in kind.nodes:
             raise ConfigError(
                 f"motors.{name}.node: {motor.profile} has nodes {kind.nodes.start} to "

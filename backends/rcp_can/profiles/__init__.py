@@ -5,6 +5,7 @@ from __future__ import annotations
 from importlib import import_module
 
 from rcp_can.drive import Profile
+from rcp_kernel.errors import ConfigError
 
 __all__ = ["PROFILES", "profile"]
 
@@ -22,6 +23,16 @@ PROFILES = {
 
 
 def profile(name: str) -> Profile:
-    """Return a profile of `PROFILES`."""
-    module, _, attribute = PROFILES[name].partition(":")
-    return getattr(import_module(f"{__name__}.{module}"), attribute)
+    """Return a profile of `PROFILES`, or that of somebody else's module, `module:NAME`.
+
+    :raises ConfigError: there is none.
+    """
+    own = PROFILES.get(name)
+    module, _, attribute = (own or name).partition(":")
+    try:
+        found = getattr(import_module(f"{__name__}.{module}" if own else module), attribute)
+    except (ImportError, AttributeError, ValueError) as error:
+        raise ConfigError(f"there is no profile {name!r}: {error}") from error
+    if not isinstance(found, Profile):
+        raise ConfigError(f"{name!r} is no profile, but a {type(found).__name__}")
+    return found

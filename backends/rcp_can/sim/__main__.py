@@ -11,15 +11,19 @@ import can
 
 from rcp_can.profiles import PROFILES, profile
 from rcp_can.sim import Bench, Twin, make_twin
+from rcp_kernel.errors import ConfigError
 
 __all__ = ["main"]
 
 
 def _twin(text: str) -> Twin:
-    name, _, node = text.partition(":")
-    if name not in PROFILES:
-        raise argparse.ArgumentTypeError(f"no profile {name!r}; there are {', '.join(PROFILES)}")
-    if not node.isdecimal() or int(node) not in profile(name).nodes:
+    name, _, node = text.rpartition(":")
+    try:
+        nodes = profile(name).nodes
+    except ConfigError as error:
+        known = ", ".join(PROFILES)
+        raise argparse.ArgumentTypeError(f"{error}; there are {known}") from error
+    if not node.isdecimal() or int(node) not in nodes:
         raise argparse.ArgumentTypeError(f"{text!r} is not <profile>:<node>")
     return make_twin(name, int(node))
 

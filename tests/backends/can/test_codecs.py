@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import asyncio
+import contextlib
 import math
 import struct
 from typing import Any
@@ -17,7 +19,9 @@ from rcp_can.codec import Codec, Field, Layout, Packed, Span
 from rcp_can.profiles import PROFILES, cia402_objects, cybergear, mit, odrive, profile, vesc
 from rcp_can.profiles import moteus_wire as wire
 from rcp_can.profiles.cia402_objects import state_of
+from rcp_can.sdo import Sdo
 from rcp_can.sim import make_twin
+from rcp_kernel.errors import RcpError
 
 CODECS: dict[str, Codec] = {
     **{f"odrive {name}": layout for name, (_, layout) in odrive.MESSAGES.items()},
@@ -223,3 +227,37 @@ def test_a_moteus_value_that_is_missing_is_nan_in_every_width() -> None:
         (found,) = wire.parse(wire.build([beyond]))
         assert found.value is not None
         assert found.value > 1.0
+
+
+@given(st.lists(st.binary(max_size=8), max_size=8))
+async def test_no_answer_upsets_the_sdo_client(answers: list[bytes]) -> None:
+    bus: Any = NoBus()
+    sdo = Sdo(bus, 5)
+    asking = asyncio.ensure_future(sdo.upload(0x1000))
+    for answer in answers:
+        await asyncio.sleep(0)
+        with contextlib.suppress(ValueError):
+            sdo.take(can.Message(arbitration_id=0x585, data=answer, is_extended_id=False))
+    await asyncio.sleep(0)
+    asking.cancel()
+    with contextlib.suppress(asyncio.CancelledError, RcpError):
+        assert isinstance(await asking, bytes)
+
+
+@given(st.lists(st.binary(min_size=1, max_size=7), min_size=1, max_size=4))
+async def test_a_segmented_upload_is_the_bytes_that_were_sent(parts: list[bytes]) -> None:
+    whole = b"".join(part.ljust(7, b".") for part in parts[:-1]) + parts[-1]
+    frames = [struct.pack("<BHBI", 0x41, 0x2000, 0, len(whole))]
+    for number, start in enumerate(range(0, len(whole), 7)):
+        piece = whole[start : start + 7]
+        last = start + 7 >= len(whole)
+        head = (number % 2) << 4 | (7 - len(piece)) << 1 | last
+        frames.append(bytes((head,)) + piece.ljust(7, b"\0"))
+    bus: Any = NoBus()
+    sdo = Sdo(bus, 5)
+    asking = asyncio.ensure_future(sdo.upload(0x2000))
+    for frame in frames:
+        await asyncio.sleep(0)
+        await asyncio.sleep(0)
+        sdo.take(can.Message(arbitration_id=0x585, data=frame, is_extended_id=False))
+    assert await asking == whole

@@ -5,11 +5,15 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import cantools
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from backends.can.rig import Node, channel, opened
+from rcp_can.device_types import message_type
 from rcp_kernel.errors import AdapterUnavailable, ConfigError, InvalidValue
-from rcp_kernel.values import value_type
+from rcp_kernel.values import to_plain, value_type
 
 DBC = """
 VERSION ""
@@ -118,3 +122,14 @@ async def test_a_device_that_cannot_be_is_a_configuration_error(
     with pytest.raises(ConfigError, match=words):
         async with opened(table(channel(), dbc, **more)):
             pass
+
+
+@given(st.binary(min_size=8, max_size=8))
+def test_any_frame_of_a_database_is_a_value_of_its_type_and_goes_back(data: bytes) -> None:
+    database: Any = cantools.database.load_string(DBC, "dbc")
+    message = database.get_message_by_name("Cells")
+    type_ = value_type(message_type(message, bounded=False))
+    value = type_.type(**message.decode(data, decode_choices=False))
+    type_.check(value)
+    back = message.encode(to_plain(value), strict=False)
+    assert message.decode(back, decode_choices=False) == message.decode(data, decode_choices=False)

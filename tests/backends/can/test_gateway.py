@@ -6,6 +6,7 @@ import asyncio
 import struct
 from collections.abc import AsyncGenerator, Callable
 from contextlib import asynccontextmanager
+from pathlib import Path
 from typing import Any
 
 import anyio
@@ -188,17 +189,19 @@ async def test_an_e_stop_is_a_quick_stop_and_nothing_moves_until_it_is_reset() -
 
 async def test_a_canopen_drive_is_told_how_long_the_gateway_may_be_silent() -> None:
     async with bed("cia402", options={"watchdog": 300, "master": 100}) as motor:
-        assert motor.twin.get_raw(0x1016, 1) == 100 << 16 | 300
+        await motor.until(lambda: motor.twin.get_raw(0x1016, 1) == 100 << 16 | 300)
 
 
 async def test_a_damiao_is_told_how_long_the_gateway_may_be_silent() -> None:
     async with bed("damiao", options={"watchdog": 250}) as motor:
-        assert motor.twin.registers[9] == struct.pack("<I", 5000)  # of 50 µs
+        wanted = struct.pack("<I", 5000)  # of 50 µs
+        await motor.until(lambda: motor.twin.registers[9] == wanted)
 
 
 async def test_a_cybergear_is_told_how_long_the_gateway_may_be_silent() -> None:
     async with bed("cybergear", options={"watchdog": 250}) as motor:
-        assert motor.twin.parameters[0x7028] == struct.pack("<I", 5000)  # of 50 µs
+        wanted = struct.pack("<I", 5000)  # of 50 µs
+        await motor.until(lambda: motor.twin.parameters.get(0x7028) == wanted)
 
 
 async def test_a_moteus_is_told_with_every_set_point() -> None:
@@ -225,3 +228,20 @@ async def test_raw_frames_are_chosen_by_id_in_a_subscription_and_sent_by_permiss
         assert refused["error"]["code"] == "forbidden", refused
         admin = motor.served.client(ADMIN)
         assert (await admin.request("write", path, body=frame))["status"] == "completed"
+
+
+@pytest.mark.parametrize("format_", ["candump", "asc", "blf"])
+async def test_frames_are_recorded_on_request(format_: str, tmp_path: Path) -> None:
+    async with bed("odrive", bus={"log_directory": str(tmp_path)}) as motor:
+        viewer = motor.served.client(VIEWER)
+        start, stop = "service/can/can0/start_log", "service/can/can0/stop_log"
+        refused = await viewer.request("execute", f"/tenant/t/{start}", body={"format": format_})
+        assert refused["error"]["code"] == "forbidden", refused
+        begun = await motor.done(start, {"format": format_})
+        await motor.done("service/m/enable")
+        ended = await motor.done(stop)
+        assert ended["file"] == begun["file"]
+        with can.LogReader(tmp_path / ended["file"]) as log:
+            frames = list(log)
+        assert len(frames) == ended["frames"]
+        assert {frame.arbitration_id for frame in frames} >= {0x21, 0x29, 0x27}
