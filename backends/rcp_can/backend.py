@@ -98,8 +98,9 @@ async def open_buses(config: CanConfig, host: Host) -> AsyncGenerator[CanBackend
         DevicePart(name, device, buses[device.bus], host) for name, device in config.devices.items()
     ]
     nodes = [
-        EdsPart(name, node, buses[node.bus], _sdo(buses[node.bus], node.node, axes.values()), host)
+        EdsPart(name, node, bus, _sdo(bus, node.node, axes.values()), host, health)
         for name, node in config.nodes.items()
+        for bus in (buses[node.bus],)
     ]
     drives = [
         DiffDrivePart(name, drive, axes[drive.left], axes[drive.right])
@@ -117,10 +118,14 @@ async def open_buses(config: CanConfig, host: Host) -> AsyncGenerator[CanBackend
             with simulated(config):
                 for group in by_rate(axes.values()):
                     tasks.start_soon(run_axes, group)
+                for node in nodes:
+                    node.watched.start()
                 await heard(axes.values(), config.grace, health)
                 try:
                     yield backend
                 finally:
+                    for node in nodes:
+                        node.watched.stop()
                     for closing in (*lines, *axes.values()):
                         await closing.close()
                     tasks.cancel_scope.cancel()

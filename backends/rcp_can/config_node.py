@@ -6,7 +6,7 @@ from typing import Annotated
 
 from msgspec import Meta, Struct
 
-from rcp_can.config_names import BusName, IdRange, id_ranges
+from rcp_can.config_names import BusName, IdRange, Seconds, id_ranges
 
 __all__ = ["NodeConfig"]
 
@@ -20,6 +20,9 @@ class NodeConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """The file: EDS or DCF."""
     objects: tuple[IdRange, ...] = ("0x2000-0xFFFF",)
     """Indices, `"0x6083"` or `"0x2000-0x5FFF"`; those of the communication are left out unless named."""
+
+    heartbeat: Seconds | None = None
+    """Within which a heartbeat must come; without it none is missed."""
 
     @property
     def ranges(self) -> list[tuple[int, int]]:

@@ -11,6 +11,8 @@ from rcp_can.binding import Part
 from rcp_can.bus import Bus
 from rcp_can.config_node import NodeConfig
 from rcp_can.eds_types import Entry, entry_of, slug
+from rcp_can.health import Health
+from rcp_can.node_state import NodeWatch
 from rcp_can.sdo import Sdo
 from rcp_kernel.errors import ConfigError, RcpError
 from rcp_kernel.model import Operation, Resource
@@ -32,9 +34,12 @@ class EdsPart(Part):
     :raises ConfigError: the file cannot be read, or has no such objects.
     """
 
-    def __init__(self, name: str, config: NodeConfig, bus: Bus, sdo: Sdo, host: Host) -> None:
+    def __init__(
+        self, name: str, config: NodeConfig, bus: Bus, sdo: Sdo, host: Host, health: Health
+    ) -> None:
         self._name, self._config, self._bus, self._host = name, config, bus, host
         self._sdo = sdo
+        self.watched = NodeWatch(name, config, bus, host, health)
         self._entries: dict[str, Entry] = {}
         self._texts: dict[str, str] = {}
         for path, text, variable in _variables(load_eds(f"nodes.{name}", config.eds, config.node)):
@@ -71,10 +76,15 @@ class EdsPart(Part):
                     },
                 )
             )
-        return [resource for resource in found if resource.operations]
+        shown = [resource for resource in found if resource.operations]
+        return [*self.watched.resources(), *shown]
 
     async def read(self, name: str) -> Any:
-        """Ask the node."""
+        """Ask the node; its state is what it said last."""
+        if name == self.watched.path:
+            return self.watched.value
+        if name not in self._entries:
+            return await super().read(name)
         entry = self._entries[name]
         return entry.unpack(await self._sdo.upload(entry.index, entry.sub))
 

@@ -64,14 +64,15 @@ async def durand(tmp_path: Path, **keys: Any) -> AsyncGenerator[Rig]:
 
 async def test_durands_dictionary_becomes_parameters_by_the_eds_it_writes(tmp_path: Path) -> None:
     async with durand(tmp_path) as rig:
-        assert sorted(rig.host.resources)[-7:] == [
+        shown = sorted(name for name in rig.host.resources if name.startswith("param/"))
+        assert shown == [
+            "param/io/device_label",
+            "param/io/gain",
             "param/io/hardware",
             "param/io/input_filter/count_total",
             "param/io/input_filter/on",
             "param/io/serial_speed",
             "param/io/trim",
-            "sensor/can/can0/state",
-            "sensor/can/can0/statistics",
         ]
         assert rig.host.resources["param/io/hardware"].operations == (
             Operation.READ | Operation.SUBSCRIBE
@@ -190,6 +191,31 @@ async def test_a_node_that_refuses_or_is_silent_is_told(tmp_path: Path) -> None:
         async with opened(config) as other:
             with pytest.raises(DeviceRejected, match="the object does not exist"):
                 await other.backend.read("param/io/trim")
+
+
+async def test_its_heartbeats_and_emergencies_are_told_and_missed(tmp_path: Path) -> None:
+    import durand as library
+
+    name = channel()
+    with durand_network(name) as network:
+        node = library.MinimalNode(network, 9, durand_objects())
+        eds = tmp_path / "io.eds"
+        eds.write_text(node.eds.content)
+        keys = {"heartbeat": 0.4, "objects": ["0x1017", "0x2000"]}
+        async with opened(table(name, eds, **keys)) as rig:
+            await rig.host.published_as("sensor/io/state", state="offline")
+            assert "no heartbeat for 0.4 s" in (rig.host.reports[-1] or "")
+            await rig.write("param/io/producer_heartbeat_time", 50)
+            await rig.host.published_as("sensor/io/state", state="pre_operational")
+            assert rig.host.reports[-1] is None
+            node.emcy.set(0x4210, 1)
+            event = await rig.host.published_as("event/io/emergency", code=0x4210, active=True)
+            assert event.text == "device temperature (0x4210)"
+            assert (await rig.backend.read("sensor/io/state")).emergencies == [event.text]
+            node.emcy.set(0, 0)
+            await rig.host.published_as("sensor/io/state", emergencies=[])
+            await rig.write("param/io/producer_heartbeat_time", 0)
+            await rig.host.published_as("sensor/io/state", state="offline")
 
 
 @pytest.mark.parametrize(
