@@ -50,6 +50,9 @@ async def test_the_example_configuration_drives() -> None:
             await rig.ran(f"service/{name}/enable")
         moved = await rig.ran("action/shoulder/move_to", {"position": 0.5})
         assert moved["position"] == pytest.approx(0.5, abs=0.02)
+        goal = {"positions": {"shoulder": -0.2, "gripper": 0.4}}
+        moved = await rig.ran("action/arm/move_joints", goal)
+        assert moved["positions"]["gripper"] == pytest.approx(0.4, abs=0.02)
         await rig.write("actuator/wheel/velocity", 5.0)
         await rig.host.until(lambda: rig.backend.axes["wheel"].velocity > 4.0)
         await rig.backend.halt()
