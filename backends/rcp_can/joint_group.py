@@ -133,25 +133,33 @@ class JointGroupPart(Part):
         if not targets and self._ended is not None:
             self._ended.append(ModeForbids("a stop of the joints ended the move"))
             return
-        for axis in self._axes:
-            self._check(axis, moves=bool(targets))
+        for axis in targets:
+            self._check(axis)
         for axis in self._axes:
             if axis in targets:
                 axis.command("position", targets[axis])
-            elif axis.status.enabled and not axis.stopping:
-                axis.hold()
+            else:
+                self._rest(axis)
+        if not targets:  # a stop that may not have reached every joint is no stop
+            for axis in self._axes:
+                check_link(axis)
 
     def _targets(self, value: Any) -> dict[Axis, float]:
         found = zip(self._axes, value.__struct_fields__, strict=True)
         wanted = {axis: getattr(value, field) for axis, field in found}
         return {axis: position for axis, position in wanted.items() if position is not None}
 
-    def _check(self, axis: Axis, *, moves: bool) -> None:
-        if not moves:
-            check_link(axis)
-            if axis.owner is not None:
-                axis.forget(ModeForbids(f"a stop of '{self._name}' ended the move"))
-            return
+    def _rest(self, axis: Axis) -> None:
+        driven = axis.owner is not None
+        if driven:
+            axis.forget(ModeForbids(f"a stop of '{self._name}' ended the move"))
+        if axis.status.enabled and not axis.stopping:
+            if driven:  # perhaps by the drive's own trajectory, which no set-point holds
+                axis.rest()
+            else:
+                axis.hold()
+
+    def _check(self, axis: Axis) -> None:
         if axis.owner is not None:
             raise ModeForbids(
                 f"motor '{axis.name}' is driven by {axis.owner}", remedy="Cancel that first."
@@ -182,7 +190,7 @@ class JointGroupPart(Part):
         if not targets:
             raise InvalidValue("no joint is to be moved", details={"pointer": "/positions"})
         for axis in targets:
-            self._check(axis, moves=True)
+            self._check(axis)
         legs = {axis: self._leg(axis, goal, move.speed) for axis, goal in targets.items()}
         path = Path(legs.values())
         self._ended = ended = []

@@ -109,7 +109,8 @@ async def test_a_joint_that_is_not_named_stays_where_it_is() -> None:
         await rig.until(lambda: rig.twins["pan"].plant.velocity > 1.0)
         await rig.write(JOINTS, {"roll": 5.0})
         await rig.until(lambda: abs(rig.twins["pan"].plant.velocity) < 0.1)
-        assert rig.twins["roll"].plant.velocity > 1.0
+        await rig.until(lambda: rig.twins["roll"].plant.velocity > 1.0)
+        assert abs(rig.twins["pan"].plant.velocity) < 0.1
         assert rig.twins["pan"].plant.position < 4.0
 
 
@@ -118,6 +119,10 @@ async def test_positions_are_taken_by_all_that_are_named_or_by_none() -> None:
         await rig.ran("service/pan/enable")
         with pytest.raises(ModeForbids, match="'tilt' is disabled"):
             await rig.write(JOINTS, {"pan": 1.0, "tilt": 1.0})
+        await rig.write(JOINTS, {"pan": 0.1})  # the others need not be enabled
+        await rig.until(lambda: abs(rig.twins["pan"].plant.position - 0.1) < 0.02)
+        await rig.write(JOINTS, {"pan": 0.0})
+        await rig.until(lambda: abs(rig.twins["pan"].plant.position) < 0.01)
         await rig.write(JOINTS, {})
         await asyncio.sleep(0.1)
         assert all(abs(twin.plant.position) < 0.01 for twin in rig.twins.values())
@@ -180,6 +185,17 @@ async def test_a_stop_of_the_joints_ends_the_move() -> None:
         assert rig.still()
 
 
+async def test_a_stop_of_the_joints_ends_what_moves_one_of_them() -> None:
+    async with arm() as rig:
+        moving = asyncio.ensure_future(rig.execute("action/pan/move_to", {"position": 5.0}))
+        await rig.until(lambda: rig.twins["pan"].plant.velocity > 1.0)
+        await rig.write(JOINTS, {})
+        with pytest.raises(ModeForbids, match="a stop of 'arm'"):
+            await asyncio.wait_for(moving, 4)
+        await rig.until(rig.still)
+        assert rig.twins["pan"].plant.position < 4.5
+
+
 @pytest.mark.parametrize("joint", PROFILES)
 async def test_a_joint_that_fails_stops_all(joint: str) -> None:
     async with arm() as rig:
@@ -190,6 +206,8 @@ async def test_a_joint_that_fails_stops_all(joint: str) -> None:
             await asyncio.wait_for(moving, 6)
         others = [twin for name, twin in rig.twins.items() if name != joint]
         assert all(abs(twin.plant.velocity) < 0.1 for twin in others)
+        with pytest.raises(AdapterUnavailable, match=joint):
+            await rig.write(JOINTS, {})
         rig.twins[joint].silent = False
         await rig.host.until(lambda: all(axis.online for axis in rig.axes.values()))
         await rig.until(rig.still)
