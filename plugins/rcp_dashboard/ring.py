@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from array import array
+from bisect import bisect_left, bisect_right
 
 __all__ = ["Ring"]
 
@@ -10,7 +11,7 @@ __all__ = ["Ring"]
 class Ring:
     """A bounded run of samples; it takes memory as it fills."""
 
-    __slots__ = ("_next", "_size", "_times", "_values", "skipped")
+    __slots__ = ("_last", "_next", "_ordered", "_size", "_times", "_values", "skipped")
 
     def __init__(self, size: int) -> None:
         self._size = size
@@ -18,6 +19,9 @@ class Ring:
         self._values = array("d")
         self._next = 0
         """Where the next sample goes once the ring is full."""
+        self._last = float("-inf")
+        self._ordered = True
+        """Whether the robot's clock has never gone back."""
         self.skipped = 0
         """Samples in which the field was no finite number."""
 
@@ -26,6 +30,9 @@ class Ring:
 
     def add(self, time: float, value: float) -> None:
         """Take a sample; `time` in s since the epoch."""
+        if time < self._last:
+            self._ordered = False
+        self._last = time
         if len(self._times) < self._size:
             self._times.append(time)
             self._values.append(value)
@@ -48,7 +55,8 @@ class Ring:
             return times, values
         end = max(times) if until is None else until
         begin = float("-inf") if length is None else end - length
-        kept = [place for place, time in enumerate(times) if begin <= time <= end]
-        if len(kept) == len(times):
-            return times, values
-        return [times[place] for place in kept], [values[place] for place in kept]
+        if self._ordered:
+            kept = slice(bisect_left(times, begin), bisect_right(times, end))
+            return times[kept], values[kept]
+        inside = [place for place, time in enumerate(times) if begin <= time <= end]
+        return [times[place] for place in inside], [values[place] for place in inside]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import socket
 from collections.abc import AsyncGenerator, Generator
@@ -9,6 +10,7 @@ from contextlib import asynccontextmanager
 from pathlib import Path
 from urllib.parse import urlencode
 
+import httpx
 import pytest
 from playwright.async_api import Browser, expect
 
@@ -36,6 +38,8 @@ SHOWN = {
     ),
 }
 """What the pages show that show nothing by themselves."""
+POSING = {"plot": 10_000, "scene": 2000} if "RCP_SCREENSHOTS" in os.environ else {}
+"""ms until a page has something to show to those who look at the screenshots."""
 GATEWAY = """
 [transports.asgi]
 port = 0
@@ -82,13 +86,20 @@ async def gateway(asgi: str = "", more: str = "") -> AsyncGenerator[str]:
         yield next(facts["url"] for facts in served.server.status.transports if "url" in facts)
 
 
-async def test_every_page_opens_and_nothing_is_complained_of(tab: Watched) -> None:
+async def test_every_page_opens_and_nothing_is_complained_of(tab: Watched, running: Demo) -> None:
+    await log_in(tab.page, running.key)
     await expect(tab.page.get_by_text("rover-alpha").first).to_be_visible()
+    headers = {"authorization": f"Bearer {running.key}"}
+    goal = {"position": {"x": 4.0, "y": 3.0, "z": 0.0}}
+    async with httpx.AsyncClient(base_url=running.url, headers=headers) as robot:
+        path = "/rcp/v1/context/tenant/alpha/action/move_to"
+        assert (await robot.post(path, json=goal)).status_code == 202  # pages show that it moves
     for name in PAGES:
         await tab.open(f"{name}?{SHOWN.get(name, 'robot=rover-alpha')}")
         await expect(tab.page.locator("main")).not_to_contain_text("Loading")
         await expect(tab.page.locator("main")).not_to_contain_text("could not be loaded")
         await tab.page.wait_for_load_state("networkidle")
+        await tab.page.wait_for_timeout(POSING.get(name, 0))
         await tab.shoot(f"page-{name or 'overview'}")
 
 
