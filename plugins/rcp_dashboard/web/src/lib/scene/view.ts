@@ -6,7 +6,17 @@ import { OrbitControls } from "three/addons/controls/OrbitControls.js";
 
 export type Mode = "2d" | "3d";
 
+const PAUSE = 45; // ms between pictures that the processor has to draw
 const REACH = 12; // m from the middle to the edge of what is seen at first
+
+/** Whether WebGL is done by the processor: then fewer pixels are drawn, and their edges not smoothed. */
+function inSoftware(): boolean {
+  const probe = document.createElement("canvas").getContext("webgl2");
+  const named = probe?.getExtension("WEBGL_debug_renderer_info");
+  const name = named && probe?.getParameter(named.UNMASKED_RENDERER_WEBGL);
+  probe?.getExtension("WEBGL_lose_context")?.loseContext();
+  return /swiftshader|llvmpipe|softpipe|basic render/i.test(String(name));
+}
 
 /** A window into a world that is x forward, y left, z up, in metres. It draws when something has changed. */
 export class View {
@@ -28,8 +38,9 @@ export class View {
   /** Raises what WebGL raises where it is not there. */
   constructor(box: HTMLElement) {
     this.#box = box;
-    this.#renderer = new WebGLRenderer({ antialias: true, powerPreference: "low-power" });
-    this.#renderer.setPixelRatio(Math.min(devicePixelRatio, 2));
+    const slow = inSoftware();
+    this.#renderer = new WebGLRenderer({ antialias: !slow, powerPreference: "low-power" });
+    this.#renderer.setPixelRatio(slow ? 0.5 : Math.min(devicePixelRatio, 2));
     box.append(this.#renderer.domElement);
     this.scene.add(new AmbientLight(0xffffff, 1.6));
     const sun = new DirectionalLight(0xffffff, 1.8);
@@ -41,15 +52,17 @@ export class View {
     this.#observer = new ResizeObserver(() => this.#fit());
     this.#observer.observe(box);
     this.#fit();
-    const draw = (): void => {
+    let drawnAt = 0;
+    const draw = (now: number): void => {
       this.#frame = requestAnimationFrame(draw);
       this.#controls.update();
-      if (!this.#dirty) return;
+      if (!this.#dirty || (slow && now - drawnAt < PAUSE)) return;
+      drawnAt = now;
       this.#dirty = false;
       this.drawn += 1;
       this.#renderer.render(this.scene, this.camera);
     };
-    draw();
+    draw(0);
   }
 
   get camera(): OrthographicCamera | PerspectiveCamera {
