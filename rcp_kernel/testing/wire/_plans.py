@@ -114,7 +114,12 @@ class Planning(Wire):
             "cancelled",
             ["cancelled", "skipped", "skipped"],
         )
-        assert (robot.stopped, robot.writes) == (["action/go"], [])
+
+        async def stopped() -> bool:
+            return robot.stopped == ["action/go"]
+
+        await eventually(stopped, "the robot is told")
+        assert robot.writes == []
 
     @proves("plan.estop")
     async def test_an_estop_ends_plans(self, world: World) -> None:

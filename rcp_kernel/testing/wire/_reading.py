@@ -21,11 +21,11 @@ class Reading(Wire):
     @proves("read.sample")
     async def test_a_read_carries_value_time_and_number(self, world: World) -> None:
         world.publish("sensor/level", 1.0, 2.0)
-        world.robot().host.publish("sensor/level", 3.0, 1_700_000_000_123_456_789)
-        for encoding in self.encodings:
+        for number, encoding in enumerate(self.encodings, 3):
             client = await world.client(encoding=encoding)
+            world.robot().host.publish("sensor/level", 3.0, 1_700_000_000_123_456_789)
             reply = await client.request("read", "/sensor/level")
-            assert (reply["body"], reply["seq"], reply["state"]) == (3.0, 3, "fresh")
+            assert (reply["body"], reply["seq"], reply["state"]) == (3.0, number, "fresh")
             assert parse_time(reply["source_timestamp"]) == 1_700_000_000_123_456_789
             assert parse_time(reply["timestamp"]) > 1_700_000_000_123_456_789
 
@@ -129,9 +129,12 @@ class Reading(Wire):
         async def at_rest() -> bool:
             return robot.writes[-1] == ("actuator/drive", Twist())
 
+        async def told() -> bool:
+            return (await client.request("read", DRIVE))["body"]["linear"]["x"] == 0.0
+
         await eventually(at_rest, "the safe value is written", 2.0)
         assert len(robot.writes) == 2
-        assert (await client.request("read", DRIVE))["body"]["linear"]["x"] == 0.0
+        await eventually(told, "it is read back")
 
     @proves("write.valid-for")
     async def test_valid_for_without_a_safe_value_is_refused(self, world: World) -> None:
