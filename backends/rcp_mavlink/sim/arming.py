@@ -11,6 +11,7 @@ if TYPE_CHECKING:
 
 __all__ = ["complaints", "mode_complaint"]
 
+_ARM_IN_AUTO = 1
 _GYROS, _HOME = 0.2, 0.5  # parts of the time to warm up
 
 
@@ -45,4 +46,7 @@ def mode_complaint(vehicle: Vehicle) -> str | None:
         return f"{mode.name} mode not armable"
     if mode is Mode.AUTO and not vehicle.flight.mission.flyable:
         return "Mode requires mission"
+    copter = vehicle.kind.name == "copter"
+    if mode is Mode.AUTO and copter and not int(vehicle.params["AUTO_OPTIONS"]) & _ARM_IN_AUTO:
+        return "AUTO mode not armable"
     return None

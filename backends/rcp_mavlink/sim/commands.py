@@ -146,10 +146,10 @@ def _home(c: Asked) -> int:
 
 def _start(c: Asked) -> int:
     vehicle = c.peer.vehicle
-    if not vehicle.set_mode(Mode.AUTO) or not vehicle.arm():
+    if c.p[0] or c.p[1]:  # a part of a mission is not flown
+        return _DENIED
+    if not vehicle.armed or not vehicle.set_mode(Mode.AUTO):
         return _FAILED
-    if c.p[0] > 0:
-        vehicle.flight.mission.go_to(int(c.p[0]))
     vehicle.flight.mission.start()
     return _result(vehicle.flight.mission.running)
 

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
 __all__ = ["Mission"]
 
 _NAMES = {16: "WP", 17: "LoitUnlim", 18: "LoitTurns", 19: "LoitTime", 20: "RTL", 21: "Land", 22: "Takeoff", 82: "Spline", 93: "Delay", 112: "Delay", 115: "Yaw", 177: "Jump", 178: "ChangeSpeed", 179: "SetHome"}  # fmt: skip
+_LAST_MOVE = mav.MAV_CMD_NAV_LAST
 _TRAVELS = frozenset({16, 17, 18, 19, 82})
 
 
@@ -36,6 +37,12 @@ class Mission:
     def flyable(self) -> bool:
         """Whether there is anything behind the home item."""
         return len(self.plan.items) > 1
+
+    @property
+    def takes_off(self) -> bool:
+        """Whether the first item that moves it is a take-off."""
+        moves = [item.command for item in self.plan.items[1:] if item.command < _LAST_MOVE]
+        return moves[:1] == [mav.MAV_CMD_NAV_TAKEOFF]
 
     def start(self) -> None:
         """Begin, or go on where it was left."""

@@ -1,4 +1,7 @@
-"""The parameters and their protocol: strict types, and no answer at all for an unknown name."""
+"""The parameters and their protocol: a value of any type is taken as the parameter's own.
+
+An unknown name gets no answer at all.
+"""
 
 from __future__ import annotations
 
@@ -75,15 +78,11 @@ class Parameters:
             answer(self.message(name))
 
     def write(self, message: Any, answer: Callable[[Any], None]) -> bool:
-        """Take PARAM_SET and answer with what is in force; tell whether it was changed.
-
-        A type that is not the parameter's own changes nothing.
-        """
+        """Take PARAM_SET and answer with what is in force; tell whether it was changed."""
         name = _text(message.param_id)
         if name not in self._values:
             return False
-        fits = message.param_type == _CODES[self._kinds[name]]
-        taken = fits and self.set(name, message.param_value)
+        taken = self.set(name, message.param_value)
         answer(self.message(name, 0xFFFF))
         return taken
 

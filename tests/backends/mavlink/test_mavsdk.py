@@ -3,20 +3,30 @@
 from __future__ import annotations
 
 import asyncio
+import math
+import os
 from collections.abc import AsyncIterator, Callable
+from pathlib import Path
 from typing import Any
 
 import pytest
 from mavsdk import ComponentType
 from mavsdk.asyncio import Configuration, Mavsdk
 from mavsdk.asyncio.plugins.action import ActionAsync
+from mavsdk.asyncio.plugins.ftp import FtpAsync
+from mavsdk.asyncio.plugins.geofence import GeofenceAsync
+from mavsdk.asyncio.plugins.log_files import LogFilesAsync
+from mavsdk.asyncio.plugins.manual_control import ManualControlAsync
 from mavsdk.asyncio.plugins.mission_raw import MissionRawAsync
 from mavsdk.asyncio.plugins.param import ParamAsync
 from mavsdk.asyncio.plugins.telemetry import TelemetryAsync
+from mavsdk.plugins.geofence import Circle, FenceType, GeofenceData, Point, Polygon
+from mavsdk.plugins.mission_raw import MissionItem
 
 from backends.mavlink.twins import twin_process
 
 SPEED = "8"
+LAT, LON = -35.3632621, 149.1652374
 
 
 @pytest.fixture
@@ -90,9 +100,98 @@ async def test_it_uploads_a_mission_and_reads_it_back(system: Any) -> None:
 
 
 async def _item(number: int, lat: float) -> Any:
-    from mavsdk.asyncio.plugins.mission_raw import MissionItem
-
     return MissionItem(
         number, 6, 16, int(number == 0), 1, 0.0, 0.0, 0.0, 0.0, round(lat * 1e7),
         round(149.165 * 1e7), 20.0, 0,
+    )  # fmt: skip
+
+
+async def test_it_flies_a_mission_and_downloads_its_log(system: Any, tmp_path: Path) -> None:
+    action, telemetry, missions = (
+        ActionAsync(system), TelemetryAsync(system), MissionRawAsync(system),
+    )  # fmt: skip
+    await telemetry.set_rate_health(10.0)
+    await until(
+        telemetry.subscribe_health(), lambda h: h.is_global_position_ok and h.is_home_position_ok
+    )
+    items = [
+        _command(0, 16, 0, LAT, LON, 0.0),
+        _command(1, 22, 3, 0.0, 0.0, 8.0),
+        _command(2, 16, 3, LAT + 1e-4, LON, 10.0),
+        _command(3, 20, 3, 0.0, 0.0, 0.0),
+    ]
+    await missions.upload_mission(items)
+    await ParamAsync(system).set_param_int("RTL_LOIT_TIME", 0)
+    await action.arm()
+    await missions.start_mission()
+    await until(missions.subscribe_mission_progress(), lambda p: p.current >= 2)
+    await until(telemetry.subscribe_armed(), lambda armed: not armed, 60.0)
+
+    logs = LogFilesAsync(system)
+    (entry,) = await logs.get_entries()
+    path = tmp_path / "flight.log"
+    async for _ in logs.download_log_file(entry, str(path)):
+        pass
+    assert path.stat().st_size == entry.size_bytes > 1000
+
+
+async def test_it_keeps_files_and_fences(system: Any, tmp_path: Path) -> None:
+    files, fences = FtpAsync(system), GeofenceAsync(system)
+    script = tmp_path / "own.lua"
+    script.write_bytes(os.urandom(3000))
+    async for _ in files.upload(str(script), "/APM/scripts"):
+        pass
+    assert await files.are_files_identical(str(script), "/APM/scripts/own.lua")
+    for burst in (False, True):
+        place = tmp_path / str(burst)
+        place.mkdir()
+        async for _ in files.download("/APM/scripts/own.lua", str(place), burst):
+            pass
+        assert (place / "own.lua").read_bytes() == script.read_bytes()
+    await files.rename("/APM/scripts/own.lua", "/APM/other.lua")
+    await files.create_directory("/APM/mine")
+    listed = await files.list_directory("/APM")
+    assert [entry.name for entry in listed.entries] == ["LOGS", "mine", "other.lua", "scripts"]
+    await files.remove_file("/APM/other.lua")
+    await files.remove_directory("/APM/mine")
+
+    corners = [Point(LAT + a * 1e-3, LON + b * 1e-3) for a, b in ((-1, -1), (-1, 1), (1, 1))]
+    polygon = Polygon(corners, FenceType.INCLUSION)
+    circle = Circle(Point(LAT, LON), 50.0, FenceType.EXCLUSION)
+    await fences.upload_geofence(GeofenceData([polygon], [circle]))
+    back = await fences.download_geofence()
+    assert [len(one.points) for one in back.polygons] == [3]
+    assert [one.radius for one in back.circles] == [50.0]
+
+
+async def test_it_is_flown_by_hand(system: Any) -> None:
+    action, telemetry, sticks = (
+        ActionAsync(system), TelemetryAsync(system), ManualControlAsync(system),
+    )  # fmt: skip
+    await telemetry.set_rate_health(10.0)
+    await telemetry.set_rate_position(20.0)
+    await until(telemetry.subscribe_health(), lambda h: h.is_home_position_ok)
+    await ParamAsync(system).set_param_int("MAV_GCS_SYSID", 245)  # MAVSDK's own
+    await action.arm()
+    await action.takeoff()
+    await until(telemetry.subscribe_position(), lambda p: p.relative_altitude_m > 2)
+
+    async def push() -> None:
+        while True:
+            await sticks.set_manual_control_input(0.8, 0.0, 0.5, 0.0)
+            await asyncio.sleep(0.02)
+
+    pushing = asyncio.create_task(push())
+    try:
+        await asyncio.sleep(0.1)  # it must have sent some before it may begin
+        await sticks.start_position_control()
+        await until(telemetry.subscribe_position(), lambda p: p.latitude_deg > LAT + 1e-4)
+    finally:
+        pushing.cancel()
+
+
+def _command(seq: int, command: int, frame: int, lat: float, lon: float, height: float) -> Any:
+    place = (round(lat * 1e7), round(lon * 1e7), height)
+    return MissionItem(
+        seq, frame, command, int(seq == 0), 1, 0.0, 0.0, 0.0, math.nan, *place, 0
     )  # fmt: skip

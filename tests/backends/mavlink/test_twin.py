@@ -154,12 +154,12 @@ def test_a_velocity_is_flown_and_ends_by_itself() -> None:
     assert math.hypot(body.vn, body.ve) < 0.2
 
 
-def test_parameters_have_strict_types_and_unknown_ones_no_answer() -> None:
+def test_parameters_keep_their_types_and_unknown_ones_have_no_answer() -> None:
     station = Station()
     assert station.send(mav.MAVLink_param_request_read_message(1, 1, b"NO_SUCH", -1)) == []
     assert station.send(mav.MAVLink_param_set_message(1, 1, b"NO_SUCH", 1.0, 9)) == []
-    wrong = station.send(mav.MAVLink_param_set_message(1, 1, b"RTL_ALT", 20.0, 9))
-    assert wrong[0].param_value == 1500
+    other = station.send(mav.MAVLink_param_set_message(1, 1, b"RTL_ALT", 1800.0, 9))
+    assert (other[0].param_value, other[0].param_type) == (1800, 6)
     right = station.send(mav.MAVLink_param_set_message(1, 1, b"RTL_ALT", 2000.4, 6))
     assert (right[0].param_value, right[0].param_type) == (2000, 6)
     station.send(mav.MAVLink_param_request_list_message(1, 1))
@@ -194,6 +194,22 @@ def test_a_mission_comes_back_normalised_and_is_flown() -> None:
     reached = [m.seq for m in station.heard if m.get_type() == "MISSION_ITEM_REACHED"]
     assert reached == [1, 2, 3]
     assert station.texts[:3] == ["Mission: 1 Takeoff", "Reached command #1", "Mission: 2 WP"]
+
+
+def test_on_the_ground_a_mission_must_begin_with_a_take_off() -> None:
+    station = Station()
+    station.pass_time(1.2)
+    lat, lon, _ = station.vehicle.origin
+    assert upload(station, [item(0, 16), item(1, 178, p1=1), item(2, 16, lat=lat, lon=lon)]) == 0
+    assert station.command(300) == FAILED
+    station.mode(AUTO)
+    assert station.command(400, 1) == FAILED
+    assert station.texts == ["Arm: AUTO mode not armable"]
+    station.mode(GUIDED)
+    assert station.command(400, 1) == OK
+    assert station.mode(AUTO) == FAILED
+    assert station.texts == ["Auto: Missing Takeoff Cmd"]
+    assert station.command(300, 1) == DENIED
 
 
 def test_a_mission_with_an_item_it_does_not_know_is_refused() -> None:

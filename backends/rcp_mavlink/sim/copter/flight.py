@@ -36,6 +36,14 @@ class CopterFlight(Flight):
         self.radius = max(0.5, p["WPNAV_RADIUS"] / 100)
         self.patience = p["GUID_TIMEOUT"]
 
+    def refusal(self, mode: Mode) -> str | None:
+        """Say why a mode cannot be entered now; None: it can."""
+        vehicle = self._vehicle
+        stands = vehicle.armed and vehicle.body.landed
+        if mode is Mode.AUTO and stands and self.mission.flyable and not self.mission.takes_off:
+            return "Auto: Missing Takeoff Cmd"
+        return super().refusal(mode)
+
     def take_off(self, height: float) -> bool:
         """Rise to a height over home, m; tell whether that can be done now."""
         vehicle = self._vehicle
