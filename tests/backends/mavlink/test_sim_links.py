@@ -133,10 +133,57 @@ async def test_a_signed_link_has_a_vehicle_that_signs() -> None:
         assert not hub.links[0].framer.stats.rejected
 
 
-@pytest.mark.parametrize("kind", ["plane", "rover", "boat"])
-async def test_other_vehicles_are_simulated_too(kind: str) -> None:
-    config = MavlinkConfig(links=(f"sim:{kind}",), connect=10.0)
-    async with open_hub(config, dialect("ardupilotmega")) as hub:
-        await hub.first()
-        family = hub.vehicles[1].family.kind
-    assert family == kind
+@pytest.mark.parametrize("kind", ["rover", "boat"])
+async def test_what_drives_goes_to_a_place_follows_a_velocity_and_comes_home(kind: str) -> None:
+    async with serve_backend(KIND, _table(kind)) as served:
+        client = served.client(OPERATOR)
+
+        async def does(verb: str, name: str, body: Any = None) -> Any:
+            reply = await client.request(verb, f"/tenant/t/{name}", body=body, within=30.0)
+            assert reply["status"] == "completed", reply
+            return reply["body"]
+
+        await _ready(client)
+        await does("execute", "action/arm")
+        reached = await does("execute", "action/move_to", {"north": 12.0, "east": 4.0})
+        assert reached["error"] < 2
+        await does("write", "actuator/velocity", {"x": 1.0, "yaw_rate": 0.0})
+
+        async def moves() -> bool:
+            return (await does("read", "sensor/velocity"))["groundspeed"] > 0.5
+
+        await eventually(moves, "it moves", 10.0)
+        await does("execute", "action/rtl")
+        await does("execute", "action/disarm")
+
+
+async def test_a_plane_takes_off_circles_a_place_and_keeps_files() -> None:
+    async with serve_backend(KIND, _table("plane")) as served:
+        client = served.client(OPERATOR)
+
+        async def does(name: str, body: Any = None) -> Any:
+            path = f"/tenant/t/{name}"
+            reply = await client.request("execute", path, body=body, within=30.0)
+            assert reply["status"] == "completed", reply
+            return reply["body"]
+
+        await _ready(client)
+        await does("action/arm")
+        await does("action/takeoff", {"altitude": 40.0})
+        reached = await does("action/move_to", {"north": 300.0, "east": 0.0, "altitude": 60.0})
+        assert reached["altitude"] > 50
+        await does("service/ftp/write", {"path": "/APM/a.txt", "data": "aGVsbG8="})
+        assert (await does("service/ftp/read", {"path": "/APM/a.txt"}))["data"] == "aGVsbG8="
+        await does("action/rtl")
+
+
+def _table(kind: str) -> dict[str, Any]:
+    return {"links": [f"sim:{kind}"], "params": [], "connect": 15.0, "twin": QUICK}
+
+
+async def _ready(client: Any) -> None:
+    async def ready() -> bool:
+        reply = await client.request("read", "/tenant/t/sensor/prearm")
+        return reply["status"] == "completed" and reply["body"]["ready"]
+
+    await eventually(ready, "it can be armed", 20.0)
