@@ -15,7 +15,7 @@ from rcp_mavlink.frames import Frame, Framer
 from rcp_mavlink.links import Link
 from rcp_mavlink.signing import Signing, key_of
 from rcp_mavlink.texts import Texts
-from rcp_mavlink.twins import orders
+from rcp_mavlink.twins import STARTING, orders
 from rcp_mavlink.vehicle import Vehicle
 
 __all__ = ["Hub", "open_hub"]
@@ -44,6 +44,8 @@ class Hub:
         self.changed: Callable[[Vehicle], None] = lambda _: None
         """Called when one is lost, and when it is heard again."""
         self._first = asyncio.Event()
+        simulates = any(text.startswith("sim:") for text in config.links)
+        self._patience = max(config.connect, STARTING) if simulates else config.connect
         self._signing = None if config.key is None else Signing(key_of(config.key))
         self._texts = Texts()
         self._sinks: list[tuple[Any, _Sink]] = []
@@ -147,7 +149,7 @@ class Hub:
         :raises NotReady: none is heard in time.
         """
         try:
-            async with asyncio.timeout(self.config.connect):
+            async with asyncio.timeout(self._patience):
                 await self._first.wait()
         except TimeoutError:
             who = "no vehicle" if self.config.system is None else f"no vehicle {self.config.system}"

@@ -12,7 +12,9 @@ import msgspec
 from rcp_mavlink.config import LinkSpec, MavlinkConfig
 from rcp_mavlink.signing import key_of
 
-__all__ = ["keep_twin", "orders"]
+__all__ = ["STARTING", "keep_twin", "orders"]
+
+STARTING = 20.0  # s that a busy machine may take to start one
 
 _AGAIN = 1.0  # s until one that ended is started anew
 _PATIENCE = 2.0  # s for one to end by itself

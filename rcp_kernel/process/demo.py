@@ -60,7 +60,6 @@ name = "drone-gamma"
 tenant = "gamma"
 links = ["sim:copter"]
 twin = { warmup = 2 }
-connect = 20 # s; a slow machine takes long to start it
 """
 
 

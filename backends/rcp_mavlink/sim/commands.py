@@ -16,7 +16,7 @@ from rcp_mavlink.sim.wire import mav
 if TYPE_CHECKING:
     from rcp_mavlink.sim.peer import Peer
 
-__all__ = ["Asked", "run"]
+__all__ = ["KNOWN", "Asked", "run"]
 
 _OK, _FAILED, _DENIED = (
     mav.MAV_RESULT_ACCEPTED,
@@ -24,7 +24,12 @@ _OK, _FAILED, _DENIED = (
     mav.MAV_RESULT_DENIED,
 )
 _UNSUPPORTED, _INT_ONLY = mav.MAV_RESULT_UNSUPPORTED, mav.MAV_RESULT_UNSUPPORTED
+_BAD_FRAME = 9  # MAV_RESULT_COMMAND_UNSUPPORTED_MAV_FRAME, of which the dialect knows nothing
+_HIGHEST = 1e5  # m above the sea
+_QUICKEST = 1e3  # m/s
+_LAST_MESSAGE = 65535
 _CHANGE_MODE = 1
+_MYSELF = -2
 _NOT_AS_LONG = frozenset({mav.MAV_CMD_DO_REPOSITION})
 _GLOBAL_FRAMES = {0: False, 5: False, 3: True, 6: True}
 
@@ -39,6 +44,7 @@ class Asked(msgspec.Struct, frozen=True):
     frame: int
     whole: bool
     """Whether it came as COMMAND_INT."""
+    sender: tuple[int, int]
 
 
 def run(peer: Peer, message: Any) -> int:
@@ -56,7 +62,11 @@ def run(peer: Peer, message: Any) -> int:
     if do is None:
         return _UNSUPPORTED
     p = (message.param1, message.param2, message.param3, message.param4, p5, p6, p7)
-    return do(Asked(peer, message.command, p, frame, whole))
+    sender = (message.get_srcSystem(), message.get_srcComponent())
+    try:
+        return do(Asked(peer, message.command, p, frame, whole, sender))
+    except (ValueError, OverflowError):  # not a number where one is needed
+        return _DENIED
 
 
 def _result(done: bool) -> int:  # noqa: FBT001 - what was done, as a result
@@ -93,7 +103,7 @@ def _reposition(c: Asked) -> int:
     relative = _GLOBAL_FRAMES.get(c.frame)
     lat, lon = c.p[4], c.p[5]
     if relative is None:
-        return mav.MAV_RESULT_COMMAND_UNSUPPORTED_MAV_FRAME
+        return _BAD_FRAME
     if not (-90 <= lat <= 90 and -180 <= lon <= 180) or (lat == 0 and lon == 0):
         return _DENIED
     if vehicle.flight.mode is not Mode.GUIDED:
@@ -101,10 +111,12 @@ def _reposition(c: Asked) -> int:
             return _DENIED
         if not vehicle.set_mode(Mode.GUIDED):
             return _FAILED
+    if not abs(c.p[6]) <= _HIGHEST:
+        return _DENIED
     height = c.p[6] if relative else c.p[6] - vehicle.origin[2]
     if vehicle.params["FENCE_ENABLE"] and vehicle.fence.crossed((lat, lon), height):
         return _DENIED
-    if c.p[0] > 0:
+    if 0 < c.p[0] <= _QUICKEST:
         vehicle.pilot.limits.speed = c.p[0]
     yaw = None if not math.isfinite(c.p[3]) or c.p[3] == 0 else c.p[3]
     vehicle.flight.aim(vehicle.place_of(lat, lon), -height, yaw=yaw)
@@ -113,7 +125,7 @@ def _reposition(c: Asked) -> int:
 
 
 def _speed(c: Asked) -> int:
-    if c.p[1] <= 0:
+    if not 0 < c.p[1] <= _QUICKEST:
         return _DENIED
     limits = c.peer.vehicle.pilot.limits
     if c.p[0] == 2:
@@ -127,6 +139,8 @@ def _speed(c: Asked) -> int:
 
 def _yaw(c: Asked) -> int:
     pilot = c.peer.vehicle.pilot
+    if not math.isfinite(c.p[0]):
+        return _DENIED
     angle = math.radians(c.p[0])
     if c.p[3]:
         angle = pilot.yaw + math.copysign(angle, c.p[2] or 1.0)
@@ -138,7 +152,9 @@ def _home(c: Asked) -> int:
     vehicle = c.peer.vehicle
     if not vehicle.position_ok:
         return _FAILED
-    if c.p[0] != 1 and c.p[4] == c.p[5] == 0:
+    lat, lon, height = c.p[4:]
+    place = abs(lat) <= 90 and abs(lon) <= 180 and abs(height) <= _HIGHEST
+    if c.p[0] != 1 and (not place or lat == lon == 0):
         return _DENIED
     vehicle.set_home(None if c.p[0] == 1 else (c.p[4], c.p[5], c.p[6]))
     return _OK
@@ -214,6 +230,8 @@ def _interval(c: Asked) -> int:
 
 def _which_interval(c: Asked) -> int:
     number = int(c.p[0])
+    if not 0 <= number <= _LAST_MESSAGE:
+        return _DENIED
     c.peer.send(mav.MAVLink_message_interval_message(number, c.peer.streams.interval(number)))
     return _OK
 
@@ -248,40 +266,26 @@ def _fence(c: Asked) -> int:
 
 
 def _mount(c: Asked) -> int:
-    pitch, roll, yaw = c.p[0], c.p[1], c.p[2]
-    if c.number == mav.MAV_CMD_DO_GIMBAL_MANAGER_PITCHYAW:
-        pitch, roll, yaw = c.p[0], 0.0, c.p[1]
-    params = c.peer.vehicle.params
-    low, high = params["MNT1_PITCH_MIN"], params["MNT1_PITCH_MAX"]
-    if not all(map(math.isfinite, (pitch, roll, yaw))):
-        return _DENIED
-    c.peer.vehicle.gimbal = (roll, min(high, max(low, pitch)), yaw)
+    pitch, roll, yaw = c.p[:3]
+    return _OK if c.peer.vehicle.mount.turn(pitch, yaw, roll=roll) else _DENIED
+
+
+def _pitch_yaw(c: Asked) -> int:
+    locked = bool(int(c.p[4]) & mav.GIMBAL_MANAGER_FLAGS_YAW_LOCK)
+    return _OK if c.peer.vehicle.mount.turn(c.p[0], c.p[1], locked=locked) else _DENIED
+
+
+def _take_gimbal(c: Asked) -> int:
+    system, component = int(c.p[0]), int(c.p[1])
+    if system == _MYSELF:
+        system, component = c.sender
+    if system >= 0:
+        c.peer.vehicle.mount.control = (system, component)
     return _OK
 
 
 def _photo(c: Asked) -> int:
-    vehicle = c.peer.vehicle
-    vehicle.photos += 1
-    lat, lon = (round(v * 1e7) for v in vehicle.geographic())
-    height = vehicle.origin[2] - vehicle.body.d
-    vehicle.broadcast(
-        mav.MAVLink_camera_feedback_message(
-            round(vehicle.time * 1e6),
-            1,
-            0,
-            vehicle.photos,
-            lat,
-            lon,
-            height,
-            -vehicle.body.d,
-            math.degrees(vehicle.body.roll),
-            math.degrees(vehicle.body.pitch),
-            math.degrees(vehicle.body.yaw),
-            50.0,
-            0,
-            vehicle.photos,
-        )
-    )
+    c.peer.vehicle.mount.shoot()
     return _OK
 
 
@@ -316,9 +320,12 @@ _DOERS: dict[int, Callable[[Asked], int]] = {
     mav.MAV_CMD_GET_HOME_POSITION: _get_home,
     mav.MAV_CMD_DO_FENCE_ENABLE: _fence,
     mav.MAV_CMD_DO_MOUNT_CONTROL: _mount,
-    mav.MAV_CMD_DO_GIMBAL_MANAGER_PITCHYAW: _mount,
+    mav.MAV_CMD_DO_GIMBAL_MANAGER_PITCHYAW: _pitch_yaw,
+    mav.MAV_CMD_DO_GIMBAL_MANAGER_CONFIGURE: _take_gimbal,
     mav.MAV_CMD_DO_DIGICAM_CONTROL: _photo,
     mav.MAV_CMD_IMAGE_START_CAPTURE: _photo,
     mav.MAV_CMD_DO_SET_SERVO: _accept,
     mav.MAV_CMD_DO_SET_RELAY: _accept,
 }
+KNOWN = frozenset(_DOERS)
+"""The commands that it does."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
 from typing import Any
@@ -73,6 +74,7 @@ class Peer:
             "SET_POSITION_TARGET_GLOBAL_INT": self._setpoint,
             "SET_ATTITUDE_TARGET": self._setpoint,
             "FILE_TRANSFER_PROTOCOL": self._ftp.take,
+            "GIMBAL_MANAGER_SET_PITCHYAW": self._pitch_yaw,
             "MANUAL_CONTROL": self._sticks,
             "RC_CHANNELS_OVERRIDE": self._sticks,
             "LOG_REQUEST_LIST": self._log_list,
@@ -131,6 +133,11 @@ class Peer:
     def _heartbeat(self, message: Any) -> None:
         if message.get_srcSystem() == self.vehicle.params["MAV_GCS_SYSID"]:
             self.vehicle.failsafes.heard_from_station()
+
+    def _pitch_yaw(self, message: Any) -> None:
+        locked = bool(message.flags & mav.GIMBAL_MANAGER_FLAGS_YAW_LOCK)
+        pitch, yaw = math.degrees(message.pitch), math.degrees(message.yaw)
+        self.vehicle.mount.turn(pitch, yaw, locked=locked)
 
     def _sticks(self, message: Any) -> None:
         vehicle = self.vehicle

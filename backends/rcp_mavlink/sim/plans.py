@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import Any
 
@@ -9,18 +10,20 @@ import msgspec
 
 from rcp_mavlink.sim.wire import mav
 
-__all__ = ["Item", "Plan", "Transfer"]
+__all__ = ["MISSION_COMMANDS", "Item", "Plan", "Transfer"]
 
 _SCALE = 1e7
+_MOST_OF_ALL = 1e6  # of any parameter
 _AGAIN = 1.0  # s, until an item is asked for again
 _PATIENCE = 8  # times
 _MOST = {mav.MAV_MISSION_TYPE_MISSION: 724, mav.MAV_MISSION_TYPE_FENCE: 84, mav.MAV_MISSION_TYPE_RALLY: 60}  # fmt: skip
-_MISSION_COMMANDS = frozenset({16, 17, 18, 19, 20, 21, 22, 82, 93, 112, 115, 177, 178, 179, 181, 183, 201, 203, 205, 206, 207, 1000, 2000})  # fmt: skip
+MISSION_COMMANDS = frozenset({16, 17, 18, 19, 20, 21, 22, 82, 93, 112, 115, 177, 178, 179, 181, 183, 201, 203, 205, 206, 207, 1000, 2000})  # fmt: skip
 _FENCE_COMMANDS = frozenset({5000, 5001, 5002, 5003, 5004})
 _RALLY_COMMANDS = frozenset({5100})
-_KNOWN = {0: _MISSION_COMMANDS, 1: _FENCE_COMMANDS, 2: _RALLY_COMMANDS}
+_KNOWN = {0: MISSION_COMMANDS, 1: _FENCE_COMMANDS, 2: _RALLY_COMMANDS}
 _NORMAL_FRAME: dict[int, int] = {6: 3, 5: 0, 11: 10}
-_LANDMARKS = frozenset({16, 17, 18, 19, 21, 22, 82, 5000, 5001, 5002, 5003, 5004, 5100})
+_HEADED = frozenset({16, 17, 19, 21, 22, 82})
+_LANDMARKS = frozenset({16, 17, 18, 19, 21, 22, 82, 179, 5000, 5001, 5002, 5003, 5004, 5100})
 
 
 class Item(msgspec.Struct, frozen=True):
@@ -95,6 +98,9 @@ class Transfer:
         if message.command not in _KNOWN[self._plan.kind] and not self._is_home(message):
             self._end(send, mav.MAV_MISSION_UNSUPPORTED)
             return True
+        if (wrong := _wrong(message)) is not None:
+            self._end(send, wrong)
+            return True
         self._items.append(_item(message))
         self._tries = 0
         if len(self._items) < self._count:
@@ -116,6 +122,23 @@ class Transfer:
         if kind not in _MOST:
             return mav.MAV_MISSION_UNSUPPORTED
         return mav.MAV_MISSION_NO_SPACE if count > _MOST[kind] else None
+
+
+def _wrong(message: Any) -> int | None:
+    """Say which parameter is none, as MAV_MISSION_RESULT; a heading may be left open."""
+    first: int = mav.MAV_MISSION_INVALID_PARAM1
+    given = (message.param1, message.param2, message.param3, message.param4, message.z)
+    for at, value in enumerate(given):
+        heading = at == 3 and math.isnan(value) and message.command in _HEADED
+        if not (abs(value) <= _MOST_OF_ALL or heading):
+            return mav.MAV_MISSION_INVALID_PARAM7 if at == 4 else first + at
+    if message.command in _LANDMARKS:
+        scale = _SCALE if message.get_type() == "MISSION_ITEM_INT" else 1.0
+        if not abs(message.x) <= 90 * scale:
+            return mav.MAV_MISSION_INVALID_PARAM5_X
+        if not abs(message.y) <= 180 * scale:
+            return mav.MAV_MISSION_INVALID_PARAM6_Y
+    return None
 
 
 def _item(message: Any) -> Item:

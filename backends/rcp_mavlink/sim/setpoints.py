@@ -11,6 +11,7 @@ from rcp_mavlink.sim.vehicle import Vehicle
 
 __all__ = ["take"]
 
+_QUICKEST = 1e3  # m/s
 _NO_PLACE, _NO_VELOCITY = 0b111, 0b111000
 _NO_YAW, _NO_YAW_RATE = 1 << 10, 1 << 11
 _BODY_FRAMES = frozenset({8, 9, 12})
@@ -62,13 +63,15 @@ def _place_or_velocity(vehicle: Vehicle, message: Any) -> None:
     if velocity and vehicle.kind.name != "plane":
         vn, ve = _turned(vehicle, message.coordinate_frame, message.vx, message.vy)
         vd = message.vz
-        if not all(map(math.isfinite, (vn, ve, vd))):
+        if not all(abs(part) <= _QUICKEST for part in (vn, ve, vd)):
             return
         pilot.attitude = None
         pilot.velocity = (vn, ve)
         if not place:
             pilot.place, pilot.depth, pilot.sinking = None, None, vd
             vehicle.flight.follow()
+    if not (math.isfinite(message.yaw) and math.isfinite(message.yaw_rate)):
+        return
     if not mask & _NO_YAW:
         pilot.yaw, pilot.yaw_rate = message.yaw, 0.0
     elif not mask & _NO_YAW_RATE:

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 from rcp_mavlink.geo import shifted
-from rcp_mavlink.sim import sensing
+from rcp_mavlink.sim import mount, sensing
 from rcp_mavlink.sim.modes import Mode
 from rcp_mavlink.sim.sensing import microseconds as _us
 from rcp_mavlink.sim.sensing import milliseconds as _ms
@@ -96,22 +96,11 @@ def _attitude(v: Vehicle) -> Any:
     return mav.MAVLink_attitude_message(_ms(v), *sensing.attitude(v))
 
 
-def quaternion(roll: float, pitch: float, yaw: float) -> tuple[float, float, float, float]:
-    """Return w, x, y, z."""
-    cr, sr = math.cos(roll / 2), math.sin(roll / 2)
-    cp, sp = math.cos(pitch / 2), math.sin(pitch / 2)
-    cy, sy = math.cos(yaw / 2), math.sin(yaw / 2)
-    return (
-        cr * cp * cy + sr * sp * sy,
-        sr * cp * cy - cr * sp * sy,
-        cr * sp * cy + sr * cp * sy,
-        cr * cp * sy - sr * sp * cy,
-    )
-
-
 def _attitude_quaternion(v: Vehicle) -> Any:
     roll, pitch, yaw, *rates = sensing.attitude(v)
-    return mav.MAVLink_attitude_quaternion_message(_ms(v), *quaternion(roll, pitch, yaw), *rates)
+    return mav.MAVLink_attitude_quaternion_message(
+        _ms(v), *mount.quaternion(roll, pitch, yaw), *rates
+    )
 
 
 def _estimate(v: Vehicle) -> tuple[float, float, float, float, float, float]:
@@ -242,11 +231,6 @@ def _system_time(v: Vehicle) -> Any:
     return mav.MAVLink_system_time_message(round(time.time() * 1e6), _ms(v))
 
 
-def _mount(v: Vehicle) -> Any:
-    roll, pitch, yaw = (round(a * 100) for a in v.gimbal)
-    return mav.MAVLink_mount_status_message(0, 0, pitch, roll, yaw)
-
-
 def _version(v: Vehicle) -> Any:
     release = (4 << 24) | (7 << 16) | mav.FIRMWARE_VERSION_TYPE_DEV
     hashed, nothing = list(b"70746572"), [0] * 8
@@ -284,7 +268,7 @@ MAKERS: dict[int, Callable[[Vehicle], Any]] = {
     mav.MAVLINK_MSG_ID_FENCE_STATUS: _fence,
     mav.MAVLINK_MSG_ID_DISTANCE_SENSOR: sensing.range_finder,
     mav.MAVLINK_MSG_ID_POWER_STATUS: sensing.power,
-    mav.MAVLINK_MSG_ID_MOUNT_STATUS: _mount,
+    **mount.MAKERS,
     mav.MAVLINK_MSG_ID_AUTOPILOT_VERSION: _version,
 }
 """What can be sent regularly or on request, by message id; None of a maker: not known yet."""

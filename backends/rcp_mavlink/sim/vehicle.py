@@ -15,6 +15,7 @@ from rcp_mavlink.sim.files import Files
 from rcp_mavlink.sim.flightlog import FlightLog
 from rcp_mavlink.sim.kinds import KINDS
 from rcp_mavlink.sim.modes import Mode, needs_position
+from rcp_mavlink.sim.mount import Mount
 from rcp_mavlink.sim.noise import Noise
 from rcp_mavlink.sim.options import Options
 from rcp_mavlink.sim.parameters import Parameters
@@ -27,6 +28,7 @@ from rcp_mavlink.sim.wire import mav
 __all__ = ["STEP", "Vehicle"]
 
 STEP = 0.005  # s, of the simulation
+_STORM = 60.0  # m/s
 _CHATTER = 30.0  # s between two complaints before arming
 _FORCE = (21196.0, 2989.0)
 _BOOT = (
@@ -70,9 +72,7 @@ class Vehicle:
         self.armed_for = 0.0
         self.failsafes = Failsafes(self)
         self.sticks = Sticks()
-        self.gimbal = (0.0, 0.0, 0.0)
-        """Roll, pitch, yaw of the camera's mount, deg."""
-        self.photos = 0
+        self.mount = Mount(self)
         self.flight = flight_of(self)
         self.flight.limits()
         self.fence = Fence(self)
@@ -252,6 +252,7 @@ class Vehicle:
             self.say(6, "EKF3 IMU0 is using GPS")
         self.sticks.look(self.wall)
         self.noise.step(seconds)
+        self.mount.step(seconds)
         self._blow()
         self.fence.look()
         self.failsafes.look(seconds)
@@ -266,8 +267,8 @@ class Vehicle:
             self._told += 1
 
     def _blow(self) -> None:
-        speed = self.params["SIM_WIND_SPD"]
-        if speed:
+        speed = min(_STORM, self.params["SIM_WIND_SPD"])
+        if speed > 0:
             away = math.radians(self.params["SIM_WIND_DIR"] + 180)
             self.body.wind_n, self.body.wind_e = speed * math.cos(away), speed * math.sin(away)
 

@@ -182,9 +182,9 @@ class TestMavlink(BackendSuite):
             case "action/mission/resume":
                 return not flight.mission.paused
             case "action/gimbal":
-                return abs(math.radians(vehicle.gimbal[1]) - result["pitch"]) < 0.02
+                return abs(math.radians(vehicle.mount.pitch) - result["pitch"]) < 0.02
             case "action/camera/photo":
-                return vehicle.photos == result["number"]
+                return vehicle.mount.photos == result["number"]
             case _:
                 return True
 

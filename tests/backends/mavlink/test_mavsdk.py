@@ -15,12 +15,14 @@ from mavsdk.asyncio import Configuration, Mavsdk
 from mavsdk.asyncio.plugins.action import ActionAsync
 from mavsdk.asyncio.plugins.ftp import FtpAsync
 from mavsdk.asyncio.plugins.geofence import GeofenceAsync
+from mavsdk.asyncio.plugins.gimbal import GimbalAsync
 from mavsdk.asyncio.plugins.log_files import LogFilesAsync
 from mavsdk.asyncio.plugins.manual_control import ManualControlAsync
 from mavsdk.asyncio.plugins.mission_raw import MissionRawAsync
 from mavsdk.asyncio.plugins.param import ParamAsync
 from mavsdk.asyncio.plugins.telemetry import TelemetryAsync
 from mavsdk.plugins.geofence import Circle, FenceType, GeofenceData, Point, Polygon
+from mavsdk.plugins.gimbal import ControlMode, GimbalMode, SendMode
 from mavsdk.plugins.mission_raw import MissionItem
 
 from backends.mavlink.twins import twin_process
@@ -190,8 +192,17 @@ async def test_it_is_flown_by_hand(system: Any) -> None:
         pushing.cancel()
 
 
+async def test_it_finds_and_turns_the_gimbal(system: Any) -> None:
+    gimbal = GimbalAsync(system)
+    found = await until(gimbal.subscribe_gimbal_list(), lambda known: bool(known.gimbals))
+    number = found.gimbals[0].gimbal_id
+    await gimbal.take_control(number, ControlMode.PRIMARY)
+    await gimbal.set_angles(number, 0.0, -40.0, 20.0, GimbalMode.YAW_FOLLOW, SendMode.ONCE)
+
+
 def _command(seq: int, command: int, frame: int, lat: float, lon: float, height: float) -> Any:
     place = (round(lat * 1e7), round(lon * 1e7), height)
+    heading = math.nan if command in (16, 22) else 0.0
     return MissionItem(
-        seq, frame, command, int(seq == 0), 1, 0.0, 0.0, 0.0, math.nan, *place, 0
+        seq, frame, command, int(seq == 0), 1, 0.0, 0.0, 0.0, heading, *place, 0
     )  # fmt: skip

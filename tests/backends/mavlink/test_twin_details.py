@@ -210,3 +210,42 @@ def test_status_says_what_is_used_and_what_is_well() -> None:
     flags = station.last("HEARTBEAT").base_mode
     assert flags & mav.MAV_MODE_FLAG_GUIDED_ENABLED
     assert flags & mav.MAV_MODE_FLAG_SAFETY_ARMED
+
+
+def test_its_gimbal_is_managed_and_takes_its_time() -> None:
+    station = Station()
+    station.pass_time(1.5)
+    assert station.command(512, mav.MAVLINK_MSG_ID_GIMBAL_MANAGER_INFORMATION) == 0
+    manager = station.last("GIMBAL_MANAGER_INFORMATION")
+    assert math.degrees(manager.pitch_min) == pytest.approx(-90)
+    assert station.command(1001, -2, -2, -1, -1) == 0
+    assert station.vehicle.mount.control == (255, 190)
+    assert station.command(1000, -45, 30) == 0
+    pitches = []
+    for _ in range(30):
+        station.pass_time(0.05)
+        pitches.append(station.vehicle.mount.pitch)
+    assert sum(-45 < pitch < 0 for pitch in pitches) > 2
+    assert pitches[-1] == -45
+    station.command(512, mav.MAVLINK_MSG_ID_GIMBAL_DEVICE_ATTITUDE_STATUS)
+    w, _, y, _ = station.last("GIMBAL_DEVICE_ATTITUDE_STATUS").q
+    assert w > 0
+    assert y < -0.3
+
+
+def test_a_picture_is_told_of() -> None:
+    station = Station()
+    station.pass_time(1.5)
+    assert station.command(2000, 0, 0, 1, 1) == 0
+    assert station.last("CAMERA_FEEDBACK").img_idx == 1
+    assert station.command(512, mav.MAVLINK_MSG_ID_CAMERA_CAPTURE_STATUS) == 0
+    assert station.last("CAMERA_CAPTURE_STATUS").image_count == 1
+
+
+def test_a_mission_with_numbers_that_are_none_is_refused() -> None:
+    station = Station()
+    nan = math.nan
+    assert upload(station, [item(0, 16), item(1, 22, alt=nan)]) == mav.MAV_MISSION_INVALID_PARAM7
+    assert upload(station, [item(0, 16), item(1, 16, p1=nan)]) == mav.MAV_MISSION_INVALID_PARAM1
+    far = item(1, 16, lat=120)
+    assert upload(station, [item(0, 16), far]) == mav.MAV_MISSION_INVALID_PARAM5_X
