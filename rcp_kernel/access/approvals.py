@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import hashlib
 import secrets
+from collections import Counter
 from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 
 import msgspec
@@ -220,14 +221,25 @@ class Approvals:
         :raises QueueFull: too many wait for an answer.
         """
         moment = now()
-        if len(self._known) >= _ALL:
-            for id_ in [i for i, a in self._known.items() if a.expires <= moment]:
-                del self._known[id_]
         mine = [a for a in self._known.values() if a.asker == principal.identity]
-        if len(self._known) >= _ALL or sum(a.status == "pending" for a in mine) >= _EACH:
-            raise QueueFull("too many commands wait for approval already")
+        if sum(a.status == "pending" for a in mine) >= _EACH:
+            raise QueueFull(
+                f"{_EACH} commands of {principal.name} wait for approval already",
+                remedy="Have them decided, or wait until they expire.",
+            )
+        if len(self._known) >= _ALL:
+            self._drop()
         for over in [a for a in mine if a.expires <= moment][:-_EACH]:
             del self._known[over.state.approval]
+
+    def _drop(self) -> None:
+        """Let the oldest question go: one that is over, or of the tenants that ask most."""
+        moment = now()
+        counts = Counter(asked.tenants for asked in self._known.values())
+        most = max(counts, key=lambda tenants: counts[tenants])
+        every = self._known.items()
+        over = next((id_ for id_, a in every if a.expires <= moment), None)
+        del self._known[over or next(id_ for id_, a in every if a.tenants == most)]
 
     def _use(self, session: Session, id_: str, digest: bytes, path: str) -> None:
         asked = self._known.get(id_)

@@ -163,6 +163,7 @@ class Commands:
         command.task.add_done_callback(lambda task: self._ended(command, task))
 
     async def _call(self, command: Command, asker: Session, entry: Entry, value: Any) -> Any:
+        work = command.work
         if command.ready is not None:
             await command.ready()
         backend = self.confirm(asker, entry, value, command.timestamp)
@@ -171,8 +172,8 @@ class Commands:
             if not command.final:
                 self._progress(command, entry, feedback, fraction)
 
-        if command.work is not None:
-            result = await command.work.run(command, asker, progress)
+        if work is not None:
+            result = await work.run(command, asker, progress)
         else:
             result = await backend.execute(entry.name, value, progress)
         try:
@@ -285,7 +286,7 @@ class Commands:
             command.timer.cancel()
             command.timer = None
         self._note(command, record)
-        command.asker = None
+        command.asker = command.work = None
         command.followers.clear()
 
     def _note(self, command: Command, record: Record) -> None:

@@ -83,9 +83,8 @@ class Engine:
             raise
         except RcpError as error:
             self._telling.change(node, "failed", error=error_body(error), message=error.message)
-            if not node.fallback or isinstance(
-                error, EstopActive
-            ):  # that ends it, whatever it says
+            # An e-stop ends the plan, whatever it says.
+            if not node.fallback or isinstance(error, EstopActive):
                 raise _of_step(node, error) from None
             await self._sequence(node.fallback)
             self._telling.change(node, "recovered")
@@ -189,7 +188,11 @@ class Engine:
             if before:
                 await asyncio.wait(before)
             if any(task.cancelled() or task.exception() is not None for task in before):
-                raise PreconditionFailed("a step that has to complete before it did not")
+                error = PreconditionFailed("a step that has to complete before it did not")
+                self._telling.change(
+                    child, "failed", error=error_body(error), message=error.message
+                )
+                raise _of_step(child, error)
             async with gate:
                 await self._step(child)
         except asyncio.CancelledError:

@@ -40,7 +40,6 @@ class Work:
         self.touches = tuple(dict.fromkeys(checked.touches))
         self.tenant = session.tenant
         self.telling = Telling(checked, self._changed)
-        self.token: str | None = None
 
     def _changed(self) -> None:
         self._gateway.plans.changed()
@@ -62,21 +61,22 @@ class Work:
         """
         if not self.asks:
             return
-        approvals, plan = self._gateway.approvals, self._checked.plan
         about = About(self.asked, (*self.asked, *self.touches), self.asks)
-        approvals.demand(session, request, entry, plan, about)
-        self.token = approvals.open(self.asked)
+        # With what it means now: names and relative paths may come to mean something else.
+        shown = {"plan": self._checked.plan, "steps": self._checked.plain()}
+        self._gateway.approvals.demand(session, request, entry, shown, about)
 
     async def run(self, command: Command, session: Session, progress: Progress) -> Any:
         """Run the plan to its end, and return what became of each step."""
         self.telling.progress = progress
+        token = self._gateway.approvals.open(self.asked) if self.asks else None
         engine = Engine(self._gateway, session, self._checked, command.id, self.telling)
         try:
-            await engine.run(self.token)
+            await engine.run(token)
         finally:
             self.telling.progress = None
-            self._gateway.approvals.close(self.token)
-        return self.telling.outcome()
+            self._gateway.approvals.close(token)
+        return self.telling.outcome(over=True)
 
     def report(self, *, over: bool) -> Any:
         """Return what has become of each step so far."""

@@ -89,13 +89,14 @@ class Sending:
         try:
             return await asyncio.shield(final)
         except asyncio.CancelledError:
-            await self._stop(node, final)
+            await self._stop(node, request, final)
             raise
 
-    async def _stop(self, node: Node, final: asyncio.Future[Reply]) -> None:
+    async def _stop(self, node: Node, request: Request, final: asyncio.Future[Reply]) -> None:
         """Have what a step set going stopped, and wait until it is at rest."""
-        state = node.state
-        command = None if state.command is None else self._gateway.commands.find(state.command)
+        state, running = node.state, self._gateway.commands.running.values()
+        # Not by its id: the reply that tells it may wait for its record.
+        command = next((c for c in running if c.custom is request.custom), None)
         if command is None:
             if isinstance(node.step, (Write, Execute)):
                 state.message = "it was under way when the plan was ended: look at the robot"

@@ -9,6 +9,7 @@ import pytest
 
 from kernel.plans.planned import GO, PEOPLE, begun, code, echo, faults, go, run, states, step
 from kernel.world import Client, World, world_of
+from rcp_kernel.config.file import parse
 from rcp_kernel.errors import Forbidden, UnknownPath
 from rcp_kernel.values import Encoding
 
@@ -188,6 +189,24 @@ async def test_a_plan_wants_one_approval_for_all_its_steps() -> None:
         assert set(states(done).values()) == {"completed"}
         other = await run(agent, *steps, echo(), approval=details["approval"])
         assert code(other) == "forbidden"
+
+
+async def test_an_approval_of_a_plan_is_for_what_it_means_and_shows_it() -> None:
+    async with world_of(PEOPLE) as world:
+        agent, guard = world.client(AGENT), world.client(GUARD)
+        plan = {
+            "type": "execute",
+            "path": "/system/plans",
+            "body": {"symbolic": "(approach go far)"},
+        }
+        details = (await agent.ask(**plan))["error"]["details"]
+        (question,) = await listed(guard)
+        (step,) = question["value"]["steps"]
+        assert (step["path"], step["value"]) == ("/tenant/alpha/action/go", 2.0)
+        await decide(guard, details["approval"])
+        config = parse(PEOPLE.replace("metres = 2.0", "metres = 3.0"), "test")
+        world.server.gateway.reconfigure(config)
+        assert code(await agent.ask(**plan, approval=details["approval"])) == "forbidden"
 
 
 async def test_an_approved_plan_lets_nothing_else_pass() -> None:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import pytest
 
 from kernel.plans.planned import LIMIT, begun, code, echo, go, run, send, states, step
-from kernel.world import CONFIG, world_of
+from kernel.world import CONFIG, kept_in, world_of
 
 
 async def test_steps_follow_each_other_and_later_ones_use_results_of_earlier_ones() -> None:
@@ -69,6 +70,12 @@ async def test_a_fallback_is_run_instead_and_the_plan_goes_on() -> None:
         reply = await run(world.client(), go(14, fallback=[echo("instead")]), echo("after"))
         assert reply["status"] == "completed"
         assert states(reply) == {"1": "recovered", "1.fallback.1": "completed", "2": "completed"}
+
+
+async def test_a_fallback_that_is_not_needed_is_skipped() -> None:
+    async with world_of() as world:
+        reply = await run(world.client(), echo(fallback=[echo("instead")]))
+        assert states(reply) == {"1": "completed", "1.fallback.1": "skipped"}
 
 
 async def test_a_fallback_that_fails_ends_the_plan() -> None:
@@ -168,6 +175,26 @@ async def test_a_step_of_a_parallel_begins_after_those_that_it_names() -> None:
         assert listed["steps"][2]["state"] == "pending"
         world.robot.release.set()
         assert states(await client.final(id_))["second"] == "completed"
+
+
+async def test_a_step_does_not_begin_after_one_that_failed() -> None:
+    async with world_of() as world:
+        steps = [go(14, id="first"), echo("second", after=["first"]), echo("third")]
+        reply = await run(world.client(), {"do": "parallel", "need": "any", "steps": steps})
+        assert states(reply)["1.3"] == "completed"
+        steps.pop()
+        reply = await run(world.client(), {"do": "parallel", "need": "any", "steps": steps})
+        assert states(reply) == {"1": "failed", "first": "failed", "1.2": "failed"}
+
+
+async def test_cancel_stops_a_step_whose_first_reply_waits_for_its_record(tmp_path: Path) -> None:
+    async with world_of(kept_in(tmp_path / "a.db")) as world:
+        client = world.client()
+        id_ = send(client, go(2.0))
+        await begun(world)  # before the store has committed that the step was accepted
+        await client.ask(type="cancel", path="/system/plans")
+        assert (await client.final(id_))["status"] == "cancelled"
+        assert world.robot.stopped == 1
 
 
 async def test_a_step_whose_condition_does_not_hold_is_skipped() -> None:
