@@ -23,7 +23,8 @@ SETTINGS = """
 [checks.not_a_server_error]
 expected-statuses = ["2xx", "3xx", "4xx", 501, 502, 503, 504]
 """
-LEFT_OUT = "(/events|/sensor/crashed|/system/estop)$"  # endless; fails by design; stops the rest
+# Endless; fails by design; stops the rest; of a type within itself, which takes the tool hours.
+LEFT_OUT = "(/events|/sensor/crashed|/system/estop|/system/plans)$"
 
 
 def served() -> GatewayConfig:
