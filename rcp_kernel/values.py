@@ -26,7 +26,7 @@ __all__ = ["ANY", "DEPTH", "Encoding", "ValueType", "dump", "sound", "to_plain",
 
 DEPTH = 64
 """How deep lists and maps may stand in each other where a type sets no bound itself."""
-_WIDE_DIGITS = re.compile(rb"\d{16}")
+_WIDE_DIGITS = re.compile(rb"(?:^|[-:,\[])\d{16}")  # of an integer, not behind a decimal point
 _HUGE_DIGITS = re.compile(rb"\d{19}")  # may lie past 64 bits, which msgspec alone lets through
 _AT = re.compile(r"(?s)(?P<what>.*?)(?: - at `(?:key in )?\$(?P<path>[^`]*)`)?\Z")
 _BOUND = re.compile(r"Expected `\w+` (?P<op>>=|<=|>|<) (?P<bound>\S+)\Z")
@@ -181,7 +181,7 @@ class ValueType:
         if encoding is _JSON:
             blobs = self._shape.blobs
             data = _json.encode(value if blobs is None else lifted(value, blobs))
-            if (self.probes_null and b"null" in data) or (
+            if (self.probes_null and data.count(b"null") != _nones(value)) or (
                 self._shape.has_wide_int and _WIDE_DIGITS.search(data)
             ):
                 return self._encode_odd(value)
@@ -247,6 +247,13 @@ def _at(plain: Any, pointer: str) -> Any:
         else:
             return None
     return plain
+
+
+def _nones(value: Any) -> int:
+    """Count the fields that are None: as many nulls in its JSON leave none that was a NaN."""
+    if isinstance(value, msgspec.Struct):
+        return msgspec.structs.astuple(value).count(None)
+    return value is None
 
 
 def _check_depth(raw: bytes | msgspec.Raw, encoding: Encoding) -> None:

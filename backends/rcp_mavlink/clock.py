@@ -55,6 +55,8 @@ class Clock:
         if stamp is None:
             return None
         place, size, scale = stamp
+        if size == 4 and self._offset is None:
+            return None
         ticks = int.from_bytes(frame.payload[place : place + size], "little")
         if size == 8 and ticks > _UNIX:
             at = ticks * 1000

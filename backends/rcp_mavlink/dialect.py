@@ -6,14 +6,14 @@ import importlib
 import re
 from collections.abc import Callable
 from functools import cached_property, lru_cache
-from operator import itemgetter
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any
 
 import msgspec
 
 from rcp_kernel.errors import ConfigError
 from rcp_kernel.types import quantity
+from rcp_mavlink.making import Field, making
 from rcp_mavlink.units import converted
 from rcp_mavlink.xml_dialect import module_of
 
@@ -42,24 +42,6 @@ _NEEDED = {
     "SET_POSITION_TARGET_LOCAL_NED", "STATUSTEXT", "SYS_STATUS",
 }  # fmt: skip
 """Messages without which there is no leading a vehicle."""
-
-
-class Field(NamedTuple):
-    """One field of a message."""
-
-    name: str
-    kind: str
-    """`uint16_t`, `float`, `char`, …"""
-    unit: str
-    factor: float
-    length: int
-    """Of an array; 0 is none."""
-    enum: dict[int, str] | None
-    missing: float | None
-    """The value that means that there is none."""
-    description: str
-    place: int
-    """Of its first value in what the unpacker returns."""
 
 
 class Definition:
@@ -127,13 +109,12 @@ class Definition:
         return msgspec.defstruct(name, fields, frozen=True, module="rcp_mavlink.messages")
 
     @cached_property
-    def _makers(self) -> tuple[Callable[[tuple[Any, ...]], Any], ...]:
-        return tuple(_maker(field) for field in self.fields)
+    def _made(self) -> Callable[[tuple[Any, ...]], Any]:
+        return making(self.type, self.fields)
 
     def decode(self, payload: bytes) -> Any:
         """Return the value that a payload stands for, in the units of the tree."""
-        values = self.raw(payload)
-        return self.type(*[make(values) for make in self._makers])
+        return self._made(self.raw(payload))
 
     def fields_of(self, payload: bytes) -> dict[str, Any]:
         """Return the fields of a payload as they are on the wire; arrays are lists."""
@@ -181,31 +162,6 @@ def _one(field: Field) -> Any:
     else:
         number = quantity(field.unit, int, description=text)
     return number | None if field.missing is not None else number
-
-
-def _maker(field: Field) -> Callable[[tuple[Any, ...]], Any]:
-    at, factor, missing, words = field.place, field.factor, field.missing, field.enum
-    if field.kind == "char":
-        return lambda values: values[at].split(b"\0", 1)[0].decode("utf-8", "replace")
-    if field.length and field.kind == "uint8_t" and field.unit == "1":
-        end = at + field.length
-        return lambda values: bytes(values[at:end])
-
-    def one(value: Any) -> Any:
-        if words is not None:
-            return words.get(value, str(value))
-        if value == missing:
-            return None
-        return value if factor == 1 else value * factor
-
-    if field.length:
-        end = at + field.length
-        return lambda values: [one(value) for value in values[at:end]]
-    if words is None and missing is None:
-        if factor == 1:
-            return itemgetter(at)
-        return lambda values: values[at] * factor
-    return lambda values: one(values[at])
 
 
 class Dialect:

@@ -66,6 +66,7 @@ class Hub:
     # In
 
     def _take(self, link: Link, address: Any, frames: list[Frame]) -> None:
+        now = time.monotonic()
         for frame in frames:
             vehicle = self.vehicles.get(frame.system)
             if vehicle is None:
@@ -78,10 +79,10 @@ class Hub:
             if vehicle.lost:
                 vehicle.lost = False
                 self.changed(vehicle)
-            vehicle.routes[link.number, address] = (link, address, time.monotonic())
+            vehicle.routes[link.number, address] = (link, address, now)
             if frame.definition.id == self._texts.id:
                 self._texts.take(vehicle, frame)
-            vehicle.take(frame)
+            vehicle.take(frame, now)
 
     def _new(self, frame: Frame) -> Vehicle | None:
         """Return the vehicle that a first heartbeat speaks for; None: it is of no interest."""
@@ -94,7 +95,7 @@ class Hub:
         if beat["autopilot"] == _NO_AUTOPILOT or beat["type"] == _GROUND_STATION:
             return None
         vehicle = Vehicle(self.dialect, frame.system, frame.component)
-        vehicle.take(frame)
+        vehicle.take(frame, time.monotonic())
         self.vehicles[frame.system] = vehicle
         asyncio.get_running_loop().call_soon(self.found, vehicle)
         self._first.set()

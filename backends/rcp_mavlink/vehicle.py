@@ -69,15 +69,16 @@ class Vehicle:
 
     # What comes in
 
-    def take(self, frame: Frame) -> None:
-        """Take a frame of its autopilot."""
+    def take(self, frame: Frame, now: float) -> None:
+        """Take a frame of its autopilot; `now` is monotonic."""
         definition = frame.definition
-        self.latest[definition.name] = frame
-        self.came[definition.name] = self.heard = time.monotonic()
-        if definition.id == 0:
+        name, number = definition.name, definition.id
+        self.latest[name] = frame
+        self.came[name] = self.heard = now
+        if number == 0:
             self._heartbeat(frame)
-        listeners = self._listeners.get(definition.id)
-        if listeners is not None:
+        listeners = self._listeners.get(number)
+        if listeners:
             for listener in list(listeners):
                 listener(frame)
         for tell in self.on_frame:
