@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
-from collections.abc import AsyncGenerator, Sequence
+from collections.abc import AsyncGenerator, Callable, Sequence
 from contextlib import asynccontextmanager
 from typing import Any
 
@@ -12,6 +12,7 @@ import httpx
 import msgspec
 
 from rcp_kernel.config.file import parse
+from rcp_kernel.door import Door
 from rcp_kernel.errors import DeviceRejected
 from rcp_kernel.model import Resource
 from rcp_kernel.plugins import Plugins
@@ -181,14 +182,15 @@ async def site(
     robots: str = ROBOTS,
     mcp: str = "",
     more: str = "",
-    offers: Sequence[Offer] = (),
+    make: Callable[[Host], Robot] = Robot,
+    offers: Callable[[Door], Sequence[Offer]] = lambda _door: (),
 ) -> AsyncGenerator[Site]:
     """Run a gateway; the texts are added to its configuration."""
     made: list[Robot] = []
 
     @asynccontextmanager
     async def open_robot(_config: NoOptions, host: Host) -> AsyncGenerator[Robot]:
-        made.append(Robot(host))
+        made.append(make(host))
         yield made[-1]
 
     recent = configure("error", "json")
@@ -196,7 +198,7 @@ async def site(
     plugins = Plugins(parse(ROVER, "test"))
     plugins.backends["robot"] = BackendKind("robot", NoOptions, open_robot)
     plugins.adapters["mcp"] = AdapterKind(
-        "mcp", McpConfig, lambda table, door: open_mcp(table, door, offers)
+        "mcp", McpConfig, lambda table, door: open_mcp(table, door, offers(door))
     )
     transports = {
         name: msgspec.convert(table, plugins.transports[name].config)
