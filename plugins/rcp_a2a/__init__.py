@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import os
 from collections.abc import AsyncGenerator, Iterable
 from contextlib import asynccontextmanager
 from importlib import import_module
@@ -24,6 +25,8 @@ async def open_a2a(config: A2aConfig, door: Door) -> AsyncGenerator[dict[str, An
     """
     # The official SDK takes half a second to load: only a gateway that speaks A2A pays for it, and
     # the robots that are open by now do not wait meanwhile.
+    # Its spans would be of streams that are left from another context, which it complains about.
+    os.environ.setdefault("OTEL_INSTRUMENTATION_A2A_SDK_ENABLED", "false")
     loaded = await asyncio.to_thread(import_module, "rcp_a2a.serving")
     async with loaded.serving(config, door) as facts:
         yield facts

@@ -40,7 +40,9 @@ class Agent(AgentExecutor):
             run.listen(event_queue)
             run.start(caller, wanted)
         else:
-            run = self._runs[task.id]
+            run = self._runs.get(task.id)
+            if run is None:
+                return  # it has ended while this message was on its way
             run.listen(event_queue)
             if (text := run.answer(caller, wanted)) is not None:
                 await run.ask_again(text)
@@ -50,6 +52,7 @@ class Agent(AgentExecutor):
         finally:
             if run.question is None:
                 self._forget(task.id)
+                run.ended.set()  # whatever has happened: a cancel waits for it
 
     def _forget(self, task_id: str) -> None:
         self._runs.pop(task_id, None)

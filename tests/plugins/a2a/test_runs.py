@@ -348,6 +348,18 @@ async def test_a_parameter_that_lacks_is_asked_for_and_the_plan_goes_on(
     assert done["artifacts"][0]["parts"][0]["data"]["result"] == 5.0
 
 
+async def test_of_two_answers_at_once_one_counts(client: httpx.AsyncClient) -> None:
+    task = await sent(client, text("execute /service/add"))
+    answers = (data({"1": 4}, taskId=task["id"]), data({"1": 4}, taskId=task["id"]))
+    done = await asyncio.gather(
+        *(client.post("/a2a/message:send", json=answer) for answer in answers)
+    )
+    assert sorted(d.status_code for d in done) in ([200, 200], [200, 400])
+    over = (await client.get(f"/a2a/tasks/{task['id']}")).json()
+    assert state(over) == "COMPLETED"
+    assert len(over["artifacts"]) == 1
+
+
 async def test_a_question_may_be_answered_by_another_plan(client: httpx.AsyncClient) -> None:
     task = await sent(client, text("execute /service/add"))
     done = await sent(client, text("execute /service/add 2", taskId=task["id"]))
