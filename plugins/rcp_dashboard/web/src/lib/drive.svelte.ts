@@ -4,6 +4,7 @@ import { app } from "./app.svelte.ts";
 import { steering, type Steering } from "./twist.ts";
 
 const PERIOD = 80; // ms between writes while a dead-man is held
+const FIRST = 1; // m/s that full deflection means at most, until somebody asks for more
 const VALID = 0.4; // s that a write stands: what is lost on the way stops the robot this soon
 const TTL = 3; // s that control outlives its page
 const SLOW = 1000; // ms of one write beyond which driving ends
@@ -29,7 +30,7 @@ export class Drive {
   source = $state<string>();
   sent = $state.raw({ forward: 0, turn: 0 });
   /** The part of what the actuator takes that full deflection means. */
-  limit = $state(0.3);
+  limit = $state(0);
   #wish: Wish = { forward: 0, turn: 0 };
   #timer: ReturnType<typeof setInterval> | undefined;
   #since: number | undefined; // when the write that is under way was sent
@@ -38,6 +39,7 @@ export class Drive {
   constructor(resource: Resource, how: Steering) {
     this.resource = resource;
     this.steering = how;
+    this.limit = Math.max(0.05, Math.min(0.3, FIRST / how.forward));
   }
 
   static of(resource: Resource): Drive | undefined {
