@@ -107,8 +107,9 @@ class Bus:
         switched: bool = False,
         lifetime: float | None = None,
         urgent: bool = False,
+        sender: Hashable = None,
     ) -> None:
-        """Queue one frame.
+        """Queue one frame; an urgent one outdates what its sender has waiting.
 
         :raises AdapterUnavailable: the bus is down, or off.
         :raises QueueFull: too many frames wait already.
@@ -127,7 +128,7 @@ class Bus:
             is_rx=False,
         )
         try:
-            wire.send(message, lifetime=lifetime, urgent=urgent)
+            wire.send(message, lifetime=lifetime, urgent=urgent, sender=sender)
         except QueueFull:
             self.refused += 1
             raise

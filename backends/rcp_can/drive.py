@@ -107,6 +107,22 @@ class Drive:
         """
         raise NotImplementedError
 
+    def send(
+        self,
+        identifier: int,
+        data: bytes = b"",
+        *,
+        lifetime: float | None = None,
+        urgent: bool = False,
+        **flags: Any,
+    ) -> None:
+        """Queue a frame to the drive; `lifetime` and `urgent` as `Bus.send` has them, and its flags.
+
+        :raises AdapterUnavailable: the bus is down, or off.
+        :raises QueueFull: too many frames wait already.
+        """
+        self.bus.send(identifier, data, lifetime=lifetime, urgent=urgent, sender=self, **flags)
+
     def reach(self) -> Reach:
         """Say what the profile can express."""
         return Reach()

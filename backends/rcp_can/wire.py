@@ -9,7 +9,7 @@ import asyncio
 import threading
 import time
 from collections import Counter, deque
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
@@ -45,9 +45,10 @@ class Wire:
         self._received, self._lost = received, lost
         self._loop = asyncio.get_running_loop()
         self._inbox: deque[can.Message] = deque()
-        self._outbox: deque[tuple[can.Message, float, float]] = deque()
+        self._outbox: deque[tuple[can.Message, float, float, Hashable]] = deque()
         self._echoes: Counter[tuple[int, bytes]] | None = Counter() if echoes else None
-        self._barrier = self._moving = 0.0
+        self._barriers: dict[Hashable, float] = {}
+        self._moving = 0.0
         self._sending = False
         self._wake = threading.Event()
         self._waiting = False
@@ -69,10 +70,18 @@ class Wire:
         """Seconds since the interface took a frame, while there are frames for it."""
         return time.monotonic() - self._moving if self._sending or self._outbox else 0.0
 
-    def send(self, message: can.Message, *, lifetime: float | None, urgent: bool) -> None:
+    def send(
+        self,
+        message: can.Message,
+        *,
+        lifetime: float | None,
+        urgent: bool,
+        sender: Hashable = None,
+    ) -> None:
         """Queue a frame; `lifetime` is how long (s) it is worth sending, urgent ones go first.
 
-        What is urgent brings something to rest: no frame with a lifetime that waits is sent after it.
+        What is urgent brings something to rest: no frame with a lifetime that its sender has waiting is
+        sent after it. Those of others are: a motor that is stopped must not silence its neighbours.
 
         :raises QueueFull: too many wait already; an urgent one takes the place of the last.
         :raises AdapterUnavailable: the wire is closed.
@@ -84,18 +93,18 @@ class Wire:
             self._moving = now
         expires = now + lifetime if lifetime is not None else 0.0
         if urgent:
-            self._barrier = now
+            self._barriers[sender] = now
             if len(self._outbox) >= self._limit:
                 self._outbox.pop()
                 self.expired += 1
-            self._outbox.appendleft((message, expires, now))
+            self._outbox.appendleft((message, expires, now, sender))
         elif len(self._outbox) >= self._limit:
             raise QueueFull(
                 f"{self._limit} frames wait to be sent already: the bus takes none",
                 remedy="See sensor/can/<bus>/state; is another node there to acknowledge?",
             )
         else:
-            self._outbox.append((message, expires, now))
+            self._outbox.append((message, expires, now, sender))
         self._wake.set()
 
     async def close(self) -> None:
@@ -144,8 +153,9 @@ class Wire:
             self._wake.wait()
             self._wake.clear()
             while self._outbox:
-                message, expires, queued = self._outbox.popleft()
-                if expires and (time.monotonic() > expires or queued <= self._barrier):
+                message, expires, queued, sender = self._outbox.popleft()
+                barrier = self._barriers.get(sender, 0.0)
+                if expires and (time.monotonic() > expires or queued <= barrier):
                     self.expired += 1
                     continue
                 self._sending = True

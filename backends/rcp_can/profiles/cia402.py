@@ -214,10 +214,10 @@ class Cia402Drive(Drive):
     def _start_again(self) -> None:
         self._nmt_command(_START)
         if self._sync:
-            self.bus.send(0x080)
+            self.send(0x080)
 
     def _nmt_command(self, command: int) -> None:
-        self.bus.send(0x000, MESSAGES["nmt"][1].encode(command=command, node=self.node))
+        self.send(0x000, MESSAGES["nmt"][1].encode(command=command, node=self.node))
 
     # What is asked of it
 
@@ -247,7 +247,7 @@ class Cia402Drive(Drive):
         }
         for cob, layout in self._pdos.carrying(*names):
             data = layout.encode(**{name: values.get(name, 0) for name in layout.names})
-            self.bus.send(cob, data, urgent=urgent, lifetime=lifetime)
+            self.send(cob, data, urgent=urgent, lifetime=lifetime)
 
     def _push(self, control: int, *, urgent: bool = False) -> None:
         self._control = control

@@ -95,7 +95,7 @@ class CyberGearDrive(ImpedanceDrive):
         middle = self.options.host if word is None else word
         self.asked()
         urgent = more.get("urgent", False)
-        self.bus.send(
+        self.send(
             kind << 24 | middle << 8 | self.node,
             data,
             extended=True,

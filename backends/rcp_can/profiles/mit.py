@@ -147,7 +147,7 @@ class MitDrive(ImpedanceDrive):
 
     def _special(self, code: int, *, urgent: bool = False) -> None:
         self.asked()
-        self.bus.send(self.node, b"\xff" * 7 + bytes((code,)), urgent=urgent)
+        self.send(self.node, b"\xff" * 7 + bytes((code,)), urgent=urgent)
 
     def impede(
         self,
@@ -164,7 +164,7 @@ class MitDrive(ImpedanceDrive):
             position=position, velocity=velocity, kp=kp, kd=kd, torque=torque
         )
         self.asked()
-        self.bus.send(self.node, data, urgent=urgent, lifetime=None if urgent else FAST)
+        self.send(self.node, data, urgent=urgent, lifetime=None if urgent else FAST)
 
     def ask(self) -> None:
         """Send a set-point without gains or torque: it answers, on or off."""
@@ -287,7 +287,7 @@ class DamiaoDrive(MitDrive):
 
     def _access(self, command: int, register: int = 0, value: int = 0) -> None:
         data = struct.pack("<HBBI", self.node, command, register, value)
-        self.bus.send(_REGISTERS, data, lifetime=FAST)
+        self.send(_REGISTERS, data, lifetime=FAST)
 
     async def configure(self) -> None:
         """Choose MIT mode, and arm the drive's own watchdog (register 9, in 50 µs)."""

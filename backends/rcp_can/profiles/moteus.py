@@ -154,7 +154,7 @@ class MoteusDrive(Drive):
         ]
         self._spoken = True
         self._owed = min(self._owed + 1, _UNDER_WAY)
-        self.bus.send(
+        self.send(
             0x8000 | self.options.source << 8 | self.node,
             pad(build(writes) + _QUERY),
             extended=True,

@@ -198,14 +198,14 @@ class OdriveDrive(Drive):
         command, layout = MESSAGES[name]
         # Eight bytes always: the field's tools and mocks take no less.
         data = layout.encode(**values).ljust(8, b"\0")
-        self.bus.send(self._base | command, data, urgent=urgent, lifetime=stale)
+        self.send(self._base | command, data, urgent=urgent, lifetime=stale)
 
     def poll(self, tick: int) -> None:
         """Ask for what is not sent unasked: temperatures and supply, now and then who answers."""
         slow = tick % 64
         if slow in (1, 17, 33):
             name = {1: "temperature", 17: "supply", 33: "address"}[slow]
-            self.bus.send(self._base | MESSAGES[name][0], remote=True, length=8, lifetime=_FAST)
+            self.send(self._base | MESSAGES[name][0], remote=True, length=8, lifetime=_FAST)
 
     async def enable(self) -> None:
         """Enter closed loop control at velocity zero, whatever set-point the drive still has."""

@@ -109,7 +109,7 @@ class VescDrive(Drive):
 
     def _say(self, name: str, *, urgent: bool = False, **values: float) -> None:
         command, layout = MESSAGES[name]
-        self.bus.send(
+        self.send(
             command << 8 | self.node,
             layout.encode(**values),
             extended=True,

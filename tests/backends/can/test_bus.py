@@ -252,6 +252,21 @@ async def test_no_set_point_that_waits_is_sent_after_a_stop() -> None:
     assert bus.sent == [0, 3, 2, 4]
 
 
+async def test_a_stop_outdates_what_its_own_sender_has_waiting_and_nothing_else() -> None:
+    bus: Any = StuckBus()
+    wire = Wire(bus, name="x", queue=9, echoes=False, received=lambda _: None, lost=lambda _: None)
+    wire.send(can.Message(arbitration_id=0), lifetime=None, urgent=False)
+    with anyio.fail_after(5):
+        await bus.held.wait()
+    for number, sender in ((1, "a"), (2, "b"), (3, "a")):
+        wire.send(can.Message(arbitration_id=number), lifetime=60.0, urgent=False, sender=sender)
+    wire.send(can.Message(arbitration_id=9), lifetime=None, urgent=True, sender="a")
+    bus.gate.set()
+    await wire.close()
+    assert bus.sent == [0, 9, 2]
+    assert wire.expired == 2
+
+
 async def test_an_unknown_interface_is_a_configuration_error_that_lists_those_there_are() -> None:
     with pytest.raises(ConfigError, match=r"buses\.can0\.interface.*slcan"):
         async with opened({"buses": {"can0": {"interface": "carrier-pigeon"}}}):

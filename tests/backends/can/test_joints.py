@@ -204,8 +204,10 @@ async def test_a_joint_that_fails_stops_all(joint: str) -> None:
         rig.twins[joint].silent = True
         with pytest.raises(AdapterUnavailable, match=joint):
             await asyncio.wait_for(moving, 6)
-        others = [twin for name, twin in rig.twins.items() if name != joint]
-        assert all(abs(twin.plant.velocity) < 0.1 for twin in others)
+        others = [twin.plant for name, twin in rig.twins.items() if name != joint]
+        for _ in range(60):  # the stop that is repeated to the lost one must not hold up the others
+            assert all(abs(plant.velocity) < 0.3 for plant in others)
+            await asyncio.sleep(0.005)
         with pytest.raises(AdapterUnavailable, match=joint):
             await rig.write(JOINTS, {})
         rig.twins[joint].silent = False
