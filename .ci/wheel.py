@@ -8,6 +8,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).parent.parent
 _DASHBOARD = "rcp_dashboard/"
+_BUILT = ("index.html", "licenses.md")
 
 
 def expected() -> set[str]:
@@ -27,7 +28,7 @@ def main() -> int:
         return 1
     pages = [name for name in names if name.startswith(_DASHBOARD + "static/")]
     sources = [name for name in names if name.startswith(_DASHBOARD + "web/")]
-    if _DASHBOARD + "static/index.html" not in pages or sources:
+    if not {_DASHBOARD + f"static/{name}" for name in _BUILT} <= set(pages) or sources:
         print(f"{wheel.name} has {len(pages)} files of the dashboard and its sources {sources}")
         return 1
     print(f"{wheel.name}: {len(names)} files in {', '.join(sorted(packages))}")

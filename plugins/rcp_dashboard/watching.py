@@ -7,6 +7,7 @@ is opened at the first question and closed when nobody has asked for a while.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Any
 
 import msgspec
@@ -72,8 +73,11 @@ class Watched:
 class Watcher:
     """What one client has watched."""
 
-    def __init__(self, door: Door, config: DashboardConfig, who: Who) -> None:
+    def __init__(
+        self, door: Door, config: DashboardConfig, who: Who, make_room: Callable[[], None]
+    ) -> None:
         principal, tenant, peer = who
+        self._make_room = make_room
         self._door = door
         self._config = config
         self.watched: dict[Key, Watched] = {}
@@ -90,7 +94,7 @@ class Watcher:
         """Return the ring of a field; from the first question on it is filled.
 
         :raises RcpError: the gateway does not let this client have it.
-        :raises QueueFull: it has as many as it may.
+        :raises QueueFull: it has as many as it may, or all clients together have.
         """
         now = self._door.loop.time()
         found = self.watched.get((path, field))
@@ -100,6 +104,7 @@ class Watcher:
                     f"{len(self.watched)} fields are kept for this client already",
                     remedy=f"Ask for fewer; what nobody asks for is let go after {self._config.idle:g} s.",
                 )
+            self._make_room()
             found = await self._watch(path, field, now)
         found.asked = now
         return found.ring
@@ -172,15 +177,10 @@ class Watchers:
         self._found: dict[Who, Watcher] = {}
         self._timer: Any = None
 
-    @property
-    def fields(self) -> int:
-        """How many fields are kept."""
-        return sum(len(watcher.watched) for watcher in self._found.values())
-
     def of(self, principal: Principal, tenant: str | None, peer: Peer) -> Watcher:
         """Return the watcher of a client.
 
-        :raises QueueFull: too much is kept already, or the gateway holds too many sessions.
+        :raises QueueFull: the gateway holds too many sessions.
         :raises Forbidden: the client does not act in that tenant.
         """
         who = principal, tenant, peer
@@ -188,17 +188,19 @@ class Watchers:
         if found is not None and found.ended:
             self._found.pop(who).close()
             found = None
-        if self.fields >= self._config.all_fields:
+        if found is None:
+            found = self._found[who] = Watcher(self._door, self._config, who, self._check_room)
+        if self._timer is None:
+            self._timer = self._door.loop.call_later(self._config.idle / 2, self._sweep)
+        return found
+
+    def _check_room(self) -> None:
+        if sum(len(one.watched) for one in self._found.values()) >= self._config.all_fields:
             raise QueueFull(
                 f"the dashboard keeps {self._config.all_fields} fields already",
                 remedy="Raise [plugins.dashboard] all_fields, or try again later.",
                 retry_after=self._config.idle,
             )
-        if found is None:
-            found = self._found[who] = Watcher(self._door, self._config, who)
-        if self._timer is None:
-            self._timer = self._door.loop.call_later(self._config.idle / 2, self._sweep)
-        return found
 
     def _sweep(self) -> None:
         before = self._door.loop.time() - self._config.idle

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import httpx
 import pytest
 
 from rcp_kernel.clock import now
+from rcp_kernel.config.file import parse
 from rcp_kernel.model import Pattern
+from rcp_kernel.testing import serve
 from transports.robot import KEY, Site, site, until
 
 pytestmark = pytest.mark.anyio
@@ -103,13 +106,29 @@ def watching(gateway: Site) -> int:
 
 
 async def test_nobody_has_more_fields_kept_than_may_be(static: Any) -> None:
-    table = "[plugins.dashboard]\nfields = 2\nall_fields = 3\n"
+    table = "[plugins.dashboard]\nfields = 2\n"
     async with site(more=table) as gateway, client(gateway) as http:
         await series(http, "position.x", "position.y")
         third = await http.get(f"{API}/series", params={"path": POSE, "field": "position.z"})
         assert third.status_code == 503
         assert third.json()["error"]["code"] == "queue_full"
         await series(http, "position.x")
+
+
+async def test_all_together_have_no_more_and_keep_what_they_have(static: Any) -> None:
+    table = "[plugins.dashboard]\nall_fields = 3\n"
+    async with (
+        site(more=table) as gateway,
+        client(gateway) as http,
+        httpx.AsyncClient(base_url=gateway.url) as stranger,
+    ):
+        await series(http, "position.x", "position.y")
+        await series(stranger, "position.x")
+        refused = await stranger.get(f"{API}/series", params={"path": POSE, "field": "position.y"})
+        assert refused.json()["error"]["code"] == "queue_full"
+        assert refused.headers["retry-after"] == "30"
+        await series(http, "position.x", "position.y")
+        await series(stranger, "position.x")
 
 
 async def test_rights_are_those_of_who_asks(http: httpx.AsyncClient) -> None:
@@ -188,6 +207,22 @@ async def test_a_layout_is_each_users_own(http: httpx.AsyncClient) -> None:
     assert (await http.delete(layout)).status_code == 204
     assert (await http.get(layout)).status_code == 404
     assert (await http.get(layout, headers=BETA)).json() == []
+
+
+async def test_a_layout_survives_the_gateway(static: Any, tmp_path: Path) -> None:
+    text = (
+        f'[transports.asgi]\nport = 0\n[plugins.dashboard]\n[store]\npath = "{tmp_path}/kept.db"\n'
+        f'[[keys]]\nname = "op"\nrole = "operator"\nkey = "{KEY}"\n'
+    )
+    for asked in ("put", "get"):
+        async with serve(parse(text, "test")) as served:
+            url = next(f["url"] for f in served.server.status.transports if "url" in f)
+            headers = {"authorization": f"Bearer {KEY}"}
+            async with httpx.AsyncClient(base_url=url, headers=headers) as http:
+                if asked == "put":
+                    await http.put(f"{API}/layout", content=b'{"plots":[1]}')
+                else:
+                    assert (await http.get(f"{API}/layout")).json() == {"plots": [1]}
 
 
 async def test_a_layout_that_cannot_be_kept_is_refused(
