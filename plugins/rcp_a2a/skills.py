@@ -81,28 +81,37 @@ def _line(path: str, value: Any) -> str:
 
 def _parameters(schema: Node | None) -> str:
     """Write the parameters of an input in words: names, units and bounds."""
-    if not schema:
-        return " Takes no input."
-    fields: Node = schema.get("properties") or {}
-    if "$ref" in schema:
-        named = schema.get("$defs", {}).get(schema["$ref"].rpartition("/")[2], {})
-        fields = named.get("properties") or {}
+    defs: Node = (schema or {}).get("$defs", {})
+    node = _followed(schema or {}, defs)
+    fields: Node = node.get("properties") or {}
     if not fields:
-        return f" Input: {_range(schema) or schema.get('type', 'a value')}."
-    needed = set(schema.get("required", ()))
+        plain = _range(node) or (node.get("type") if node.get("type") != "object" else None)
+        return f" Input: {plain}." if plain else " Takes no input."
+    needed = set(node.get("required", ()))
     told = [
-        name
-        + (" (needed)" if name in needed else "")
-        + (f" {_range(field)}" if _range(field) else "")
+        " ".join(
+            word
+            for word in (name, "(needed)" if name in needed else "", _range(_followed(field, defs)))
+            if word
+        )
         for name, field in list(fields.items())[:_SHOWN]
     ]
     return f" Input: {', '.join(told)}."
 
 
+def _followed(schema: Node, defs: Node) -> Node:
+    """Follow references, and leave out that something may be null."""
+    options = [one for one in schema.get("anyOf", ()) if one.get("type") != "null"]
+    if len(options) == 1:
+        return _followed(options[0], defs)
+    return defs.get(schema["$ref"].rpartition("/")[2], {}) if "$ref" in schema else schema
+
+
 def _range(schema: Node) -> str:
     low, high = schema.get("minimum"), schema.get("maximum")
     bounds = "" if low is None and high is None else f"{_or(low, '…')} to {_or(high, '…')}"
-    return f"{bounds} {schema.get('unit', '')}".strip()
+    unit = schema.get("unit", "1")
+    return bounds if unit == "1" else f"{bounds} {unit}".strip()
 
 
 def _or(value: Any, other: str) -> str:
