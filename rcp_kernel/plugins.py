@@ -29,7 +29,7 @@ GROUPS = {
     "plugins": "rcp.plugins",
     "backends": "rcp.backends",
 }
-_EXTRA = {"ros2", "can", "mavlink", "mcp", "a2a"}
+_EXTRA = {"can", "mavlink", "ros2"}
 
 
 class Missing(msgspec.Struct, frozen=True):
