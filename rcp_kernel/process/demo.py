@@ -1,4 +1,4 @@
-"""`rcpd demo`: two tenants with a rover each, one with a drone, keys made for this run, and where to look."""
+"""`rcpd demo`: two tenants with a rover each, one with a drone, one with motors, keys made for this run, and where to look."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ use = "sim"
 name = "rover-beta"
 tenant = "beta"
 seed = 2
-{drone}
+{drone}{head}
 [[keys]]
 name = "demo-operator"
 role = "operator"
@@ -62,6 +62,44 @@ links = ["sim:copter"]
 twin = { warmup = 2 }
 """
 
+_HEAD = """
+[[backends]]
+use = "can"
+name = "head-delta"
+tenant = "delta"
+
+[backends.buses.can0]
+interface = "virtual"
+channel = "rcp-demo"
+bitrate = 1_000_000
+simulate = true
+
+[backends.motors.pan]
+bus = "can0"
+profile = "odrive"
+node = 1
+gear = 8.0
+position = [-2.8, 2.8]
+velocity = 3.0
+torque = 4.0
+acceleration = 12.0
+
+[backends.motors.tilt]
+bus = "can0"
+profile = "cia402"
+node = 2
+gear = 20.0
+position = [-0.8, 1.2]
+velocity = 2.0
+torque = 8.0
+acceleration = 8.0
+options = { rated_torque = 0.5 }
+
+[backends.joint_groups.head]
+joints = ["pan", "tilt"]
+"""
+_CAN = "can", "canopen", "cantools"
+
 
 def token_file(host: str, port: int) -> Path:
     """Return where the demo leaves its key for `rcpctl` of the same user."""
@@ -77,6 +115,7 @@ class Demo:
         self._operator = "rcp_op_" + secrets.token_urlsafe(18)
         self._admin = "rcp_ad_" + secrets.token_urlsafe(18)
         self._drone = find_spec("pymavlink") is not None
+        self._head = all(find_spec(name) is not None for name in _CAN)
 
     def config(self, level: str) -> str:
         """Write the configuration as TOML."""
@@ -86,6 +125,7 @@ class Demo:
             operator=self._operator,
             admin=self._admin,
             drone=_DRONE if self._drone else "",
+            head=_HEAD if self._head else "",
         )
 
     def url(self, server: Server) -> str:
@@ -124,6 +164,12 @@ class Demo:
             where += ", a drone of gamma"
             does = f"  {rcpctl} --url {url} execute /tenant/gamma/action"
             fly = f"{does}/arm\n{does}/takeoff\n{does}/land"
+        look = "  Motors on CAN turn too after: pip install 'rcp-gateway[can]'"
+        if self._head:
+            where += ", a head on two motors of delta"
+            does = f"  {rcpctl} --url {url} execute /tenant/delta"
+            goal = """'{"positions": {"pan": 1, "tilt": 0.5}}'"""
+            look = f"{does}/service/head/enable\n{does}/action/head/move_joints {goal}"
         return f"""\
 RCP gateway demo: {where}
   {url}/                  the dashboard: open it in a browser
@@ -140,6 +186,7 @@ Try:
   {rcpctl} --url {url} read /tenant/alpha/sensor/pose
   {rcpctl} --url {url} execute /tenant/beta/action/move_to '{{"position": {{"x": 2, "y": 1, "z": 0}}}}'
 {fly}
+{look}
   curl {url}/rcp/v1/context/tenant/alpha/sensor/pose
   curl -X PUT -H "Authorization: Bearer {self._operator}" -d 0.8 {url}/rcp/v1/context/tenant/alpha/param/speed_limit
   curl -N "{url}/rcp/v1/events?path=/tenant/*/sensor/pose&rate=2"
