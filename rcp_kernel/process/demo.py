@@ -23,7 +23,9 @@ port = {port}
 
 [plugins.dashboard]
 
-[plugins.a2a]
+[plugins.a2a.push]
+http = true
+private = ["127.0.0.0/8", "::1/128"]
 
 [plugins.mcp]
 
@@ -175,6 +177,7 @@ RCP gateway demo: {where}
   {url}/                  the dashboard: open it in a browser
   {url}/rcp/v1/discovery  everything there is
   {url}/metrics           for Prometheus
+  {url}/a2a               for agents that speak A2A
   {url}/mcp               for models: tools and resources over MCP
 
   operator key  {self._operator}   (reads, writes, commands)
