@@ -110,7 +110,7 @@ class Gateway:
         self.identities = Identities(self, authenticator)
         resolver, inflight = Resolver(self.registry), InFlight(self)
         self.resolve, self.check = resolver.resolve, resolver.check
-        self.later, self.claim = inflight.later, inflight.claim
+        self.later, self.claim, self.place = inflight.later, inflight.claim, inflight.place
         self.keys = Keys(self.store, loop)
         self.keys.load(self.commands.find)
         self.returning = Returning(self)

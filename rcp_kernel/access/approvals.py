@@ -152,7 +152,7 @@ class Approvals:
         """
         digest = _digest(session.principal, request.type, entry.path, value)
         if request.approval is not None:
-            self._use(session, request.approval, digest, entry.path)
+            self._use(session, request, request.approval, digest, entry.path)
             return
         asked = self._same(session, digest) or self._ask(
             session, request, entry, value, about, digest
@@ -241,7 +241,7 @@ class Approvals:
         over = next((id_ for id_, a in every if a.expires <= moment), None)
         del self._known[over or next(id_ for id_, a in every if a.tenants == most)]
 
-    def _use(self, session: Session, id_: str, digest: bytes, path: str) -> None:
+    def _use(self, session: Session, request: Request, id_: str, digest: bytes, path: str) -> None:
         asked = self._known.get(id_)
         if asked is None or asked.asker != session.principal.identity or asked.digest != digest:
             raise Forbidden(
@@ -264,6 +264,7 @@ class Approvals:
                 path=path,
                 remedy="Send the command without `approval` to ask for another.",
             )
+        self._gateway.place(session, request)  # or it would be used up for nothing
         asked.state.status = "used"
         self.changed()
 

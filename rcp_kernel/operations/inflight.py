@@ -73,14 +73,20 @@ class InFlight:
         :raises DuplicateRequest: the id is in use.
         :raises QueueFull: there is no place left.
         """
+        key = self.place(session, request)
+        session.inflight[key] = None
+        return key
+
+    def place(self, session: Session, request: Request) -> str:
+        """Return the place that a request would have, and reserve none.
+
+        :raises DuplicateRequest, QueueFull: as `claim` does.
+        """
         inflight = session.inflight
         if len(inflight) >= self._gateway.limits.in_flight:
             raise QueueFull(f"{len(inflight)} requests of this session are unanswered already")
         if request.id is None or session.stateless:
-            key = f"\0{secrets.token_hex(8)}"
-        else:
-            key = request.id
-            if key in inflight:
-                raise DuplicateRequest(f"a request with the id '{key}' is still in flight")
-        inflight[key] = None
-        return key
+            return f"\0{secrets.token_hex(8)}"
+        if request.id in inflight:
+            raise DuplicateRequest(f"a request with the id '{request.id}' is still in flight")
+        return request.id

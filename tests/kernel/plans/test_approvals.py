@@ -54,6 +54,18 @@ async def test_a_command_passes_once_when_somebody_else_has_approved_it() -> Non
         assert [one["status"] for one in await listed(agent)] == ["pending", "used"]
 
 
+async def test_a_request_that_is_refused_for_its_id_uses_no_approval_up() -> None:
+    async with world_of(PEOPLE) as world:
+        agent, guard = world.client(AGENT), world.client(GUARD)
+        id_ = await asked(agent)
+        await decide(guard, id_)
+        plan = {"steps": [{"do": "wait", "until": "param.limit > 9.0", "deadline": 20}]}
+        agent.send(type="execute", path="/system/plans", body=plan, id="taken")
+        assert code(await command(agent, approval=id_, id="taken")) == "duplicate_request"
+        world.robot.release.set()
+        assert code(await command(agent, approval=id_)) == "completed"
+
+
 async def test_an_approval_is_for_this_value_and_this_principal() -> None:
     async with world_of(PEOPLE) as world:
         agent, other, guard = world.client(AGENT), world.client(OWNED), world.client(GUARD)
