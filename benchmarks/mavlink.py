@@ -12,6 +12,7 @@ import math
 import subprocess
 import sys
 import time
+from contextlib import asynccontextmanager
 
 import psutil
 import uvloop
@@ -170,13 +171,22 @@ key = "{KEY}"
 
     hubs_module.Hub.__init__ = noted
     loop = asyncio.get_running_loop()
-    async with serve(parse(text, "benchmark"), kind) as served:
+    async with serve(parse(text, "benchmark"), kind) as served, _collecting(loop):
         url = next(f["url"] for f in served.server.status.transports if "url" in f)
         port = hubs[0].links[0].port
         print(json.dumps({"port": port, "url": url}), flush=True)
         while await loop.run_in_executor(None, sys.stdin.readline):
             stats = hubs[0].links[0].framer.stats
             print(json.dumps({"frames": stats.frames, "lost": stats.lost}), flush=True)
+
+
+@asynccontextmanager
+async def _collecting(loop):
+    """Collect garbage as `rcpd serve` does."""
+    from rcp_kernel.process.garbage import collected_at_rest
+
+    with collected_at_rest(loop, lambda: False):
+        yield
 
 
 async def watch(url: str) -> None:
