@@ -6,12 +6,10 @@ import math
 from collections.abc import AsyncGenerator, Mapping, Sequence
 from contextlib import asynccontextmanager, suppress
 from typing import Any
-from unittest.mock import patch
 
 import msgspec
 
 import rcp_mavlink
-from backends.mavlink.fileserver import FileServer
 from backends.mavlink.flying import (
     agrees,
     airborne,
@@ -26,9 +24,7 @@ from rcp_kernel.testing import BackendSuite, Goal, eventually
 from rcp_mavlink.files import FileWrite, Remove
 from rcp_mavlink.sim import Twin, Vehicle
 from rcp_mavlink.sim.modes import Mode
-from rcp_mavlink.sim.peer import Peer
 from rcp_mavlink.sim.plans import Item
-from rcp_mavlink.sim.wire import mav
 
 PARAMS = ("WPNAV_SPEED", "RTL_ALT", "GUID_TIMEOUT")
 LAT, LON = -35.3632621, 149.1652374
@@ -46,12 +42,6 @@ class TestMavlink(BackendSuite):
 
     @asynccontextmanager
     async def twin(self) -> AsyncGenerator[Twin]:
-        with patch.object(Peer, "_take", _with_files(Peer._take)):
-            async with self._flying() as running:
-                yield running
-
-    @asynccontextmanager
-    async def _flying(self) -> AsyncGenerator[Twin]:
         async with twin(latency=0.06) as running:
             airborne(running.vehicle)
             self.link = f"udpout:127.0.0.1:{running.ports[0][1]}"
@@ -213,24 +203,6 @@ def _files() -> dict[str, Goal]:
         "service/ftp/mkdir": Goal(good={"path": MADE}),
         "service/ftp/rename": Goal(good={"path": SCRIPT, "to": MOVED}),
     }
-
-
-def _with_files(take: Any) -> Any:
-    """Serve files where the twin does not."""
-    servers: dict[Any, FileServer] = {}
-
-    def taken(peer: Any, message: Any) -> None:
-        kind = message.get_type()
-        if kind != "FILE_TRANSFER_PROTOCOL" or kind in peer._handlers:
-            take(peer, message)
-            return
-        if peer not in servers:
-            make = mav.MAVLink_file_transfer_protocol_message
-            servers[peer] = FileServer(lambda _, *fields: peer.send(make(*fields)), {})
-            servers[peer].directories |= {"/APM", "/APM/scripts"}
-        servers[peer](message)
-
-    return taken
 
 
 def _nothing(tasks: set[Any]) -> Any:
