@@ -2,6 +2,9 @@ from __future__ import annotations
 
 import asyncio
 import json
+import logging
+import socket
+import struct
 from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager
 from typing import Any
@@ -13,7 +16,7 @@ from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import ConnectionClosed, ConnectionClosedError
 from websockets.typing import Subprotocol
 
-from transports.raw import opened
+from transports.raw import TEXT, frame, handshake, opened
 from transports.robot import BOUND, KEY, Site, site, until
 
 pytestmark = pytest.mark.anyio
@@ -211,3 +214,29 @@ async def test_a_session_whose_key_is_gone_is_told_and_closed(gateway: Site) -> 
         assert closed.value.rcvd is not None
         assert closed.value.rcvd.code == 1008
     await until(lambda: not gateway.server.gateway.sessions.known)
+
+
+async def test_nothing_more_is_written_once_a_socket_is_found_broken(
+    gateway: Site, caplog: pytest.LogCaptureFixture
+) -> None:
+    loop, log = asyncio.get_running_loop(), logging.getLogger("asyncio")
+    caplog.set_level(logging.WARNING, log.name)
+    log.addHandler(caplog.handler)  # the gateway has the root logger
+    sock = socket.create_connection(("127.0.0.1", gateway.port))
+    sock.setblocking(False)
+    await loop.sock_sendall(sock, handshake(Authorization=f"Bearer {KEY}"))
+    body = {"qos": {"reliability": "reliable"}}
+    asked = {"type": "subscribe", "id": "s", "path": "/sensor/text", "body": body}
+    await loop.sock_sendall(sock, frame(TEXT, json.dumps(asked).encode()))
+    seen = b""
+    async with asyncio.timeout(BOUND):
+        while b'"update"' not in seen:
+            seen += await loop.sock_recv(sock, 65_536)
+    sock.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+    sock.close()  # a reset: the gateway finds out by writing
+    for _ in range(20):
+        gateway.robot.host.publish("sensor/text", "x" * 20_000)
+    sessions = gateway.server.gateway.sessions
+    await until(lambda: not any(session.connection for session in sessions.known.values()))
+    log.removeHandler(caplog.handler)
+    assert not [record for record in caplog.records if "socket.send" in record.getMessage()]

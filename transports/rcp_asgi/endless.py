@@ -26,7 +26,8 @@ class Endless:
 
     def write(self, data: bytes) -> None:
         """Send one chunk; it must not be empty."""
-        self._transport.write(b"%x\r\n%b\r\n" % (len(data), data))
+        if not self._transport.is_closing():
+            self._transport.write(b"%x\r\n%b\r\n" % (len(data), data))
 
     def resume(self) -> None:
         """Take notice that the socket takes something again."""

@@ -238,7 +238,7 @@ class Socket(WSListener):
 
     def write(self, messages: list[bytes]) -> None:
         """Send whole messages in one write; JSON objects go as text, all else as binary."""
-        if not self.open:
+        if self._gone():
             return
         if self.compresses:
             for data in messages:
@@ -262,8 +262,12 @@ class Socket(WSListener):
 
     def reply(self, data: bytes) -> None:
         """Send one message, uncompressed: picows frames and writes it without a copy of ours."""
-        if self.open:
+        if not self._gone():
             self._transport.send(_TEXT if data[0] == _OBJECT else _BINARY, data)
+
+    def _gone(self) -> bool:
+        """Tell whether nothing more can be written, also before the loop says that it was lost."""
+        return not self.open or self._raw.is_closing()
 
     @staticmethod
     def head(size: int, text: bool) -> bytes:  # noqa: FBT001 - a frame's own flag
@@ -272,7 +276,7 @@ class Socket(WSListener):
 
     def pass_on(self, parts: list[bytes]) -> bool:
         """Send what is framed already if there is room for it; tell whether there was."""
-        if not (self.open and self.writable):
+        if not self.writable or self._gone():
             return False
         if len(parts) == 1:
             self._raw.write(parts[0])
@@ -282,7 +286,7 @@ class Socket(WSListener):
 
     def write_frames(self, parts: list[bytes]) -> None:
         """Send what is framed already, in as few writes as there are long parts."""
-        if not self.open:
+        if self._gone():
             return
         if len(parts) == 1:
             self._raw.write(parts[0])
@@ -295,6 +299,8 @@ class Socket(WSListener):
             if short:
                 self._raw.write(b"".join(short))
                 short = []
+            if self._raw.is_closing():
+                return
             self._raw.write(data)
         if short:
             self._raw.write(b"".join(short))
