@@ -123,7 +123,6 @@ class Fuzz(Wire):
 
 few = settings(
     max_examples=100,
-    deadline=None,
     suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
 )
 every = pytest.mark.parametrize("client", list(Encoding), indirect=True)

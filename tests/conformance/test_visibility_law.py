@@ -229,7 +229,6 @@ PATTERNS = ("/**", "/tenant/*/sensor/**", "/sensor/**", "/*/arm/*", "/tenant/bet
 
 LAW = settings(
     max_examples=60,
-    deadline=None,
     phases=[Phase.explicit, Phase.reuse, Phase.generate],
     suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
 )

@@ -145,7 +145,7 @@ frames = st.builds(
 
 @pytest.mark.parametrize("name", PROFILES)
 @given(data=st.data())
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_no_frame_upsets_a_drive_or_its_twin(name: str, data: st.DataObject) -> None:
     kind, table = profile(name), MOTORS[name]
     bus: Any = NoBus()

@@ -79,7 +79,7 @@ def test_what_is_missing_is_counted() -> None:
     assert framer.stats.lost == 3
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=300)
 @given(noise=st.lists(st.binary(max_size=300), min_size=2, max_size=6))
 def test_between_garbage_whole_frames_are_found(noise: list[bytes]) -> None:
     frames = packed(*attitudes(len(noise)))
@@ -91,7 +91,7 @@ def test_between_garbage_whole_frames_are_found(noise: list[bytes]) -> None:
     assert framer.stats.bad == sum(map(len, quiet))
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=300)
 @given(noise=st.binary(max_size=2000))
 def test_garbage_is_nothing_and_holds_nothing_up(noise: bytes) -> None:
     framer = Framer(DIALECT, None)
@@ -101,7 +101,7 @@ def test_garbage_is_nothing_and_holds_nothing_up(noise: bytes) -> None:
     assert after[-1] in [frame.data for frame in found], "it has come to itself again"
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=300)
 @given(data=st.data())
 def test_a_damaged_frame_never_gets_through(data: st.DataObject) -> None:
     (frame,) = packed(*attitudes(1))
@@ -114,7 +114,7 @@ def test_a_damaged_frame_never_gets_through(data: st.DataObject) -> None:
     assert Framer(DIALECT, None).datagram(bytes(damaged)) == []
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(at=st.integers(0, 60), flipped=st.integers(1, 255))
 def test_only_what_is_signed_with_the_key_gets_through(at: int, flipped: int) -> None:
     framer = Framer(DIALECT, Signing(KEY))

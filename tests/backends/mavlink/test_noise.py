@@ -65,7 +65,7 @@ async def test_garbage_and_pieces_of_frames_are_nothing() -> None:
         before = found.robot.vehicle.latest.get("ATTITUDE")
         reports = set(found.served.life.backend.robots)
 
-        @settings(max_examples=400, deadline=None)
+        @settings(max_examples=400)
         @given(
             noise=st.binary(max_size=400),
             cut=st.integers(0, len(whole) - 1),
@@ -99,7 +99,7 @@ async def test_frames_that_say_nonsense_are_borne() -> None:
         for name in ("attitude", "gps", "battery"):
             await found.client.subscribe(f"/tenant/t/sensor/{name}")
 
-        @settings(max_examples=600, deadline=None)
+        @settings(max_examples=600)
         @given(number=st.sampled_from(NUMBERS), payload=st.binary(max_size=255))
         def feed(number: int, payload: bytes) -> None:
             if number not in (0, 33):  # those would be believed: it is the vehicle that says them
@@ -124,7 +124,7 @@ async def test_what_is_not_signed_with_the_key_changes_nothing_and_is_counted() 
         (link,) = found.robot._hub.links
         count = 0
 
-        @settings(max_examples=150, deadline=None)
+        @settings(max_examples=150)
         @given(roll=st.floats(-1, 1), armed=st.booleans())
         def feed(roll: float, armed: bool) -> None:  # noqa: FBT001
             nonlocal count

@@ -53,7 +53,7 @@ def check(station: Station) -> None:
         station.command(512, number)
 
 
-@settings(max_examples=_TRIES, deadline=None)
+@settings(max_examples=_TRIES)
 @given(kind=kinds, number=commands, params=st.lists(numbers, min_size=7, max_size=7))
 def test_every_command_is_acknowledged_once(kind: str, number: int, params: list[float]) -> None:
     station = moving(kind)
@@ -63,7 +63,7 @@ def test_every_command_is_acknowledged_once(kind: str, number: int, params: list
     check(station)
 
 
-@settings(max_examples=_TRIES, deadline=None)
+@settings(max_examples=_TRIES)
 @given(kind=kinds, number=commands, p=st.lists(numbers, min_size=5, max_size=5), x=whole, y=whole, frame=st.integers(0, 255))  # fmt: skip
 def test_every_command_with_a_place_is_acknowledged_once(
     kind: str, number: int, p: list[float], x: int, y: int, frame: int
@@ -76,7 +76,7 @@ def test_every_command_with_a_place_is_acknowledged_once(
     check(station)
 
 
-@settings(max_examples=_TRIES, deadline=None)
+@settings(max_examples=_TRIES)
 @given(kind=kinds, frame=st.integers(0, 21), mask=st.integers(0, 65535), v=st.lists(numbers, min_size=11, max_size=11))  # fmt: skip
 def test_no_set_point_makes_it_leave_the_world(
     kind: str, frame: int, mask: int, v: list[float]
@@ -87,7 +87,7 @@ def test_no_set_point_makes_it_leave_the_world(
     check(station)
 
 
-@settings(max_examples=_TRIES, deadline=None)
+@settings(max_examples=_TRIES)
 @given(
     kind=kinds,
     given_=st.lists(

@@ -32,7 +32,7 @@ chances = st.integers(0, 2**32).map(random.Random)
 
 
 @pytest.mark.parametrize("cls", TYPES, ids=lambda cls: cls.__name__)
-@settings(max_examples=12, deadline=None)
+@settings(max_examples=12)
 @given(chance=chances)
 def test_what_ros_says_is_what_a_client_reads(cls: Any, chance: random.Random) -> None:
     codec = Codec(cls)
@@ -44,7 +44,7 @@ def test_what_ros_says_is_what_a_client_reads(cls: Any, chance: random.Random) -
 
 
 @pytest.mark.parametrize("cls", TYPES, ids=lambda cls: cls.__name__)
-@settings(max_examples=12, deadline=None)
+@settings(max_examples=12)
 @given(chance=chances)
 def test_what_a_client_reads_and_sends_back_is_what_ros_said(
     cls: Any, chance: random.Random

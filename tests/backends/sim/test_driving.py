@@ -33,7 +33,7 @@ def ride(sim: Simulation, trip: Trip, seconds: float = 400) -> float:
     raise AssertionError("never arrived")
 
 
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 @given(place, place, st.floats(-3, 3), st.floats(0.1, 2.5), st.sampled_from([0.02, 0.1, 0.5]))
 def test_goals_are_reached_from_anywhere_below_the_speed_limit(
     start: tuple[float, float],
@@ -53,7 +53,7 @@ def test_goals_are_reached_from_anywhere_below_the_speed_limit(
 
 
 @given(place, place)
-@settings(deadline=None, max_examples=200)
+@settings(max_examples=200)
 def test_ways_keep_their_distance_and_are_no_longer_than_needed(
     start: tuple[float, float], goal: tuple[float, float]
 ) -> None:

@@ -45,7 +45,7 @@ def one_by_one(world: World, x: float, y: float, angle: float, reach: float) -> 
     return best if best <= reach else math.inf
 
 
-@settings(deadline=None, max_examples=100)
+@settings(max_examples=100)
 @given(st.floats(-19, 19), st.floats(-19, 19), st.floats(-7, 7), st.floats(2, 60))
 def test_a_fan_of_rays_measures_what_single_rays_do(
     x: float, y: float, heading: float, reach: float

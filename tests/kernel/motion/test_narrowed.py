@@ -91,7 +91,7 @@ def let_through(type_: Any, bounds: dict[str, Bound], plain: Any) -> bool:
     return True
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(limits, values)
 def test_the_narrowed_schema_and_the_envelope_agree(
     bounds: dict[str, Bound], plain: dict[str, Any]

@@ -90,7 +90,7 @@ async def _holds(steps: list[dict[str, Any]], allowed: set[str]) -> None:
 
 
 @given(steps=st.lists(STEPS, min_size=1, max_size=3), allowed=ALLOWED)
-@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=60, suppress_health_check=[HealthCheck.too_slow])
 def test_a_plan_does_nothing_that_its_sender_may_not(
     steps: list[dict[str, Any]], allowed: set[str]
 ) -> None:

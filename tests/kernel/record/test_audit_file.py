@@ -71,7 +71,7 @@ def spoilt(kept: Path, how: Callable[[Path], None]) -> bool:
         return bool(findings)
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=300)
 @given(data=st.data())
 def test_any_changed_byte_of_the_file_is_found_or_bears_on_no_record(
     kept: Path, data: st.DataObject
@@ -87,7 +87,7 @@ def test_any_changed_byte_of_the_file_is_found_or_bears_on_no_record(
     spoilt(kept, flip)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(data=st.data())
 def test_any_single_change_to_the_rows_is_found(kept: Path, data: st.DataObject) -> None:
     numbers = [seq for seq, _, _ in rows(kept)]

@@ -302,9 +302,7 @@ JSON = st.recursive(
 )
 
 
-@settings(
-    max_examples=40, suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None
-)
+@settings(max_examples=40, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(method=st.sampled_from(METHODS), params=st.dictionaries(FIELDS, JSON, max_size=5))
 async def test_whatever_is_sent_is_answered_in_the_words_of_the_protocol(
     client: httpx.AsyncClient, method: str, params: dict[str, Any]

@@ -152,7 +152,6 @@ async def test_no_argument_makes_a_tool_tell_what_is_hidden(made: Site) -> None:
 
         @settings(
             max_examples=60,
-            deadline=None,
             suppress_health_check=[HealthCheck.function_scoped_fixture],
         )
         @given(tools, arguments)
