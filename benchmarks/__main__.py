@@ -17,6 +17,7 @@ ALL = (
     "scale",
     "startup",
     "tls",
+    "estop",
     "guarded",
     "mavlink",
     "can_axes",
