@@ -3,7 +3,6 @@
 PYTHON ?=
 PORT ?= 8080
 ARGS ?=
-WORKERS ?= 3  # most tests wait: for robots, sockets and browsers
 
 BIN := .venv/bin
 MADE := .venv/.made
@@ -18,7 +17,7 @@ NEEDS := pyproject.toml constraints.txt $(PAGES)
 
 help:
 	@echo "make demo [PORT=8080]   serve simulated rovers and a drone and say where to look"
-	@echo "make test [ARGS=...]    run the tests; ARGS goes to pytest, WORKERS=0 runs them in one process"
+	@echo "make test [ARGS=...]    run the tests; ARGS goes to pytest"
 	@echo "make dashboard          build the dashboard's pages, where that failed before"
 	@echo "make lint               ruff, pyright, import-linter"
 	@echo "make format             have ruff lay the code out"
@@ -31,7 +30,7 @@ demo: $(DEMO)
 	@exec $(BIN)/rcpd demo --port $(PORT)
 
 test: $(TEST)
-	$(BIN)/python -m pytest -n $(WORKERS) --dist loadfile $(ARGS)
+	$(BIN)/python -m pytest $(ARGS)
 
 dashboard: $(MADE)
 	$(BIN)/python -m pip install -v --no-deps -e .
