@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import os
+
 import pytest
 from hypothesis import settings
 
-# How long an example takes is the machine's affair: no test is timed.
-settings.register_profile("untimed", deadline=None)
+# How long an example takes is the machine's affair: no test is timed. CI tries the same each time.
+settings.register_profile("untimed", deadline=None, derandomize="CI" in os.environ)
 settings.load_profile("untimed")
 
 

@@ -11,6 +11,8 @@ __all__ = ["Leg", "Path"]
 
 _LATE = 0.1  # s: a longer gap counts as this, so that no joint leaps
 
+_NOTHING = 1e-9  # rad: a joint that is nearer to its goal than this is there
+
 
 class Leg(NamedTuple):
     """The part of one joint; rad, rad/s and rad/s² at the joint."""
@@ -33,7 +35,7 @@ class Path:
     """
 
     def __init__(self, legs: Iterable[Leg], clock: Callable[[], float] = time.monotonic) -> None:
-        ways = [leg for leg in legs if leg.way]
+        ways = [leg for leg in legs if abs(leg.way) > _NOTHING]
         speed = min((leg.velocity / abs(leg.way) for leg in ways), default=math.inf)
         self._acceleration = min((leg.acceleration / abs(leg.way) for leg in ways), default=1.0)
         self._peak = min(speed, math.sqrt(self._acceleration))

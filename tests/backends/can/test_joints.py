@@ -13,7 +13,7 @@ import anyio
 import can
 import msgspec
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 import rcp_can
@@ -339,6 +339,7 @@ legs = st.builds(
 
 
 @given(st.lists(legs, min_size=1, max_size=4), st.floats(0, 1.2))
+@example([Leg(0.0, 5e-324, 1.0, 1.0)], 1.2)
 def test_no_joint_leaves_its_limits_and_all_end_together(all_: list[Leg], brake: float) -> None:
     clock = Clock()
     path = Path(all_, clock)
