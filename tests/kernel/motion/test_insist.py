@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Coroutine
+from collections.abc import Callable, Coroutine, Iterator
 from typing import Any
 
 import pytest
@@ -12,6 +12,17 @@ import structlog
 from rcp_kernel.motion.insist import insist
 
 pytestmark = pytest.mark.anyio
+
+
+@pytest.fixture(autouse=True)
+def every_level() -> Iterator[None]:
+    """Log everything, whatever a gateway of an earlier test was told."""
+    kept = structlog.get_config()
+    structlog.configure(wrapper_class=structlog.make_filtering_bound_logger(0))
+    yield
+    structlog.configure(**kept)
+
+
 BOUND = 10.0
 
 Way = Callable[[], Coroutine[Any, Any, None]]
