@@ -26,11 +26,11 @@ def test_nothing_that_was_promised_is_lost_when_the_gateway_is_killed(tmp_path: 
     assert counts["told"] > 1000
     assert counts["denials"] > 50
     assert counts["repeated"] > 500
-    assert counts["cut off"] > 10
-    assert counts["ended unheard"] > 10
+    assert counts["cut off"] > 2
+    assert counts["ended unheard"] > 2
     assert counts["sessions resumed"] > 20
     assert counts["subscriptions restored"] > 20
-    assert counts["latches back"] > 5
+    assert counts["latches back"] > 2
     assert counts["leases back"] > 20
     # A greeting is not held back for its session: killed right after it, there may be none.
     assert counts.get("sessions lost", 0) < 10
