@@ -16,7 +16,7 @@ NEEDS := pyproject.toml constraints.txt $(PAGES)
 .PHONY: help demo test dashboard lint format bench constraints picture clean
 
 help:
-	@echo "make demo [PORT=8080]   serve simulated rovers and a drone and say where to look"
+	@echo "make demo [PORT=8080]   serve simulated robots and say where to look"
 	@echo "make test [ARGS=...]    run the tests; ARGS goes to pytest"
 	@echo "make dashboard          build the dashboard's pages, where that failed before"
 	@echo "make lint               ruff, pyright, import-linter"
@@ -88,7 +88,7 @@ endef
 # What was installed for the tests serves the demo too.
 $(DEMO): $(NEEDS) | $(MADE)
 	@echo "Installing what the demo needs"
-	@$(PIP) -c constraints.txt -e '.[mavlink]'
+	@$(PIP) -c constraints.txt -e '.[can,mavlink]'
 	@$(told)
 	@touch $@
 
