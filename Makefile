@@ -11,7 +11,7 @@ TEST := .venv/.test
 PIP := $(BIN)/python -m pip install -qq --disable-pip-version-check
 WEB := plugins/rcp_dashboard/web
 PAGES := $(shell find $(WEB) clients/typescript/src -name node_modules -prune -o -type f ! -name .made -print)
-NEEDS := pyproject.toml constraints.txt $(PAGES)
+NEEDS := Makefile pyproject.toml constraints.txt $(PAGES)
 
 .PHONY: help demo test dashboard lint format bench constraints picture clean
 
