@@ -15,6 +15,7 @@ from msgspec.structs import replace
 from rcp_kernel.errors import AdapterUnavailable, ConfigError, PluginError, RcpError
 from rcp_kernel.model import Kind, Resource, kind_of
 from rcp_ros2.actions import Run
+from rcp_ros2.assets import Assets
 from rcp_ros2.binding import Absent, Binding, Construct, Offer, Shared
 from rcp_ros2.calls import Calls, calls_of
 from rcp_ros2.clock import Clock
@@ -73,6 +74,7 @@ class Catalog:
             Transforms(shared, wanted.exposes, clock.on_jump),
             Log(shared, wanted.exposes_log),
             Pictures(shared, self.bindings),
+            Assets(shared, wanted.matters),
         )
         shared.look_again = lambda: self.update(shared.graph)
 

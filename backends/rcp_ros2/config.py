@@ -10,7 +10,7 @@ from rcp_kernel.errors import RcpError
 from rcp_kernel.model import Kind, Policy, kind_of
 from rcp_ros2.definitions import parse
 
-__all__ = ["Diagnostics", "Jpeg", "Log", "Mapping", "Qos", "Ros2Config", "Transforms"]
+__all__ = ["Assets", "Diagnostics", "Jpeg", "Log", "Mapping", "Qos", "Ros2Config", "Transforms"]
 
 RosName = Annotated[str, Meta(pattern=r"^~?/?[A-Za-z0-9_~/]+$", max_length=256)]
 RosPattern = Annotated[str, Meta(pattern=r"^[A-Za-z0-9_*/]+$", max_length=256)]
@@ -121,6 +121,15 @@ class Jpeg(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """At most so many a second of one camera."""
 
 
+class Assets(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Where the meshes and textures that a robot's description names are found."""
+
+    paths: dict[str, str] = {}
+    """Package → folder, of those that are not installed here, or installed as links."""
+    size: Annotated[int, Meta(ge=1, le=2**28, extra_json_schema={"unit": "By"})] = 2**24
+    """Of one file, at most; a larger one is refused."""
+
+
 class Transforms(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """How the tree of frames is kept, where `expose` names `/tf` and `/tf_static`."""
 
@@ -175,6 +184,7 @@ class Ros2Config(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     log: Log = Log()
     jpeg: Jpeg = Jpeg()
     tf: Transforms = Transforms()
+    assets: Assets = Assets()
     graph: bool = False
     """Offer the graph itself as `sensor/ros/graph`."""
     use_sim_time: bool = False

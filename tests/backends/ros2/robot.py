@@ -208,3 +208,9 @@ class Fleet(Crew):
     """Rovers, each in a namespace of its own, in one process."""
 
     script = "rover.py"
+
+
+class Eyes(Crew):
+    """A rover with all that a dashboard draws."""
+
+    script = "seen.py"

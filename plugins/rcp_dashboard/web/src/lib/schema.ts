@@ -79,7 +79,7 @@ export function faults(value: unknown, schema: Schema): Fault[] {
 }
 
 /** The properties of a resource's value, or of its input, as far as the schema tells. */
-export function properties(resource: Resource, of: "value" | "input" = "value"): Set<string> {
+export function properties(resource: Resource, of: "value" | "input" | "output" = "value"): Set<string> {
   const root = resource.schemas?.[of];
   if (!root) return new Set();
   const whole = main(resolve(root, root), root).schema;

@@ -4,7 +4,7 @@ import { properties } from "./schema.ts";
 
 /** What a page can make of a resource, told by the fields of its schema and not by its name. */
 export type Shape =
-  | "pose" | "odometry" | "scan" | "grid" | "image" | "cloud" | "geo" | "transforms" | "twist" | "battery" | "path" | "goal" | "urdf";
+  | "pose" | "odometry" | "scan" | "grid" | "image" | "cloud" | "geo" | "transforms" | "transform" | "joints" | "twist" | "battery" | "path" | "goal" | "urdf" | "assets";
 
 const cache = new WeakMap<Resource, Set<Shape>>();
 
@@ -23,9 +23,11 @@ function* look(resource: Resource): Generator<Shape> {
   if (all("ranges", "angle_min", "angle_increment")) yield "scan";
   if (all("resolution", "width", "height", "data") || all("info", "data")) yield "grid";
   if ((all("width", "height", "data") && !has.has("resolution") && !has.has("point_step")) || all("format", "data")) yield "image";
-  if (all("point_step", "data") || has.has("points")) yield "cloud";
+  if (all("point_step", "data") || (has.has("points") && !has.has("joint_names"))) yield "cloud";
   if (all("latitude", "longitude")) yield "geo";
   if (has.has("transforms")) yield "transforms";
+  if (all("transform", "child_frame_id")) yield "transform";
+  if (all("name", "position") && !has.has("orientation")) yield "joints";
   if (has.has("poses")) yield "path";
   if (has.has("percentage") || (has.has("voltage") && has.has("current"))) yield "battery";
   if (resource.kind === "actuator" && (all("linear", "angular") || has.has("twist"))) yield "twist";
@@ -34,7 +36,8 @@ function* look(resource: Resource): Generator<Shape> {
     if (text.includes('"position"') || (text.includes('"pose"') && text.includes('"orientation"'))) yield "goal";
     else if (text.includes('"latitude"')) yield "goal";
   }
-  if (/robot_description|urdf/.test(resource.path)) yield "urdf";
+  if (resource.kind === "service" && properties(resource, "input").has("uri") && properties(resource, "output").has("media_type")) yield "assets";
+  if (resource.kind !== "service" && /robot_description|urdf/.test(resource.path)) yield "urdf";
 }
 
 export function ofShape(resources: Resource[], shape: Shape): Resource[] {
@@ -62,4 +65,9 @@ export function poseOf(value: any): Pose | undefined {
   const { x: qx = 0, y: qy = 0, z: qz = 0, w = 1 } = at.orientation ?? {};
   const frame = value.frame_id ?? value.header?.frame_id ?? "map";
   return { position: { x, y, z }, orientation: { x: qx, y: qy, z: qz, w }, frame };
+}
+
+/** Position and heading in a transform of 16 numbers, column by column. */
+export function placeOf(m: ArrayLike<number>): { x: number; y: number; z: number; yaw: number } {
+  return { x: m[12] as number, y: m[13] as number, z: m[14] as number, yaw: Math.atan2(m[1] as number, m[0] as number) };
 }

@@ -7,35 +7,69 @@ export function matrixOf(position: any, orientation: any): Matrix4 {
   return new Matrix4().compose(new Vector3(x, y, z), new Quaternion(qx, qy, qz, w), new Vector3(1, 1, 1));
 }
 
+const bare = (name: string): string => name.replace(/^\//, "");
+const DEEP = 256; // frames in one chain; more is a ring
+
 /** The tree of frames, as far as transforms of it have come. */
 export class Frames {
-  #known = new Map<string, { parent: string; matrix: Matrix4 }>();
+  #above = new Map<string, { parent: string; matrix: Matrix4 }>();
+  #names: string[] = [];
 
-  get names(): string[] {
-    return [...this.#known.keys()];
+  /** All that are known, whether they hang from another one or others hang from them. */
+  get names(): readonly string[] {
+    return this.#names;
   }
 
   /** Take one transform, or a list of them. */
   take(value: any): void {
     for (const one of value.transforms ?? (Array.isArray(value) ? value : [value])) {
       const transform = one.transform ?? one;
-      const parent = one.header?.frame_id ?? one.frame_id ?? one.parent;
-      const child = one.child_frame_id ?? one.child;
-      if (!parent || !child) continue;
-      this.#known.set(child, { parent, matrix: matrixOf(transform.translation, transform.rotation) });
+      const parent = bare(one.header?.frame_id ?? one.frame_id ?? one.parent ?? "");
+      const child = bare(one.child_frame_id ?? one.child ?? "");
+      if (!parent || !child || parent === child) continue;
+      const known = this.#above.get(child);
+      const matrix = matrixOf(transform.translation, transform.rotation);
+      this.#above.set(child, { parent, matrix });
+      if (known?.parent !== parent)
+        this.#names = [...new Set([...this.#above].flatMap(([name, above]) => [name, above.parent]))].sort();
     }
   }
 
-  /** What takes points of a frame into another one; undefined where nothing joins them. */
-  between(frame: string, fixed: string): Matrix4 | undefined {
-    const matrix = new Matrix4();
-    let at = frame;
-    for (let depth = 0; at !== fixed; depth++) {
-      const step = this.#known.get(at);
-      if (!step || depth > 64) return undefined;
-      matrix.premultiply(step.matrix);
-      at = step.parent;
+  /** The name by which a frame is known here: its own, or the only one that ends with it. */
+  find(name: string): string | undefined {
+    const wanted = bare(name);
+    if (this.#names.includes(wanted)) return wanted;
+    const prefixed = this.#names.filter((one) => one.endsWith(`/${wanted}`));
+    return prefixed.length === 1 ? prefixed[0] : undefined;
+  }
+
+  /** The frame that all above this one hangs from. */
+  root(name: string): string {
+    return this.#up(name).at(-1)?.[0] ?? name;
+  }
+
+  /** The frames from one up to its root, each with what takes the points of the first into it. */
+  #up(name: string): [string, Matrix4][] {
+    const chain: [string, Matrix4][] = [[name, new Matrix4()]];
+    let at = this.#above.get(name);
+    while (at && chain.length < DEEP) {
+      const below = chain.at(-1)![1];
+      chain.push([at.parent, new Matrix4().multiplyMatrices(at.matrix, below)]);
+      at = this.#above.get(at.parent);
     }
-    return matrix;
+    return chain;
+  }
+
+  /** What takes points of a frame into another one; undefined where nothing joins them. */
+  between(source: string, target: string): Matrix4 | undefined {
+    const [from, to] = [this.find(source), this.find(target)];
+    if (from === undefined || to === undefined) return undefined;
+    if (from === to) return new Matrix4();
+    const down = new Map(this.#up(to));
+    for (const [name, matrix] of this.#up(from)) {
+      const back = down.get(name);
+      if (back) return new Matrix4().copy(back).invert().multiply(matrix);
+    }
+    return undefined;
   }
 }

@@ -1,9 +1,9 @@
 import {
-  AxesHelper, BoxGeometry, BufferAttribute, BufferGeometry, ConeGeometry, DataTexture, Group, Line, LineBasicMaterial, LinearFilter, type Matrix4, Mesh,
-  MeshBasicMaterial, MeshStandardMaterial, NearestFilter, PlaneGeometry, Points, PointsMaterial, RGBAFormat, SRGBColorSpace,
+  ArrowHelper, AxesHelper, BoxGeometry, BufferAttribute, BufferGeometry, CanvasTexture, Color, ConeGeometry, Group, Line, LineBasicMaterial, type Matrix4, Mesh,
+  MeshBasicMaterial, MeshStandardMaterial, Points as PointsObject, PointsMaterial, Sprite, SpriteMaterial, Vector3,
 } from "three";
 
-import { bytesOf } from "../picture.ts";
+import { colour, type Colouring, type Points } from "./cloud.ts";
 import { matrixOf } from "./frames.ts";
 
 const TRAIL = 4000; // places
@@ -18,7 +18,6 @@ export function body(): Group {
   nose.rotation.z = -Math.PI / 2;
   nose.position.set(0.34, 0, 0.16);
   made.add(base, nose);
-  made.matrixAutoUpdate = false;
   return made;
 }
 
@@ -36,126 +35,108 @@ export class Trail {
     this.object.frustumCulled = false;
   }
 
+  get count(): number {
+    return this.#count;
+  }
+
   push(x: number, y: number, z: number): void {
     const last = (this.#count - 1) * 3;
-    if (this.#count > 0 && Math.hypot(x - this.#places[last]!, y - this.#places[last + 1]!) < STEP) return;
+    const before = this.#places.subarray(last, last + 3) as unknown as [number, number, number];
+    if (this.#count > 0 && Math.hypot(x - before[0], y - before[1], z + 0.03 - before[2]) < STEP) return;
     if (this.#count === TRAIL) {
       this.#places.copyWithin(0, TRAIL * 1.5); // the older half goes
       this.#count = TRAIL / 2;
     }
     this.#places.set([x, y, z + 0.03], this.#count * 3);
-    this.#count += 1;
-    this.object.geometry.setDrawRange(0, this.#count);
+    this.#show(this.#count + 1);
+  }
+
+  clear(): void {
+    this.#show(0);
+  }
+
+  #show(count: number): void {
+    this.#count = count;
+    this.object.geometry.setDrawRange(0, count);
     this.object.geometry.attributes["position"]!.needsUpdate = true;
   }
 }
 
 /** Points that are all new with each message: a scan, a cloud. */
 export class Dots {
-  readonly object: Points;
+  readonly object: PointsObject<BufferGeometry, PointsMaterial>;
+  /** By what they are coloured. */
+  by: Colouring = "plain";
+  readonly #plain: Color;
   #room = 0;
+  #points: Points = { places: new Float32Array(0), count: 0 };
 
-  constructor(colour: number, size: number) {
-    this.object = new Points(new BufferGeometry(), new PointsMaterial({ color: colour, size, sizeAttenuation: false }));
+  constructor(plain: number, size: number) {
+    this.#plain = new Color(plain);
+    this.object = new PointsObject(new BufferGeometry(), new PointsMaterial({ size, sizeAttenuation: false }));
     this.object.frustumCulled = false;
     this.object.matrixAutoUpdate = false;
   }
 
-  show(places: Float32Array, count: number, at: Matrix4): void {
-    if (count * 3 > this.#room) {
-      this.#room = Math.ceil(count * 1.25) * 3;
+  get count(): number {
+    return this.#points.count;
+  }
+
+  show(points: Points): void {
+    this.#points = points;
+    if (points.count * 3 > this.#room) {
+      this.#room = Math.ceil(points.count * 1.25) * 3;
       this.object.geometry.dispose();
       this.object.geometry = new BufferGeometry();
-      this.object.geometry.setAttribute("position", new BufferAttribute(new Float32Array(this.#room), 3));
+      for (const name of ["position", "color"]) this.object.geometry.setAttribute(name, new BufferAttribute(new Float32Array(this.#room), 3));
     }
     const attribute = this.object.geometry.attributes["position"];
     if (attribute) {
-      (attribute.array as Float32Array).set(places.subarray(0, count * 3));
+      (attribute.array as Float32Array).set(points.places.subarray(0, points.count * 3));
       attribute.needsUpdate = true;
     }
-    this.object.geometry.setDrawRange(0, count);
-    this.object.matrix.copy(at);
+    this.object.geometry.setDrawRange(0, points.count);
+  }
+
+  colour(wanted: Colouring, at: Matrix4): void {
+    const attribute = this.object.geometry.attributes["color"];
+    this.by = attribute ? colour(this.#points, wanted, at, attribute.array as Float32Array) : "plain";
+    const each = this.by !== "plain";
+    if (this.object.material.vertexColors !== each) {
+      this.object.material.vertexColors = each;
+      this.object.material.needsUpdate = true;
+    }
+    this.object.material.color.copy(each ? WHITE : this.#plain);
+    if (attribute) attribute.needsUpdate = each;
+  }
+
+  /** The middle of all points, in their own frame. */
+  middle(): Vector3 {
+    const { places, count } = this.#points;
+    const sum = [0, 0, 0] as [number, number, number];
+    for (let i = 0; i < count * 3; i += 3) for (const axis of [0, 1, 2] as const) sum[axis] += places[i + axis] as number;
+    return new Vector3(...sum).divideScalar(Math.max(1, count));
   }
 }
 
-/** The ends of the beams that came back, in the scanner's frame. */
-export function scanPoints(scan: any): { places: Float32Array; count: number } {
-  const places = new Float32Array(scan.ranges.length * 3);
-  let count = 0;
-  for (let at = 0; at < scan.ranges.length; at++) {
-    const range = scan.ranges[at];
-    if (typeof range !== "number" || range < scan.range_min || range > scan.range_max) continue;
-    const angle = scan.angle_min + at * scan.angle_increment;
-    places[count * 3] = range * Math.cos(angle);
-    places[count * 3 + 1] = range * Math.sin(angle);
-    places[count * 3 + 2] = 0.1;
-    count += 1;
-  }
-  return { places, count };
-}
-
-const MOST = 200_000; // points of a cloud that are drawn
-
-/** Points of a `PointCloud2`, or of a plain list. */
-export function cloudPoints(cloud: any): { places: Float32Array; count: number } {
-  if (Array.isArray(cloud.points)) {
-    const list = cloud.points.slice(0, MOST);
-    const flat = Float32Array.from(list.flatMap((one: any) => (Array.isArray(one) ? one.slice(0, 3) : [one.x, one.y, one.z ?? 0])));
-    return { places: flat, count: list.length };
-  }
-  const data = bytesOf(cloud.data);
-  const view = new DataView(data.buffer);
-  const offset = (name: string): number => cloud.fields.find((field: any) => field.name === name)?.offset ?? -1;
-  const [x, y, z] = [offset("x"), offset("y"), offset("z")];
-  const little = !cloud.is_bigendian;
-  const total = Math.floor(data.length / cloud.point_step);
-  const stride = Math.ceil(total / MOST);
-  const places = new Float32Array(Math.ceil(total / stride) * 3);
-  let count = 0;
-  for (let at = 0; at < total; at += stride) {
-    const from = at * cloud.point_step;
-    const px = view.getFloat32(from + x, little);
-    if (Number.isNaN(px)) continue;
-    places[count * 3] = px;
-    places[count * 3 + 1] = view.getFloat32(from + y, little);
-    places[count * 3 + 2] = z < 0 ? 0 : view.getFloat32(from + z, little);
-    count += 1;
-  }
-  return { places, count };
-}
-
-/** A map in cells, as a picture on the floor: free is light, occupied dark, unknown not there. */
-export function gridMesh(grid: any, dark: boolean): Mesh {
-  const { resolution, width, height, origin } = grid.info ?? grid;
-  const cells: ArrayLike<number> = typeof grid.data === "string" ? bytesOf(grid.data) : grid.data;
-  const pixels = new Uint8Array(width * height * 4);
-  const [free, full] = dark ? [46, 205] : [255, 40];
-  for (let at = 0, to = 0; at < width * height; at++, to += 4) {
-    const cell = cells[at] as number;
-    if (cell < 0 || cell > 100) continue;
-    const shade = free + ((full - free) * cell) / 100;
-    pixels[to] = pixels[to + 1] = pixels[to + 2] = shade;
-    pixels[to + 3] = cell === 0 ? 200 : 255;
-  }
-  const texture = new DataTexture(pixels, width, height, RGBAFormat);
-  texture.colorSpace = SRGBColorSpace;
-  texture.magFilter = NearestFilter;
-  texture.minFilter = LinearFilter;
-  texture.needsUpdate = true;
-  const made = new Mesh(new PlaneGeometry(width * resolution, height * resolution), new MeshBasicMaterial({ map: texture, transparent: true }));
-  made.geometry.translate((width * resolution) / 2, (height * resolution) / 2, -0.01);
-  made.matrixAutoUpdate = false;
-  made.matrix.copy(matrixOf(origin?.position, origin?.orientation));
-  return made;
-}
+const WHITE = new Color(0xffffff);
 
 /** A way that is planned. */
 export function pathLine(path: any): Line {
-  const places = (path.poses ?? []).map((one: any) => one.pose?.position ?? one.position ?? one);
-  const flat = new Float32Array(places.flatMap((one: any) => [one.x ?? 0, one.y ?? 0, (one.z ?? 0) + 0.04]));
+  const places: any[] = (path.poses ?? []).map((one: any) => one.pose?.position ?? one.position ?? one);
+  const flat = new Float32Array(places.flatMap((one) => [one.x ?? 0, one.y ?? 0, (one.z ?? 0) + 0.04]));
   const geometry = new BufferGeometry();
   geometry.setAttribute("position", new BufferAttribute(flat, 3));
-  return new Line(geometry, new LineBasicMaterial({ color: 0x3fbf7f }));
+  const made = new Line(geometry, new LineBasicMaterial({ color: 0x3fbf7f }));
+  made.frustumCulled = false;
+  return made;
+}
+
+/** A pose that somebody tells of: an arrow along its x. */
+export function poseArrow(position: any, orientation: any): ArrowHelper {
+  const at = matrixOf(position, orientation);
+  const along = new Vector3().setFromMatrixColumn(at, 0).normalize();
+  return new ArrowHelper(along, new Vector3().setFromMatrixPosition(at), 0.8, 0xd065d8, 0.25, 0.16);
 }
 
 /** Where it is told to go: an arrow standing on the floor. */
@@ -171,8 +152,40 @@ export function goalMark(): Group {
   return made;
 }
 
-export function axes(size: number): AxesHelper {
-  const made = new AxesHelper(size);
-  made.matrixAutoUpdate = false;
-  return made;
+const TEXT = 44; // pixels of a letter's height before it is drawn small
+
+/** A frame: its axes, x red, y green, z blue, and its name. */
+export class FrameMark {
+  readonly object: AxesHelper;
+  readonly #label: Sprite;
+  readonly #wide: number;
+
+  constructor(name: string, size = 0.3) {
+    this.object = new AxesHelper(size);
+    this.object.matrixAutoUpdate = false;
+    const canvas = document.createElement("canvas");
+    const font = `600 ${TEXT}px system-ui, sans-serif`;
+    let pen = canvas.getContext("2d")!;
+    pen.font = font;
+    canvas.width = Math.ceil(pen.measureText(name).width) + 12;
+    canvas.height = TEXT * 1.4;
+    pen = canvas.getContext("2d")!;
+    pen.font = font;
+    pen.textBaseline = "middle";
+    pen.lineWidth = 7;
+    pen.strokeStyle = "#fff";
+    pen.fillStyle = "#1b2733";
+    pen.strokeText(name, 6, canvas.height / 2);
+    pen.fillText(name, 6, canvas.height / 2);
+    this.#wide = canvas.width / canvas.height;
+    this.#label = new Sprite(new SpriteMaterial({ map: new CanvasTexture(canvas), sizeAttenuation: false, depthTest: false }));
+    this.#label.center.set(-0.05, -0.1);
+    this.#label.renderOrder = 10;
+    this.object.add(this.#label);
+  }
+
+  /** Write the name so high. */
+  fit(height: number): void {
+    this.#label.scale.set(height * this.#wide, height, 1);
+  }
 }

@@ -7,7 +7,8 @@ import { OrbitControls } from "three/addons/controls/OrbitControls.js";
 export type Mode = "2d" | "3d";
 
 const PAUSE = 45; // ms between pictures that the processor has to draw
-const REACH = 12; // m from the middle to the edge of what is seen at first
+const REACH = 12; // m from the middle to the edge of what is seen at first, from above
+const NEAR = 6; // m of the eye from the middle along each axis
 
 /** Whether WebGL is done by the processor: then fewer pixels are drawn, and their edges not smoothed. */
 function inSoftware(): boolean {
@@ -24,6 +25,8 @@ export class View {
   mode: Mode = "2d";
   /** Frames drawn so far. */
   drawn = 0;
+  /** Called right before something is drawn. */
+  before: () => void = () => undefined;
   readonly #renderer: WebGLRenderer;
   readonly #flat = new OrthographicCamera(-1, 1, 1, -1, 0.1, 2000);
   readonly #deep = new PerspectiveCamera(50, 1, 0.05, 2000);
@@ -60,6 +63,7 @@ export class View {
       drawnAt = now;
       this.#dirty = false;
       this.drawn += 1;
+      this.before();
       this.#renderer.render(this.scene, this.camera);
     };
     draw(0);
@@ -73,6 +77,11 @@ export class View {
     return this.#renderer.domElement;
   }
 
+  /** How high the view is: in metres, or at a distance of one metre. */
+  get tall(): number {
+    return this.mode === "2d" ? (2 * REACH) / this.#flat.zoom : 2 * Math.tan((this.#deep.fov * Math.PI) / 360);
+  }
+
   changed(): void {
     this.#dirty = true;
   }
@@ -82,7 +91,7 @@ export class View {
     this.mode = mode;
     const at = this.#middle;
     if (mode === "2d") this.#flat.position.set(at.x, at.y, 500);
-    else this.#deep.position.set(at.x - REACH, at.y - REACH * 0.8, REACH);
+    else this.#deep.position.set(at.x - NEAR, at.y - NEAR * 0.8, NEAR);
     const controls = new OrbitControls(this.camera, this.canvas);
     controls.target.copy(at);
     controls.enableRotate = mode === "3d";
@@ -106,6 +115,7 @@ export class View {
   /** Move so that a place is in the middle. */
   look(x: number, y: number): void {
     const by = new Vector3(x, y, 0).sub(this.#controls.target).setZ(0);
+    if (by.lengthSq() < 1e-8) return;
     this.camera.position.add(by);
     this.#controls.target.add(by);
     this.#middle.copy(this.#controls.target);
@@ -160,8 +170,11 @@ export class View {
     this.#controls.dispose();
     this.scene.traverse((thing: any) => {
       thing.geometry?.dispose();
-      thing.material?.map?.dispose();
-      thing.material?.dispose?.();
+      for (const material of [thing.material].flat()) {
+        material?.map?.dispose();
+        material?.uniforms?.cells?.value.dispose();
+        material?.dispose();
+      }
     });
     this.#renderer.dispose();
     this.#renderer.forceContextLoss();

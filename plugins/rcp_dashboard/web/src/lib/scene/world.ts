@@ -1,105 +1,205 @@
-import { type AxesHelper, type Group, Matrix4, type Mesh, type Object3D } from "three";
+import { type Group, Matrix4, type Object3D, Vector3 } from "three";
 
 import { poseOf } from "../shapes.ts";
-import { Frames, matrixOf } from "./frames.ts";
-import { axes, body, cloudPoints, Dots, goalMark, gridMesh, pathLine, scanPoints, Trail } from "./layers.ts";
+import { Body, type Model } from "./body.ts";
+import { cloudPoints, type Colouring, scanPoints } from "./cloud.ts";
+import { matrixOf } from "./frames.ts";
+import { Grid } from "./grid.ts";
+import { Dots, FrameMark, goalMark, pathLine, poseArrow } from "./layers.ts";
 import type { View } from "./view.ts";
 
-export type Layer = "map" | "scan" | "cloud" | "trail" | "path" | "frames" | "robot";
-export const LAYERS: Layer[] = ["map", "scan", "cloud", "trail", "path", "frames", "robot"];
+export type Layer = "map" | "scan" | "cloud" | "path" | "pose" | "trail" | "frames" | "robot";
+export const LAYERS: Layer[] = ["map", "scan", "cloud", "path", "pose", "trail", "frames", "robot"];
+const FIXED = ["map", "world", "earth", "odom"];
+const LABEL = 0.022; // of the height of the view
 
-/** One robot and what it perceives, in the frame that its pose is told in. */
+/** What one source brings to the scene, as the page tells it. */
+export interface Told {
+  layer: Layer;
+  path: string;
+  frame: string;
+  /** Points, cells, places or links. */
+  count: number;
+  /** Its middle in the fixed frame, metres. */
+  at: [number, number, number] | undefined;
+  by?: Colouring;
+  problem?: string;
+  /** Of a robot, its links. */
+  links?: Spot[];
+}
+
+export interface Spot {
+  name: string;
+  at: [number, number, number];
+}
+
+interface Item {
+  layer: Layer;
+  body: Body;
+  frame: string | undefined;
+  object: Object3D;
+  count: number;
+  /** Of points: they stay where they were measured, while all else moves with its frame. */
+  dots?: Dots;
+  grid?: Grid;
+  fresh: boolean;
+  placed: boolean;
+  problem?: string;
+}
+
+/** The robots of one backend and what they perceive, in one frame that is taken to stand still. */
 export class World {
-  readonly frames = new Frames();
   follow = false;
+  /** The frame that stands still; undefined takes the usual one. */
+  wanted: string | undefined;
+  colouring: Colouring = "auto";
+  fixed = "map";
+  /** Where the first robot is, in the fixed frame. */
+  place: Matrix4 | undefined;
   readonly #view: View;
-  #fixed = "map";
-  #base = new Matrix4();
-  #robot: Object3D = body();
-  #trail = new Trail();
-  #scans = new Map<string, Dots>();
-  #clouds = new Map<string, Dots>();
-  #grid: Mesh | undefined;
-  #gridValue: any;
-  #path: Object3D | undefined;
-  #goal: Group = goalMark();
-  #axes = new Map<string, AxesHelper>();
-  #hidden = new Set<Layer>();
+  readonly #bodies = new Map<string, Body>();
+  readonly #items = new Map<string, Item>();
+  readonly #marks = new Map<Body, Map<string, FrameMark>>();
+  readonly #problems = new Map<string, string>();
+  readonly #goal: Group = goalMark();
+  readonly #hidden = new Set<Layer>();
   #dark = true;
 
   constructor(view: View) {
     this.#view = view;
     this.#goal.visible = false;
-    for (const thing of [this.#robot, this.#trail.object, this.#goal]) view.add(thing);
+    view.add(this.#goal);
+    view.before = () => this.#settle();
   }
 
-  pose(value: any): void {
+  body(space: string): Body {
+    let found = this.#bodies.get(space);
+    if (!found) {
+      this.#bodies.set(space, (found = new Body()));
+      this.#marks.set(found, new Map());
+      for (const thing of [found.stand, found.trail.object]) this.#view.add(thing);
+    }
+    return found;
+  }
+
+  /** All frames that points can be taken into. */
+  get frames(): string[] {
+    const bodies = [...this.#bodies.values()];
+    return [...new Set(bodies.flatMap((one) => [...one.frames.names, ...(one.pose ? [one.pose.frame] : [])]))].sort();
+  }
+
+  /** Take a value of a source; whatever is wrong with it is told, and the last one stays. */
+  take(layer: Exclude<Layer, "trail" | "frames" | "robot">, space: string, path: string, value: any): void {
+    try {
+      const item = this.#items.get(path) ?? this.#make(layer, space, path);
+      item.frame = value.header?.frame_id ?? value.frame_id;
+      this.#fill(item, value);
+      item.fresh = true;
+      this.#problems.delete(path);
+    } catch (error) {
+      this.#problems.set(path, `cannot be drawn: ${(error as Error).message}`);
+    }
+    this.#view.changed();
+  }
+
+  #make(layer: Layer, space: string, path: string): Item {
+    const item: Item = { layer, body: this.body(space), frame: undefined, object: undefined as never, count: 0, fresh: true, placed: false };
+    if (layer === "scan") item.dots = new Dots(0xff5d5d, 3);
+    if (layer === "cloud") item.dots = new Dots(0x36b8c4, 2);
+    if (item.dots) this.#replace(item, item.dots.object);
+    this.#items.set(path, item);
+    return item;
+  }
+
+  #fill(item: Item, value: any): void {
+    if (item.dots) {
+      item.dots.show(item.layer === "scan" ? scanPoints(value) : cloudPoints(value));
+      item.count = item.dots.count;
+    } else if (item.layer === "map") {
+      const { width, height } = value.info ?? value;
+      item.count = width * height;
+      if (!item.grid?.take(value)) {
+        const old = item.grid;
+        item.grid = new Grid(value, this.#dark);
+        this.#replace(item, item.grid.object);
+        old?.dispose();
+      }
+    } else if (item.layer === "path") {
+      item.count = value.poses?.length ?? 0;
+      this.#replace(item, pathLine(value));
+    } else {
+      const told = poseOf(value);
+      if (!told) throw new Error("it has no position");
+      item.count = 1;
+      const { position, orientation } = told;
+      this.#replace(item, poseArrow(position, orientation));
+    }
+  }
+
+  #replace(item: Item, object: Object3D): void {
+    if (item.object) this.#drop(item.object);
+    if (item.layer === "path" || item.layer === "pose") {
+      // Their own place is in the object: what moves them is around it.
+      const around = new Matrix4();
+      object.updateMatrix();
+      item.object = object;
+      object.matrixAutoUpdate = false;
+      object.userData["inner"] = around.copy(object.matrix);
+    } else item.object = object;
+    this.#view.add(item.object);
+  }
+
+  /** Take where the robot is. */
+  pose(space: string, value: any): void {
     const told = poseOf(value);
     if (!told) return;
-    this.#fixed = told.frame;
-    this.#base = matrixOf(told.position, told.orientation);
-    this.#robot.matrix.copy(this.#base);
-    this.#robot.matrixWorldNeedsUpdate = true;
-    this.#trail.push(told.position.x, told.position.y, told.position.z);
-    if (this.follow) this.#view.look(told.position.x, told.position.y);
+    this.body(space).pose = { ...told, base: value.child_frame_id };
     this.#view.changed();
   }
 
-  /** What takes a frame into the fixed one; a sensor that no transform tells of is taken to sit on the robot. */
-  #place(frame: string | undefined): Matrix4 {
-    if (frame === undefined) return this.#base;
-    return frame === this.#fixed ? new Matrix4() : (this.frames.between(frame, this.#fixed) ?? this.#base);
-  }
-
-  #dots(kept: Map<string, Dots>, path: string, layer: Layer, make: () => Dots): Dots {
-    let dots = kept.get(path);
-    if (!dots) {
-      kept.set(path, (dots = make()));
-      dots.object.visible = !this.#hidden.has(layer);
-      this.#view.add(dots.object);
-    }
-    return dots;
-  }
-
-  scan(path: string, value: any): void {
-    const { places, count } = scanPoints(value);
-    this.#dots(this.#scans, path, "scan", () => new Dots(0xff5d5d, 3)).show(places, count, this.#place(value.frame_id ?? value.header?.frame_id));
+  transforms(space: string, value: any): void {
+    this.body(space).frames.take(value);
     this.#view.changed();
   }
 
-  cloud(path: string, value: any): void {
-    const { places, count } = cloudPoints(value);
-    this.#dots(this.#clouds, path, "cloud", () => new Dots(0x36b8c4, 2)).show(places, count, this.#place(value.frame_id ?? value.header?.frame_id));
+  joints(space: string, value: any): void {
+    for (const model of this.body(space).models.values()) model.joints(value);
     this.#view.changed();
   }
 
-  map(value: any): void {
-    this.#gridValue = value;
-    if (this.#grid) this.#drop(this.#grid);
-    this.#grid = gridMesh(value, this.#dark);
-    this.#grid.visible = !this.#hidden.has("map");
-    this.#view.add(this.#grid);
+  /** Something of it has changed by itself. */
+  changed(): void {
+    this.#view.changed();
   }
 
-  path(value: any): void {
-    if (this.#path) this.#drop(this.#path);
-    this.#path = pathLine(value);
-    this.#path.visible = !this.#hidden.has("path");
-    this.#view.add(this.#path);
+  /** Show a robot as it is described, and not as a box. */
+  model(space: string, path: string, made: Model): void {
+    const { models } = this.body(space);
+    this.#remove(models.get(path));
+    made.object.matrixAutoUpdate = false;
+    models.set(path, made);
+    this.#view.add(made.object);
   }
 
-  transforms(value: any): void {
-    this.frames.take(value);
-    for (const name of this.frames.names) {
-      const matrix = this.frames.between(name, this.#fixed);
-      if (!matrix) continue;
-      let mark = this.#axes.get(name);
-      if (!mark) {
-        this.#axes.set(name, (mark = axes(0.3)));
-        mark.visible = !this.#hidden.has("frames");
-        this.#view.add(mark);
-      }
-      mark.matrix.copy(matrix);
+  #remove(model: Model | undefined): void {
+    if (model) this.#drop(model.object);
+    model?.dispose();
+  }
+
+  problem(path: string, told: string | undefined): void {
+    if (told) this.#problems.set(path, told);
+    else this.#problems.delete(path);
+  }
+
+  /** Leave out what a source has brought. */
+  forget(path: string): void {
+    const item = this.#items.get(path);
+    if (item?.object) this.#drop(item.object);
+    this.#items.delete(path);
+    this.#problems.delete(path);
+    for (const body of this.#bodies.values()) {
+      this.#remove(body.models.get(path));
+      body.models.delete(path);
     }
     this.#view.changed();
   }
@@ -111,42 +211,139 @@ export class World {
     this.#view.changed();
   }
 
-  /** Show the robot as it is described, and not as a box. */
-  model(made: Object3D): void {
-    this.#view.remove(this.#robot);
-    made.matrixAutoUpdate = false;
-    made.matrix.copy(this.#base);
-    made.visible = !this.#hidden.has("robot");
-    this.#robot = made;
-    this.#view.add(made);
+  /** A place on the floor in the frame that goals are told in: the map, or that of the robot's pose. */
+  goalFrame(at: { x: number; y: number; yaw: number | undefined }): { x: number; y: number; yaw: number | undefined; frame: string } {
+    const [body] = this.#bodies.values();
+    const frame = body?.frames.find("map") ?? body?.pose?.frame ?? this.fixed;
+    const into = body?.frames.between(this.fixed, frame);
+    if (!into) return { ...at, frame: this.fixed };
+    const { x, y } = new Vector3(at.x, at.y, 0).applyMatrix4(into);
+    const along = new Vector3(1, 0, 0).transformDirection(into);
+    return { x, y, yaw: at.yaw === undefined ? undefined : at.yaw + Math.atan2(along.y, along.x), frame };
   }
 
   show(layer: Layer, visible: boolean): void {
     if (visible) this.#hidden.delete(layer);
     else this.#hidden.add(layer);
-    const things: Record<Layer, (Object3D | undefined)[]> = {
-      map: [this.#grid],
-      scan: [...this.#scans.values()].map((one) => one.object),
-      cloud: [...this.#clouds.values()].map((one) => one.object),
-      trail: [this.#trail.object],
-      path: [this.#path],
-      frames: [...this.#axes.values()],
-      robot: [this.#robot],
-    };
-    for (const thing of things[layer]) if (thing) thing.visible = visible;
     this.#view.changed();
   }
 
   theme(dark: boolean): void {
-    if (dark === this.#dark) return;
     this.#dark = dark;
-    if (this.#gridValue) this.map(this.#gridValue);
+    for (const item of this.#items.values()) item.grid?.theme(dark);
+    this.#view.changed();
   }
 
-  #drop(thing: any): void {
+  colour(by: Colouring): void {
+    this.colouring = by;
+    for (const item of this.#items.values()) item.fresh ||= item.layer === "cloud";
+    this.#view.changed();
+  }
+
+  /** Put everything where it belongs, before it is drawn. */
+  #settle(): void {
+    const fixed = this.#choose();
+    const moved = fixed !== this.fixed;
+    this.fixed = fixed;
+    const [first] = this.#bodies.values();
+    for (const body of this.#bodies.values()) {
+      if (moved) body.trail.clear();
+      const at = body.settle(fixed, !this.#hidden.has("robot"));
+      body.trail.object.visible = !this.#hidden.has("trail");
+      if (at && body === first && this.follow) this.#view.look(at.x, at.y);
+      this.#settleFrames(body);
+    }
+    this.place = first?.at(fixed);
+    for (const item of this.#items.values()) this.#settleItem(item, moved);
+  }
+
+  #choose(): string {
+    const known = this.frames;
+    if (this.wanted && known.includes(this.wanted)) return this.wanted;
+    const usual = FIXED.find((name) => known.includes(name));
+    const [first] = this.#bodies.values();
+    const base = first?.base;
+    return usual ?? (base ? first.frames.root(base) : (first?.pose?.frame ?? "map"));
+  }
+
+  #settleItem(item: Item, moved: boolean): void {
+    if (!item.object) return;
+    if (item.fresh || moved || !item.placed || !item.dots) {
+      const at = item.body.place(item.frame, this.fixed);
+      item.placed = at !== undefined;
+      if (at) {
+        const inner = item.grid?.inner ?? item.object.userData["inner"];
+        item.object.matrix.copy(inner ? at.multiply(inner) : at);
+        item.object.matrixWorldNeedsUpdate = true;
+        if (item.fresh || moved) item.dots?.colour(item.layer === "cloud" ? this.colouring : "plain", item.object.matrix);
+        item.fresh = false;
+      }
+    }
+    item.object.visible = item.placed && !this.#hidden.has(item.layer);
+  }
+
+  #settleFrames(body: Body): void {
+    const marks = this.#marks.get(body)!;
+    for (const name of body.frames.names) {
+      let mark = marks.get(name);
+      if (!mark) {
+        marks.set(name, (mark = new FrameMark(name)));
+        this.#view.add(mark.object);
+      }
+      const at = body.frames.between(name, this.fixed);
+      mark.object.visible = at !== undefined && !this.#hidden.has("frames");
+      if (!at) continue;
+      mark.object.matrix.copy(at);
+      mark.object.matrixWorldNeedsUpdate = true;
+      mark.fit(LABEL * this.#view.tall);
+    }
+  }
+
+  /** What is drawn, and where. */
+  report(): Told[] {
+    const made: Told[] = [];
+    for (const [path, item] of this.#items) {
+      const frame = item.frame ?? "";
+      const one: Told = { layer: item.layer, path, frame, count: item.count, at: item.placed ? placeOf(item) : undefined };
+      if (item.dots) one.by = item.dots.by;
+      const problem = this.#problems.get(path) ?? (item.placed ? undefined : `no transform from ${frame || "the robot"} to ${this.fixed}`);
+      made.push(problem ? { ...one, problem } : one);
+    }
+    for (const body of this.#bodies.values()) {
+      for (const name of body.frames.names) {
+        const at = body.frames.between(name, this.fixed);
+        made.push({ layer: "frames", path: name, frame: name, count: 1, at: at && originOf(at) });
+      }
+      for (const [path, model] of body.models) {
+        const problem = this.#problems.get(path) ?? model.problems.map(([uri, why]) => `${uri}: ${why}`).join("\n");
+        const root = model.object.visible ? model.object.matrix : undefined;
+        const links = root ? spotsOf(model, root) : [];
+        made.push({ layer: "robot", path, frame: model.root, count: model.links.length, at: root && originOf(root), links, ...(problem && { problem }) });
+      }
+    }
+    for (const [path, problem] of this.#problems)
+      if (!made.some((one) => one.path === path)) made.push({ layer: "robot", path, frame: "", count: 0, at: undefined, problem });
+    return made;
+  }
+
+  #drop(thing: Object3D): void {
     this.#view.remove(thing);
-    thing.geometry?.dispose();
-    thing.material?.map?.dispose();
-    thing.material?.dispose();
+    thing.traverse((one: any) => {
+      one.geometry?.dispose();
+      for (const material of [one.material].flat()) material?.dispose();
+    });
   }
 }
+
+function placeOf(item: Item): [number, number, number] {
+  const at = item.dots ? item.dots.middle() : new Vector3();
+  return triple(at.applyMatrix4(item.object.matrix));
+}
+
+const originOf = (at: Matrix4): [number, number, number] => triple(new Vector3().setFromMatrixPosition(at));
+
+function spotsOf(model: Model, root: Matrix4): Spot[] {
+  return model.links.map((name) => ({ name, at: originOf(new Matrix4().multiplyMatrices(root, model.link(name)!)) }));
+}
+
+const triple = ({ x, y, z }: Vector3): [number, number, number] => [x, y, z];

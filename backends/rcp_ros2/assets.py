@@ -1,0 +1,199 @@
+"""Meshes and textures of a robot's description, for those who draw it and have none of its files."""
+
+from __future__ import annotations
+
+import asyncio
+import html
+import re
+from collections.abc import Callable, Iterable
+from functools import partial
+from pathlib import Path, PurePosixPath
+from typing import Annotated, Any
+
+import msgspec
+from msgspec import Meta
+
+from rcp_kernel.errors import AdapterUnavailable, DeviceRejected, InvalidValue, PayloadTooLarge
+from rcp_kernel.model import Resource
+from rcp_kernel.spi import Progress
+from rcp_ros2.binding import Binding, Offer, Shared, common
+from rcp_ros2.config import Assets as AssetsConfig
+from rcp_ros2.config import Mapping, Qos
+from rcp_ros2.graph import Graph
+
+__all__ = ["MEDIA", "Assets", "find", "packages_of"]
+
+_STRING = "std_msgs/msg/String"
+_TOPIC = "/robot_description"
+_LATCHED = Qos(depth=1)
+MEDIA = {
+    ".stl": "model/stl",
+    ".dae": "model/vnd.collada+xml",
+    ".obj": "model/obj",
+    ".mtl": "model/mtl",
+    ".glb": "model/gltf-binary",
+    ".gltf": "model/gltf+json",
+    ".png": "image/png",
+    ".jpg": "image/jpeg",
+    ".jpeg": "image/jpeg",
+}
+"""Endings of what may be asked for, each with what it is."""
+_NAMED = re.compile(r"""=\s*["']\s*package://([A-Za-z][A-Za-z0-9_-]*)/""")
+_URI = re.compile(r"package://([A-Za-z][A-Za-z0-9_-]*)/([^\x00-\x1f\\]+)")
+
+
+class Fetch(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Which file is wanted."""
+
+    uri: Annotated[
+        str,
+        Meta(
+            min_length=1,
+            max_length=1024,
+            description="As the robot's description has it, or of a file that one of those names.",
+        ),
+    ]
+
+
+class Asset(msgspec.Struct, frozen=True):
+    """A file."""
+
+    media_type: str
+    data: bytes
+
+
+def packages_of(description: str) -> frozenset[str]:
+    """Return the packages that a robot's description takes files from."""
+    return frozenset(_NAMED.findall(html.unescape(description)))
+
+
+def find(uri: str, packages: Iterable[str], config: AssetsConfig) -> Path:
+    """Return the file of a `package://` URI, in the folder of a package that is named.
+
+    :raises InvalidValue: it is no such URI, its package is not named, or it is no mesh or texture.
+    :raises AdapterUnavailable: the package is not on this machine.
+    :raises DeviceRejected: there is no such file in the package's folder.
+    :raises PayloadTooLarge: it is larger than the configuration allows.
+    """
+    found = _URI.fullmatch(uri)
+    if found is None:
+        raise _wrong(f"{uri!r} is no package://<package>/<file>", "Write it as the description.")
+    package, rest = found.groups()
+    parts = rest.split("/")
+    if not all(part.strip(". ") for part in parts):  # nothing empty, and neither `.` nor `..`
+        raise _wrong(f"{uri!r} is no plain way to a file", "Leave out `.`, `..` and empty parts.")
+    if package not in packages:
+        named = ", ".join(sorted(packages)) or "none"
+        raise _wrong(
+            f"the robot's description does not name the package '{package}'",
+            f"Ask for files of those that it names: {named}.",
+        )
+    if PurePosixPath(parts[-1]).suffix.lower() not in MEDIA:
+        raise _wrong(
+            f"'{parts[-1]}' is no mesh or texture", f"Ask for one of these: {', '.join(MEDIA)}."
+        )
+    return _within(_folder(package, config), rest, package, config.size)
+
+
+def _within(folder: Path, rest: str, package: str, most: int) -> Path:
+    """Return a file below a folder, whatever links lead to."""
+    try:
+        file = (folder / rest).resolve(strict=True)
+        there = file.is_relative_to(folder) and file.is_file()
+        size = file.stat().st_size
+    except (OSError, RuntimeError):  # not there, not ours to read, or links in a ring
+        there, size = False, 0
+        file = folder
+    if not there or file.suffix.lower() not in MEDIA:
+        raise DeviceRejected(
+            f"the package '{package}' has no file '{rest}'",
+            remedy=f"Look into its folder; where that is linked together from others, name the "
+            f"folder of the files themselves in assets.paths.{package}.",
+        )
+    if size > most:
+        raise PayloadTooLarge(
+            f"'{rest}' has {size} bytes, and {most} are allowed",
+            remedy="Make the mesh smaller, or raise `assets.size` of the backend.",
+            details={"size": size, "limit": most},
+        )
+    return file
+
+
+def _folder(package: str, config: AssetsConfig) -> Path:
+    named = config.paths.get(package)
+    try:
+        if named is None:
+            from ament_index_python.packages import get_package_share_directory
+
+            named = get_package_share_directory(package)
+        return Path(named).resolve(strict=True)
+    except (ImportError, LookupError, ValueError, OSError) as error:
+        raise AdapterUnavailable(
+            f"the package '{package}' is not on the gateway's machine: {error}",
+            remedy=f'Install it there, or say where its files are: assets.paths.{package} = "…".',
+        ) from None
+
+
+def _wrong(message: str, remedy: str) -> InvalidValue:
+    return InvalidValue(message, remedy=remedy, details={"pointer": "/uri"})
+
+
+class Assets:
+    """Offers the files of each robot description that is mapped or exposed."""
+
+    def __init__(self, shared: Shared, matters: Callable[[str], bool]) -> None:
+        self._shared = shared
+        self._matters = matters
+
+    def find(self, graph: Graph) -> dict[str, Offer]:
+        """Return a service for each description."""
+        found: dict[str, Offer] = {}
+        for topic, type_ in graph.topics.items():
+            if topic.endswith(_TOPIC) and type_ == _STRING and self._matters(topic):
+                space = topic.removesuffix(_TOPIC)
+                name = self._shared.naming.path("service", f"{space}/assets/fetch")
+                mapping = Mapping(topic=topic)
+                found[name] = Offer(mapping, partial(Fetching, self._shared, name, mapping))
+        return found
+
+
+class Fetching(Binding):
+    """The files of one description."""
+
+    def __init__(self, shared: Shared, name: str, mapping: Mapping) -> None:
+        self._packages: frozenset[str] = frozenset()
+        self._key = f"{mapping.target} assets"
+        text = f"Returns a mesh or texture of a package that {mapping.target} names"
+        facts = common(name, mapping, text, topic=mapping.topic)
+        resource = Resource(
+            input=Fetch,
+            output=Asset,
+            examples=({"uri": "package://my_robot/meshes/base.stl"},),
+            **facts,
+        )
+        super().__init__(shared, resource, mapping)
+        shared.ros.post(
+            shared.listen, mapping.target, _STRING, self._key, self._described, _LATCHED
+        )
+
+    def _described(self, text: Any) -> None:
+        self._packages = packages_of(text.data)
+
+    async def execute(self, value: Any, progress: Progress) -> Asset:
+        """Read the file, as `find` finds it."""
+        await self.shared.until(lambda: bool(self._packages), self.shared.settling)
+        file = await asyncio.to_thread(find, value.uri, self._packages, self.shared.config.assets)
+        data = await asyncio.to_thread(_read, file, self.shared.config.assets.size)
+        return Asset(MEDIA[file.suffix.lower()], data)
+
+    def close(self) -> None:
+        """Follow the description no more."""
+        self.shared.ros.post(self.shared.feeds.untap, self.mapping.target, self._key)
+
+
+def _read(file: Path, most: int) -> bytes:
+    with file.open("rb") as opened:
+        data = opened.read(most + 1)
+    if len(data) > most:
+        raise PayloadTooLarge(f"'{file.name}' has grown beyond {most} bytes")
+    return data

@@ -1,0 +1,102 @@
+import { Matrix4, type Object3D, Vector3 } from "three";
+
+import type { Pose } from "../shapes.ts";
+import { Frames, matrixOf } from "./frames.ts";
+import { body, Trail } from "./layers.ts";
+
+/** A robot as it is described. */
+export interface Model {
+  readonly object: Object3D;
+  /** The link that all others hang from. */
+  readonly root: string;
+  readonly links: string[];
+  /** Files that could not be had or drawn, each with the reason. */
+  readonly problems: [uri: string, why: string][];
+  dispose(): void;
+  /** What takes points of a link into the root; undefined if it has no such link. */
+  link(name: string): Matrix4 | undefined;
+  joints(value: any): void;
+  /** Move what no joint state tells of by the transforms. */
+  follow(frames: Frames): void;
+}
+
+const BASES = ["base_link", "base_footprint", "base"];
+
+/** One robot: its frames, where it is, what it looks like. */
+export class Body {
+  readonly frames = new Frames();
+  readonly models = new Map<string, Model>();
+  readonly trail = new Trail();
+  readonly stand = body();
+  pose: (Pose & { base: string | undefined }) | undefined;
+
+  constructor() {
+    this.stand.matrixAutoUpdate = false;
+  }
+
+  /** The frame that stands for the robot. */
+  get base(): string | undefined {
+    const named = [this.pose?.base, ...BASES, ...[...this.models.values()].map((one) => one.root)];
+    for (const name of named) {
+      const found = name && this.frames.find(name);
+      if (found) return found;
+    }
+    return undefined;
+  }
+
+  /** Where the robot is: by its transforms, else by its pose. */
+  at(fixed: string): Matrix4 | undefined {
+    const base = this.base;
+    return (base === undefined ? undefined : this.frames.between(base, fixed)) ?? this.#posed(fixed);
+  }
+
+  #posed(fixed: string): Matrix4 | undefined {
+    if (!this.pose) return undefined;
+    const from = this.pose.frame === fixed ? new Matrix4() : this.frames.between(this.pose.frame, fixed);
+    return from?.multiply(matrixOf(this.pose.position, this.pose.orientation));
+  }
+
+  /** What takes points of a frame into the fixed one; undefined where nothing tells. */
+  place(frame: string | undefined, fixed: string): Matrix4 | undefined {
+    if (!frame) return this.at(fixed);
+    if (frame === fixed) return new Matrix4();
+    const found = this.frames.between(frame, fixed);
+    if (found) return found;
+    for (const model of this.models.values()) {
+      const link = model.link(frame);
+      const root = link && this.standing(model, fixed);
+      if (root) return root.multiply(link);
+    }
+    // Where no transform is told at all, a sensor is taken to sit on the robot.
+    return this.frames.names.length === 0 && frame !== this.pose?.frame ? this.at(fixed) : undefined;
+  }
+
+  /** Where the root of a model is: by any of its links that is known of. */
+  standing(model: Model, fixed: string): Matrix4 | undefined {
+    const root = this.frames.between(model.root, fixed);
+    if (root) return root;
+    for (const name of [this.base, ...BASES]) {
+      const link = name && model.link(name);
+      const at = link && (this.frames.between(name, fixed) ?? this.#posed(fixed));
+      if (at) return at.multiply(link.invert());
+    }
+    return this.at(fixed);
+  }
+
+  /** Move all that stands for the robot to where it is. */
+  settle(fixed: string, visible: boolean): Vector3 | undefined {
+    const at = this.at(fixed);
+    this.stand.visible = visible && at !== undefined && this.models.size === 0;
+    if (at) this.stand.matrix.copy(at);
+    for (const model of this.models.values()) {
+      model.follow(this.frames);
+      const root = this.standing(model, fixed);
+      model.object.visible = visible && root !== undefined;
+      if (root) model.object.matrix.copy(root);
+      model.object.matrixWorldNeedsUpdate = true;
+    }
+    const place = at && new Vector3().setFromMatrixPosition(at);
+    if (place) this.trail.push(place.x, place.y, place.z);
+    return place;
+  }
+}

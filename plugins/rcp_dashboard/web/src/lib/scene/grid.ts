@@ -1,0 +1,98 @@
+import { DataTexture, Matrix4, Mesh, NearestFilter, PlaneGeometry, RedFormat, ShaderMaterial, UnsignedByteType } from "three";
+
+import { bytesOf } from "../bytes.ts";
+import { matrixOf } from "./frames.ts";
+
+// The cells are drawn as they came: 0 free … 100 occupied, all above is unknown. Where several fall on
+// one pixel the fullest is shown, so that a thin wall does not vanish in the distance.
+const VERTEX = `
+varying vec2 at;
+void main() {
+  at = uv;
+  gl_Position = projectionMatrix * modelViewMatrix * vec4(position, 1.0);
+}`;
+const FRAGMENT = `
+uniform sampler2D cells;
+uniform float free;
+uniform float full;
+varying vec2 at;
+float cell(vec2 place) {
+  float found = texture2D(cells, place).r * 255.0;
+  return found > 100.5 ? -1.0 : found;
+}
+void main() {
+  vec2 dx = dFdx(at) * 0.25;
+  vec2 dy = dFdy(at) * 0.25;
+  float found = max(max(cell(at + dx + dy), cell(at - dx - dy)), max(cell(at + dx - dy), cell(at - dx + dy)));
+  if (found < 0.0) discard;
+  gl_FragColor = vec4(vec3(mix(free, full, found / 100.0)), found < 0.5 ? 0.8 : 1.0);
+}`;
+
+/** A map in cells, as a picture on the floor: free is light, occupied dark, unknown not there. */
+export class Grid {
+  readonly object: Mesh<PlaneGeometry, ShaderMaterial>;
+  readonly #size: string;
+  #inner: Matrix4;
+
+  constructor(grid: any, dark: boolean) {
+    const { resolution, width, height } = grid.info ?? grid;
+    this.#size = sizeOf(grid);
+    const texture = new DataTexture(cellsOf(grid), width, height, RedFormat, UnsignedByteType);
+    texture.magFilter = texture.minFilter = NearestFilter;
+    const material = new ShaderMaterial({
+      uniforms: { cells: { value: texture }, free: { value: 0 }, full: { value: 0 } },
+      vertexShader: VERTEX,
+      fragmentShader: FRAGMENT,
+      transparent: true,
+    });
+    this.object = new Mesh(new PlaneGeometry(width * resolution, height * resolution), material);
+    this.object.geometry.translate((width * resolution) / 2, (height * resolution) / 2, -0.01);
+    this.object.matrixAutoUpdate = false;
+    this.#inner = originOf(grid);
+    this.theme(dark);
+    this.#texture.needsUpdate = true;
+  }
+
+  get #texture(): DataTexture {
+    return this.object.material.uniforms["cells"]!.value;
+  }
+
+  /** Take another map of the same size; false if it is of another one. */
+  take(grid: any): boolean {
+    if (sizeOf(grid) !== this.#size) return false;
+    this.#texture.image.data = cellsOf(grid);
+    this.#texture.needsUpdate = true;
+    this.#inner = originOf(grid);
+    return true;
+  }
+
+  theme(dark: boolean): void {
+    const { free, full } = this.object.material.uniforms as Record<string, { value: number }>;
+    [free!.value, full!.value] = dark ? [0.18, 0.8] : [1, 0.16];
+  }
+
+  /** Where its corner is in its frame. */
+  get inner(): Matrix4 {
+    return this.#inner;
+  }
+
+  dispose(): void {
+    this.#texture.dispose();
+    this.object.geometry.dispose();
+    this.object.material.dispose();
+  }
+}
+
+function sizeOf(grid: any): string {
+  const { resolution, width, height } = grid.info ?? grid;
+  return `${width} ${height} ${resolution}`;
+}
+
+function originOf(grid: any): Matrix4 {
+  const { origin } = grid.info ?? grid;
+  return matrixOf(origin?.position, origin?.orientation);
+}
+
+function cellsOf(grid: any): Uint8Array<ArrayBuffer> {
+  return Array.isArray(grid.data) ? Uint8Array.from(grid.data) : bytesOf(grid.data); // -1 becomes 255
+}

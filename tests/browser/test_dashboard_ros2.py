@@ -1,0 +1,236 @@
+"""The dashboard in front of a real ROS 2 robot: each thing is drawn where its frames say."""
+
+from __future__ import annotations
+
+import asyncio
+import base64
+import importlib.util
+import os
+import re
+import subprocess
+import sys
+from collections.abc import AsyncGenerator, Generator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from playwright.async_api import Browser, Locator, expect
+
+from browser.watched import Watched, log_in, watched
+
+if importlib.util.find_spec("rclpy") is None:
+    pytest.skip("no ROS 2 here", allow_module_level=True)
+
+from backends.ros2.robot import Eyes, fresh_domain
+
+pytestmark = pytest.mark.anyio
+_BOUND = 20.0  # s
+_KEY = "operator-of-the-eyes"
+_CONFIG = """
+[transports.asgi]
+port = 0
+[plugins.dashboard]
+[[backends]]
+use = "ros2"
+name = "eyes"
+tenant = "alpha"
+domain_id = {domain}
+expose = ["/**"]
+[[keys]]
+name = "eyes-operator"
+role = "operator"
+key = "{key}"
+"""
+_HUES = """
+async ([png, x, y, half]) => {
+  const bytes = Uint8Array.from(atob(png), (letter) => letter.charCodeAt(0));
+  const image = await createImageBitmap(new Blob([bytes], { type: "image/png" }));
+  const pen = new OffscreenCanvas(image.width, image.height).getContext("2d");
+  pen.drawImage(image, 0, 0);
+  const { data } = pen.getImageData(x - half, y - half, 2 * half, 2 * half);
+  const found = { red: 0, green: 0, blue: 0 };
+  for (let at = 0; at < data.length; at += 4) {
+    const [r, g, b] = data.subarray(at, at + 3);
+    if (r > g + 60 && r > b + 60) found.red += 1;
+    if (g > r + 60 && g > b + 60) found.green += 1;
+    if (b > r + 60 && b > g + 60) found.blue += 1;
+  }
+  return found;
+}
+"""
+
+
+@pytest.fixture(scope="module")
+def domain() -> int:
+    return fresh_domain()
+
+
+@pytest.fixture(scope="module")
+def eyes(domain: int) -> Generator[Eyes]:
+    """Run the robot for all tests of this file."""
+    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    found = Eyes(domain)
+    found.start()
+    yield found
+    found.stop()
+
+
+@pytest.fixture(scope="module")
+def url(eyes: Eyes, domain: int, tmp_path_factory: pytest.TempPathFactory) -> Generator[str]:
+    """Run a gateway in front of it."""
+    config = tmp_path_factory.mktemp("eyes") / "rcp.toml"
+    config.write_text(_CONFIG.format(domain=domain, key=_KEY))
+    rcpd = Path(sys.executable).with_name("rcpd")
+    with subprocess.Popen([rcpd, "serve", config], stderr=subprocess.PIPE, text=True) as process:
+        assert process.stderr is not None
+        for line in process.stderr:
+            if "serving on " in line:
+                yield line.rpartition(" ")[2].strip()
+                break
+        process.terminate()
+        process.communicate(timeout=_BOUND)
+
+
+@pytest.fixture
+async def tab(browser: Browser, url: str) -> AsyncGenerator[Watched]:
+    async with watched(browser, url) as found:
+        await found.open()
+        await found.connected()
+        await log_in(found.page, _KEY)
+        yield found
+
+
+def layer(tab: Watched, kind: str, path: str) -> Locator:
+    return tab.page.locator(f"[data-testid=layer][data-layer={kind}][data-path$='{path}']")
+
+
+async def stands(row: Locator, *place: float) -> None:
+    """Wait until something is drawn at a place of the fixed frame."""
+    told: Any = None
+    try:
+        async with asyncio.timeout(_BOUND):
+            while True:
+                told = await row.get_attribute("data-at")
+                found = [float(word) for word in (told or "").split()]
+                if len(found) == 3 and all(
+                    abs(a - b) < 0.02 for a, b in zip(found, place, strict=True)
+                ):
+                    return
+                await asyncio.sleep(0.05)
+    except TimeoutError:
+        pytest.fail(f"it stands at {told}, not at {place}")
+
+
+async def hues(tab: Watched, x: float, y: float, middle: tuple[float, float]) -> dict[str, int]:
+    """Count the pixels of each hue near a place in the flat view, `middle` being its middle."""
+    scene = tab.page.get_by_test_id("scene")
+    box = await scene.bounding_box()
+    assert box is not None
+    metre = box["height"] / 24
+    png = base64.b64encode(await tab.page.screenshot()).decode()
+    at = (
+        box["x"] + box["width"] / 2 + (x - middle[0]) * metre,
+        box["y"] + box["height"] / 2 - (y - middle[1]) * metre,
+    )
+    return await tab.page.evaluate(_HUES, [png, round(at[0]), round(at[1]), round(0.4 * metre)])
+
+
+async def scene(tab: Watched, query: str = "") -> None:
+    await tab.open(f"scene?robot=eyes{query}")
+    await expect(layer(tab, "scan", "/sensor/scan")).to_be_attached(timeout=_BOUND * 1000)
+
+
+async def test_each_thing_is_drawn_where_its_frames_say(tab: Watched) -> None:
+    await scene(tab)
+    await expect(tab.page.get_by_test_id("layers")).to_have_attribute("data-fixed", "map")
+    await stands(layer(tab, "scan", "/scan"), 3, 3.2, 0.3)
+    await stands(layer(tab, "cloud", "sensor/points"), 2, 4.1, 0.5)
+    await stands(layer(tab, "cloud", "lidar/points"), 5, 1, 1)
+    await stands(layer(tab, "map", "/map"), -5, -5, 0)
+    await stands(layer(tab, "path", "/plan"), 1, 0, 0)
+    await stands(layer(tab, "pose", "/goal_pose"), 2, 2, 0)
+    await stands(layer(tab, "robot", "/robot_description"), 3, 1, 0)
+    await stands(layer(tab, "frames", "laser"), 3, 1.2, 0.3)
+    await expect(layer(tab, "scan", "/scan")).to_have_attribute("data-count", "9")
+    await expect(layer(tab, "cloud", "sensor/points")).to_have_attribute("data-count", "441")
+    await expect(layer(tab, "map", "/map")).to_have_attribute("data-count", "14400")
+    await expect(tab.page.get_by_test_id("where")).to_have_text("3.00, 1.00 m, 90° in map")
+    await expect(layer(tab, "cloud", "lost/points")).to_contain_text(
+        "no transform from nowhere to map"
+    )
+    await tab.shoot("ros2-scene-2d")
+    middle = (3.0, 1.0)
+    assert (await hues(tab, 3, 3.2, middle))["red"] > 3
+    assert (await hues(tab, 2, 4.1, middle))["green"] > 20
+    await tab.page.get_by_role("button", name="3D").click()
+    await tab.shoot("ros2-scene-3d")
+
+
+async def test_another_frame_may_stand_still(tab: Watched) -> None:
+    await scene(tab)
+    await tab.page.get_by_label("Fixed frame").select_option("base_link")
+    await stands(layer(tab, "scan", "/scan"), 2.2, 0, 0.3)
+    await stands(layer(tab, "cloud", "sensor/points"), 3.1, 1, 0.5)
+    await stands(layer(tab, "robot", "/robot_description"), 0, 0, 0)
+    await stands(layer(tab, "frames", "map"), -1, 3, 0)
+    await tab.page.reload()
+    await stands(layer(tab, "path", "/plan"), -1, 2, 0)
+
+
+async def test_clouds_have_the_colours_that_are_asked_for(tab: Watched) -> None:
+    await scene(tab)
+    await expect(layer(tab, "cloud", "sensor/points")).to_have_attribute("data-by", "rgb")
+    await expect(layer(tab, "cloud", "lidar/points")).to_have_attribute("data-by", "intensity")
+    await tab.page.get_by_label("Colour of clouds").select_option("height")
+    await expect(layer(tab, "cloud", "sensor/points")).to_have_attribute("data-by", "height")
+    await stands(layer(tab, "cloud", "sensor/points"), 2, 4.1, 0.5)
+    assert (await hues(tab, 2, 4.1, (3.0, 1.0)))["green"] < 20  # flat, and so as blue as can be
+
+
+async def test_links_are_moved_by_joint_states_and_else_by_transforms(
+    tab: Watched, eyes: Eyes
+) -> None:
+    await scene(tab)
+    finger, other = layer(tab, "link", "finger").first, layer(tab, "link", "other_finger")
+    await tab.page.get_by_text("links", exact=False).first.click()
+    await stands(finger, 2.9, 1.5, 0.4)  # beyond its limit, as it is told to be
+    await stands(other, 3.1, 1.5, 0.4)
+    eyes.tell("bend", joint="finger_joint", value=0.02)
+    await stands(finger, 2.98, 1.5, 0.4)
+    await stands(other, 3.02, 1.5, 0.4)
+    await stands(layer(tab, "link", "mast"), 3, 0.8, 0.3)
+    eyes.tell("raise_mast", lift=1.3)
+    await stands(layer(tab, "link", "mast"), 3, 0.8, 1.3)
+    await stands(layer(tab, "link", "charger"), -2, -2, 0)  # a base of its own
+
+
+async def test_pictures_of_every_kind_are_shown(tab: Watched) -> None:
+    tab.expected.append("willReadFrequently")
+    await tab.open("camera?robot=eyes")
+    cameras = tab.page.get_by_test_id("camera")
+    await expect(cameras).to_have_count(4)
+    for path in ("camera/image/jpeg", "depth/image", "far/image", "camera/compressed"):
+        camera = tab.page.locator(f"[data-testid=camera][data-path$='/{path}']")
+        await expect(camera).to_have_attribute("data-frames", re.compile(r"\d"))
+        await expect(camera).to_have_attribute("data-stale", "false")
+        if path in ("depth/image", "far/image"):
+            await expect(camera).to_contain_text("white 0.50 m … black 4.00 m")
+            assert await shades(camera) == [0, 255, 40]
+    await tab.page.locator("[data-path$='camera/image/jpeg'] input").check()
+    raw = tab.page.locator("[data-testid=camera][data-path$='camera/image']")
+    await expect(raw).to_have_attribute("data-frames", re.compile(r"\d"))
+    await expect(raw.get_by_role("alert")).to_have_count(0)
+    await tab.shoot("ros2-camera")
+
+
+async def shades(camera: Locator) -> list[int]:
+    """Read the red of three pixels of a row."""
+    return await camera.locator("canvas").evaluate(
+        "(canvas) => [4, 20, 50].map((x) => canvas.getContext('2d').getImageData(x, 9, 1, 1).data[0])"
+    )
+
+
+async def test_a_fix_stands_on_the_map(tab: Watched) -> None:
+    await tab.open("map")
+    await expect(tab.page.get_by_test_id("map")).to_have_attribute("data-tracks", "1")
+    await expect(tab.page.locator("main")).to_contain_text("47.500000°, 8.500000°")
