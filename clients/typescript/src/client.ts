@@ -21,6 +21,8 @@ export interface CommandOptions {
   dryRun?: boolean;
   deadline?: number;
   idempotencyKey?: string;
+  /** Of a person's approval that lets it pass, once. */
+  approval?: string;
 }
 
 export interface WriteOptions extends CommandOptions {
@@ -147,6 +149,7 @@ export class Client<T extends Catalogue = Untyped> {
       ...(options.dryRun && { dry_run: true }),
       ...(options.deadline !== undefined && { deadline: options.deadline }),
       ...(options.idempotencyKey !== undefined && { idempotency_key: options.idempotencyKey }),
+      ...(options.approval !== undefined && { approval: options.approval }),
     };
   }
 
