@@ -1,5 +1,6 @@
-import { Client, type EstopState, type Hello, RcpError, type Resource, type State } from "rcp-client";
+import { Client, type EstopState, type Hello, type LeaseState, RcpError, type Resource, type State } from "rcp-client";
 
+import type { Approval } from "./approvals.ts";
 import { robotsOf } from "./robots.ts";
 
 const TOKEN = "rcp.token";
@@ -20,6 +21,9 @@ class App {
   known = $state(false);
   status = $state.raw<any>();
   estop = $state.raw<EstopState>();
+  leases = $state.raw<LeaseState[]>([]);
+  /** What waits for a person, or did: what this role may decide on, and its own. */
+  approvals = $state.raw<Approval[]>([]);
   mayReset = $state(false);
   /** Rises with each login, so that what was made for the old one is made anew. */
   epoch = $state(0);
@@ -52,6 +56,8 @@ class App {
     client.connect().catch(() => undefined); // told by the state
     client.subscribe("/system/status", {}, { update: (update) => (this.status = update.body) });
     client.subscribe("/system/estop", {}, { update: (update) => (this.estop = update.body) });
+    client.subscribe("/system/leases", {}, { update: (update) => (this.leases = update.body) });
+    client.subscribe("/system/approvals", {}, { update: (update) => (this.approvals = update.body) });
     clearInterval(this.#timer);
     this.#timer = setInterval(() => void this.#look(), REFRESH);
   }
@@ -95,6 +101,8 @@ class App {
     this.client.close();
     this.hello = this.problem = this.status = this.estop = undefined;
     this.resources = [];
+    this.leases = [];
+    this.approvals = [];
     this.known = this.mayReset = false;
     this.#generation = -1;
     this.client = this.#make();

@@ -71,3 +71,9 @@ export function pretty(value: unknown): string {
     2,
   );
 }
+
+/** An input on one line where it fits, without the fields that are left open. */
+export function compact(value: unknown): string {
+  const bare = JSON.stringify(value, (_, item) => (item === null ? undefined : item)) ?? "null";
+  return bare.length <= 100 ? bare.replaceAll(/([:,])/g, "$1 ") : pretty(JSON.parse(bare));
+}

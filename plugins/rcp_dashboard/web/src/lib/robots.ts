@@ -1,5 +1,9 @@
 import type { Resource } from "rcp-client";
 
+import { properties } from "./schema.ts";
+import { ofShape } from "./shapes.ts";
+import { steering } from "./twist.ts";
+
 /** One robot, as its backend has it. */
 export interface Robot {
   name: string;
@@ -24,4 +28,44 @@ export function robotsOf(resources: Resource[], backends: [name: string, tenant:
 /** The path below its tenant and branch: what tells resources of one robot apart. */
 export function shortName(path: string): string {
   return path.startsWith("/tenant/") ? path.split("/").slice(3).join("/") : path.slice(1);
+}
+
+/** What of a robot tells how it is, as far as it has such. */
+export interface Vitals {
+  pose: Resource | undefined;
+  geo: Resource | undefined;
+  joints: Resource | undefined;
+  battery: Resource | undefined;
+  mode: Resource | undefined;
+  armed: Resource | undefined;
+  alarms: Resource[];
+}
+
+const DEPTH = 5; // parts of the path of what stands for a whole robot: "", tenant, its name, sensor, name
+
+export function vitals(robot: Robot): Vitals {
+  const all = robot.resources.filter((one) => one.operations.includes("subscribe"));
+  const sensor = (name: RegExp): Resource | undefined => all.find((one) => one.kind === "sensor" && name.test(one.path));
+  const whole = all.filter((one) => one.path.split("/").length === DEPTH);
+  return {
+    pose: ofShape(all, "pose")[0] ?? ofShape(all, "odometry")[0],
+    geo: sensor(/\/position\/global$/) ?? ofShape(all, "geo")[0],
+    joints: sensor(/\/(joints|joint_states)$/),
+    battery: sensor(/battery$/) ?? ofShape(all, "battery")[0],
+    mode: sensor(/\/(flight_)?mode$/) ?? whole.find((one) => one.kind === "sensor" && /\/(state|status)$/.test(one.path)),
+    armed: sensor(/\/armed$/),
+    alarms: all.filter(alarming),
+  };
+}
+
+/** Whether an event tells of trouble: by its severity, by coming and going, or by its name. */
+export function alarming(one: Resource): boolean {
+  if (one.kind !== "event") return false;
+  const has = properties(one);
+  return has.has("severity") || has.has("active") || /fault|alarm|error|failsafe|overflow/.test(one.path);
+}
+
+/** Whether this role may move something of it by hand. */
+export function drivable(robot: Robot): boolean {
+  return robot.resources.some((one) => one.kind === "actuator" && one.operations.includes("write") && steering(one) !== undefined);
 }

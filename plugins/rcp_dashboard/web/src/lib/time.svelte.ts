@@ -16,3 +16,9 @@ export function age(timestamp: string | undefined): number | undefined {
   const now = ticking.now + app.client.clock.offset * 1000;
   return Math.max(0, (now - Date.parse(timestamp)) / 1000);
 }
+
+/** Seconds until a timestamp of the gateway, down to 0; it follows the time. */
+export function left(timestamp: string): number {
+  const now = ticking.now + app.client.clock.offset * 1000;
+  return Math.max(0, (Date.parse(timestamp) - now) / 1000);
+}

@@ -1,0 +1,50 @@
+import { brief } from "./format.ts";
+
+/** How bad an entry is, the least first. */
+export const LEVELS = ["info", "warning", "error"] as const;
+export type Level = (typeof LEVELS)[number];
+export type Source = "event" | "log" | "audit" | "notice";
+
+/** Something that was told at a time, wherever it came from. */
+export interface Entry {
+  key: string;
+  source: Source;
+  timestamp: string;
+  path: string;
+  level: Level;
+  text: string;
+  body: any;
+}
+
+const ERRORS = new Set(["emergency", "alert", "critical", "error", "fatal", "failed"]);
+const DONE = new Set(["ok", "accepted", "completed"]);
+const HIDDEN = new Set(["what", "principal", "outcome", "latches", "seq", "time", "path", "session", "roles", "proof"]);
+
+function levelOf(source: Source, path: string, body: any): Level {
+  if (source === "log") return body.level === "warning" ? "warning" : "error";
+  if (source === "audit") return DONE.has(body.outcome) ? "info" : "warning";
+  if (source === "notice") return ["lease_lost", "overrun", "fence_left"].includes(body.code) ? "error" : "warning";
+  const told = String(body?.severity ?? body?.level ?? body?.state ?? "").toLowerCase();
+  if (ERRORS.has(told)) return "error";
+  if (told.startsWith("warn")) return "warning";
+  if (typeof body?.active === "boolean") return body.active ? "warning" : "info";
+  return /failsafe|overflow/.test(path) ? "warning" : "info";
+}
+
+function textOf(source: Source, body: any): string {
+  if (source === "log") {
+    const { backend, state, detail, ...rest } = body.facts ?? {};
+    if (backend && state) return `${backend} is ${state}${detail ? `: ${detail}` : ""}`;
+    return `${String(body.message).replaceAll("_", " ")} ${brief(backend ? { backend, ...rest } : (body.facts ?? {}), 120)}`.trim();
+  }
+  if (source === "audit") {
+    const facts = Object.entries(body).filter(([key, value]) => !HIDDEN.has(key) && value !== null);
+    return `${body.what} by ${body.principal}: ${body.outcome}  ${brief(Object.fromEntries(facts), 100)}`;
+  }
+  return `${body?.active === false ? "over: " : ""}${body?.message ?? body?.text ?? brief(body, 160)}`;
+}
+
+export function entry(source: Source, path: string, timestamp: string, seq: number | string, body: any): Entry {
+  const place = source === "event" || source === "notice" ? path : (body.path ?? body.logger ?? "");
+  return { key: `${source} ${path} ${seq}`, source, timestamp, path: place, level: levelOf(source, path, body), text: textOf(source, body), body };
+}

@@ -1,0 +1,44 @@
+import type { Notice, Update } from "rcp-client";
+
+import { app } from "./app.svelte.ts";
+import { alarming } from "./robots.ts";
+import { entry, type Entry } from "./severity.ts";
+import { watch } from "./watch.ts";
+
+const MOST = 50;
+
+/** What went wrong of late: the gateway's warnings, events of robots that tell of trouble, notices to this page. */
+export class Trouble {
+  entries = $state.raw<Entry[]>([]);
+  #log = $derived((app.status?.warnings ?? []).map((one: any, at: number) => entry("log", "", one.timestamp, `${one.timestamp} ${at}`, one)) as Entry[]);
+  /** The newest first. */
+  all = $derived([...this.entries, ...this.#log].sort((a, b) => Date.parse(b.timestamp) - Date.parse(a.timestamp)).slice(0, MOST));
+
+  /** Listen until the returned function is called. */
+  start(): () => void {
+    const paths = app.resources.filter((one) => alarming(one) && one.operations.includes("subscribe")).map((one) => one.path);
+    const stops = paths.map((path) => watch(path, { history: 10, qos: { depth: 32 } }, (update) => this.#event(update)));
+    stops.push(app.client.onNotice((notice) => this.#notice(notice)));
+    return () => stops.forEach((stop) => stop());
+  }
+
+  #event(update: Update): void {
+    this.#add(entry("event", update.path, update.timestamp, update.seq, update.body));
+  }
+
+  #notice(notice: Notice): void {
+    if (!["stale", "deadline_missed", "lease_lost", "fence_left", "overrun", "gap"].includes(notice.code)) return;
+    const path = notice.path ?? String(notice["scope"] ?? "");
+    // It comes again and again while a value is overdue: what counts is when the last value came.
+    const since = typeof notice["age"] === "number" ? new Date(Math.round(Date.parse(notice.timestamp) / 1000 - notice["age"]) * 1000).toISOString() : notice.timestamp;
+    const message = notice.message?.replace(`${path} `, "") ?? `${notice.code.replaceAll("_", " ")} ${notice.reason ?? ""}`;
+    this.#add(entry("notice", path, since, notice.code, { ...notice, message }));
+  }
+
+  #add(one: Entry): void {
+    if (one.level === "info") return;
+    const known = this.entries.find((other) => other.key === one.key);
+    if (known && Math.abs(Date.parse(known.timestamp) - Date.parse(one.timestamp)) < 3000) return;
+    this.entries = [one, ...this.entries.filter((other) => other !== known)].slice(0, MOST);
+  }
+}
