@@ -1,0 +1,143 @@
+"""Who may what, and who has what: approvals, plans and leases on the dashboard."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncGenerator
+from contextlib import asynccontextmanager
+from typing import Any
+
+import httpx
+import pytest
+from playwright.async_api import Browser, Page, expect
+
+from browser.watched import Watched, log_in, watched
+from rcp_kernel.config.file import parse
+from rcp_kernel.process.log import configure
+from rcp_kernel.testing import serve
+
+pytestmark = pytest.mark.anyio
+expect.set_options(timeout=20_000)  # ms
+PEOPLE = {"ada": "admin", "otto": "operator", "lena": "learner"}
+GATEWAY = """
+[transports.asgi]
+port = 0
+[plugins.dashboard]
+[[backends]]
+use = "sim"
+name = "rover"
+tenant = "alpha"
+[roles.learner]
+allow = [
+    { operations = ["*"], paths = ["/**", "/system/leases", "/system/commands", "/system/status"] },
+]
+approve = ["/action/dock", "/param/speed_limit"]
+priority = 10
+""" + "".join(
+    f'[[keys]]\nname = "{name}"\nrole = "{role}"\nkey = "key-of-{name}-which-is-long"\n'
+    for name, role in PEOPLE.items()
+)
+
+
+@pytest.fixture(scope="module")
+async def url() -> AsyncGenerator[str]:
+    """Run a gateway with a rover in this process; yield its address."""
+    configure("error", "json")
+    async with serve(parse(GATEWAY, "test")) as served:
+        yield next(facts["url"] for facts in served.server.status.transports if "url" in facts)
+
+
+@asynccontextmanager
+async def person(browser: Browser, url: str, name: str, page: str = "") -> AsyncGenerator[Watched]:
+    """Open a page as one of the people."""
+    async with watched(browser, url) as tab:
+        await tab.open(page)
+        await tab.connected()
+        await log_in(tab.page, f"key-of-{name}-which-is-long")
+        await expect(tab.page.get_by_test_id("principal")).to_have_text(name)
+        yield tab
+
+
+async def ask(page: Page, value: str) -> None:
+    """Ask for another speed limit, and to have it set once somebody approves."""
+    form = page.get_by_test_id("ask-write")
+    await form.get_by_label("value").fill(value)
+    await form.get_by_role("button", name="Write", exact=True).click()
+    await expect(form.get_by_test_id("refusal")).to_have_attribute("data-code", "approval_required")
+    await form.get_by_role("button", name="Ask, and send when approved").click()
+
+
+async def test_what_a_person_has_to_approve_goes_on_when_granted(
+    browser: Browser, url: str
+) -> None:
+    limit = "explore?path=/tenant/alpha/param/speed_limit"
+    async with (
+        person(browser, url, "ada") as ada,
+        person(browser, url, "lena", limit) as lena,
+    ):
+        await ask(lena.page, "0.7")
+        await expect(lena.page.get_by_test_id("badge")).to_have_count(0)  # not hers to decide
+        await expect(ada.page.get_by_test_id("badge")).to_contain_text("1")
+        await ada.page.get_by_role("link", name="Commands").click()
+        asked = ada.page.get_by_role("article", name="lena asks for")
+        await expect(asked).to_contain_text("0.7")
+        await expect(asked).to_contain_text("stays for")
+        await ada.shoot("approval-asked")
+        await asked.get_by_role("button", name="Approve").click()
+        await expect(lena.page.get_by_test_id("answer")).to_contain_text("completed")
+        await expect(lena.page.get_by_test_id("value")).to_contain_text("0.7")
+        await expect(ada.page.get_by_test_id("badge")).to_have_count(0)
+
+
+async def test_what_is_refused_is_told_with_the_reason(browser: Browser, url: str) -> None:
+    limit = "explore?path=/tenant/alpha/param/speed_limit"
+    async with (
+        person(browser, url, "ada", "commands") as ada,
+        person(browser, url, "lena", limit) as lena,
+    ):
+        await ask(lena.page, "2.4")
+        asked = ada.page.get_by_role("article", name="lena asks for")
+        await asked.get_by_label("Reason").fill("too fast for the hall")
+        await asked.get_by_role("button", name="Refuse").click()
+        told = lena.page.get_by_test_id("approval")
+        await expect(told).to_contain_text("ada refused it: too fast for the hall")
+        await lena.shoot("approval-refused")
+
+
+async def test_who_may_not_decide_is_not_offered_it(browser: Browser, url: str) -> None:
+    dock = "explore?path=/tenant/alpha/action/dock"
+    async with (
+        person(browser, url, "lena", dock) as lena,
+        person(browser, url, "otto", "commands") as otto,
+    ):
+        await lena.page.get_by_role("button", name="Execute", exact=True).click()
+        await expect(lena.page.get_by_test_id("refusal")).to_be_visible()
+        await lena.open("commands")
+        own = lena.page.get_by_role("article", name="lena asks for")
+        await expect(own).to_contain_text("somebody else decides")
+        await expect(own.get_by_role("button")).to_have_count(0)
+        await expect(otto.page.get_by_test_id("approvals")).to_have_count(0)
+
+
+async def test_a_plan_is_shown_step_by_step_and_cancelled(browser: Browser, url: str) -> None:
+    plan: dict[str, Any] = {
+        "name": "rounds",
+        "steps": [
+            {"do": "read", "path": "/tenant/alpha/sensor/pose", "id": "start"},
+            {"do": "wait", "until": "sensor.battery.percentage > 2.0", "deadline": 300},
+            {"do": "execute", "path": "/tenant/alpha/action/dock"},
+        ],
+    }
+    headers = {"authorization": "Bearer key-of-otto-which-is-long"}
+    async with (
+        httpx.AsyncClient(base_url=url, headers=headers) as client,
+        person(browser, url, "otto", "commands") as otto,
+    ):
+        answer = await client.post("/rcp/v1/context/system/plans", json=plan)
+        assert answer.status_code == 202, answer.text
+        shown = otto.page.get_by_test_id("plans")
+        await expect(shown).to_contain_text("1 of 3")
+        await expect(shown.locator('[data-step="start"]')).to_contain_text("completed")
+        await expect(shown.locator('[data-step="2"]')).to_contain_text("running")
+        await otto.shoot("plan-running")
+        await shown.get_by_role("button", name="Cancel the plan").click()
+        await expect(shown.locator('[data-status="cancelled"]')).to_be_visible()
