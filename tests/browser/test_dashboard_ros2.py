@@ -22,6 +22,7 @@ if importlib.util.find_spec("rclpy") is None:
     pytest.skip("no ROS 2 here", allow_module_level=True)
 
 from backends.ros2.robot import Eyes, fresh_domain
+from browser.meshes import HUES, PACKAGE, PLACES, visuals, write
 
 pytestmark = pytest.mark.anyio
 _BOUND = 20.0  # s
@@ -36,6 +37,7 @@ name = "eyes"
 tenant = "alpha"
 domain_id = {domain}
 expose = ["/**"]
+assets.paths.{package} = "{folder}"
 [[keys]]
 name = "eyes-operator"
 role = "operator"
@@ -69,7 +71,7 @@ def domain() -> int:
 def eyes(domain: int) -> Generator[Eyes]:
     """Run the robot for all tests of this file."""
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    found = Eyes(domain)
+    found = Eyes(domain, visuals())
     found.start()
     yield found
     found.stop()
@@ -78,8 +80,11 @@ def eyes(domain: int) -> Generator[Eyes]:
 @pytest.fixture(scope="module")
 def url(eyes: Eyes, domain: int, tmp_path_factory: pytest.TempPathFactory) -> Generator[str]:
     """Run a gateway in front of it."""
-    config = tmp_path_factory.mktemp("eyes") / "rcp.toml"
-    config.write_text(_CONFIG.format(domain=domain, key=_KEY))
+    folder = tmp_path_factory.mktemp("eyes")
+    write(folder)
+    config = folder / "rcp.toml"
+    text = _CONFIG.format(domain=domain, key=_KEY, package=PACKAGE, folder=folder)
+    config.write_text(text)
     rcpd = Path(sys.executable).with_name("rcpd")
     with subprocess.Popen([rcpd, "serve", config], stderr=subprocess.PIPE, text=True) as process:
         assert process.stderr is not None
@@ -163,6 +168,7 @@ async def test_each_thing_is_drawn_where_its_frames_say(tab: Watched) -> None:
     assert (await hues(tab, 3, 3.2, middle))["red"] > 3
     assert (await hues(tab, 2, 4.1, middle))["green"] > 20
     await tab.page.get_by_role("button", name="3D").click()
+    await expect(tab.page.get_by_test_id("scene")).to_have_attribute("data-drawn", "3d")
     await tab.shoot("ros2-scene-3d")
 
 
@@ -234,3 +240,29 @@ async def test_a_fix_stands_on_the_map(tab: Watched) -> None:
     await tab.open("map")
     await expect(tab.page.get_by_test_id("map")).to_have_attribute("data-tracks", "1")
     await expect(tab.page.locator("main")).to_contain_text("47.500000°, 8.500000°")
+
+
+async def test_meshes_are_got_from_the_robot_and_one_that_is_not_there_is_told(
+    tab: Watched,
+) -> None:
+    asked: list[str | bytes] = []
+    noted = asked.append
+    tab.page.on("websocket", lambda one: one.on("framesent", lambda sent: noted(sent)))  # noqa: PLW0108
+    await tab.page.reload()
+    await scene(tab)
+    await tab.page.get_by_label("Fixed frame").select_option("base_link")
+    robot = layer(tab, "robot", "/robot_description")
+    await expect(robot).to_contain_text(f"package://{PACKAGE}/meshes/none.stl")
+    await expect(robot).to_contain_text("has no file 'meshes/none.stl'")
+    await stands(robot, 0, 0, 0)
+    for mesh, place in PLACES.items():
+        seen: dict[str, int] = {}
+        async with asyncio.timeout(_BOUND):
+            while seen.get(HUES[mesh], 0) < 40:
+                seen = await hues(tab, *place, (0.0, 0.0))
+    await tab.page.get_by_role("button", name="3D").click()
+    await expect(tab.page.get_by_test_id("scene")).to_have_attribute("data-drawn", "3d")
+    await tab.shoot("ros2-meshes")
+    assert await robot.locator(".bad").count() == 1
+    assert "\n" not in await robot.locator(".bad").inner_text()
+    assert len([one for one in asked if "red.stl" in str(one)]) == 1  # though it is drawn twice

@@ -163,6 +163,7 @@ async def test_a_click_into_the_scene_sends_the_rover_there(tab: Watched, robot:
     await expect(tab.page.get_by_test_id("goal-status")).to_contain_text("completed")
     await tab.shoot("scene-2d")
     await tab.page.get_by_role("button", name="3D").click()
+    await expect(tab.page.get_by_test_id("scene")).to_have_attribute("data-drawn", "3d")
     await tab.shoot("scene-3d")
 
 

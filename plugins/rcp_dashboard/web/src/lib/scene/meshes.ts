@@ -46,7 +46,7 @@ export class Meshes {
   }
 
   async #dae(uri: string, text: string): Promise<Object3D> {
-    await this.pictures([...text.matchAll(/<init_from>\s*([^<]+?)\s*<\/init_from>/g)].map((found) => join(uri, found[1] as string)));
+    await this.pictures([...text.matchAll(/<image\b[^>]*>[^]*?<init_from>\s*([^<]+?)\s*<\/init_from>/g)].map((found) => join(uri, found[1] as string)));
     // RViz takes the vertices as they are, whichever axis is said to be up.
     const made = new ColladaLoader(this.manager).parse(text.replace(/<up_axis>[^<]*<\/up_axis>/, ""), folder(uri));
     if (!made) throw new Error("it is no COLLADA");

@@ -23,8 +23,8 @@ function inSoftware(): boolean {
 export class View {
   readonly scene = new Scene();
   mode: Mode = "2d";
-  /** Frames drawn so far. */
-  drawn = 0;
+  /** How the last picture was drawn. */
+  drawn: Mode | undefined;
   /** Called right before something is drawn. */
   before: () => void = () => undefined;
   readonly #renderer: WebGLRenderer;
@@ -62,9 +62,9 @@ export class View {
       if (!this.#dirty || (slow && now - drawnAt < PAUSE)) return;
       drawnAt = now;
       this.#dirty = false;
-      this.drawn += 1;
       this.before();
       this.#renderer.render(this.scene, this.camera);
+      this.drawn = this.mode;
     };
     draw(0);
   }
