@@ -7,6 +7,7 @@ time-outs and commands are the business of `Motor`, which is one for all.
 from __future__ import annotations
 
 import asyncio
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -69,7 +70,7 @@ class Status:
         """Counts signs that two drives answer to one id."""
 
 
-class Drive:
+class Drive(ABC):
     """One drive; a subclass per profile."""
 
     modes: frozenset[Mode] = frozenset(("position", "velocity", "torque"))
@@ -96,16 +97,16 @@ class Drive:
         """Its SDO server as seen from here, where it has one."""
         return None
 
+    @abstractmethod
     def routes(self) -> tuple[Route, ...]:
         """Say which frames are this drive's."""
-        raise NotImplementedError
 
+    @abstractmethod
     def take(self, message: can.Message) -> bool:
         """Read one of its frames into `status`; tell whether it was this drive's.
 
         :raises ValueError: it is not what the drive may send.
         """
-        raise NotImplementedError
 
     def send(
         self,
@@ -127,43 +128,43 @@ class Drive:
         """Say what the profile can express."""
         return Reach()
 
-    async def configure(self) -> None:
+    async def configure(self) -> None:  # noqa: B027 - most need nothing
         """Prepare the drive when it is heard for the first time, and after each of its boots."""
 
-    def poll(self, tick: int) -> None:
+    def poll(self, tick: int) -> None:  # noqa: B027 - most need nothing
         """Ask for what does not come by itself; called at the motor's rate, never to move it."""
 
+    @abstractmethod
     async def enable(self) -> None:
         """Switch the power stage on, at rest; return when the drive says so."""
-        raise NotImplementedError
 
+    @abstractmethod
     async def disable(self) -> None:
         """Switch the power stage off; return when the drive says so."""
-        raise NotImplementedError
 
+    @abstractmethod
     async def clear_faults(self) -> None:
         """Acknowledge faults; return when the drive has none, still switched off."""
-        raise NotImplementedError
 
     async def home(self) -> None:
-        """Find the reference; return when the drive says it has it."""
+        """Find the reference, where it `homes`; return when the drive says it has it."""
         raise NotImplementedError
 
     async def set_zero(self) -> None:
-        """Make the present position zero."""
+        """Make the present position zero, where it `zeroes`."""
         raise NotImplementedError
 
+    @abstractmethod
     def command(self, mode: Mode, value: float, velocity: float) -> None:
         """Send a set-point; `velocity` is that of the ramp in mode position, for feed-forward."""
-        raise NotImplementedError
 
     async def move(self, position: float, velocity: float, acceleration: float | None) -> None:
         """Begin to drive to a position by the drive's own profile, where `moves`."""
         raise NotImplementedError
 
+    @abstractmethod
     def stop(self) -> None:
         """Brake as hard as the drive can, ahead of every queue; called again until it rests."""
-        raise NotImplementedError
 
     def look(self) -> None:
         """Wake those who wait for the status; called after each batch of frames."""

@@ -16,8 +16,9 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from rcp_client.blocking import Robot
-    from rcp_client.client import Client, connect
+    from rcp_client.client import Client
     from rcp_client.command import CommandHandle, Feedback
+    from rcp_client.connecting import connect
     from rcp_client.credentials import token_path
     from rcp_client.errors import ConnectionLost
     from rcp_client.lease import Lease
@@ -52,7 +53,7 @@ _HOMES = {
     "Robot": "blocking",
     "Subscription": "subscription",
     "Update": "messages",
-    "connect": "client",
+    "connect": "connecting",
     "token_path": "credentials",
 }
 

@@ -3,84 +3,26 @@
 from __future__ import annotations
 
 import asyncio
-import os
-import secrets
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from ssl import SSLContext
 from typing import Any, Literal, Self
 
 import msgspec
 
-from rcp_client.address import DEFAULT_URL, Address
 from rcp_client.calls import Repeat
 from rcp_client.channel import Channel
 from rcp_client.command import CommandHandle, Feedback
-from rcp_client.credentials import find_token
 from rcp_client.lease import Lease
 from rcp_client.messages import Notice, Reply, ResourceInfo
 from rcp_client.plans import plan_of
+from rcp_client.requests import kept, keyed, new_key, plain, repeat_of
 from rcp_client.settings import MARGIN, Settings
 from rcp_client.subscription import Subscription
-from rcp_client.tls import check_secrecy, secured
-from rcp_kernel.values import Encoding, value_type
+from rcp_kernel.values import value_type
 
-__all__ = ["Client", "connect"]
+__all__ = ["Client"]
 
 _PAGE = 500  # resources asked for at once
-
-
-def connect(
-    url: str | None = None,
-    *,
-    token: str | None = None,
-    tenant: str | None = None,
-    encoding: Literal["msgpack", "json", "cbor"] = "msgpack",
-    deadline: float = 10.0,
-    connect_timeout: float = 5.0,
-    patience: float | None = 120.0,
-    heartbeat: float = 5.0,
-    on_notice: Callable[[Notice], None] | None = None,
-    cacert: str | None = None,
-    cert: str | None = None,
-    key: str | None = None,
-    ssl: SSLContext | None = None,
-    plaintext: bool = False,
-    client: str = "rcp-client/python",
-) -> Client:
-    """Make a client; `async with` connects it.
-
-    What is not given comes from `RCP_URL`, `RCP_TOKEN` and `RCP_TENANT`; then the gateway of this
-    machine, and the token that `rcpd demo` left for this user. Times are in seconds: `deadline` for
-    requests that name none, `connect_timeout` for one attempt, `patience` for coming back after a
-    cut (None never gives up), `heartbeat` for noticing that the other side is gone.
-
-    Over https the gateway's certificate is checked, against the CA in the file `cacert` if it has one
-    of its own; `cert` and `key` are files of the client's certificate (`RCP_CACERT`, `RCP_CERT`,
-    `RCP_KEY`), and `ssl` is a context instead of the three. A token goes over plain http to another
-    machine only with `plaintext`.
-
-    :raises ValueError: the address is none, a file does not load, or the token would be readable.
-    """
-    url = url or os.environ.get("RCP_URL") or DEFAULT_URL
-    address = Address.parse(url)
-    token = token or find_token(url)
-    check_secrecy(address, token, plaintext=plaintext)
-    return Client(
-        Settings(
-            address=address,
-            token=token,
-            tenant=tenant or os.environ.get("RCP_TENANT") or None,
-            encoding=Encoding(encoding),
-            deadline=deadline,
-            connect_timeout=connect_timeout,
-            patience=patience,
-            heartbeat=heartbeat,
-            client=client,
-            ssl=ssl or secured(address, cacert, cert, key),
-            on_notice=on_notice,
-        )
-    )
 
 
 class Client:
@@ -141,8 +83,8 @@ class Client:
         deadline: float | None = None,
     ) -> Reply:
         """Read a path and return the whole reply: value, number, source time, freshness."""
-        body = _kept({"fields": list(fields) if fields else None, "fresh": fresh or None})
-        envelope = _kept({"type": "read", "path": path, "deadline": deadline, "body": body or None})
+        body = kept({"fields": list(fields) if fields else None, "fresh": fresh or None})
+        envelope = kept({"type": "read", "path": path, "deadline": deadline, "body": body or None})
         return await self.channel.ask(envelope)
 
     async def write(
@@ -161,18 +103,18 @@ class Client:
         `valid_for` is how many seconds a velocity stands before the gateway brings the robot to
         rest; `dry_run` checks everything and changes nothing.
         """
-        envelope = _kept(
+        envelope = kept(
             {
                 "type": "write",
                 "path": path,
                 "valid_for": valid_for,
                 "dry_run": dry_run or None,
-                "idempotency_key": idempotency_key or _key(),
+                "idempotency_key": idempotency_key or new_key(),
                 "approval": approval,
                 "deadline": deadline,
             }
         )
-        reply = await self.channel.ask({**envelope, "body": _plain(value)}, "keyed")
+        reply = await self.channel.ask({**envelope, "body": plain(value)}, "keyed")
         return reply.body
 
     # -- commands ------------------------------------------------------------------------------
@@ -216,7 +158,7 @@ class Client:
         :raises RcpError: it was refused, failed, or was cancelled.
         """
         if dry_run:
-            envelope = {"type": "execute", "path": path, "dry_run": True, "body": _plain(input)}
+            envelope = {"type": "execute", "path": path, "dry_run": True, "body": plain(input)}
             return (await self.channel.ask(envelope)).body
         more = {"idempotency_key": idempotency_key, "approval": approval}
         handle = self._execute(path, input, deadline, more, on_feedback, type)
@@ -241,13 +183,13 @@ class Client:
         type_: Any,
     ) -> CommandHandle:
         envelope: dict[str, Any] = {"type": "execute", "path": path}
-        envelope |= _kept(more)
-        envelope.setdefault("idempotency_key", _key())
+        envelope |= kept(more)
+        envelope.setdefault("idempotency_key", new_key())
         if value is not None:
-            envelope["body"] = _plain(value)
+            envelope["body"] = plain(value)
         if deadline is not None:
             envelope["deadline"] = deadline
-        call = self.channel.start(envelope, _repeat(envelope))
+        call = self.channel.start(envelope, repeat_of(envelope))
         limit = None if deadline is None else deadline + MARGIN
         return CommandHandle(self.channel, call, limit=limit, type_=type_, on_feedback=on_feedback)
 
@@ -286,7 +228,7 @@ class Client:
     ) -> dict[str, Any]:
         """Decide on what somebody else wants approved (docs/protocol.md, Approvals)."""
         decision = "reject" if reject else "approve"
-        body = _kept({"id": approval, "decision": decision, "reason": reason})
+        body = kept({"id": approval, "decision": decision, "reason": reason})
         return await self.execute("/system/approvals", body)
 
     async def approvals(self) -> list[dict[str, Any]]:
@@ -312,9 +254,9 @@ class Client:
 
         :raises DeviceTimeout: a robot has not confirmed yet; it stays latched.
         """
-        body = _kept({"reset": reset or None, "scope": scope, "reason": reason})
+        body = kept({"reset": reset or None, "scope": scope, "reason": reason})
         envelope: dict[str, Any] = {"type": "execute", "path": "/system/estop", "body": body}
-        return (await self.channel.ask(envelope, _repeat(envelope))).body
+        return (await self.channel.ask(envelope, repeat_of(envelope))).body
 
     def lease(
         self,
@@ -331,7 +273,7 @@ class Client:
         which then raises `LeaseLost`.
         """
         asked = {"scope": scope, "ttl": ttl, "take": take or None, "reason": reason}
-        return Lease(self.channel, _kept(asked))
+        return Lease(self.channel, kept(asked))
 
     async def leases(self) -> list[dict[str, Any]]:
         """List the leases on robots that this principal may see."""
@@ -400,10 +342,10 @@ class Client:
     ) -> list[ResourceInfo]:
         """List the resources that match: by path, `kind`, operation, and words in `q`."""
         found: list[ResourceInfo] = []
-        body = _kept({"kind": kind, "op": op, "q": q, "limit": _PAGE})
+        body = kept({"kind": kind, "op": op, "q": q, "limit": _PAGE})
         body["schemas"] = schemas
         while True:
-            envelope = _kept({"type": "discover", "path": pattern, "body": body})
+            envelope = kept({"type": "discover", "path": pattern, "body": body})
             reply = await self.channel.ask(envelope)
             found += msgspec.convert(reply.body["resources"], list[ResourceInfo])
             if not (cursor := reply.body.get("cursor")):
@@ -425,8 +367,8 @@ class Client:
 
         A reply that tells of an error does not raise; look at its `status`.
         """
-        parts = [_keyed(envelope) for envelope in envelopes]
-        repeat: Repeat = "never" if any(_repeat(p) == "never" for p in parts) else "keyed"
+        parts = [keyed(envelope) for envelope in envelopes]
+        repeat: Repeat = "never" if any(repeat_of(p) == "never" for p in parts) else "keyed"
         reply = await self.channel.ask({"type": "batch", "body": parts}, repeat)
         return msgspec.convert(reply.body, list[Reply])
 
@@ -435,35 +377,5 @@ class Client:
 
         :raises RcpError: it tells of an error.
         """
-        whole = _keyed({key: item for key, item in envelope.items() if key != "id"})
-        return await self.channel.ask(whole, _repeat(whole))
-
-
-def _kept(fields: dict[str, Any]) -> dict[str, Any]:
-    return {key: item for key, item in fields.items() if item is not None}
-
-
-def _plain(value: Any) -> Any:
-    """Copy a value into plain data, so that what is sent again is what was sent first."""
-    return msgspec.to_builtins(value, builtin_types=(bytes, bytearray, memoryview), str_keys=True)
-
-
-def _key() -> str:
-    return secrets.token_urlsafe(16)
-
-
-def _keyed(envelope: dict[str, Any]) -> dict[str, Any]:
-    """Give a write or execute a key, unless it has one."""
-    if envelope.get("type") not in ("write", "execute") or "idempotency_key" in envelope:
-        return dict(envelope)
-    return {**envelope, "idempotency_key": _key()}
-
-
-def _repeat(envelope: dict[str, Any]) -> Repeat:
-    """Say what may be done with a request that a cut left without an answer."""
-    if envelope.get("type") not in ("write", "execute", "batch"):
-        return "always"
-    if envelope.get("path") != "/system/estop":
-        return "keyed"
-    # Stopping twice is stopping; a reset that comes late might undo somebody else's stop.
-    return "never" if (envelope.get("body") or {}).get("reset") else "always"
+        whole = keyed({key: item for key, item in envelope.items() if key != "id"})
+        return await self.channel.ask(whole, repeat_of(whole))

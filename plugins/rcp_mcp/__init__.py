@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from contextlib import AbstractAsyncContextManager
+import asyncio
+from collections.abc import AsyncGenerator, Iterable
+from contextlib import asynccontextmanager
+from importlib import import_module
 from importlib.util import find_spec
 from typing import Any
 
@@ -18,11 +20,16 @@ if find_spec("mcp") is None:
     raise ImportError("No module named 'mcp'")
 
 
-def _open(config: McpConfig, door: Door) -> AbstractAsyncContextManager[dict[str, Any]]:
-    """Open the adapter; the SDK takes a second to import, which only who serves it waits for."""
-    from rcp_mcp.serving import open_mcp
+@asynccontextmanager
+async def _open(config: McpConfig, door: Door) -> AsyncGenerator[dict[str, Any]]:
+    """Open the adapter.
 
-    return open_mcp(config, door)
+    The SDK takes half a second to import: only who serves it pays for that, and the robots that
+    are being opened do not wait meanwhile.
+    """
+    loaded = await asyncio.to_thread(import_module, "rcp_mcp.serving")
+    async with loaded.open_mcp(config, door) as facts:
+        yield facts
 
 
 @hookimpl

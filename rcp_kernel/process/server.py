@@ -37,7 +37,7 @@ __all__ = [
 log = structlog.get_logger("rcp.server")
 _HALT_WAIT = 3.0  # s the robots have to come to rest before their backends are closed
 _CLOSE_WAIT = 5.0  # s a backend has to close
-_FIRST_OPEN = 1.0  # s the start-up waits for backends, so that a quick one is there at once
+_FIRST_OPEN = 1.0  # s that backends have from their start until clients are let in, ready or not
 
 
 class Prepared(msgspec.Struct, frozen=True):
@@ -133,7 +133,9 @@ async def running(prepared: Prepared, recent: Recent | None = None) -> AsyncGene
         door = Door(gateway, status, "gateway")
         server = Server(gateway, door, status, slots, {})
         await stack.enter_async_context(_backends(server, prepared))
+        first = loop.time() + _FIRST_OPEN
         await _open_all(stack, door, prepared.adapters, plugins.adapters, status.adapters)
+        await _settled(slots, first - loop.time())
         await _open_all(stack, door, prepared.transports, plugins.transports, status.transports)
         _report_missing(plugins.missing, status)
         stack.push_async_callback(_rest, gateway, slots)
@@ -183,14 +185,18 @@ async def _backends(server: Server, prepared: Prepared) -> AsyncGenerator[None]:
     for backend, table in zip(prepared.config.backends, prepared.backends, strict=True):
         start_backend(server, prepared, backend, table)
     try:
-        settled = [asyncio.ensure_future(slot.settled.wait()) for slot in server.slots]
-        if settled:
-            _, late = await asyncio.wait(settled, timeout=_FIRST_OPEN)
-            for waiter in late:
-                waiter.cancel()
         yield
     finally:
         await asyncio.gather(*(stop_backend(server, slot) for slot in list(server.slots)))
+
+
+async def _settled(slots: Sequence[Slot], within: float) -> None:
+    """Wait for backends that are quick to open, so that they are there for the first client."""
+    waiters = [asyncio.ensure_future(slot.settled.wait()) for slot in slots]
+    if waiters:
+        _, late = await asyncio.wait(waiters, timeout=max(0.0, within))
+        for waiter in late:
+            waiter.cancel()
 
 
 def start_backend(server: Server, prepared: Prepared, config: BackendConfig, table: Any) -> None:
