@@ -68,7 +68,8 @@ class _Run:
         wanted: bool | None = args["feedback"]
         self._shows = args["wait"] and (not out.json if wanted is None else wanted)
         self._handle: CommandHandle | None = None
-        self._asked = False
+        self.asked = False
+        """Whether there was a Ctrl-C."""
         self._left = asyncio.Event()
         self._cancelling: asyncio.Task[None] | None = None
 
@@ -89,10 +90,10 @@ class _Run:
             if self.failed is not None:
                 self.failed(self._out, error)
             self._out.error(error)
-            return _INTERRUPTED if self._asked else exit_code(error)
+            return _INTERRUPTED if self.asked else exit_code(error)
         if reply is not None:
             self.ended(self._out, reply)
-        return _INTERRUPTED if self._asked else 0
+        return _INTERRUPTED if self.asked else 0
 
     async def _follow(self) -> Reply | None:
         args = self._args
@@ -104,9 +105,9 @@ class _Run:
             approval=args["approval"],
             on_feedback=self._heard,
         )
-        if self._asked:
+        if self.asked:
             self._cancel()
-        if not args["wait"] and not handle.done and not self._asked:
+        if not args["wait"] and not handle.done and not self.asked:
             self._accepted(handle)
             return None
         return await handle.reply()
@@ -131,10 +132,10 @@ class _Run:
 
     def interrupted(self) -> None:
         """Have the command cancelled the first time, leave the second."""
-        if self._asked:
+        if self.asked:
             self._left.set()
             return
-        self._asked = True
+        self.asked = True
         self._out.aside("\nrcpctl: cancelling; Ctrl-C again leaves without waiting")
         if self._handle is not None:
             self._cancel()
@@ -174,3 +175,6 @@ def _interrupts(run: _Run) -> Generator[None]:
         yield
     finally:
         loop.remove_signal_handler(signal.SIGINT)
+        if run.asked:
+            # It is leaving already: a Ctrl-C that comes now has nothing more to say.
+            signal.signal(signal.SIGINT, signal.SIG_IGN)
