@@ -141,3 +141,38 @@ async def test_a_plan_is_shown_step_by_step_and_cancelled(browser: Browser, url:
         await otto.shoot("plan-running")
         await shown.get_by_role("button", name="Cancel the plan").click()
         await expect(shown.locator('[data-status="cancelled"]')).to_be_visible()
+
+
+async def drive(tab: Watched) -> Page:
+    """Ask for control of the rover."""
+    await tab.open("teleop")
+    await tab.page.get_by_role("button", name="Take control").click()
+    return tab.page
+
+
+async def test_who_has_control_is_seen_and_a_higher_priority_takes_it_over(
+    browser: Browser, url: str
+) -> None:
+    async with person(browser, url, "lena") as lena, person(browser, url, "otto") as otto:
+        await drive(lena)
+        await expect(lena.page.get_by_test_id("control")).to_contain_text("You have control")
+        await expect(otto.page.get_by_test_id("holder")).to_contain_text("lena")
+        await otto.shoot("control-held")
+        await drive(otto)
+        refusal = otto.page.get_by_test_id("refusal")
+        await expect(refusal).to_have_attribute("data-code", "lease_held")
+        await otto.page.get_by_label("Reason for taking it over").fill("the hall is full")
+        await otto.shoot("control-refused")
+        await otto.page.get_by_role("button", name="Take it over").click()
+        await expect(otto.page.get_by_test_id("control")).to_contain_text("You have control")
+        lost = lena.page.get_by_test_id("refusal")
+        await expect(lost).to_contain_text("the hall is full")
+        await expect(lena.page.get_by_test_id("control")).to_contain_text("Somebody else")
+        await lena.page.get_by_role("button", name="Take control").click()
+        await expect(lost).to_have_attribute("data-code", "lease_held")
+        await lena.page.get_by_label("Reason for taking it over").fill("mine again")
+        await lena.page.get_by_role("button", name="Take it over").click()
+        await expect(lost).to_have_attribute("data-code", "lease_held")  # of a lower priority
+        await lena.page.get_by_role("button", name="Take it when it is free").click()
+        await otto.page.get_by_role("button", name="Give it back").click()
+        await expect(lena.page.get_by_test_id("control")).to_contain_text("You have control")

@@ -1,5 +1,6 @@
 import type { Resource } from "rcp-client";
 
+import { jointsOf } from "./joints.ts";
 import { properties } from "./schema.ts";
 import { ofShape } from "./shapes.ts";
 import { steering } from "./twist.ts";
@@ -67,5 +68,5 @@ export function alarming(one: Resource): boolean {
 
 /** Whether this role may move something of it by hand. */
 export function drivable(robot: Robot): boolean {
-  return robot.resources.some((one) => one.kind === "actuator" && one.operations.includes("write") && steering(one) !== undefined);
+  return robot.resources.some((one) => one.kind === "actuator" && one.operations.includes("write") && (steering(one) ?? jointsOf(one)) !== undefined);
 }

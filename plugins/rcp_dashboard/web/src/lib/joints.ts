@@ -1,0 +1,43 @@
+import type { Resource, Schema } from "rcp-client";
+
+import { main, resolve } from "./schema.ts";
+
+/** One number that an actuator takes, between bounds. */
+export interface Joint {
+  /** Of the field; empty where the value itself is the number. */
+  field: string;
+  name: string;
+  least: number;
+  most: number;
+  unit: string;
+}
+
+/** An actuator of joints: places to go to, or speeds that spring back to 0 when they are let go. */
+export interface Joints {
+  resource: Resource;
+  kind: "place" | "speed";
+  joints: Joint[];
+}
+
+const PLACES = new Set(["rad", "deg", "m"]);
+const SPEEDS = new Set(["rad/s", "m/s"]);
+
+function joint(schema: Schema, root: Schema, field: string, name: string): Joint | undefined {
+  const one = main(resolve(schema, root), root).schema;
+  const [least, most, unit] = [one["minimum"], one["maximum"], one["unit"]];
+  if (!["number", "integer"].includes(one["type"]) || typeof least !== "number" || typeof most !== "number" || least >= most) return undefined;
+  return PLACES.has(unit) || SPEEDS.has(unit) ? { field, name, least, most, unit } : undefined;
+}
+
+/** What of an actuator can be set by sliders, told by its schema; torques and the like are left to Explore. */
+export function jointsOf(resource: Resource): Joints | undefined {
+  const root = resource.command_schema ?? resource.schemas?.value;
+  if (resource.kind !== "actuator" || !resource.operations.includes("write") || !root) return undefined;
+  const whole = main(resolve(root, root), root).schema;
+  const parts = Object.entries((whole["properties"] ?? {}) as Record<string, Schema>);
+  const name = resource.path.split("/").slice(4).join(" ");
+  const found = whole["type"] === "object" ? parts.map(([key, one]) => joint(one, root, key, key)) : [joint({ unit: resource.unit, ...whole }, root, "", name)];
+  // A field that is no joint (yaw_rate beside x, thrust beside roll) makes it something else.
+  if (found.length === 0 || found.some((one) => one === undefined || one.unit !== found[0]?.unit)) return undefined;
+  return { resource, kind: SPEEDS.has(found[0]?.unit ?? "") ? "speed" : "place", joints: found as Joint[] };
+}

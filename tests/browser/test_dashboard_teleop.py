@@ -1,0 +1,159 @@
+"""Robots moved by hand on the dashboard: gamepads, drones, joints, with a real browser and the real demo."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncGenerator, Callable, Generator
+from typing import Any
+
+import httpx
+import pytest
+from playwright.async_api import Browser, Page, expect
+
+from browser.watched import Watched, log_in, watched
+from docs.demo import Demo, demo
+
+pytestmark = pytest.mark.anyio
+expect.set_options(timeout=20_000)  # ms
+BOUND = 20.0  # s
+FLIGHT = 90.0  # s until a drone that was just switched on hangs in the air
+STILL = 0.002  # m/s
+_PAD = """
+window.pads = [];
+navigator.getGamepads = () => window.pads;
+window.hold = (axes, shoulder) => {
+  const buttons = Array.from({ length: 17 }, (_, at) => ({ pressed: at === 4 && shoulder, touched: false, value: 0 }));
+  window.pads = [{ id: "Test Pad (STANDARD GAMEPAD)", index: 0, connected: true, mapping: "standard", timestamp: 0, axes, buttons }];
+};
+"""
+
+
+@pytest.fixture(scope="module")
+def running(tmp_path_factory: pytest.TempPathFactory) -> Generator[Demo]:
+    """Run the demo for all tests of this file."""
+    with demo(tmp_path_factory.mktemp("runtime")) as found:
+        yield found
+
+
+@pytest.fixture
+async def robot(running: Demo) -> AsyncGenerator[httpx.AsyncClient]:
+    """Look at the robots past the page, as the operator."""
+    headers = {"authorization": f"Bearer {running.key}"}
+    async with httpx.AsyncClient(base_url=running.url, headers=headers, timeout=10) as client:
+        yield client
+
+
+@pytest.fixture
+async def tab(browser: Browser, running: Demo) -> AsyncGenerator[Watched]:
+    """Open the demo's dashboard with gamepads of our own, and log in as the operator."""
+    async with watched(browser, running.url) as found:
+        await found.page.add_init_script(_PAD)
+        await found.open()
+        await found.connected()
+        await log_in(found.page, running.key)
+        await expect(found.page.get_by_test_id("principal")).to_have_text("demo-operator")
+        yield found
+
+
+async def until(
+    robot: httpx.AsyncClient, path: str, holds: Callable[[Any], bool], bound: float = BOUND
+) -> Any:
+    """Read until the value is as wanted, within the bound."""
+    async with asyncio.timeout(bound):
+        while True:
+            answer = await robot.get(f"/rcp/v1/context{path}")
+            if answer.is_success and holds(found := answer.json()["body"]):
+                return found
+            await asyncio.sleep(0.05)
+
+
+def speed(odometry: Any) -> float:
+    twist = odometry["twist"]
+    return abs(twist["linear"]["x"]) + abs(twist["angular"]["z"])
+
+
+async def take(tab: Watched, name: str) -> Page:
+    """Take control of a robot."""
+    await tab.open(f"teleop?robot={name}")
+    await expect(tab.page.get_by_role("combobox", name="Robot")).to_have_value(name)
+    await tab.page.get_by_role("button", name="Take control").click()
+    await expect(tab.page.get_by_test_id("control")).to_contain_text("You have control")
+    return tab.page
+
+
+async def test_a_gamepad_drives_with_its_shoulder_held_and_stops_when_it_is_unplugged(
+    tab: Watched, robot: httpx.AsyncClient
+) -> None:
+    page = await take(tab, "rover-alpha")
+    odometry = "/tenant/alpha/sensor/odometry"
+    await page.evaluate("hold([0, -1, 0, 0], false)")
+    await expect(page.get_by_test_id("pad")).to_contain_text("Test Pad")
+    await expect(page.get_by_test_id("deadman")).to_contain_text("let go")
+    await page.evaluate("hold([0, -1, 0, 0], true)")
+    await until(robot, odometry, lambda found: found["twist"]["linear"]["x"] > 0.1)
+    await expect(page.get_by_test_id("deadman")).to_contain_text("gamepad")
+    await page.evaluate("hold([0, 0, -1, 0], true)")  # the right stick turns what has no sideways
+    await until(robot, odometry, lambda found: found["twist"]["angular"]["z"] > 0.1)
+    await tab.shoot("teleop-gamepad")
+    await page.evaluate("window.pads = []")
+    await expect(page.get_by_test_id("deadman")).to_contain_text("let go")
+    await until(robot, odometry, lambda found: speed(found) < STILL)
+    commanded = await until(robot, "/tenant/alpha/actuator/cmd_vel", bool)
+    assert commanded["linear"]["x"] == commanded["angular"]["z"] == 0
+
+
+async def test_joints_move_while_a_slider_is_held_and_stay_where_it_is_let_go(
+    tab: Watched, robot: httpx.AsyncClient
+) -> None:
+    page = await take(tab, "head-delta")
+    joints = "/tenant/delta/sensor/head/joints"
+    await page.get_by_role("button", name="Enable head").click()
+    await expect(page.get_by_test_id("action-status")).to_contain_text("completed")
+    slider = page.get_by_role("slider", name="pan in rad")
+    box = await slider.bounding_box()
+    assert box is not None
+    middle = box["y"] + box["height"] / 2
+    await page.mouse.move(box["x"] + box["width"] / 2, middle)
+    await page.mouse.down()
+    await page.mouse.move(box["x"] + box["width"] * 0.75, middle, steps=4)
+    await until(robot, joints, lambda found: found["positions"]["pan"] > 0.5)
+    await tab.shoot("teleop-joints")
+    await page.mouse.up()
+    await until(robot, joints, lambda found: abs(found["velocities"]["pan"]) < STILL)
+    await slider.focus()
+    before = (await until(robot, joints, bool))["positions"]["pan"]
+    await page.keyboard.down("PageDown")
+    await until(robot, joints, lambda found: found["positions"]["pan"] < before - 0.05)
+    await page.keyboard.up("PageDown")
+    await page.get_by_role("button", name="Disable head").click()
+
+
+async def test_a_drone_takes_off_climbs_by_key_and_lands_by_buttons(
+    tab: Watched, robot: httpx.AsyncClient
+) -> None:
+    page = await take(tab, "drone-gamma")
+    status, actions = page.get_by_test_id("action-status"), page.get_by_test_id("actions")
+    await until(robot, "/tenant/gamma/sensor/prearm", lambda found: found["ready"], FLIGHT)
+    await actions.get_by_role("button", name="Mode").click()
+    await expect(status).to_contain_text("Mode: completed")
+    await actions.get_by_role("button", name="Arm", exact=True).click()
+    await expect(status).to_contain_text("Arm: completed")
+    await actions.get_by_label("altitude of Take off").fill("3")
+    await actions.get_by_role("button", name="Take off").click()
+    await expect(status).to_contain_text("Take off: completed", timeout=FLIGHT * 1000)
+    place = "/tenant/gamma/sensor/position/global"
+    height = (await until(robot, place, bool))["relative_alt"]
+    await page.keyboard.down("Shift")
+    await page.keyboard.down("r")
+    await until(robot, place, lambda found: found["relative_alt"] > height + 0.7)
+    await expect(page.get_by_test_id("deadman")).to_contain_text("keyboard")
+    await tab.shoot("teleop-drone")
+    await page.keyboard.up("r")
+    await page.keyboard.down("q")
+    sideways = "/tenant/gamma/actuator/velocity"
+    await until(robot, sideways, lambda found: found["y"] > 0.1 and found["z"] == 0)
+    await page.keyboard.up("Shift")
+    await page.keyboard.up("q")
+    await until(robot, sideways, lambda found: found["y"] == found["z"] == 0)
+    await actions.get_by_role("button", name="Land").click()
+    await expect(status).to_contain_text("Land:")
