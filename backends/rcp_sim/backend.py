@@ -104,7 +104,7 @@ class SimBackend(BaseBackend):
         return await verb(value, progress)
 
     def watch(self, name: str, rate: float | None) -> AbstractAsyncContextManager[object]:
-        """Run the scanner or the camera while somebody watches; the rest runs always."""
+        """Run what is seen and told of the body while somebody watches; the rest runs always."""
         return self._watch(name, rate)
 
     @asynccontextmanager

@@ -14,15 +14,15 @@ from rcp_sim.messages import Image
 from rcp_sim.raycast import Fan
 from rcp_sim.simulation import Simulation
 
-__all__ = ["HEIGHT", "WIDTH", "picture"]
+__all__ = ["EYE", "HEIGHT", "TALL", "TONES", "WIDTH", "picture"]
 
 WIDTH, HEIGHT = 160, 120  # px
 _FOCUS = WIDTH / 2 / math.tan(math.radians(35))  # px: 70 degrees wide
-_EYE = 0.4  # m above the floor
-_TALL = (2.5, 1.8)  # m: the walls of the hall, and the boxes
+EYE = 0.4  # m above the floor
+TALL = (2.5, 1.8)  # m: the walls of the hall, and the boxes
 _REACH = 150.0  # m: farther than any hall is wide
 _SHADES = 16  # of each tone: the farther, the darker
-_TONES = (
+TONES = (
     (196, 190, 176),
     (176, 170, 156),  # walls
     (66, 110, 160),
@@ -32,6 +32,14 @@ _TONES = (
     (92, 140, 84),
     (76, 118, 70),
 )
+_BANDS: tuple[tuple[tuple[float, int], ...], ...] = (
+    ((2.5, 0), (1.2, 3), (1.05, 0), (0.12, 4)),
+    ((1.8, 3), (1.72, 0), (1.24, 5), (1.16, 0), (0.68, 5), (0.6, 0), (0.12, 5)),
+)
+"""Of the walls and of the boxes, from the top: from which height on, m, and how many shades darker:
+a stripe and a skirting, and the shelves."""
+_GROUND = (0.0, 0)
+_SEAMS = ((4.0, 0.05, 3), (3.0, 0.1, 6))  # m apart and wide, and how many shades darker
 _FAN = Fan([math.atan((column - WIDTH / 2 + 0.5) / _FOCUS) for column in range(WIDTH)])
 _COSINES = [math.cos(angle) for angle in _FAN.angles]
 _FIRST = 120  # palette index of the first tone; below it the background
@@ -43,7 +51,7 @@ def _palette() -> bytes:
         depth = abs(row - HEIGHT / 2) / (HEIGHT / 2)
         base = (120, 128, 140) if row < HEIGHT / 2 else (104, 98, 92)
         colours.append(_dimmed(base, 0.35 + 0.65 * depth))
-    for tone in _TONES:
+    for tone in TONES:
         colours += [_dimmed(tone, 1 - 0.75 * shade / _SHADES) for shade in range(_SHADES)]
     return b"".join(bytes(colour) for colour in colours)
 
@@ -65,24 +73,38 @@ _END = _chunk(b"IEND", b"")
 _BACKGROUND = bytes(range(HEIGHT))
 
 
-def _column(distance: float, tone: int) -> bytes:
-    """Paint one column, top to bottom, that looks at a face so far away."""
-    tall = _TALL[tone >= 2]
-    top = max(0, round(HEIGHT / 2 - _FOCUS * (tall - _EYE) / distance))
-    bottom = min(HEIGHT, round(HEIGHT / 2 + _FOCUS * _EYE / distance))
-    shade = min(_SHADES - 1, int(distance / 1.5))
-    colour = _FIRST + tone * _SHADES + shade
-    return _BACKGROUND[:top] + bytes((colour,)) * (bottom - top) + _BACKGROUND[bottom:]
+def _column(distance: float, tone: int, along: float) -> bytes:
+    """Paint one column, top to bottom, that looks at a place along a face so far away."""
+    box = tone >= 2
+    apart, wide, darker = _SEAMS[box]
+    shade = int(distance / 1.5) + (darker if along % apart < wide else 0)
+    first = _FIRST + tone * _SHADES
+    scale = _FOCUS / distance
+    edges = [
+        min(HEIGHT, max(0, round(HEIGHT / 2 - scale * (height - EYE))))
+        for height, _ in (*_BANDS[box], _GROUND)
+    ]
+    parts = [_BACKGROUND[: edges[0]]]
+    for (_, more), top, bottom in zip(_BANDS[box], edges, edges[1:], strict=False):
+        colour = first + min(_SHADES - 1, shade + more)
+        parts.append(bytes((colour,)) * (bottom - top))
+    return b"".join([*parts, _BACKGROUND[edges[-1] :]])
 
 
 def picture(sim: Simulation, now: int) -> Image:
     """Take a picture of what is ahead of the rover."""
     rover, faces = sim.rover, sim.world.faces
     ranges, hits = _FAN.cast(faces, rover.x, rover.y, rover.yaw, _REACH)
-    columns = [
-        _column(max(0.05, distance * cosine), faces[hit].tone) if hit >= 0 else _BACKGROUND
-        for distance, cosine, hit in zip(ranges, _COSINES, hits, strict=True)
-    ]
+    columns: list[bytes] = []
+    for distance, angle, cosine, hit in zip(ranges, _FAN.angles, _COSINES, hits, strict=True):
+        if hit < 0:
+            columns.append(_BACKGROUND)
+            continue
+        face, bearing = faces[hit], rover.yaw + angle
+        along = rover.y + distance * math.sin(bearing)
+        if not face.upright:
+            along = rover.x + distance * math.cos(bearing)
+        columns.append(_column(max(0.05, distance * cosine), face.tone, along))
     columns.reverse()  # rays go from right to left
     pixels = b"".join(columns)
     rows = b"".join(b"\x00" + pixels[row::HEIGHT] for row in range(HEIGHT))

@@ -53,6 +53,9 @@ class SimConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Ticks a second; pose, odometry and IMU come at each."""
     scan_rate: SlowHertz = 10.0
     camera_rate: SlowHertz = 4.0
+    points_rate: SlowHertz = 5.0
+    frames_rate: SlowHertz = 20.0
+    """Of the transforms and the joints."""
     battery_rate: SlowHertz = 1.0
     beams: Annotated[int, Meta(ge=8, le=4096)] = 360
     """Of the laser scan, over the full circle."""

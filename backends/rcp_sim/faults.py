@@ -16,6 +16,9 @@ SENSORS = (
     "sensor/scan",
     "sensor/battery",
     "sensor/camera",
+    "sensor/points",
+    "sensor/transforms",
+    "sensor/joint_states",
     "sensor/map",
 )
 COMMANDS = (

@@ -8,8 +8,10 @@ from contextlib import contextmanager
 from typing import Any
 
 from rcp_kernel.spi import Host
+from rcp_sim.body import DESCRIPTION, joints, transforms
 from rcp_sim.camera import picture
 from rcp_sim.config import SimConfig
+from rcp_sim.depth import Depth
 from rcp_sim.faults import FaultBoard
 from rcp_sim.messages import Drive, DriveAngular, DriveLinear
 from rcp_sim.sensors import Sensors, battery, pose
@@ -57,6 +59,7 @@ class Publisher:
         self._sim = sim
         self._faults = faults
         self.sensors = Sensors(config, sim.rover)
+        self._depth = Depth(config.seed, config.noise)
         self._dt = config.time_scale / config.rate
         self._live: tuple[tuple[str, Callable[[int], Any]], ...] = (
             ("sensor/pose", lambda now: pose(sim.rover, now)),
@@ -66,6 +69,9 @@ class Publisher:
         self._timed: tuple[tuple[str, Callable[[int], Any], _Rhythm], ...] = (
             ("sensor/scan", self._scan, _Rhythm(config.scan_rate, watched=True)),
             ("sensor/camera", self._picture, _Rhythm(config.camera_rate, watched=True)),
+            ("sensor/points", self._cloud, _Rhythm(config.points_rate, watched=True)),
+            ("sensor/transforms", self._frames, _Rhythm(config.frames_rate, watched=True)),
+            ("sensor/joint_states", self._joints, _Rhythm(config.frames_rate, watched=True)),
             ("sensor/battery", self._battery, _Rhythm(config.battery_rate, watched=False)),
         )
         self._makers: dict[str, Callable[[int], Any]] = {
@@ -74,6 +80,7 @@ class Publisher:
             "sensor/map": self._map,
             "actuator/cmd_vel": lambda _: self._velocity(),
             "param/speed_limit": lambda _: sim.limit,
+            "param/robot_description": lambda _: DESCRIPTION,
         }
         self._shown: dict[str, Any] = {}
         """Values that are sent when they change, as last sent."""
@@ -106,6 +113,7 @@ class Publisher:
         return {
             "actuator/cmd_vel": sim.velocity,
             "param/speed_limit": sim.limit,
+            "param/robot_description": DESCRIPTION,
             "sensor/map": sim.world,
         }
 
@@ -149,6 +157,15 @@ class Publisher:
 
     def _picture(self, now: int) -> Any:
         return picture(self._sim, now)
+
+    def _cloud(self, now: int) -> Any:
+        return self._depth.cloud(self._sim, now)
+
+    def _frames(self, now: int) -> Any:
+        return transforms(self._sim.rover, self.sensors.wheels, now)
+
+    def _joints(self, now: int) -> Any:
+        return joints(self._sim.rover, now)
 
     def _battery(self, now: int) -> Any:
         return battery(self._sim, now)

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from typing import Any
 
-from rcp_kernel.model import Resource
+from rcp_kernel.model import Operation, Resource
 from rcp_kernel.types import LaserScan, PoseStamped
 from rcp_sim import messages as m
+from rcp_sim.body import DESCRIPTION
 from rcp_sim.config import SimConfig
+from rcp_sim.spatial import JointState, PointCloud, Transforms
 
 __all__ = ["resources"]
 
@@ -19,7 +21,7 @@ _BOX = {"x": 3.0, "y": 1.0, "size_x": 0.5, "size_y": 2.0}
 
 def resources(config: SimConfig) -> list[Resource]:
     """Return everything one rover declares."""
-    return [*_sensors(config), *_settings(), *_actions(), *_services(), *_events()]
+    return [*_sensors(config), *_seen(), *_settings(), *_actions(), *_services(), *_events()]
 
 
 def _sensors(config: SimConfig) -> list[Resource]:
@@ -108,6 +110,66 @@ def _sensors(config: SimConfig) -> list[Resource]:
                     "data": "AABkZA==",
                 },
             ),
+            live=True,
+            history=1,
+        ),
+    ]
+
+
+def _seen() -> list[Resource]:
+    stamp = {"sec": 1_780_000_000, "nanosec": 0}
+    header = {"stamp": stamp, "frame_id": "base_link"}
+    up = {"translation": {"x": 0.0, "y": 0.0, "z": 0.4}, "rotation": _TURNED}
+    place = {"header": header, "child_frame_id": "camera", "transform": up}
+    return [
+        Resource(
+            name="sensor/points",
+            description="What the depth camera ahead measures, as coloured points in its frame.",
+            value=PointCloud,
+            examples=(
+                {
+                    "header": {"stamp": stamp, "frame_id": "camera"},
+                    "height": 1,
+                    "width": 0,
+                    "fields": [{"name": "x", "offset": 0}],
+                    "is_bigendian": False,
+                    "point_step": 16,
+                    "row_step": 0,
+                    "data": "",
+                },
+            ),
+            deadline=2.5,
+            history=4,
+        ),
+        Resource(
+            name="sensor/transforms",
+            description="Where the rover's frames are: map, odom, base_link, laser and camera.",
+            value=Transforms,
+            examples=({"transforms": [place]},),
+            deadline=2.5,
+            history=16,
+        ),
+        Resource(
+            name="sensor/joint_states",
+            description="How far the wheels have turned, and how fast they do.",
+            value=JointState,
+            examples=(
+                {
+                    "header": header,
+                    "name": ["left_wheel_joint"],
+                    "position": [1.5],
+                    "velocity": [0.2],
+                },
+            ),
+            deadline=2.5,
+            history=16,
+        ),
+        Resource(
+            name="param/robot_description",
+            description="The rover's description, as URDF.",
+            value=str,
+            operations=Operation.READ | Operation.SUBSCRIBE,
+            examples=(DESCRIPTION,),
             live=True,
             history=1,
         ),

@@ -167,6 +167,24 @@ async def test_a_click_into_the_scene_sends_the_rover_there(tab: Watched, robot:
     await tab.shoot("scene-3d")
 
 
+async def test_the_scene_shows_the_rover_as_it_is_described_and_what_it_perceives(
+    tab: Watched, robot: Robot
+) -> None:
+    await tab.open("scene?robot=rover-alpha")
+    for kind, path in (
+        ("cloud", "sensor/points"),
+        ("frames", "laser"),
+        ("robot", "param/robot_description"),
+        ("map", "sensor/map"),
+    ):
+        row = tab.page.locator(f"[data-testid=layer][data-layer={kind}][data-path$='{path}']")
+        await expect(row).to_have_attribute("data-count", re.compile(r"[1-9]"))
+        await expect(row).to_have_attribute("data-at", re.compile(r"\d \S+ \S+"))
+    await tab.page.get_by_role("button", name="3D").click()
+    await expect(tab.page.get_by_test_id("scene")).to_have_attribute("data-drawn", "3d")
+    await tab.shoot("scene-rover")
+
+
 async def test_a_plot_follows_and_pauses(tab: Watched, robot: Robot) -> None:
     imu = "/tenant/alpha/sensor/imu%23linear_acceleration"
     await tab.open(f"plot?p={imu}.x,{imu}.z&span=10")

@@ -62,8 +62,12 @@ def test_the_demos_names_are_there() -> None:
         "sensor/battery",
         "sensor/camera",
         "sensor/map",
+        "sensor/points",
+        "sensor/transforms",
+        "sensor/joint_states",
         "actuator/cmd_vel",
         "param/speed_limit",
+        "param/robot_description",
         "action/move_to",
         "action/dock",
         "service/reset_system",
@@ -153,6 +157,19 @@ async def test_the_scanner_and_the_camera_run_only_while_watched(rig: Any) -> No
     assert rig.host.count("sensor/camera") == 4
     rig.tick(1)
     assert rig.host.count("sensor/scan") == 10
+
+
+@pytest.mark.parametrize(
+    ("name", "rate"),
+    [("sensor/points", 5), ("sensor/transforms", 20), ("sensor/joint_states", 20)],
+)
+async def test_what_only_a_scene_draws_comes_while_watched(rig: Any, name: str, rate: int) -> None:
+    rig.tick(1)
+    assert rig.host.count(name) == 0
+    async with rig.backend.watch(name, None):
+        rig.tick(2)
+    assert abs(rig.host.count(name) - 2 * rate) <= 1
+    assert await rig.backend.read(name)
 
 
 async def test_a_watched_sensor_is_no_faster_than_anybody_wants(rig: Any) -> None:

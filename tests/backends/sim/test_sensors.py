@@ -7,6 +7,7 @@ import struct
 import zlib
 from collections.abc import Callable
 from typing import Any
+from xml.etree import ElementTree as ET
 
 import pytest
 from hypothesis import given, settings
@@ -14,7 +15,9 @@ from hypothesis import strategies as st
 
 from rcp_kernel.values import Encoding, value_type
 from rcp_sim import SimConfig
-from rcp_sim.camera import HEIGHT, WIDTH, picture
+from rcp_sim.body import DESCRIPTION, joints, transforms
+from rcp_sim.camera import EYE, HEIGHT, WIDTH, picture
+from rcp_sim.depth import COLUMNS, REACH, ROWS, Depth
 from rcp_sim.messages import Box
 from rcp_sim.raycast import Fan
 from rcp_sim.sensors import Sensors, battery, pose
@@ -166,3 +169,95 @@ def test_the_map_changes_with_the_boxes(make_rig: Callable[..., Any]) -> None:
     rig.tick(1)
     before, after = rig.host.samples["sensor/map"]
     assert sum(after.data) > sum(before.data)
+
+
+def test_the_texture_of_a_wall_moves_with_the_rover() -> None:
+    sim, _ = bench()
+    sim.rover.x, sim.rover.y, sim.rover.yaw = 0.0, -18.0, -math.pi / 2
+    before = unpacked(picture(sim, NOW).data)[HEIGHT // 2 + 8]
+    assert len(set(before)) > 1  # seams between what is plain
+    sim.rover.x = 1.0
+    after = unpacked(picture(sim, NOW).data)[HEIGHT // 2 + 8]
+    assert before != after
+    assert set(before) == set(after)
+
+
+def points(cloud: Any) -> list[tuple[float, float, float]]:
+    assert cloud.width * cloud.point_step == cloud.row_step == len(cloud.data)
+    assert [(f.name, f.offset) for f in cloud.fields] == [("x", 0), ("y", 4), ("z", 8), ("rgb", 12)]
+    return [point[:3] for point in struct.iter_unpack("=3f4x", cloud.data)]
+
+
+@settings(max_examples=60)
+@given(st.floats(-18, 18), st.floats(-18, 18), st.floats(-4, 4))
+def test_each_point_of_a_cloud_lies_on_the_floor_or_on_a_face(
+    x: float, y: float, yaw: float
+) -> None:
+    sim, _ = bench()
+    sim.rover.x, sim.rover.y, sim.rover.yaw = x, y, yaw
+    cosine, sine = math.cos(yaw), math.sin(yaw)
+    found = points(Depth(1, 0).cloud(sim, NOW))
+    assert len(found) <= COLUMNS * ROWS
+    for ahead, left, up in found[::7]:
+        place = (x + cosine * ahead - sine * left, y + sine * ahead + cosine * left)
+        assert 0 < ahead < REACH
+        on_floor = abs(up + EYE) < 1e-6
+        assert on_floor or abs(WAREHOUSE.clearance(*place)) < 1e-3
+
+
+def test_a_cloud_shows_a_box_ahead_at_its_distance_and_height() -> None:
+    sim, _ = bench(world="empty")
+    sim.place(Box(4.5, 0.0, 1.0, 1.0))
+    box = [one for one in points(Depth(1, 0).cloud(sim, NOW)) if one[0] == pytest.approx(4)]
+    above = [up + EYE for _, left, up in box if abs(left) < 0.4]
+    assert len(above) > 100
+    assert 1.7 < max(above) <= 1.8
+
+
+def test_the_transforms_lead_from_the_map_to_where_the_rover_is() -> None:
+    sim, sensors = bench()
+    sim.drive(0.8, 0.3)
+    for _ in range(500):
+        sim.step(0.02)
+        sensors.wheels.follow(sim.rover)
+    tree = {t.child_frame_id: t for t in transforms(sim.rover, sensors.wheels, NOW).transforms}
+    assert {child: t.header.frame_id for child, t in tree.items()} == {
+        "odom": "map",
+        "base_link": "odom",
+        "laser": "base_link",
+        "camera": "base_link",
+    }
+    assert tree["odom"].header.stamp.sec == NOW // 10**9
+    odom, base = tree["odom"].transform, tree["base_link"].transform
+    turn = 2 * math.atan2(odom.rotation.z, odom.rotation.w)
+    cosine, sine = math.cos(turn), math.sin(turn)
+    x = odom.translation.x + cosine * base.translation.x - sine * base.translation.y
+    y = odom.translation.y + sine * base.translation.x + cosine * base.translation.y
+    assert (x, y) == pytest.approx((sim.rover.x, sim.rover.y))
+    assert 0 < math.hypot(odom.translation.x, odom.translation.y) < 1  # the wheels are wrong
+
+
+def test_wheels_turn_as_far_as_the_rover_drives() -> None:
+    sim, _ = bench()
+    sim.drive(1.0, 0.0)
+    for _ in range(100):
+        sim.step(0.02)
+    state = joints(sim.rover, NOW)
+    assert state.position == pytest.approx([sim.rover.path / 0.08] * 2)
+    assert state.velocity == pytest.approx([sim.rover.v / 0.08] * 2)
+    sim.drive(0.0, 1.0)
+    sim.step(0.5)
+    left, right = (
+        b - a for a, b in zip(state.position, joints(sim.rover, NOW).position, strict=True)
+    )
+    assert left < right
+
+
+def test_the_description_has_the_joints_and_frames_that_are_told_of() -> None:
+    sim, sensors = bench()
+    robot = ET.fromstring(DESCRIPTION)
+    links = {link.get("name") for link in robot.iter("link")}
+    assert set(joints(sim.rover, NOW).name) <= {joint.get("name") for joint in robot.iter("joint")}
+    tree = transforms(sim.rover, sensors.wheels, NOW).transforms
+    assert {t.child_frame_id for t in tree} - {"odom"} <= links
+    assert not list(robot.iter("mesh"))
