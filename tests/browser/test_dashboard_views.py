@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import math
 import re
 from collections.abc import AsyncGenerator, Callable, Generator
 from typing import Any
@@ -30,6 +31,7 @@ class Robot:
         self._client = httpx.AsyncClient(
             base_url=f"{running.url}/rcp/v1/context",
             headers={"authorization": f"Bearer {found[0]}"},
+            timeout=_BOUND,
         )
 
     async def read(self, path: str) -> Any:
@@ -236,3 +238,42 @@ async def test_the_log_has_events_and_for_who_may_the_audit(tab: Watched, robot:
     await log_in(tab.page, robot.admin)
     await expect(tab.page.locator("tr[data-source=audit]").first).to_be_visible()
     await tab.shoot("log")
+
+
+async def test_the_drone_is_in_the_scene_at_its_height_and_on_the_map_where_it_is(
+    tab: Watched, robot: Robot
+) -> None:
+    async with asyncio.timeout(2 * _BOUND):
+        while not (await robot.read("tenant/gamma/sensor/prearm"))["ready"]:
+            await asyncio.sleep(0.2)
+    await robot.execute("tenant/gamma/action/arm", {})
+    await robot.execute("tenant/gamma/action/takeoff", {"altitude": 3})
+    await tab.open("scene?robot=drone-gamma")
+    await expect(tab.page.get_by_test_id("where")).to_contain_text(
+        re.compile(r", [23]\.\d\d m, -?\d+° in origin")
+    )
+    north = (await robot.read("tenant/gamma/sensor/attitude"))["yaw"]
+    told = await tab.page.get_by_test_id("where").inner_text()
+    turned = re.search(r"(-?\d+)°", told)
+    assert turned is not None
+    assert abs((90 - math.degrees(north) - int(turned[1]) + 180) % 360 - 180) < 10
+    await tab.page.get_by_role("button", name="3D").click()
+    await expect(tab.page.get_by_test_id("scene")).to_have_attribute("data-drawn", "3d")
+    await tab.shoot("scene-drone")
+    await tab.page.get_by_role("button", name="3D").click()
+    await tab.page.get_by_test_id("aim").click()
+    box = await tab.page.get_by_test_id("scene").bounding_box()
+    assert box is not None
+    metre = box["height"] / 24
+    at = box["x"] + box["width"] / 2 + 3 * metre, box["y"] + box["height"] / 2 - 4 * metre
+    await tab.page.mouse.click(*at)
+    async with asyncio.timeout(2 * _BOUND):
+        while True:
+            place = await robot.read("tenant/gamma/sensor/position/local")
+            if abs(place["x"] - 4) < 1.2 and abs(place["y"] - 3) < 1.2:
+                break
+            await asyncio.sleep(0.1)
+    there = await robot.read("tenant/gamma/sensor/position/global")
+    await tab.open("map")
+    await expect(tab.page.locator("main")).to_contain_text(f"{there['lat']:.4f}")
+    await robot.execute("tenant/gamma/action/land", {})

@@ -7,6 +7,14 @@ export interface Geo {
   longitude: number;
 }
 
+/** Where on Earth a value says something is; undefined where it does not know. */
+export function geoOf(value: any): (Geo & { altitude?: number }) | undefined {
+  const [latitude, longitude] = [value.latitude ?? value.lat, value.longitude ?? value.lon];
+  if (!Number.isFinite(latitude) || !Number.isFinite(longitude) || (latitude === 0 && longitude === 0)) return undefined;
+  const altitude = value.relative_altitude ?? value.relative_alt ?? value.altitude ?? value.alt;
+  return { latitude, longitude, ...(Number.isFinite(altitude) && { altitude }) };
+}
+
 export function toMetres(at: Geo, origin: Geo): { x: number; y: number } {
   const rad = Math.PI / 180;
   return {

@@ -23,6 +23,10 @@ export function goalInput(resource: Resource, place: Place, frame: string): unkn
     const heading = place.yaw === undefined ? {} : has("yaw") ? { yaw: place.yaw } : { orientation };
     return { ...made, position, ...heading };
   }
+  if (has("north") && has("east")) {
+    const yaw = place.yaw === undefined ? {} : has("yaw") ? { yaw: Math.atan2(Math.cos(place.yaw), Math.sin(place.yaw)) } : {};
+    return { ...made, north: place.y, east: place.x, ...yaw };
+  }
   if (!has("pose")) return undefined;
   const text = JSON.stringify(resolve(whole["properties"]["pose"], root));
   const pose = { position, orientation };

@@ -4,7 +4,7 @@ import { properties } from "./schema.ts";
 
 /** What a page can make of a resource, told by the fields of its schema and not by its name. */
 export type Shape =
-  | "pose" | "odometry" | "scan" | "grid" | "image" | "cloud" | "geo" | "transforms" | "transform" | "joints" | "twist" | "battery" | "path" | "goal" | "urdf" | "assets";
+  | "pose" | "odometry" | "scan" | "grid" | "image" | "cloud" | "geo" | "transforms" | "transform" | "joints" | "twist" | "battery" | "path" | "goal" | "urdf" | "assets" | "ned" | "attitude";
 
 const cache = new WeakMap<Resource, Set<Shape>>();
 
@@ -24,7 +24,9 @@ function* look(resource: Resource): Generator<Shape> {
   if (all("resolution", "width", "height", "data") || all("info", "data")) yield "grid";
   if ((all("width", "height", "data") && !has.has("resolution") && !has.has("point_step")) || all("format", "data")) yield "image";
   if (all("point_step", "data") || (has.has("points") && !has.has("joint_names"))) yield "cloud";
-  if (all("latitude", "longitude")) yield "geo";
+  if (all("latitude", "longitude") || all("lat", "lon")) yield "geo";
+  if (all("x", "y", "z", "vx", "vy", "vz") && /NED/.test(String(resource.native))) yield "ned";
+  if (all("roll", "pitch", "yaw")) yield "attitude";
   if (has.has("transforms")) yield "transforms";
   if (all("transform", "child_frame_id")) yield "transform";
   if (all("name", "position") && !has.has("orientation")) yield "joints";
@@ -34,7 +36,7 @@ function* look(resource: Resource): Generator<Shape> {
   if (resource.kind === "action") {
     const text = JSON.stringify(resource.schemas?.input ?? {});
     if (text.includes('"position"') || (text.includes('"pose"') && text.includes('"orientation"'))) yield "goal";
-    else if (text.includes('"latitude"')) yield "goal";
+    else if (text.includes('"latitude"') || text.includes('"north"')) yield "goal";
   }
   if (resource.kind === "service" && properties(resource, "input").has("uri") && properties(resource, "output").has("media_type")) yield "assets";
   if (resource.kind !== "service" && /robot_description|urdf/.test(resource.path)) yield "urdf";
@@ -65,6 +67,25 @@ export function poseOf(value: any): Pose | undefined {
   const { x: qx = 0, y: qy = 0, z: qz = 0, w = 1 } = at.orientation ?? {};
   const frame = value.frame_id ?? value.header?.frame_id ?? "map";
   return { position: { x, y, z }, orientation: { x: qx, y: qy, z: qz, w }, frame };
+}
+
+/** Where a vehicle is that tells it north, east and down, and turned so: forward, left, up in east, north, up. */
+export function poseOfNed(position: any, attitude: any): Pose | undefined {
+  const { x: north, y: east, z: down } = position;
+  if (typeof north !== "number" || typeof east !== "number" || typeof down !== "number") return undefined;
+  const { roll = 0, pitch = 0, yaw = 0 } = attitude ?? {};
+  const [r, p, y] = [roll / 2, -pitch / 2, (Math.PI / 2 - yaw) / 2];
+  const [cr, sr, cp, sp, cy, sy] = [Math.cos(r), Math.sin(r), Math.cos(p), Math.sin(p), Math.cos(y), Math.sin(y)];
+  return {
+    position: { x: east, y: north, z: -down },
+    orientation: {
+      x: sr * cp * cy - cr * sp * sy,
+      y: cr * sp * cy + sr * cp * sy,
+      z: cr * cp * sy - sr * sp * cy,
+      w: cr * cp * cy + sr * sp * sy,
+    },
+    frame: "origin",
+  };
 }
 
 /** Position and heading in a transform of 16 numbers, column by column. */

@@ -1,8 +1,8 @@
-import { Matrix4, type Object3D, Vector3 } from "three";
+import { Group, Matrix4, type Object3D, Vector3 } from "three";
 
 import type { Pose } from "../shapes.ts";
 import { Frames, matrixOf } from "./frames.ts";
-import { body, Trail } from "./layers.ts";
+import { body, Drop, flyer, Trail } from "./layers.ts";
 
 /** A robot as it is described. */
 export interface Model {
@@ -27,11 +27,18 @@ export class Body {
   readonly frames = new Frames();
   readonly models = new Map<string, Model>();
   readonly trail = new Trail();
-  readonly stand = body();
+  /** How high it is. */
+  readonly drop = new Drop();
+  readonly stand = new Group();
   pose: (Pose & { base: string | undefined }) | undefined;
 
   constructor() {
     this.stand.matrixAutoUpdate = false;
+  }
+
+  /** Stand in for what is not described: on wheels, or in the air. */
+  like(flying: boolean): void {
+    if (this.stand.children.length === 0) this.stand.add(flying ? flyer() : body());
   }
 
   /** The frame that stands for the robot. */
@@ -96,6 +103,7 @@ export class Body {
       model.object.matrixWorldNeedsUpdate = true;
     }
     const place = at && new Vector3().setFromMatrixPosition(at);
+    this.drop.show(visible ? place : undefined);
     if (place) this.trail.push(place.x, place.y, place.z);
     return place;
   }

@@ -1,6 +1,6 @@
 import {
-  ArrowHelper, AxesHelper, BoxGeometry, BufferAttribute, BufferGeometry, CanvasTexture, Color, ConeGeometry, Group, Line, LineBasicMaterial, type Matrix4, Mesh,
-  MeshBasicMaterial, MeshStandardMaterial, Points as PointsObject, PointsMaterial, Sprite, SpriteMaterial, Vector3,
+  ArrowHelper, AxesHelper, BoxGeometry, BufferAttribute, BufferGeometry, CanvasTexture, Color, ConeGeometry, CylinderGeometry, Group, Line, LineBasicMaterial, type Matrix4, Mesh,
+  MeshBasicMaterial, MeshStandardMaterial, Points as PointsObject, PointsMaterial, RingGeometry, Sprite, SpriteMaterial, Vector3,
 } from "three";
 
 import { colour, type Colouring, type Points } from "./cloud.ts";
@@ -20,6 +20,47 @@ export function body(): Group {
   made.add(base, nose);
   return made;
 }
+
+/** The same in the air: arms with rotors, those ahead in another colour. */
+export function flyer(): Group {
+  const made = new Group();
+  const dark = new MeshStandardMaterial({ color: 0x39424e });
+  made.add(new Mesh(new BoxGeometry(0.26, 0.18, 0.1), dark));
+  for (const [x, y] of [[1, 1], [1, -1], [-1, 1], [-1, -1]] as const) {
+    const arm = new Mesh(new BoxGeometry(0.36, 0.04, 0.03), dark);
+    arm.position.set(0.14 * x, 0.14 * y, 0.02);
+    arm.rotation.z = (Math.PI / 4) * x * y;
+    const rotor = new Mesh(new CylinderGeometry(0.17, 0.17, 0.015, 24), new MeshStandardMaterial({ color: x > 0 ? 0xffa024 : 0x3d8ee6, transparent: true, opacity: 0.75 }));
+    rotor.rotation.x = Math.PI / 2;
+    rotor.position.set(0.26 * x, 0.26 * y, 0.06);
+    made.add(arm, rotor);
+  }
+  return made;
+}
+
+/** A line from what is in the air to the ground below it, with a ring there. */
+export class Drop {
+  readonly object = new Group();
+  readonly #line: Mesh;
+
+  constructor() {
+    const material = new MeshBasicMaterial({ color: 0x8a94a3 });
+    this.#line = new Mesh(new CylinderGeometry(0.012, 0.012, 1, 6), material);
+    this.#line.rotation.x = Math.PI / 2;
+    this.object.add(this.#line, new Mesh(new RingGeometry(0.22, 0.27, 32), material));
+    this.object.visible = false;
+  }
+
+  show(at: Vector3 | undefined): void {
+    this.object.visible = at !== undefined && Math.abs(at.z) > HIGH;
+    if (!at) return;
+    this.object.position.set(at.x, at.y, 0.01);
+    this.#line.position.z = at.z / 2;
+    this.#line.scale.y = Math.abs(at.z);
+  }
+}
+
+const HIGH = 0.4; // m from which on something is in the air
 
 /** Where it has been. */
 export class Trail {

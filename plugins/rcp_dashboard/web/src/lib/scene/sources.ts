@@ -2,7 +2,7 @@ import type { Resource } from "rcp-client";
 
 import { app } from "../app.svelte.ts";
 import { bytesOf } from "../bytes.ts";
-import { ofShape, type Shape, shapes } from "../shapes.ts";
+import { ofShape, poseOfNed, type Shape, shapes } from "../shapes.ts";
 import { watch } from "../watch.ts";
 import type { Fetch } from "./meshes.ts";
 import type { Layer, World } from "./world.ts";
@@ -80,6 +80,13 @@ export class Sources {
       } else if (shapes(one).has("pose") && framed(one))
         yield [`pose ${path}`, () => watch(path, { rate: 5 }, ({ body }) => world.take("pose", mine, path, body))];
     }
+    for (const ned of ofShape(resources, "ned")) {
+      const mine = space(ned.path);
+      const beside = parentOf(ned.path.replace(/\/position\/[^/]*$/, "/x"));
+      const attitude = ofShape(resources, "attitude").find((one) => one.path.startsWith(`${beside}/`));
+      if (!told.has(mine)) yield [`ned ${ned.path}`, () => flight(world, mine, ned.path, attitude?.path)];
+      told.add(mine);
+    }
     for (const { path } of ofShape(resources, "urdf"))
       yield [`robot ${path}`, () => watch(path, {}, ({ body }) => void this.#describe(space(path), path, body))];
   }
@@ -153,3 +160,26 @@ const parentOf = (path: string): string => path.slice(0, Math.max(0, path.lastIn
 const belowBranch = (path: string): string => path.split("/").slice(4).join("/");
 /** What stands before `tf/<target>/*`. */
 const spaceOf = (star: string): string => belowBranch(star).replace(/\/?tf\/[^/]+\/\*$/, "");
+
+/** Follow a vehicle that tells place and attitude apart. */
+function flight(world: World, space: string, place: string, attitude: string | undefined): Stop {
+  let [at, turned]: any[] = [];
+  const tell = (): void => {
+    const pose = at && poseOfNed(at, turned);
+    if (pose) world.posed(space, pose, true);
+  };
+  const stops = [
+    watch(place, { rate: 20 }, ({ body }) => {
+      at = body;
+      tell();
+    }),
+  ];
+  if (attitude)
+    stops.push(
+      watch(attitude, { rate: 20 }, ({ body }) => {
+        turned = body;
+        tell();
+      }),
+    );
+  return () => stops.forEach((stop) => stop());
+}

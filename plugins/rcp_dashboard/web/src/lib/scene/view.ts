@@ -113,8 +113,8 @@ export class View {
   }
 
   /** Move so that a place is in the middle. */
-  look(x: number, y: number): void {
-    const by = new Vector3(x, y, 0).sub(this.#controls.target).setZ(0);
+  look(x: number, y: number, z: number): void {
+    const by = new Vector3(x, y, z).sub(this.#controls.target);
     if (by.lengthSq() < 1e-8) return;
     this.camera.position.add(by);
     this.#controls.target.add(by);

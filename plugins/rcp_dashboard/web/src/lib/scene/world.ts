@@ -1,6 +1,6 @@
 import { type Group, Matrix4, type Object3D, Vector3 } from "three";
 
-import { poseOf } from "../shapes.ts";
+import { type Pose, poseOf } from "../shapes.ts";
 import { Body, type Model } from "./body.ts";
 import { cloudPoints, type Colouring, scanPoints } from "./cloud.ts";
 import { matrixOf } from "./frames.ts";
@@ -77,7 +77,7 @@ export class World {
     if (!found) {
       this.#bodies.set(space, (found = new Body()));
       this.#marks.set(found, new Map());
-      for (const thing of [found.stand, found.trail.object]) this.#view.add(thing);
+      for (const thing of [found.stand, found.trail.object, found.drop.object]) this.#view.add(thing);
     }
     return found;
   }
@@ -153,12 +153,21 @@ export class World {
   pose(space: string, value: any): void {
     const told = poseOf(value);
     if (!told) return;
-    this.body(space).pose = { ...told, base: value.child_frame_id };
+    this.posed(space, { ...told, base: value.child_frame_id });
+  }
+
+  /** Take where it is, as far as it is known. */
+  posed(space: string, pose: Pose & { base?: string }, flying = false): void {
+    const body = this.body(space);
+    body.like(flying);
+    body.pose = { ...pose, base: pose.base };
     this.#view.changed();
   }
 
   transforms(space: string, value: any): void {
-    this.body(space).frames.take(value);
+    const body = this.body(space);
+    body.like(false);
+    body.frames.take(value);
     this.#view.changed();
   }
 
@@ -250,7 +259,7 @@ export class World {
       if (moved) body.trail.clear();
       const at = body.settle(fixed, !this.#hidden.has("robot"));
       body.trail.object.visible = !this.#hidden.has("trail");
-      if (at && body === first && this.follow) this.#view.look(at.x, at.y);
+      if (at && body === first && this.follow) this.#view.look(at.x, at.y, at.z);
       this.#settleFrames(body);
     }
     this.place = first?.at(fixed);
