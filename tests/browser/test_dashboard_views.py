@@ -244,7 +244,7 @@ async def test_the_drone_is_in_the_scene_at_its_height_and_on_the_map_where_it_i
     tab: Watched, robot: Robot
 ) -> None:
     async with asyncio.timeout(2 * _BOUND):
-        while not (await robot.read("tenant/gamma/sensor/prearm"))["ready"]:
+        while not (await robot.read("tenant/gamma/sensor/prearm"))["ready"]:  # noqa: ASYNC110
             await asyncio.sleep(0.2)
     await robot.execute("tenant/gamma/action/arm", {})
     await robot.execute("tenant/gamma/action/takeoff", {"altitude": 3})
