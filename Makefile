@@ -30,7 +30,7 @@ demo: $(DEMO)
 	@exec $(BIN)/rcpd demo --port $(PORT)
 
 test: $(TEST)
-	$(BIN)/python -m pytest $(ARGS)
+	@$(BIN)/python tests $(ARGS)
 
 dashboard: $(MADE)
 	$(BIN)/python -m pip install -v --no-deps -e .

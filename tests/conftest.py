@@ -3,9 +3,15 @@
 from __future__ import annotations
 
 import os
+from collections import Counter
+from typing import Any
 
+import psutil
 import pytest
 from hypothesis import settings
+
+_under_way: set[str] = set()
+_MEMORY = 2**30  # bytes that a process and what its tests start may need
 
 # How long an example takes is the machine's affair: no test is timed. CI tries the same each time.
 settings.register_profile("untimed", deadline=None, derandomize="CI" in os.environ)
@@ -16,3 +22,37 @@ settings.load_profile("untimed")
 def anyio_backend() -> str:
     """Run on asyncio: the kernel's event loop."""
     return "asyncio"
+
+
+def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
+    """Take two processes a core: tests wait more than they compute."""
+    fit = psutil.virtual_memory().available // _MEMORY
+    return max(1, min(2 * (psutil.cpu_count() or 1), fit))
+
+
+def pytest_runtest_logstart(nodeid: str) -> None:
+    """Note what begins, in whichever process."""
+    _under_way.add(nodeid)
+
+
+def pytest_runtest_logfinish(nodeid: str) -> None:
+    """Note what has ended."""
+    _under_way.discard(nodeid)
+
+
+def pytest_terminal_summary(terminalreporter: Any) -> None:
+    """Say where the tests' time went, by folder, and what was cut off when they were stopped."""
+    seconds: Counter[str] = Counter()
+    tests: Counter[str] = Counter()
+    for reports in terminalreporter.stats.values():
+        for report in reports:
+            if isinstance(report, pytest.TestReport):
+                folder = "/".join(report.nodeid.partition("::")[0].split("/")[:-1][:3])
+                seconds[folder] += report.duration
+                tests[folder] += report.when == "call"
+    if len(seconds) > 1:
+        terminalreporter.section("seconds of tests by folder")
+        for folder, spent in seconds.most_common():
+            terminalreporter.line(f"{spent:7.1f}  {tests[folder]:5} tests  {folder}")
+    for nodeid in sorted(_under_way):
+        terminalreporter.line(f"ERROR {nodeid} - was under way when the tests were stopped")

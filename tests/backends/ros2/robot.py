@@ -6,6 +6,7 @@ import asyncio
 import json
 import os
 import signal
+import socket
 import subprocess
 import sys
 from collections.abc import AsyncIterator, Awaitable, Callable, Sequence
@@ -21,12 +22,26 @@ from rcp_ros2 import Ros2Config, open_ros2
 from rcp_ros2.backend import Ros2Backend
 
 BOUND = 10.0  # s that any wait of a test may take
-_domains = iter(range(1000))
+_DOMAINS = (*range(1, 101), *range(215, 232))
+"""Those whose ports the system gives to nobody by itself."""
 
 
 def fresh_domain() -> int:
-    """Return a domain that no other test of this run uses."""
-    return (os.getpid() * 7 + next(_domains)) % 100 + 1
+    """Return a domain that no other test on this machine uses, of this run or of another.
+
+    It is claimed by the name of a socket, which goes with this process, however it ends.
+    """
+    first = os.getpid() % len(_DOMAINS)  # what another run has just left may still linger
+    for domain in (*_DOMAINS[first:], *_DOMAINS[:first]):
+        claim = socket.socket(socket.AF_UNIX)
+        try:
+            claim.bind(f"\0rcp-gateway-tests-ros-domain-{domain}")
+        except OSError:
+            claim.close()
+        else:
+            claim.detach()
+            return domain
+    raise AssertionError("every ROS domain is in use by tests")
 
 
 class Robot:
