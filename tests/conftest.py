@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 from collections import Counter
 from typing import Any
 
@@ -16,6 +17,9 @@ _MEMORY = 2**30  # bytes that a process and what its tests start may need
 # How long an example takes is the machine's affair: no test is timed. CI tries the same each time.
 settings.register_profile("untimed", deadline=None, derandomize="CI" in os.environ)
 settings.load_profile("untimed")
+
+# Where the tests are started in the background, Ctrl-C is ignored, and would be by all they start.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @pytest.fixture

@@ -22,6 +22,7 @@ from rcp_can.drive import Drive, Fault
 from rcp_can.faultbook import FaultBook
 from rcp_can.guard import STALLED, Loss, check_bus, heartless, loss
 from rcp_can.health import Health
+from rcp_can.messages import Condition
 from rcp_can.ramp import Ramp
 from rcp_can.setpoint import set_point
 from rcp_kernel.errors import AdapterUnavailable, ModeForbids, QueueFull, RcpError
@@ -83,6 +84,7 @@ class Axis:
         """Set when the drive was heard for the first time, and is configured."""
         bus.listen(self._take, *drive.routes())
         bus.after_batch(self._batch)
+        bus.on_state.append(self._bus_turned)
 
     # What the drive says
 
@@ -322,6 +324,11 @@ class Axis:
         self.fault("not_sent", text, lasting=False)
         self.forget(QueueFull(f"motor '{self.name}': {text}"))
         self.stop()
+
+    def _bus_turned(self, _was: Condition, now: Condition) -> None:
+        """Forget at once what goes over a bus that is lost: nothing moves when it is back."""
+        if self.online and now in ("bus_off", "down"):
+            self._lose(Loss("feedback_lost", f"CAN bus '{self.bus.name}' is {now}"))
 
     # What is shown
 

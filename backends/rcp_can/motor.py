@@ -259,11 +259,13 @@ async def rested(axis: Axis) -> None:
     """Wait until the drive says, anew, that it rests.
 
     :raises DeviceTimeout: it does not.
+    :raises AdapterUnavailable: it is lost meanwhile.
     """
     news = axis.status.moved
     end = time.monotonic() + _REST
     while time.monotonic() < end:
         if axis.resting and axis.status.moved > news + 2:  # those under way are of before
             return
+        check_link(axis)
         await asyncio.sleep(_LOOK)
     raise DeviceTimeout(f"motor '{axis.name}' does not say that it rests")

@@ -92,7 +92,7 @@ class TestRest(Wire):
     ) -> None:
         id_ = (await http.post("/context/action/go", json=WAIT)).json()["command"]
         world.robot().release.set()
-        async with asyncio.timeout(5):
+        async with asyncio.timeout(20):
             text = (await http.get(f"/commands/{id_}/events")).text
         assert text.count("event: reply") >= 2
         assert '"status":"completed"' in text.strip().splitlines()[-1]
@@ -127,7 +127,7 @@ class TestRest(Wire):
         self, world: World, http: httpx.AsyncClient
     ) -> None:
         assert (await http.get("/status")).json()["body"]["state"] == "degraded"
-        async with asyncio.timeout(5), http.stream("GET", "/status/events?count=1") as stream:
+        async with asyncio.timeout(20), http.stream("GET", "/status/events?count=1") as stream:
             text = "".join([line async for line in stream.aiter_lines()])
         assert '"state":"degraded"' in text
 
@@ -291,7 +291,7 @@ class TestRest(Wire):
         ids, seqs = list[str](), list[int]()
         for round_ in range(3):
             headers = {"Last-Event-ID": ids[-1]} if ids else {}
-            async with asyncio.timeout(5), http.stream("GET", query, headers=headers) as stream:
+            async with asyncio.timeout(20), http.stream("GET", query, headers=headers) as stream:
                 world.publish("sensor/level", *map(float, range(3)))
                 wanted = 3 * (round_ + 1) - 1  # cut before the last one: it comes again
                 async for line in stream.aiter_lines():

@@ -86,7 +86,7 @@ class Bench:
         self.client = client
         self.wire = wire
         self.http = httpx.AsyncClient(
-            base_url=address(served.server), headers=bearer(TOKEN), trust_env=False, timeout=10
+            base_url=address(served.server), headers=bearer(TOKEN), trust_env=False, timeout=30
         )
         self.hidden = self.shown = 0
 

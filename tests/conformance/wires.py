@@ -88,7 +88,7 @@ class HttpClient(Client):
         self.http = httpx.AsyncClient(
             base_url=address(server),
             headers={"Content-Type": MEDIA[encoding], "Prefer": "wait=10", **bearer(token)},
-            timeout=10,
+            timeout=30,
             limits=httpx.Limits(max_connections=100),
             trust_env=False,
         )

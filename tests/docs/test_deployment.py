@@ -56,7 +56,7 @@ def test_the_way_to_a_safe_deployment_is_walked(tmp_path: Path) -> None:
         capture_output=True,
         check=False,
         text=True,
-        timeout=90,
+        timeout=240,
         cwd=tmp_path,
         env={**environment, "HOME": str(tmp_path), "PATH": f"{BIN}:{os.environ['PATH']}"},
     )

@@ -20,7 +20,7 @@ EXAMPLES = ROOT / "examples"
 
 def run(command: list[str], environment: dict[str, str] | None = None) -> str:
     done = subprocess.run(
-        command, capture_output=True, check=False, text=True, timeout=60, cwd=ROOT, env=environment
+        command, capture_output=True, check=False, text=True, timeout=120, cwd=ROOT, env=environment
     )
     assert done.returncode == 0, done.stdout + done.stderr
     return done.stdout

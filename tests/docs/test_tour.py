@@ -36,7 +36,7 @@ def shell(line: str, live: Demo) -> subprocess.CompletedProcess[str]:
         check=False,
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=120,
         env=environment,
     )
 
@@ -80,7 +80,7 @@ def test_the_python_of_a_page_runs(page: Path, live: Demo, tmp_path: Path) -> No
             check=False,
             capture_output=True,
             text=True,
-            timeout=30,
+            timeout=120,
             env=live.environment | {"RCP_URL": live.url},
         )
         assert done.returncode == 0, done.stderr

@@ -75,7 +75,7 @@ def test_the_suite_of_the_page_proves_the_turntable(tmp_path: Path) -> None:
         check=False,
         capture_output=True,
         text=True,
-        timeout=120,
+        timeout=240,
         cwd=tmp_path,
     )
     assert done.returncode == 0, done.stdout + done.stderr

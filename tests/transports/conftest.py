@@ -21,6 +21,6 @@ async def gateway() -> AsyncGenerator[Site]:
 async def http(gateway: Site) -> AsyncGenerator[httpx.AsyncClient]:
     """Call the gateway as an operator."""
     async with httpx.AsyncClient(
-        base_url=gateway.url, headers={"authorization": f"Bearer {KEY}"}, timeout=5.0
+        base_url=gateway.url, headers={"authorization": f"Bearer {KEY}"}, timeout=20.0
     ) as client:
         yield client

@@ -20,7 +20,7 @@ from rcp_kernel.spi import BackendKind, BaseBackend, Host, Progress
 from rcp_kernel.testing import serve
 from rcp_kernel.types import Pose, quantity
 
-BOUND = 5.0  # s any wait of a test may take
+BOUND = 20.0  # s any wait of a test may take
 KEY = "operator-of-this-test"
 CONFIG = """
 {top}

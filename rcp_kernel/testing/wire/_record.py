@@ -6,6 +6,7 @@ from rcp_kernel.testing._client import Client, MemoryClient, Message
 from rcp_kernel.testing._serve import ADMIN, VIEWER
 from rcp_kernel.testing._suite import proves
 from rcp_kernel.testing.wire._base import LOCAL, Wire, World
+from rcp_kernel.testing.wire._sessions import RELIABLE
 
 __all__ = ["Records"]
 
@@ -41,7 +42,7 @@ class Records(Wire):
     @proves("record.acts")
     async def test_a_command_is_on_record_with_what_the_robot_said(self, world: World) -> None:
         auditor, client = MemoryClient(world.server.door, ADMIN), await world.client()
-        records = await auditor.subscribe(AUDIT, initial=False)
+        records = await auditor.subscribe(AUDIT, **RELIABLE)
         reply = await client.request("execute", "/action/go", body={"distance": 3.0})
         told = await auditor.until(
             lambda m: m.get("id") == records and m["body"]["what"] == "command"

@@ -228,6 +228,6 @@ class Silence(Wire):
         ]
         reply = await client.final(ids[-1])
         assert (reply["error"]["code"], reply["error"]["retryable"]) == ("queue_full", True)
-        async with asyncio.timeout(5):
+        async with asyncio.timeout(20):
             last = await client.final(ids[0])
         assert last["error"]["code"] == "deadline_exceeded"

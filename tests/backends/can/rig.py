@@ -76,12 +76,12 @@ class RecordingHost:
     def events(self, name: str) -> list[Any]:
         return self.samples.get(name, [])
 
-    async def until(self, holds: Callable[[], object], seconds: float = 5) -> None:
+    async def until(self, holds: Callable[[], object], seconds: float = 20) -> None:
         with anyio.fail_after(seconds):
             while not holds():
                 await self.published.wait()
 
-    async def published_as(self, name: str, seconds: float = 5, **facts: Any) -> Any:
+    async def published_as(self, name: str, seconds: float = 20, **facts: Any) -> Any:
         """Wait until the newest value has these facts, and return it."""
 
         def holds() -> bool:
@@ -116,7 +116,7 @@ class Rig:
         value = None if plain is None else self.typed(name, plain)
         return self.backend.execute(name, value, self.progress)
 
-    async def ran(self, name: str, plain: Any = None, seconds: float = 10) -> Any:
+    async def ran(self, name: str, plain: Any = None, seconds: float = 20) -> Any:
         with anyio.fail_after(seconds):
             return to_plain(await self.execute(name, plain))
 
@@ -149,7 +149,7 @@ class Node:
     def bus_off(self) -> None:
         self.send(0x40, bytes(8), is_error_frame=True, is_extended_id=False)
 
-    async def hears(self, wanted: Callable[[can.Message], object], seconds: float = 5) -> Any:
+    async def hears(self, wanted: Callable[[can.Message], object], seconds: float = 20) -> Any:
         """Wait for the first frame that is wanted."""
         with anyio.fail_after(seconds):
             while True:
@@ -179,7 +179,7 @@ class Motor(Rig):
         self.bench, self.twin, self.channel = bench, bench.twins[0], channel
         self.axis = self.backend.axes["m"]
 
-    async def until(self, holds: Callable[[], object], seconds: float = 5) -> None:
+    async def until(self, holds: Callable[[], object], seconds: float = 20) -> None:
         with anyio.fail_after(seconds):
             while not holds():  # noqa: ASYNC110  # a twin lives in a thread that tells nobody
                 await asyncio.sleep(0.002)
@@ -194,7 +194,7 @@ class Motor(Rig):
             loop.call_soon_threadsafe(done.set)
 
         self.bench.order(do)
-        with anyio.fail_after(5):
+        with anyio.fail_after(20):
             await done.wait()
 
     @contextmanager
@@ -233,7 +233,7 @@ async def motor(
 ) -> AsyncGenerator[Motor]:
     """Run the twin of a profile, and a backend that drives it."""
     name = channel()
-    table = {"bus": "can0", "profile": profile, "timeout": 0.2, **MOTORS[profile], **keys}
+    table = {"bus": "can0", "profile": profile, "timeout": 1.0, **MOTORS[profile], **keys}
     protocol = can.CanProtocol.CAN_FD if profile == "moteus" else can.CanProtocol.CAN_20
     line = can.Bus(name, "virtual", protocol=protocol, ignore_config=True)
     twin = make_twin(profile, table["node"], **table.get("options", {}))

@@ -35,7 +35,7 @@ class CanSuite(BackendSuite):
         bus = {"interface": "virtual", "channel": self.channel, "statistics": 0.1}
         bus["fd"] = self.profile == "moteus"
         motor = {"bus": "can0", "profile": self.profile, "velocity": 4.0, **MOTORS[self.profile]}
-        return {"buses": {"can0": bus}, "motors": {"m": {**motor, "timeout": 0.2}}}
+        return {"buses": {"can0": bus}, "motors": {"m": {**motor, "timeout": 1.0}}}
 
     @asynccontextmanager
     async def served_by_device(self) -> AsyncGenerator[Robot]:

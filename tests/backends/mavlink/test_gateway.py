@@ -195,7 +195,7 @@ async def test_after_a_reboot_it_is_asked_for_everything_again(pilot: Pilot) -> 
 
 async def test_an_unknown_parameter_is_told_fast_with_near_names(pilot: Pilot) -> None:
     backend = pilot.served.life.backend
-    async with asyncio.timeout(10):
+    async with asyncio.timeout(30):
         await backend.robots[""].parameters.complete.wait()
     reply = await pilot.do("service/param/read", {"name": "WPNAV_SPED"})
     assert reply["error"]["code"] == "unknown_path"

@@ -204,7 +204,7 @@ async def test_an_estop_makes_it_hold() -> None:
     async with px4() as (found, puppet):
         await airborne(found, puppet)
         puppet.mode = MISSION
-        async with asyncio.timeout(10):
+        async with asyncio.timeout(30):
             await found.client.request("execute", "/system/estop", within=10.0)
         assert puppet.mode == HOLD
 

@@ -21,14 +21,14 @@ def master() -> Iterator[Any]:
             f"tcp:127.0.0.1:{twin.ports['tcpin']}", source_system=255, dialect="ardupilotmega"
         )
         try:
-            assert link.wait_heartbeat(timeout=10) is not None
+            assert link.wait_heartbeat(timeout=30) is not None
             yield link
         finally:
             link.close()
 
 
 def hear(master: Any, *types: str) -> Any:
-    message = master.recv_match(type=list(types), blocking=True, timeout=10)
+    message = master.recv_match(type=list(types), blocking=True, timeout=30)
     assert message is not None, types
     return message
 
@@ -60,8 +60,12 @@ def test_mavwp_brings_a_mission_up_and_down_and_it_is_flown(master: Any, tmp_pat
     values = mavparm.MAVParmDict()
     assert values.mavset(master, "RTL_LOIT_TIME", 0, retries=3)
     master.set_mode("GUIDED")
-    master.arducopter_arm()
-    master.motors_armed_wait()
+    for _ in range(300):
+        if master.motors_armed():
+            break
+        master.arducopter_arm()
+        hear(master, "HEARTBEAT")
+    assert master.motors_armed(), master.messages.get("STATUSTEXT")
     master.set_mode_auto()
     master.motors_disarmed_wait()
     assert master.flightmode == "AUTO"
@@ -73,12 +77,12 @@ def test_mavftp_lists_puts_and_gets_the_parameters(master: Any, tmp_path: Path) 
     assert {"@PARAM", "APM"} <= {entry.name for entry in ftp.list_result}
     packed, text = tmp_path / "param.pck", tmp_path / "all.param"
     ftp.cmd_get(["@PARAM/param.pck?withdefaults=1", str(packed)])
-    assert ftp.process_ftp_reply("OpenFileRO", timeout=10).error_code == 0
+    assert ftp.process_ftp_reply("OpenFileRO", timeout=30).error_code == 0
     decoded = mavftp.MAVFTP.ftp_param_decode(packed.read_bytes())
     assert decoded is not None
     assert len(decoded.params) > 600
     text.write_bytes(packed.read_bytes())
     ftp.cmd_put([str(text), "APM/scripts/all.param"])
-    assert ftp.process_ftp_reply("CreateFile", timeout=10).error_code == 0
+    assert ftp.process_ftp_reply("CreateFile", timeout=30).error_code == 0
     ftp.cmd_list(["APM/scripts"])
     assert [(e.name, e.size_b) for e in ftp.list_result] == [("all.param", packed.stat().st_size)]

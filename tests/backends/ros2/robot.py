@@ -21,7 +21,7 @@ from rcp_kernel.spi import Native, Publication
 from rcp_ros2 import Ros2Config, open_ros2
 from rcp_ros2.backend import Ros2Backend
 
-BOUND = 10.0  # s that any wait of a test may take
+BOUND = 20.0  # s that any wait of a test may take
 _DOMAINS = (*range(1, 101), *range(215, 232))
 """Those whose ports the system gives to nobody by itself."""
 

@@ -126,6 +126,7 @@ async def stalls() -> AsyncIterator[list[float]]:
         ticking.cancel()
 
 
+@pytest.mark.calm
 async def test_five_hundred_topics_come_without_a_stall_and_are_not_subscribed_to(
     fleet_domain: int, graph: Fleet
 ) -> None:
@@ -144,6 +145,7 @@ async def test_five_hundred_topics_come_without_a_stall_and_are_not_subscribed_t
     assert max(late) < 0.25  # 15 ms when nothing else runs on two cores
 
 
+@pytest.mark.calm
 async def test_a_burst_arrives_in_order_and_leaves_the_event_loop_alone(
     fleet_domain: int, graph: Fleet
 ) -> None:

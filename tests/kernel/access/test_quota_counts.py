@@ -46,7 +46,7 @@ class Counts(RuleBasedStateMachine):
 
     def do(self, work: Awaitable[Any]) -> Any:
         async def bounded() -> Any:
-            async with asyncio.timeout(10):
+            async with asyncio.timeout(20):
                 return await work
 
         return self.runner.run(bounded())

@@ -23,7 +23,7 @@ def every_level() -> Iterator[None]:
     structlog.configure(**kept)
 
 
-BOUND = 10.0
+BOUND = 20.0
 
 Way = Callable[[], Coroutine[Any, Any, None]]
 

@@ -119,7 +119,7 @@ async def test_everything_is_looked_through_only_at_rest(monkeypatch: pytest.Mon
         assert gc.get_freeze_count() > 0
         gc.callbacks.append(told)
         try:
-            async with asyncio.timeout(5):
+            async with asyncio.timeout(20):
                 await unmoved.wait()
                 assert not collected.is_set()
                 moving = False

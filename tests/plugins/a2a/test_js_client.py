@@ -16,7 +16,7 @@ from plugins.a2a.rover import BETA, CAREFUL, OPERATOR, rovers
 
 pytestmark = pytest.mark.anyio
 SCRIPT = Path(__file__).parents[2] / "npm" / "a2a" / "drive.mjs"
-PATIENCE = 40.0  # s that a whole drive may take
+PATIENCE = 120.0  # s that a whole drive may take
 
 
 async def driven(folder: Path, given: dict[str, Any]) -> dict[str, Any]:

@@ -20,7 +20,7 @@ from rcp_kernel.values import value_type
 
 OPERATOR = "operator-of-these-tests"
 ADMIN = "administrator-of-these-tests"
-BOUND = 10.0  # s that any wait of a test may take
+BOUND = 20.0  # s that any wait of a test may take
 
 CONFIG = """
 [transports]

@@ -30,7 +30,7 @@ role = "asking"
 tenants = ["alpha"]
 key = "agent-of-these-tests"
 """
-_PATIENCE = 60.0  # s for one client's whole story
+_PATIENCE = 120.0  # s for one client's whole story
 
 
 async def run(*command: str, cwd: Path, **environment: str) -> str:
