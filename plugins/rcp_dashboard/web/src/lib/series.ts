@@ -14,6 +14,34 @@ export class Series {
     this.#values[this.#to++] = value;
   }
 
+  /** Put what was before the first value in front of it; both in the order of time. */
+  prepend(times: number[], values: number[]): void {
+    const first = this.#to > this.#from ? (this.#times[this.#from] as number) : Infinity;
+    const found = times.findIndex((time) => time >= first);
+    const count = found < 0 ? times.length : found;
+    if (count === 0) return;
+    const [newer, numbers] = [this.times, this.values];
+    const size = Math.max(1024, (count + newer.length) * 2);
+    const [all, those] = [new Float64Array(size), new Float64Array(size)];
+    all.set(times.slice(0, count));
+    those.set(values.slice(0, count));
+    all.set(newer, count);
+    those.set(numbers, count);
+    [this.#times, this.#values, this.#from, this.#to] = [all, those, 0, count + newer.length];
+  }
+
+  /** The last value at or before a time. */
+  at(time: number): number | undefined {
+    const { times, values } = this;
+    let [low, high] = [0, times.length];
+    while (low < high) {
+      const middle = (low + high) >> 1;
+      if ((times[middle] as number) <= time) low = middle + 1;
+      else high = middle;
+    }
+    return values[low - 1];
+  }
+
   #room(): void {
     const kept = Math.min(this.#to - this.#from, Series.MOST);
     const size = Math.max(1024, kept * 2);
@@ -38,8 +66,8 @@ export class Series {
 }
 
 /** Put several series on one axis of time, as uPlot wants them; thinned to at most `most` points of time each. */
-export function joined(all: Series[], from: number, most: number): [number[], ...(number | null)[][]] {
-  const picked = all.map((series) => thin(series, from, most));
+export function joined(all: Series[], from: number, to: number, most: number): [number[], ...(number | null)[][]] {
+  const picked = all.map((series) => thin(series, from, to, most));
   if (picked.length === 1) return [picked[0]!.times, picked[0]!.values];
   const axis = [...new Set(picked.flatMap((one) => one.times))].sort((a, b) => a - b);
   const rows = picked.map(({ times, values }) => {
@@ -51,24 +79,29 @@ export function joined(all: Series[], from: number, most: number): [number[], ..
 }
 
 /** The least and the greatest of each bucket: peaks stay, however many samples there are. */
-function thin(series: Series, from: number, most: number): { times: number[]; values: number[] } {
+function thin(series: Series, from: number, to: number, most: number): { times: number[]; values: number[] } {
   const { times, values } = series;
-  let first = 0;
-  let last = times.length;
-  while (first < last) {
-    const middle = (first + last) >> 1;
-    if ((times[middle] as number) < from) first = middle + 1;
-    else last = middle;
-  }
-  const count = times.length - first;
-  if (count <= most) return { times: [...times.subarray(first)], values: [...values.subarray(first)] };
+  const place = (time: number): number => {
+    let [low, high] = [0, times.length];
+    while (low < high) {
+      const middle = (low + high) >> 1;
+      if ((times[middle] as number) < time) low = middle + 1;
+      else high = middle;
+    }
+    return low;
+  };
+  // One beyond either end, so that the line reaches it.
+  const first = Math.max(0, place(from) - 1);
+  const end = Math.min(times.length, place(to) + 1);
+  const count = end - first;
+  if (count <= most) return { times: [...times.subarray(first, end)], values: [...values.subarray(first, end)] };
   const size = Math.ceil((count / most) * 2);
   const out: { times: number[]; values: number[] } = { times: [], values: [] };
   // Buckets begin at fixed places of the ring, else the picture would shimmer as it moves.
-  for (let start = first - (first % size); start < times.length; start += size) {
+  for (let start = first - (first % size); start < end; start += size) {
     let low = Math.max(start, first);
     let high = low;
-    for (let at = low; at < Math.min(start + size, times.length); at++) {
+    for (let at = low; at < Math.min(start + size, end); at++) {
       if ((values[at] as number) < (values[low] as number)) low = at;
       if ((values[at] as number) > (values[high] as number)) high = at;
     }

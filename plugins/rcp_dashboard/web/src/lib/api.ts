@@ -1,0 +1,13 @@
+import { RcpError } from "rcp-client";
+
+import { app, BASE } from "./app.svelte.ts";
+
+/** Ask the dashboard's own interface, below `/dashboard/api`; raises `RcpError` as it answers. */
+export async function ask(what: string, options: RequestInit = {}): Promise<unknown> {
+  const headers = { "content-type": "application/json", ...(app.token && { authorization: `Bearer ${app.token}` }) };
+  const answer = await fetch(`${BASE}/dashboard/api/${what}`, { ...options, headers });
+  const text = await answer.text();
+  const told = text ? JSON.parse(text) : undefined;
+  if (!answer.ok) throw new RcpError(told?.error ?? { code: "internal", message: `HTTP ${answer.status}` });
+  return told;
+}
