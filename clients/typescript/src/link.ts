@@ -1,26 +1,42 @@
-import type { Reply, Notice, Request, Update } from "./wire.ts";
+import type { Codec, Reply, Notice, Request, Update } from "./wire.ts";
 
 export type Incoming = Reply | Update | Notice;
 
-const SUBPROTOCOL = "rcp.v1.json";
+const JSON_ONLY = ["rcp.v1.json"];
+
+/** Which encodings a connection can read, and which of them it asks for. */
+export interface Encodings {
+  codec?: Codec | undefined;
+  preferred: "json" | "msgpack";
+}
 
 /** One connection, from its opening to its one end. */
 export class Link {
   readonly #socket: WebSocket;
+  readonly #encode: (request: Request) => string | Uint8Array<ArrayBuffer>;
   #over = false;
 
   constructor(
     url: string,
+    encodings: Encodings,
     on: { open: () => void; message: (message: Incoming) => void; closed: (why: string) => void },
   ) {
-    this.#socket = new WebSocket(url, [SUBPROTOCOL]);
+    const { codec, preferred } = encodings;
+    const wanted = codec && preferred === codec.name ? `rcp.v1.${codec.name}` : undefined;
+    this.#socket = new WebSocket(url, wanted ? [wanted, ...JSON_ONLY] : JSON_ONLY);
+    this.#socket.binaryType = "arraybuffer";
+    this.#encode = (request) => (codec && this.#socket.protocol === wanted ? codec.encode(request) : JSON.stringify(request));
     const end = (why: string): void => {
       if (this.#over) return;
       this.#over = true;
       on.closed(why);
     };
     this.#socket.onopen = () => on.open();
-    this.#socket.onmessage = (event) => on.message(JSON.parse(event.data as string) as Incoming);
+    this.#socket.onmessage = ({ data }) => {
+      if (typeof data === "string") on.message(JSON.parse(data) as Incoming);
+      else if (codec) on.message(codec.decode(new Uint8Array(data as ArrayBuffer)) as Incoming);
+      else this.close("a binary message came, and no codec was given");
+    };
     this.#socket.onclose = (event) => end(event.reason || `the connection was closed (${event.code})`);
     this.#socket.onerror = () => end("the gateway cannot be reached");
     this.close = (why) => {
@@ -38,7 +54,7 @@ export class Link {
   }
 
   send(request: Request): void {
-    this.#socket.send(JSON.stringify(request));
+    this.#socket.send(this.#encode(request));
   }
 }
 

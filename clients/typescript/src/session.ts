@@ -3,7 +3,7 @@ import type { Command } from "./command.ts";
 import { ConnectionLost, RcpError } from "./errors.ts";
 import { Backoff, Link, type Incoming } from "./link.ts";
 import type { Subscription } from "./subscription.ts";
-import { FINAL, type Hello, type Notice, type Reply, type Request, type Update } from "./wire.ts";
+import { type Codec, FINAL, type Hello, type Notice, type Reply, type Request, type Update } from "./wire.ts";
 
 export type State = "connecting" | "open" | "waiting" | "refused" | "closed";
 
@@ -16,6 +16,10 @@ export interface SessionOptions {
   name?: string;
   /** Seconds between round trips that measure latency and clock. */
   ping?: number;
+  /** What it can read and write beside JSON: `msgpack` of `rcp-client/msgpack`. */
+  codec?: Codec;
+  /** What the connection is to be: the codec's, if there is one; JSON where the gateway does not speak that. */
+  encoding?: "json" | "msgpack";
 }
 
 interface Waiting {
@@ -148,7 +152,8 @@ export class Session {
     const url = new URL(this.#options.url);
     url.protocol = url.protocol.replace("http", "ws");
     url.pathname = `${url.pathname.replace(/\/+$/, "")}/rcp/v1/ws`;
-    const link: Link = new Link(url.href, {
+    const { codec, encoding = codec?.name ?? "json" } = this.#options;
+    const link: Link = new Link(url.href, { codec, preferred: encoding }, {
       open: () => void this.#greet(link, this.hello !== undefined),
       message: (message) => {
         if (link === this.#link) this.#take(message);

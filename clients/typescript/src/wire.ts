@@ -9,6 +9,14 @@ export type Json = null | boolean | number | string | Json[] | { [key: string]: 
 /** A JSON Schema (2020-12) with `unit` beside the standard's words. */
 export type Schema = { [word: string]: any };
 
+/** A way to write messages in bytes, beside JSON. */
+export interface Codec {
+  /** The protocol's word for it: `rcp.v1.<name>`. */
+  readonly name: "msgpack";
+  encode: (value: unknown) => Uint8Array<ArrayBuffer>;
+  decode: (data: Uint8Array<ArrayBuffer>) => unknown;
+}
+
 export interface Request {
   type:
     | "read" | "write" | "execute" | "subscribe" | "unsubscribe" | "cancel"
@@ -143,6 +151,8 @@ export interface SubscribeOptions {
   initial?: boolean;
   duration?: number;
   count?: number;
+  /** How its updates are written; the connection's encoding without it. Others than JSON need the client's `codec`. */
+  encoding?: "json" | "msgpack";
   qos?: {
     reliability?: "best_effort" | "reliable";
     depth?: number;

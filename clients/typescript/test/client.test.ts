@@ -1,16 +1,20 @@
-// Run by tests/clients/test_typescript.py against a demo gateway: RCP_URL, RCP_TOKEN and RCP_ADMIN say where and who.
+// Run by tests/clients/test_typescript.py against a demo gateway: RCP_URL, RCP_TOKEN and RCP_ADMIN say where and who,
+// RCP_ENCODING in which encoding.
 import assert from "node:assert/strict";
 import { afterEach, test } from "node:test";
 
 import { Client, ConnectionLost, RcpError, type Update } from "../src/index.ts";
+import { msgpack } from "../src/msgpack.ts";
 
 const url = process.env["RCP_URL"] as string;
 const token = process.env["RCP_TOKEN"] as string;
 const admin = process.env["RCP_ADMIN"] as string;
+const binary = process.env["RCP_ENCODING"] === "msgpack";
+const codec = binary ? { codec: msgpack } : {};
 const open: Client[] = [];
 
 async function connected(how: { token?: string; tenant?: string } = { token, tenant: "alpha" }): Promise<Client> {
-  const client = new Client({ url, ping: 0.05, ...how });
+  const client = new Client({ url, ping: 0.05, ...codec, ...how });
   open.push(client);
   await client.connect();
   return client;
@@ -194,4 +198,44 @@ test("an e-stop holds until it is reset by who may", async () => {
   // The clock of the gateway is known to half a round trip: one more, and the command is the younger for sure.
   await new Promise((resolve) => setTimeout(resolve, 50));
   await operator.write("/actuator/cmd_vel", { linear: { x: 0 }, angular: { z: 0 } });
+});
+
+test("bytes are bytes in MessagePack, and base64 in JSON", async () => {
+  const client = await connected();
+  const { value } = await client.read("/sensor/camera");
+  const bytes = binary ? value.data : Uint8Array.from(atob(value.data), (letter) => letter.charCodeAt(0));
+  assert.ok(bytes instanceof Uint8Array);
+  assert.deepEqual([...bytes.subarray(0, 4)], [0x89, 0x50, 0x4e, 0x47]);
+});
+
+test("one subscription may be MessagePack on a connection that is not", async () => {
+  const client = new Client({ url, token, tenant: "alpha", codec: msgpack, encoding: "json" });
+  open.push(client);
+  await client.connect();
+  const { value } = await client.read("/sensor/camera");
+  assert.equal(typeof value.data, "string");
+  for await (const { body, path } of client.watch("/sensor/camera", { encoding: "msgpack" })) {
+    assert.equal(path, "/tenant/alpha/sensor/camera");
+    assert.ok(body.data instanceof Uint8Array);
+    client.session.cut();
+    break;
+  }
+  for await (const { body } of client.watch("/sensor/scan", { encoding: "msgpack" })) {
+    assert.ok(body.ranges.includes(Infinity)); // a string in JSON
+    break;
+  }
+});
+
+test("integers of MessagePack are numbers where JavaScript has them, else their digits", () => {
+  const wide = (head: number, value: bigint): unknown => {
+    const view = new DataView(new ArrayBuffer(9));
+    view.setUint8(0, head);
+    view.setBigInt64(1, value);
+    return msgpack.decode(new Uint8Array(view.buffer));
+  };
+  assert.equal(wide(0xcf, 2n ** 53n - 1n), Number.MAX_SAFE_INTEGER);
+  assert.equal(wide(0xcf, 2n ** 63n), "9223372036854775808");
+  assert.equal(wide(0xd3, -(2n ** 63n)), "-9223372036854775808");
+  assert.equal(wide(0xd3, -5_000_000_000n), -5_000_000_000);
+  assert.deepEqual(msgpack.decode(msgpack.encode({ a: 2 ** 40, b: undefined, c: [1.5, null] })), { a: 2 ** 40, c: [1.5, null] });
 });

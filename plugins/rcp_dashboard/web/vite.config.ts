@@ -3,11 +3,17 @@ import { fileURLToPath } from "node:url";
 import { svelte } from "@sveltejs/vite-plugin-svelte";
 import { defineConfig } from "vite";
 
+const client = (file: string): string => fileURLToPath(new URL("../../../clients/typescript/src/", import.meta.url)) + file;
+
 export default defineConfig({
   base: "./", // the page works below any prefix
   plugins: [svelte()],
   resolve: {
-    alias: { "rcp-client": fileURLToPath(new URL("../../../clients/typescript/src/index.ts", import.meta.url)) },
+    alias: [
+      { find: /^rcp-client$/, replacement: client("index.ts") },
+      { find: /^rcp-client\/(.*)$/, replacement: client("$1.ts") },
+      { find: "@msgpack/msgpack", replacement: fileURLToPath(new URL("node_modules/@msgpack/msgpack", import.meta.url)) },
+    ],
   },
   build: {
     outDir: "../static",

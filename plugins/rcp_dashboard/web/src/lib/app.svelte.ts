@@ -1,6 +1,8 @@
 import { Client, type EstopState, type Hello, type LeaseState, RcpError, type Resource, type State } from "rcp-client";
 
 import type { Approval } from "./approvals.ts";
+import { msgpack } from "rcp-client/msgpack";
+
 import { robotsOf } from "./robots.ts";
 
 const TOKEN = "rcp.token";
@@ -44,7 +46,7 @@ class App {
 
   #make(): Client {
     const token = this.token;
-    return new Client({ url: BASE, name: "dashboard", ping: 2, ...(token && { token }) });
+    return new Client({ url: BASE, name: "dashboard", ping: 2, codec: msgpack, encoding: "json", ...(token && { token }) });
   }
 
   /** Connect with the token that is kept, or as nobody. */

@@ -1,4 +1,4 @@
-import type { Resource } from "rcp-client";
+import type { Resource, SubscribeOptions } from "rcp-client";
 
 import { app } from "../app.svelte.ts";
 import { bytesOf } from "../bytes.ts";
@@ -7,11 +7,12 @@ import { watch } from "../watch.ts";
 import type { Fetch } from "./meshes.ts";
 import type { Layer, World } from "./world.ts";
 
-const RATES: [Shape, Exclude<Layer, "trail" | "frames" | "robot">, number][] = [
-  ["scan", "scan", 10],
-  ["cloud", "cloud", 5],
-  ["grid", "map", 0.5],
-  ["path", "path", 5],
+const BYTES = { encoding: "msgpack" } as const; // of what is bytes: JSON is faster for all else
+const DRAWN: [Shape, Exclude<Layer, "trail" | "frames" | "robot">, SubscribeOptions][] = [
+  ["scan", "scan", { rate: 10 }],
+  ["cloud", "cloud", { rate: 5, ...BYTES }],
+  ["grid", "map", { rate: 0.5, ...BYTES }],
+  ["path", "path", { rate: 5 }],
 ];
 const STARS = ["base_link", "base_footprint", "odom", "map"];
 const NOT_ITS_OWN = /goal|target|initial/;
@@ -62,9 +63,9 @@ export class Sources {
     const spaces = [...new Set([...stars.map(spaceOf), ...ofShape(resources, "transforms").map((one) => parentOf(belowBranch(one.path)))])];
     const space = (path: string): string =>
       spaces.filter((one) => one === "" || belowBranch(path).startsWith(`${one}/`)).sort((a, b) => b.length - a.length)[0] ?? "";
-    for (const [shape, layer, rate] of RATES)
+    for (const [shape, layer, options] of DRAWN)
       for (const { path } of ofShape(resources, shape))
-        yield [`${layer} ${path}`, () => watch(path, { rate }, ({ body }) => world.take(layer, space(path), path, body))];
+        yield [`${layer} ${path}`, () => watch(path, options, ({ body }) => world.take(layer, space(path), path, body))];
     for (const star of stars) yield [`frames ${star}`, () => watch(star, { rate: 20 }, ({ body }) => world.transforms(spaceOf(star), body))];
     for (const { path } of ofShape(resources, "transforms"))
       yield [`frames ${path}`, () => watch(path, { rate: 20 }, ({ body }) => world.transforms(space(path), body))];
