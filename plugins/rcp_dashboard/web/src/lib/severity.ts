@@ -14,6 +14,8 @@ export interface Entry {
   level: Level;
   text: string;
   body: any;
+  /** How often it was told in the same words, where that is counted. */
+  times?: number;
 }
 
 const ERRORS = new Set(["emergency", "alert", "critical", "error", "fatal", "failed"]);

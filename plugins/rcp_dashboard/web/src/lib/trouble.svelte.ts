@@ -39,6 +39,10 @@ export class Trouble {
     if (one.level === "info") return;
     const known = this.entries.find((other) => other.key === one.key);
     if (known && Math.abs(Date.parse(known.timestamp) - Date.parse(one.timestamp)) < 3000) return;
-    this.entries = [one, ...this.entries.filter((other) => other !== known)].slice(0, MOST);
+    // What is told again in the same words takes the place of the last time.
+    const same = this.entries.find((other) => other.path === one.path && other.text === one.text && other.source === one.source);
+    const newer = same && Date.parse(same.timestamp) > Date.parse(one.timestamp) ? same : one;
+    const times = same ? (same.times ?? 1) + 1 : 1;
+    this.entries = [{ ...newer, times }, ...this.entries.filter((other) => other !== known && other !== same)].slice(0, MOST);
   }
 }

@@ -1,0 +1,120 @@
+"""What went wrong, and what was done: warnings on the overview, the log and its filters, with the real demo."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import AsyncGenerator, Generator
+
+import httpx
+import pytest
+from playwright.async_api import Browser, expect
+
+from browser.watched import Watched, log_in, watched
+from docs.demo import Demo, demo
+
+pytestmark = pytest.mark.anyio
+expect.set_options(timeout=20_000)  # ms
+FAULT = {"fault": "sensor_stop", "target": "sensor/battery"}
+
+
+@pytest.fixture(scope="module")
+def running(tmp_path_factory: pytest.TempPathFactory) -> Generator[Demo]:
+    """Run the demo for all tests of this file."""
+    with demo(tmp_path_factory.mktemp("runtime")) as found:
+        yield found
+
+
+@pytest.fixture
+async def robot(running: Demo) -> AsyncGenerator[httpx.AsyncClient]:
+    """Make things go wrong past the page, as the operator; they are well again afterwards."""
+    headers = {"authorization": f"Bearer {running.key}"}
+    base = f"{running.url}/rcp/v1/context/tenant/alpha/service"
+    async with httpx.AsyncClient(base_url=base, headers=headers, timeout=10) as client:
+        yield client
+        (await client.post("/clear_faults", params={"wait": 10})).raise_for_status()
+
+
+@pytest.fixture
+async def tab(browser: Browser, running: Demo) -> AsyncGenerator[Watched]:
+    """Open the demo's dashboard as the admin."""
+    async with watched(browser, running.url) as found:
+        await found.open()
+        await found.connected()
+        await log_in(found.page, running.admin)
+        await expect(found.page.get_by_test_id("principal")).to_have_text("demo-admin")
+        yield found
+
+
+async def test_what_goes_wrong_is_on_the_overview_with_the_way_there(
+    tab: Watched, robot: httpx.AsyncClient
+) -> None:
+    page = tab.page
+    card = page.locator('[data-robot="rover-alpha"]')
+    warnings = page.get_by_role("region", name="Warnings", exact=True)
+    await expect(card).to_contain_text("none")
+    (await robot.post("/inject_fault", json=FAULT)).raise_for_status()
+    await expect(card).to_contain_text("▲")
+    await expect(warnings).to_contain_text("has sent nothing new within its deadline")
+    await expect(warnings.get_by_role("link", name="alpha/sensor/battery").first).to_be_visible()
+    await expect(warnings.get_by_role("link", name="alpha/event/fault").first).to_be_visible()
+    await tab.shoot("overview-fault")
+    (await robot.post("/clear_faults", params={"wait": 10})).raise_for_status()
+    await expect(card).to_contain_text("none")
+    await warnings.get_by_role("link", name="alpha/event/fault").first.click()
+    await expect(page.get_by_role("heading", name="/tenant/alpha/event/fault")).to_be_visible()
+
+
+async def test_the_log_is_filtered_by_severity_path_and_words(
+    tab: Watched, robot: httpx.AsyncClient
+) -> None:
+    page = tab.page
+    (await robot.post("/inject_fault", json=FAULT)).raise_for_status()
+    await tab.open("log")
+    rows = page.locator("tbody tr[data-source]")
+    fault = rows.filter(has_text="alpha/event/fault").first
+    await expect(fault).to_have_attribute("data-level", "warning")
+    await expect(page.locator("tr[data-level=info]").first).to_be_visible()
+    await page.get_by_label("Least severity").select_option("warning")
+    await expect(page.locator("tr[data-level=info]")).to_have_count(0)
+    await expect(fault).to_be_visible()
+    await page.reload()  # the address keeps it
+    await expect(page.get_by_label("Least severity")).to_have_value("warning")
+    await page.get_by_role("button", name="Show all").click()
+    await page.get_by_label("Path").fill("alpha/event")
+    await expect(rows.filter(has_text="delta")).to_have_count(0)
+    await expect(fault).to_be_visible()
+    await page.get_by_label("Filter").fill("no such words")
+    await expect(page.get_by_text("passes these filters")).to_be_visible()
+
+
+async def test_a_path_that_tells_very_often_has_one_row(tab: Watched) -> None:
+    await tab.open("log")
+    frames = tab.page.locator("tr[data-source=event]").filter(has_text="delta/event/can/can0/frame")
+    often = frames.get_by_role("button", name="show each")
+    await expect(often).to_be_visible()
+    await expect(frames).to_have_count(1)
+    await often.click()
+    await expect(frames.nth(3)).to_be_visible()
+
+
+async def test_a_pause_holds_what_comes_and_the_audit_is_filtered(
+    tab: Watched, robot: httpx.AsyncClient
+) -> None:
+    page = tab.page
+    await tab.open("log?q=inject_fault")
+    await expect(page.get_by_role("button", name="Audit")).to_have_attribute("aria-pressed", "true")
+    audits = page.locator("tr[data-source=audit]")
+    before = await audits.count()
+    await page.get_by_role("button", name="Pause").click()
+    (await robot.post("/inject_fault", json=FAULT)).raise_for_status()
+    await expect(page.get_by_role("button", name=re.compile(r"Go on \(\d+\)"))).to_be_visible()
+    assert await audits.count() == before
+    await page.get_by_role("button", name="Go on").click()
+    await expect(audits.first).to_contain_text("demo-operator")
+    await page.get_by_role("button", name="Show all").click()
+    await page.get_by_label("Who did it").select_option("demo-admin")
+    await expect(audits.filter(has_text="by demo-admin").first).to_be_visible()
+    await expect(audits.filter(has_text="by demo-operator")).to_have_count(0)
+    await page.get_by_label("What the audit tells of").select_option("login")
+    await expect(audits.filter(has_not_text="login")).to_have_count(0)
+    await tab.shoot("log-audit")
