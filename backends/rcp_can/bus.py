@@ -290,12 +290,13 @@ class Bus:
     def _tell_losses(self, now: m.Statistics, before: m.Statistics) -> None:
         refused, expired = now.refused - before.refused, now.expired - before.expired
         losses = {
-            "receive": (now.dropped - before.dropped, "the gateway was too slow for the bus"),
-            "send": (refused + expired, "the bus was too slow for what is sent"),
+            "receive": (now.dropped - before.dropped, "not read: the gateway was too slow for the bus"),
+            "send": (refused + expired, "not sent in time: the bus, or this machine, was too slow"),
         }
         for queue, (lost, text) in losses.items():
             if lost:
-                event = m.Overflow(queue=queue, lost=lost, text=f"{text}: {lost} frames are lost")  # type: ignore[arg-type]
+                many = "1 frame was" if lost == 1 else f"{lost} frames were"
+                event = m.Overflow(queue=queue, lost=lost, text=f"{many} {text}")  # type: ignore[arg-type]
                 self._host.publish(f"event/{self._prefix}/overflow", event)
 
     def statistics(self, period: float = 0.0, rx: int = 0, tx: int = 0) -> m.Statistics:

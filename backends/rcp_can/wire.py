@@ -155,7 +155,9 @@ class Wire:
             while self._outbox:
                 message, expires, queued, sender = self._outbox.popleft()
                 barrier = self._barriers.get(sender, 0.0)
-                if expires and (time.monotonic() > expires or queued <= barrier):
+                if expires and queued <= barrier:
+                    continue
+                if expires and time.monotonic() > expires:
                     self.expired += 1
                     continue
                 self._sending = True
