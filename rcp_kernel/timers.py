@@ -17,16 +17,18 @@ class Timers:
         self._loop = loop
         self._due: list[tuple[float, int, Callable[[], None]]] = []
         self._count = itertools.count()
-        self._alarm: asyncio.TimerHandle | None = None
+        self._alarm: asyncio.Handle | None = None
+        self._rings = 0.0
+        """When the alarm goes off: uvloop's does not say, where that is less than half a millisecond away."""
 
     def later(self, delay: float, function: Callable[[], None]) -> None:
         """Call a function after `delay` seconds; one timer serves all."""
         due = self._loop.time() + delay
         heapq.heappush(self._due, (due, next(self._count), function))
-        if self._alarm is None or due < self._alarm.when():
+        if self._alarm is None or due < self._rings:
             if self._alarm is not None:
                 self._alarm.cancel()
-            self._alarm = self._loop.call_at(due, self._ring)
+            self._set(due)
 
     def _ring(self) -> None:
         self._alarm = None
@@ -36,7 +38,11 @@ class Timers:
                 heapq.heappop(self._due)[2]()
         finally:  # one that raises must not silence the others
             if self._due and self._alarm is None:
-                self._alarm = self._loop.call_at(self._due[0][0], self._ring)
+                self._set(self._due[0][0])
+
+    def _set(self, due: float) -> None:
+        self._alarm = self._loop.call_at(due, self._ring)
+        self._rings = due
 
     def close(self) -> None:
         """Call nothing any more."""
