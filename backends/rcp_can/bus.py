@@ -290,8 +290,8 @@ class Bus:
     def _tell_losses(self, now: m.Statistics, before: m.Statistics) -> None:
         refused, expired = now.refused - before.refused, now.expired - before.expired
         losses = {
-            "receive": (now.dropped - before.dropped, "not read: the gateway was too slow for the bus"),
-            "send": (refused + expired, "not sent in time: the bus, or this machine, was too slow"),
+            "receive": (now.dropped - before.dropped, "not read: the gateway was too slow"),
+            "send": (refused + expired, "not sent in time: the bus or the gateway was too slow"),
         }
         for queue, (lost, text) in losses.items():
             if lost:
