@@ -24,6 +24,8 @@ _LAYOUTS = {
     "8uc1": ("GRAY", 1),
 }
 """Colours and bytes of a pixel, by the words that ROS and others have for them."""
+_MEASURES = {"16uc1": "u2", "mono16": "u2", "32fc1": "f4"}
+"""Pictures of one number a pixel, most of them depths."""
 
 
 class Picture(msgspec.Struct, frozen=True):
@@ -57,12 +59,13 @@ def picture(value: Any, quality: int) -> Picture:
 
 def _compress(value: Mapping[str, Any], data: bytes, quality: int) -> bytes:
     named = str(value.get("encoding") or value.get("format") or "")
-    layout = _LAYOUTS.get(named.lower())
+    kind = _MEASURES.get(named.lower())
+    layout = _LAYOUTS.get(named.lower()) if kind is None else ("GRAY", int(kind[1]))
     if layout is None:
         raise DeviceRejected(
             f"no JPEG is made of an image in {named[:40]!r}",
             remedy="Read the value itself; of ROS cameras `<sensor>/jpeg` knows more encodings.",
-            details={"encoding": named, "supported": list(_LAYOUTS)},
+            details={"encoding": named, "supported": [*_LAYOUTS, *_MEASURES]},
         )
     colours, depth = layout
     width, height = _side(value.get("width")), _side(value.get("height"))
@@ -80,11 +83,30 @@ def _compress(value: Mapping[str, Any], data: bytes, quality: int) -> bytes:
             remedy="On the gateway: pip install 'rcp-gateway[dashboard]'.",
         ) from error
     rows = np.frombuffer(data, np.uint8, step * height).reshape(height, step)
-    pixels = np.ascontiguousarray(rows[:, : width * depth]).reshape(height, width, depth)
+    pixels = np.ascontiguousarray(rows[:, : width * depth])
+    if kind is None:
+        pixels = pixels.reshape(height, width, depth)
+    else:
+        order = ">" if value.get("is_bigendian") else "<"
+        pixels = _greys(pixels.view(order + kind), near=named.lower() != "mono16")
     halved = "Gray" if colours == "GRAY" else "420"
     return simplejpeg.encode_jpeg(
         pixels, quality=quality, colorspace=colours, colorsubsampling=halved
     )
+
+
+def _greys(measured: Any, *, near: bool) -> Any:
+    """Spread numbers over all greys, depths with the near ones bright; what is none stays black."""
+    import numpy as np
+
+    found = measured.astype(np.float32)
+    there = np.isfinite(found) & (found > 0) if near else np.isfinite(found)
+    made = np.zeros(found.shape, np.uint8)
+    if there.any():
+        low, high = found[there].min(), found[there].max()
+        part = (found[there] - low) / max(high - low, np.finfo(np.float32).tiny)
+        made[there] = 255 - 215 * part if near else 40 + 215 * part
+    return made[:, :, np.newaxis]
 
 
 def _side(value: Any) -> int:

@@ -106,7 +106,8 @@ async def tab(browser: Browser, url: str) -> AsyncGenerator[Watched]:
 
 
 def layer(tab: Watched, kind: str, path: str) -> Locator:
-    return tab.page.locator(f"[data-testid=layer][data-layer={kind}][data-path$='{path}']")
+    match = "=" if kind in ("frames", "link") else "$="
+    return tab.page.locator(f"[data-testid=layer][data-layer={kind}][data-path{match}'{path}']")
 
 
 async def stands(row: Locator, *place: float) -> None:
@@ -148,7 +149,7 @@ async def scene(tab: Watched, query: str = "") -> None:
 async def test_each_thing_is_drawn_where_its_frames_say(tab: Watched) -> None:
     await scene(tab)
     await expect(tab.page.get_by_test_id("layers")).to_have_attribute("data-fixed", "map")
-    await stands(layer(tab, "scan", "/scan"), 3, 3.2, 0.3)
+    await stands(layer(tab, "scan", "sensor/scan"), 3, 3.2, 0.3)
     await stands(layer(tab, "cloud", "sensor/points"), 2, 4.1, 0.5)
     await stands(layer(tab, "cloud", "lidar/points"), 5, 1, 1)
     await stands(layer(tab, "map", "/map"), -5, -5, 0)
@@ -156,7 +157,7 @@ async def test_each_thing_is_drawn_where_its_frames_say(tab: Watched) -> None:
     await stands(layer(tab, "pose", "/goal_pose"), 2, 2, 0)
     await stands(layer(tab, "robot", "/robot_description"), 3, 1, 0)
     await stands(layer(tab, "frames", "laser"), 3, 1.2, 0.3)
-    await expect(layer(tab, "scan", "/scan")).to_have_attribute("data-count", "9")
+    await expect(layer(tab, "scan", "sensor/scan")).to_have_attribute("data-count", "9")
     await expect(layer(tab, "cloud", "sensor/points")).to_have_attribute("data-count", "441")
     await expect(layer(tab, "map", "/map")).to_have_attribute("data-count", "14400")
     await expect(tab.page.get_by_test_id("where")).to_have_text("3.00, 1.00 m, 90° in map")
@@ -175,12 +176,20 @@ async def test_each_thing_is_drawn_where_its_frames_say(tab: Watched) -> None:
 async def test_another_frame_may_stand_still(tab: Watched) -> None:
     await scene(tab)
     await tab.page.get_by_label("Fixed frame").select_option("base_link")
-    await stands(layer(tab, "scan", "/scan"), 2.2, 0, 0.3)
+    await stands(layer(tab, "scan", "sensor/scan"), 2.2, 0, 0.3)
     await stands(layer(tab, "cloud", "sensor/points"), 3.1, 1, 0.5)
     await stands(layer(tab, "robot", "/robot_description"), 0, 0, 0)
     await stands(layer(tab, "frames", "map"), -1, 3, 0)
     await tab.page.reload()
     await stands(layer(tab, "path", "/plan"), -1, 2, 0)
+
+
+async def test_a_robot_with_a_tree_of_its_own_stands_in_that(tab: Watched) -> None:
+    """The names of its frames are those of the other robot's."""
+    await scene(tab)
+    await stands(layer(tab, "scan", "twin/scan"), -3, 4, 0)
+    await stands(layer(tab, "frames", "twin: base_link"), -3, 3, 0)
+    await stands(layer(tab, "scan", "sensor/scan"), 3, 3.2, 0.3)
 
 
 async def test_clouds_have_the_colours_that_are_asked_for(tab: Watched) -> None:
@@ -197,7 +206,7 @@ async def test_links_are_moved_by_joint_states_and_else_by_transforms(
     tab: Watched, eyes: Eyes
 ) -> None:
     await scene(tab)
-    finger, other = layer(tab, "link", "finger").first, layer(tab, "link", "other_finger")
+    finger, other = layer(tab, "link", "finger"), layer(tab, "link", "other_finger")
     await tab.page.get_by_text("links", exact=False).first.click()
     await stands(finger, 2.9, 1.5, 0.4)  # beyond its limit, as it is told to be
     await stands(other, 3.1, 1.5, 0.4)

@@ -72,6 +72,11 @@ def cloud(frame: str, extra: str, points: list[tuple[float, float, float, int]])
     return made
 
 
+def type_of(publisher: Any) -> Any:
+    """Return the type of a topic that no package has."""
+    return publisher.msg_type
+
+
 def image(encoding: str, letter: str, pixels: list[Any]) -> Image:
     """Make an image of one number, or some bytes, a pixel."""
     data = b"".join(p if isinstance(p, bytes) else struct.pack(f"<{letter}", p) for p in pixels)
@@ -103,6 +108,7 @@ class Eyes(Node):
         self.description = self.create_publisher(String, "/robot_description", LATCHED)
         self.description.publish(String(data=urdf))
         self.joints = self.create_publisher(JointState, "/joint_states", 10)
+        self.twin = self.create_publisher(type_of(self.caster.static), "/twin/tf", 10)
         self.create_timer(0.2, self.tick)
 
     def offer(self, message: Any, topic: str, qos: Any = 10) -> None:
@@ -141,6 +147,10 @@ class Eyes(Node):
             pose.pose.position.x = float(at)
             way.poses.append(pose)
         self.offer(way, "/plan")
+        seen = LaserScan(angle_max=0.0, angle_increment=0.1, range_min=0.1, range_max=10.0)
+        seen.ranges = [1.0]
+        seen.header.frame_id = "base_link"
+        self.offer(seen, "/twin/scan", BEST_EFFORT)
         odom = Odometry(child_frame_id="base_link")
         odom.header.frame_id = "odom"
         odom.pose.pose.position.x, odom.pose.pose.position.y = 2.0, 1.0
@@ -182,6 +192,9 @@ class Eyes(Node):
                 ("odom", "base_link", now.nanoseconds, [2.0, 1.0, 0.0, *turned]),
                 ("base_link", "mast", now.nanoseconds, [-0.2, 0.0, self.lift, 0.0, 0.0, 0.0, 1.0]),
             )
+        )
+        self.twin.publish(
+            transforms(("map", "base_link", now.nanoseconds, [-3.0, 3.0, 0.0, *turned]))
         )
         state = JointState(name=list(self.values), position=list(self.values.values()))
         state.header.stamp = now.to_msg()

@@ -105,6 +105,24 @@ def test_what_no_picture_is_made_of_is_refused(value: Any, word: str) -> None:
     assert raised.value.remedy
 
 
+@pytest.mark.parametrize(
+    ("encoding", "kind", "least"),
+    [("16UC1", "<u2", 0), ("32FC1", "<f4", np.nan), ("32FC1", ">f4", np.inf)],
+)
+def test_depths_become_greys_with_the_near_ones_bright(
+    encoding: str, kind: str, least: float
+) -> None:
+    row = np.array([least] * 8 + [500] * 8 + [4000] * 8).astype(kind)
+    data = np.tile(row, (16, 1)).tobytes()
+    value = {"width": 24, "height": 16, "encoding": encoding, "data": data}
+    value |= {"is_bigendian": kind[0] == ">", "step": len(data) // 16}
+    made = picture(value, 95)
+    grey = simplejpeg.decode_jpeg(made.data, "GRAY")[8, [3, 11, 19], 0].astype(int)
+    assert list(abs(grey - [0, 255, 40]) < 12) == [True] * 3
+    empty = picture({**value, "data": bytes(len(data))}, 95)
+    assert simplejpeg.decode_jpeg(empty.data, "GRAY").max() < 12
+
+
 def test_without_the_library_the_remedy_names_it(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "simplejpeg", None)
     value = {"data": b"x" * 9, "encoding": "mono8", "width": 3, "height": 3}

@@ -82,6 +82,12 @@ export class World {
     return found;
   }
 
+  /** The robot without a space of its own, or else the first that tells where it is. */
+  get #first(): Body | undefined {
+    const all = [this.#bodies.get(""), ...this.#bodies.values()];
+    return all.find((one) => one && (one.frames.names.length > 0 || one.pose));
+  }
+
   /** All frames that points can be taken into. */
   get frames(): string[] {
     const bodies = [...this.#bodies.values()];
@@ -222,7 +228,7 @@ export class World {
 
   /** A place on the floor in the frame that goals are told in: the map, or that of the robot's pose. */
   goalFrame(at: { x: number; y: number; yaw: number | undefined }): { x: number; y: number; yaw: number | undefined; frame: string } {
-    const [body] = this.#bodies.values();
+    const body = this.#first;
     const frame = body?.frames.find("map") ?? body?.pose?.frame ?? this.fixed;
     const into = body?.frames.between(this.fixed, frame);
     if (!into) return { ...at, frame: this.fixed };
@@ -254,7 +260,7 @@ export class World {
     const fixed = this.#choose();
     const moved = fixed !== this.fixed;
     this.fixed = fixed;
-    const [first] = this.#bodies.values();
+    const first = this.#first;
     for (const body of this.#bodies.values()) {
       if (moved) body.trail.clear();
       const at = body.settle(fixed, !this.#hidden.has("robot"));
@@ -270,7 +276,7 @@ export class World {
     const known = this.frames;
     if (this.wanted && known.includes(this.wanted)) return this.wanted;
     const usual = FIXED.find((name) => known.includes(name));
-    const [first] = this.#bodies.values();
+    const first = this.#first;
     const base = first?.base;
     return usual ?? (base ? first.frames.root(base) : (first?.pose?.frame ?? "map"));
   }
@@ -318,10 +324,10 @@ export class World {
       const problem = this.#problems.get(path) ?? (item.placed ? undefined : `no transform from ${frame || "the robot"} to ${this.fixed}`);
       made.push(problem ? { ...one, problem } : one);
     }
-    for (const body of this.#bodies.values()) {
+    for (const [space, body] of this.#bodies) {
       for (const name of body.frames.names) {
         const at = body.frames.between(name, this.fixed);
-        made.push({ layer: "frames", path: name, frame: name, count: 1, at: at && originOf(at) });
+        made.push({ layer: "frames", path: space ? `${space}: ${name}` : name, frame: name, count: 1, at: at && originOf(at) });
       }
       for (const [path, model] of body.models) {
         const problem = this.#problems.get(path) ?? model.problems.map(([uri, why]) => `${uri}: ${why}`).join("\n");
