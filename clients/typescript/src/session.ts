@@ -235,6 +235,7 @@ export class Session {
     if (this.state === "closed" || this.state === "refused") return;
     this.problem = new ConnectionLost(why);
     for (const waiting of this.#waiting.values()) waiting.cut = true;
+    for (const id of this.subscriptions.keys()) this.#lose(id, why); // asked for again, however late that is
     this.clock.reset();
     this.#retry = setTimeout(() => this.#open(), this.#backoff.next());
     this.#to("waiting");
@@ -328,11 +329,14 @@ export class Session {
   }
 
   #giveUpCut(): void {
-    for (const [id, waiting] of this.#waiting) {
-      if (!waiting.cut) continue;
-      this.#waiting.delete(id);
-      waiting.lose("the connection was cut before the answer came");
-    }
+    for (const [id, waiting] of this.#waiting)
+      if (waiting.cut) this.#lose(id, "the connection was cut before the answer came");
+  }
+
+  #lose(id: string, why: string): void {
+    const waiting = this.#waiting.get(id);
+    this.#waiting.delete(id);
+    waiting?.lose(why);
   }
 
   #loseAll(why: string): void {

@@ -156,6 +156,18 @@ test("what was asked for while there was no connection is asked for when there i
   await until(() => battery > 0, "the one asked for in between");
 });
 
+test("what was being asked for when the connection was cut stands when it is back, however late", async (t) => {
+  const client = await connected();
+  t.mock.timers.enable({ apis: ["setTimeout"] });
+  let battery = 0;
+  client.subscribe("/sensor/battery", {}, { update: () => (battery += 1) });
+  client.session.cut();
+  t.mock.timers.tick(60_000);
+  t.mock.timers.reset();
+  client.session.hurry();
+  await until(() => battery > 0, "the one that was under way");
+});
+
 test("a command runs on through a cut and its end is told", async () => {
   const client = await connected();
   const command = client.execute("/action/move_to", { position: { x: 0, y: 0 } });
