@@ -28,6 +28,7 @@ PIECE = 239
 _HEAD = struct.Struct("<HBBBBBxI")
 _ACK, _NAK = 128, 129
 _AT_ONCE = 4  # pieces written that wait for their answer
+_LATE = 4096  # pieces of a burst that may still be on their way when it is given up
 _BURST_FROM = 4 * PIECE  # bytes that are worth a burst
 _END_OF_FILE, _ERRNO, _NO_SESSION, _UNKNOWN = 6, 2, 5, 7
 _EXISTS, _NOT_FOUND = 8, 10
@@ -83,7 +84,8 @@ class Ftp:
         self._hub, self._vehicle = hub, vehicle
         self._turn = asyncio.Lock()
         self._seq = 0
-        self._waiting: dict[int, asyncio.Future[Reply]] = {}
+        self._waiting: dict[tuple[int, int], asyncio.Future[Reply]] = {}
+        """By number and opcode: late pieces of a burst bear the numbers of other answers."""
         self._burst: Callable[[Reply], None] | None = None
 
     @asynccontextmanager
@@ -100,7 +102,7 @@ class Ftp:
         reply = Reply.of(bytes(fields["payload"]))
         if reply.opcode not in (_ACK, _NAK):
             return
-        waiting = self._waiting.get(reply.seq)
+        waiting = self._waiting.get((reply.seq, reply.asked))
         if waiting is not None and not waiting.done():
             waiting.set_result(reply)
         elif reply.asked == Op.BURST and self._burst is not None:
@@ -136,7 +138,7 @@ class Ftp:
         config, seq = self._hub.config, self._next()
         pause = max(wait, config.timeout)
         rounds = _PATIENT if wait else config.retries + 1
-        wanted = (seq + 1) & 0xFFFF
+        wanted = (seq + 1) & 0xFFFF, op
         waiting = self._waiting[wanted] = asyncio.get_running_loop().create_future()
         try:
             for _ in range(rounds):
@@ -242,6 +244,7 @@ class Ftp:
                     async with asyncio.timeout(self._hub.config.timeout):
                         await news.wait()
                 except TimeoutError:
+                    self._seq = (self._seq + _LATE) & 0xFFFF
                     self._vehicle.check()
                     break
                 told(gaps.part)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 from collections.abc import AsyncGenerator, Mapping, Sequence
 from contextlib import asynccontextmanager
 from typing import Any, ClassVar
@@ -14,6 +13,8 @@ from backends.can.rig import MOTORS, channel
 from rcp_can.sim import Bench, make_twin
 from rcp_kernel.testing import BackendSuite, Goal, eventually
 from rcp_kernel.testing.backend import Robot
+
+_ALIKE = 8  # set-points in a row; those that were on their way are fewer
 
 
 class CanSuite(BackendSuite):
@@ -35,27 +36,36 @@ class CanSuite(BackendSuite):
         bus = {"interface": "virtual", "channel": self.channel, "statistics": 0.1}
         bus["fd"] = self.profile == "moteus"
         motor = {"bus": "can0", "profile": self.profile, "velocity": 4.0, **MOTORS[self.profile]}
-        return {"buses": {"can0": bus}, "motors": {"m": {**motor, "timeout": 1.0}}}
+        return {
+            "buses": {"can0": bus},
+            "motors": {"m": {**motor, "timeout": 1.0, "valid_for": 5.0}},
+        }
 
     @asynccontextmanager
     async def served_by_device(self) -> AsyncGenerator[Robot]:
         async with super().served_by_device() as robot:
-            enabled = await robot.ask("execute", "service/m/enable")  # or nothing would be taken
-            assert enabled["status"] == "completed", enabled
+
+            async def enabled() -> bool:  # a drive whose process is held up may be late
+                return (await robot.ask("execute", "service/m/enable"))["status"] == "completed"
+
+            await eventually(enabled, "it is enabled, or nothing would be taken")
             yield robot
 
     async def prepare(self, name: str) -> None:
         await self.running.ask("execute", "service/m/enable")
 
     async def truth(self, name: str) -> Any:
-        """Return the set-point that the drive has, once it stays the same."""
+        """Return the set-point that the drive takes from now on, once it stays the same."""
         twin, mode = self.device.twins[0], name.rpartition("/")[2]
-        found: list[Any] = []
-        while len(found) < 4 or any(one != found[-1] for one in found[-4:]):
-            await asyncio.sleep(0.03)
-            taken = [value for kind, value in twin.commands if kind == mode]
-            found.append(round(taken[-1], 1) + 0.0 if taken else 0.0)
-        return found[-1]
+        twin.commands.clear()
+        taken: list[float] = []
+
+        async def stays() -> bool:
+            taken[:] = [round(value, 1) + 0.0 for kind, value in twin.commands if kind == mode]
+            return len(taken) > _ALIKE and len(set(taken[-_ALIKE:])) == 1
+
+        await eventually(stays, "a set-point stays the same")
+        return taken[-1]
 
     def values(self, name: str) -> Sequence[Any]:
         return (0.4, 0.2) if name.startswith("actuator/") else super().values(name)

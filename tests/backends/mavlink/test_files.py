@@ -63,7 +63,7 @@ async def test_a_file_is_read_whole_and_in_parts(server_has: str) -> None:
 
 
 async def test_what_is_lost_on_the_way_is_asked_for_again_with_progress() -> None:
-    async with serving(timeout=0.1, retries=5) as (found, server):
+    async with serving(timeout=0.1, retries=10) as (found, server):
         chance = random.Random(1)
         server.lose = lambda _: chance.random() < 0.15
         path = "/tenant/t/service/ftp/read"
@@ -81,9 +81,28 @@ async def test_what_is_lost_on_the_way_is_asked_for_again_with_progress() -> Non
         assert server.answers > len(BIG) / PIECE
 
 
+async def test_late_pieces_of_a_burst_are_not_taken_for_an_answer(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    async with serving(timeout=0.1, retries=10) as (found, server):
+        send, late, burst = server._out, list[bytes](), 15
+
+        def out(packed: bytes) -> None:
+            if packed[5] == burst:
+                late.append(packed)
+                return
+            while late:
+                send(late.pop(0))
+            send(packed)
+
+        monkeypatch.setattr(server, "_out", out)
+        assert await read(found, "/big.bin") == (BIG, True)
+        assert burst in server.handled
+
+
 @pytest.mark.parametrize("loss", [0.0, 0.15])
 async def test_a_file_is_written_and_compared(loss: float) -> None:
-    async with serving(timeout=0.1, retries=8) as (found, server):
+    async with serving(timeout=0.1, retries=10) as (found, server):
         chance = random.Random(2)
         server.lose = lambda _: chance.random() < loss
         whole = BIG[:12_000]
