@@ -12,7 +12,7 @@ const DEEP = 256; // frames in one chain; more is a ring
 
 /** The tree of frames, as far as transforms of it have come. */
 export class Frames {
-  #above = new Map<string, { parent: string; matrix: Matrix4 }>();
+  #above = new Map<string, { parent: string; matrix: Matrix4; source: string }>();
   #names: string[] = [];
 
   /** All that are known, whether they hang from another one or others hang from them. */
@@ -20,8 +20,8 @@ export class Frames {
     return this.#names;
   }
 
-  /** Take one transform, or a list of them. */
-  take(value: any): void {
+  /** Take one transform, or a list of them, that a source tells. */
+  take(value: any, source: string): void {
     for (const one of value.transforms ?? (Array.isArray(value) ? value : [value])) {
       const transform = one.transform ?? one;
       const parent = bare(one.header?.frame_id ?? one.frame_id ?? one.parent ?? "");
@@ -29,10 +29,20 @@ export class Frames {
       if (!parent || !child || parent === child) continue;
       const known = this.#above.get(child);
       const matrix = matrixOf(transform.translation, transform.rotation);
-      this.#above.set(child, { parent, matrix });
-      if (known?.parent !== parent)
-        this.#names = [...new Set([...this.#above].flatMap(([name, above]) => [name, above.parent]))].sort();
+      if (this.#above.get(parent)?.parent === child) this.#above.delete(parent); // it was told the other way round
+      this.#above.set(child, { parent, matrix, source });
+      if (known?.parent !== parent) this.#named();
     }
+  }
+
+  /** Leave out what a source has told. */
+  forget(source: string): void {
+    for (const [child, above] of this.#above) if (above.source === source) this.#above.delete(child);
+    this.#named();
+  }
+
+  #named(): void {
+    this.#names = [...new Set([...this.#above].flatMap(([name, above]) => [name, above.parent]))].sort();
   }
 
   /** The name by which a frame is known here: its own, or the only one that ends with it. */

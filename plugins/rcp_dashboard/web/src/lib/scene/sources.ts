@@ -66,9 +66,9 @@ export class Sources {
     for (const [shape, layer, options] of DRAWN)
       for (const { path } of ofShape(resources, shape))
         yield [`${layer} ${path}`, () => watch(path, options, ({ body }) => world.take(layer, space(path), path, body))];
-    for (const star of stars) yield [`frames ${star}`, () => watch(star, { rate: 20 }, ({ body }) => world.transforms(spaceOf(star), body))];
+    for (const star of stars) yield [`frames ${star}`, () => watch(star, { rate: 20 }, ({ body }) => world.transforms(spaceOf(star), star, body))];
     for (const { path } of ofShape(resources, "transforms"))
-      yield [`frames ${path}`, () => watch(path, { rate: 20 }, ({ body }) => world.transforms(space(path), body))];
+      yield [`frames ${path}`, () => watch(path, { rate: 20 }, ({ body }) => world.transforms(space(path), path, body))];
     for (const { path } of ofShape(resources, "joints"))
       yield [`joints ${path}`, () => watch(path, { rate: 20 }, ({ body }) => world.joints(space(path), body))];
     const told = new Set<string>();

@@ -170,10 +170,10 @@ export class World {
     this.#view.changed();
   }
 
-  transforms(space: string, value: any): void {
+  transforms(space: string, path: string, value: any): void {
     const body = this.body(space);
     body.like(false);
-    body.frames.take(value);
+    body.frames.take(value, path);
     this.#view.changed();
   }
 
@@ -213,6 +213,7 @@ export class World {
     this.#items.delete(path);
     this.#problems.delete(path);
     for (const body of this.#bodies.values()) {
+      body.frames.forget(path);
       this.#remove(body.models.get(path));
       body.models.delete(path);
     }
@@ -299,6 +300,7 @@ export class World {
 
   #settleFrames(body: Body): void {
     const marks = this.#marks.get(body)!;
+    for (const [name, mark] of marks) if (!body.frames.names.includes(name)) mark.object.visible = false;
     for (const name of body.frames.names) {
       let mark = marks.get(name);
       if (!mark) {
