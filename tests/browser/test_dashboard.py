@@ -97,7 +97,7 @@ async def test_every_page_opens_and_nothing_is_complained_of(tab: Watched, runni
     for name in PAGES:
         await tab.open(f"{name}?{SHOWN.get(name, 'robot=rover-alpha')}")
         await expect(tab.page.locator("main")).not_to_contain_text("Loading")
-        await expect(tab.page.locator("main")).not_to_contain_text("could not be loaded")
+        await expect(tab.page.locator("main")).not_to_contain_text("did not come")
         await tab.page.wait_for_load_state("networkidle")
         await tab.page.wait_for_timeout(POSING.get(name, 0))
         await tab.shoot(f"page-{name or 'overview'}")
@@ -126,7 +126,7 @@ async def test_below_a_prefix_it_works_the_same(browser: Browser) -> None:
         await expect(tab.page.get_by_text("rover").first).to_be_visible()
         for name in PAGES:
             await tab.open(name)
-            await expect(tab.page.locator("main")).not_to_contain_text("could not be loaded")
+            await expect(tab.page.locator("main")).not_to_contain_text("did not come")
 
 
 async def test_where_the_gateway_knows_of_the_prefix_it_works_too(browser: Browser) -> None:
@@ -188,9 +188,12 @@ async def test_a_page_whose_gateway_is_killed_comes_back_with_it(
                 "ERR_NETWORK",
             ]
             await tab.open()
-            await tab.connected()
+            card = tab.page.locator('[data-robot="rover-alpha"]')
+            await expect(card).to_contain_text("ready")
             first.process.kill()
             await expect(tab.page.locator('[data-state="waiting"]')).to_be_visible()
+            await expect(tab.page.get_by_test_id("gone")).to_contain_text("No connection")
+            await expect(card).to_contain_text("unknown")
             await tab.shoot("gateway-gone")
             with demo(tmp_path, port):
                 await tab.connected()

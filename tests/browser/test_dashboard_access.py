@@ -31,8 +31,8 @@ PAGES = (
     "log",
 )
 _RUN = """
-async () => (await axe.run(document, {
-  runOnly: ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "wcag22aa", "best-practice"],
+async (rules) => (await axe.run(document, {
+  runOnly: rules,
   resultTypes: ["violations"],
 })).violations
   .filter((one) => ["serious", "critical"].includes(one.impact))
@@ -46,6 +46,17 @@ _FOCUS = """
   const seen = style.outlineStyle !== "none" && parseFloat(style.outlineWidth) >= 1;
   return { what: at.outerHTML.slice(0, 160), seen };
 }
+"""
+_SMALL = """
+() => [...document.querySelectorAll(
+    "button, a.button, nav a, summary, select, input:not([type=checkbox])")]
+  .filter((one) => one.checkVisibility() && one.getBoundingClientRect().width > 0)
+  .filter((one) => one.getBoundingClientRect().height < 43.5)
+  .map((one) => one.outerHTML.slice(0, 120))
+"""
+_WIDER = """
+() => [document.documentElement, document.querySelector("main")]
+  .some((one) => one.scrollWidth > one.clientWidth)
 """
 
 
@@ -78,8 +89,8 @@ async def tab(browser: Browser, running: Demo) -> AsyncGenerator[Watched]:
         yield found
 
 
-async def violations(page: Page) -> list[str]:
-    found: list[str] = await page.evaluate(_RUN)
+async def violations(page: Page, rules: list[str]) -> list[str]:
+    found: list[str] = await page.evaluate(_RUN, rules)
     return found
 
 
@@ -88,9 +99,15 @@ async def settled(page: Page) -> None:
     await expect(page.locator("main")).not_to_contain_text("Asking")
 
 
-@pytest.mark.parametrize("theme", ["dark", "light"])
+@pytest.mark.parametrize(
+    ("theme", "rules"),
+    [
+        ("dark", ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "wcag22aa", "best-practice"]),
+        ("light", ["color-contrast", "link-in-text-block"]),  # nothing else differs
+    ],
+)
 async def test_axe_finds_nothing_serious_on_any_page(
-    browser: Browser, running: Demo, axe: str, theme: Any
+    browser: Browser, running: Demo, axe: str, theme: Any, rules: list[str]
 ) -> None:
     headers = {"authorization": f"Bearer {running.key}"}
     async with (
@@ -105,17 +122,17 @@ async def test_axe_finds_nothing_serious_on_any_page(
         await tab.page.evaluate(axe)
         wrong: list[str] = []
         await tab.page.get_by_role("button", name="Log in").first.click()
-        wrong += [f"login: {one}" for one in await violations(tab.page)]
+        wrong += [f"login: {one}" for one in await violations(tab.page, rules)]
         await tab.page.get_by_role("button", name="Close").click()
         await log_in(tab.page, running.admin)
         await expect(tab.page.get_by_test_id("principal")).to_have_text("demo-admin")
         for name in PAGES:
             await tab.open(name)
             await settled(tab.page)
-            wrong += [f"{name or 'overview'}: {one}" for one in await violations(tab.page)]
+            wrong += [f"{name or 'overview'}: {one}" for one in await violations(tab.page, rules)]
         await tab.page.get_by_test_id("estop").click()
         await expect(tab.page.get_by_test_id("estop-active")).to_be_visible()
-        wrong += [f"stopped: {one}" for one in await violations(tab.page)]
+        wrong += [f"stopped: {one}" for one in await violations(tab.page, rules)]
         await tab.page.get_by_test_id("estop-reset").click()
         await expect(tab.page.get_by_test_id("estop-active")).to_have_count(0)
         assert not wrong, "\n".join(wrong)
@@ -181,3 +198,21 @@ async def test_nothing_moves_for_those_who_do_not_want_it(browser: Browser, runn
             "parseFloat(getComputedStyle(one).transitionDuration) > 0).length"
         )
         assert moving == 0
+
+
+@pytest.mark.parametrize(("width", "height"), [(820, 1180), (390, 844)])
+async def test_on_tablet_and_phone_all_fits_and_is_large_enough_for_fingers(
+    browser: Browser, running: Demo, width: int, height: int
+) -> None:
+    async with watched(browser, running.url, has_touch=True, color_scheme="light") as tab:
+        await tab.page.set_viewport_size({"width": width, "height": height})
+        await tab.open()
+        await tab.connected()
+        await log_in(tab.page, running.admin)
+        await expect(tab.page.get_by_test_id("principal")).to_have_text("demo-admin")
+        for name in PAGES:
+            await tab.open(name)
+            await settled(tab.page)
+            await expect(tab.page.get_by_test_id("estop")).to_be_in_viewport(ratio=1)
+            assert not await tab.page.evaluate(_WIDER), f"{name} has to be scrolled sideways"
+            assert not (small := await tab.page.evaluate(_SMALL)), f"{name}: {small}"
