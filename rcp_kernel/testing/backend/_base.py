@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import AsyncGenerator, Mapping, Sequence
-from contextlib import AbstractAsyncContextManager, asynccontextmanager, nullcontext
+from contextlib import AbstractAsyncContextManager, asynccontextmanager, nullcontext, suppress
 from typing import Any, ClassVar
 
 import msgspec
@@ -12,7 +13,7 @@ import pytest
 from rcp_kernel.model import BRANCHES, Kind, Operation, Resource, full_path
 from rcp_kernel.motion.safety import MOVING
 from rcp_kernel.spi import Backend, BackendKind
-from rcp_kernel.testing._client import Client, Message
+from rcp_kernel.testing._client import BOUND, Client, Message
 from rcp_kernel.testing._schemas import legal, same
 from rcp_kernel.testing._serve import ADMIN, OPERATOR, Served, serve_backend
 from rcp_kernel.testing._suite import Suite, eventually
@@ -127,6 +128,8 @@ class BackendTests(Suite):
     device: Any = None
     """What `twin` yielded."""
     running: Robot
+    prompt: bool
+    """Whether it was open when the gateway had started."""
     """The backend in its gateway; kept after it has closed."""
 
     @property
@@ -201,6 +204,9 @@ class BackendTests(Suite):
     async def served_by_device(self) -> AsyncGenerator[Robot]:
         """Run a gateway around the backend, whose device runs already."""
         async with serve_backend(self.kind, self.table()) as served:
+            self.prompt = served.slot.settled.is_set()
+            with suppress(TimeoutError):  # it is late on a machine that is busy otherwise
+                await asyncio.wait_for(served.slot.settled.wait(), BOUND)
             assert served.lives, f"it did not open: {served.slot.state}, {served.slot.detail}"
             self.running = Robot(served)
             yield self.running
