@@ -160,6 +160,7 @@ async def test_each_thing_is_drawn_where_its_frames_say(tab: Watched) -> None:
     await expect(layer(tab, "scan", "sensor/scan")).to_have_attribute("data-count", "9")
     await expect(layer(tab, "cloud", "sensor/points")).to_have_attribute("data-count", "441")
     await expect(layer(tab, "map", "/map")).to_have_attribute("data-count", "14400")
+    await expect(tab.page.locator("[data-testid=layer][data-layer=robot]")).to_have_count(1)
     await expect(tab.page.get_by_test_id("where")).to_have_text("3.00, 1.00 m, 90° in map")
     await expect(layer(tab, "cloud", "lost/points")).to_contain_text(
         "no transform from nowhere to map"

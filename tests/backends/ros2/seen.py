@@ -105,6 +105,9 @@ class Eyes(Node):
                 ("map", "charger", 0, [-2.0, -2.0, 0.0, 0.0, 0.0, 0.0, 1.0]),
             )
         )
+        self.declare_parameter("robot_description", urdf)
+        self.semantic = self.create_publisher(String, "/robot_description_semantic", LATCHED)
+        self.semantic.publish(String(data='<robot name="seen"><group name="all"/></robot>'))
         self.description = self.create_publisher(String, "/robot_description", LATCHED)
         self.description.publish(String(data=urdf))
         self.joints = self.create_publisher(JointState, "/joint_states", 10)

@@ -39,7 +39,7 @@ function* look(resource: Resource): Generator<Shape> {
     else if (text.includes('"latitude"') || text.includes('"north"')) yield "goal";
   }
   if (resource.kind === "service" && properties(resource, "input").has("uri") && properties(resource, "output").has("media_type")) yield "assets";
-  if (resource.kind !== "service" && /robot_description|urdf/.test(resource.path)) yield "urdf";
+  if (resource.kind !== "service" && /\/robot_description$|urdf/.test(resource.path)) yield "urdf";
 }
 
 export function ofShape(resources: Resource[], shape: Shape): Resource[] {

@@ -95,6 +95,8 @@ export class Sources {
   async #describe(space: string, path: string, body: any): Promise<void> {
     const text = typeof body === "string" ? body : body?.data;
     if (typeof text !== "string" || !text.includes("<robot") || this.#described.get(path)?.[1] === text) return;
+    // The node that publishes it has it as a parameter, too.
+    if ([...this.#described].some(([other, told]) => other !== path && told[0] === space && told[1] === text)) return;
     this.#described.set(path, [space, text]);
     await this.#draw(space, path, text);
   }
