@@ -5,7 +5,8 @@ import { bytesOf } from "../bytes.ts";
 import { ofShape, poseOfNed, type Shape, shapes } from "../shapes.ts";
 import { watch } from "../watch.ts";
 import type { Fetch } from "./meshes.ts";
-import type { Layer, World } from "./world.ts";
+import type { Layer } from "./report.ts";
+import type { World } from "./world.ts";
 
 const BYTES = { encoding: "msgpack" } as const; // of what is bytes: JSON is faster for all else
 const DRAWN: [Shape, Exclude<Layer, "trail" | "frames" | "robot">, SubscribeOptions][] = [
