@@ -50,7 +50,8 @@ class Fetch(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         Meta(
             min_length=1,
             max_length=1024,
-            description="As the robot's description has it, or of a file that one of those names.",
+            description="As the robot's description has it, or of a file that one of those names: "
+            "package://my_robot/meshes/base.stl.",
         ),
     ]
 
@@ -165,13 +166,7 @@ class Fetching(Binding):
         self._key = f"{mapping.target} assets"
         text = f"Returns a mesh or texture of a package that {mapping.target} names"
         facts = common(name, mapping, text, topic=mapping.topic)
-        resource = Resource(
-            input=Fetch,
-            output=Asset,
-            examples=({"uri": "package://my_robot/meshes/base.stl"},),
-            **facts,
-        )
-        super().__init__(shared, resource, mapping)
+        super().__init__(shared, Resource(input=Fetch, output=Asset, **facts), mapping)
         shared.ros.post(
             shared.listen, mapping.target, _STRING, self._key, self._described, _LATCHED
         )

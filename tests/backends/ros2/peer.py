@@ -36,6 +36,9 @@ from test_msgs.srv import BasicTypes
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 BEST_EFFORT = QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST_EFFORT)
+DESCRIPTION = """<robot name="peer"><link name="base"><visual><geometry>
+<mesh filename="package://peer_description/base.stl"/>
+</geometry></visual></link></robot>"""
 
 
 class Peer(Node):
@@ -60,7 +63,7 @@ class Peer(Node):
         self.scan = self.create_publisher(LaserScan, "/scan", BEST_EFFORT)
         self.echo = self.create_publisher(Twist, "/twist_heard", LATCHED)
         self.latched = self.create_publisher(String, "/robot_description", LATCHED)
-        self.latched.publish(String(data="<robot name='peer'/>"))
+        self.latched.publish(String(data=DESCRIPTION))
         self.faults = self.create_publisher(String, "/faults", 10)
         self.count = 0
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import AsyncGenerator, Iterator, Mapping, Sequence
 from contextlib import asynccontextmanager
+from pathlib import Path
 from typing import Any, ClassVar
 
 import pytest
@@ -16,6 +17,7 @@ from rcp_kernel.testing import BackendSuite, Goal, eventually
 
 DOMAIN = fresh_domain()
 PEER = Peer(DOMAIN)
+MESH = "package://peer_description/base.stl"
 _QUIET = 4  # times in a row that the peer must tell the same
 
 
@@ -31,6 +33,7 @@ class TestRos2(BackendSuite):
         "domain_id": DOMAIN,
         "timeout": 0.8,
         "silence": 1.0,
+        "assets": {"paths": {"peer_description": str(Path(__file__).with_name("peer_description"))}},
         "map": {
             "/sensor/odom": {"topic": "/odom", "unit": "1"},
             "/sensor/pose": {"topic": "/odom", "field": "pose.pose"},
@@ -62,6 +65,8 @@ class TestRos2(BackendSuite):
     async def confirms(self, name: str, result: Any) -> bool:
         if name == "service/reset":
             return result["success"]
+        if name == "service/assets/fetch":
+            return result["media_type"] == "model/stl"
         return result["sequence"] == PEER.truth()["result"]
 
     async def at_rest(self) -> bool:
@@ -73,6 +78,7 @@ class TestRos2(BackendSuite):
         return {
             "action/fibonacci": Goal(good={"order": 3}, bad={"order": -1}, long={"order": 500}),
             "service/reset": Goal(good=None),
+            "service/assets/fetch": Goal(good={"uri": MESH}, bad={"uri": MESH + ".stl"}),
         }
 
     def values(self, name: str) -> Sequence[Any]:
