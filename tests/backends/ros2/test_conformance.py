@@ -33,7 +33,9 @@ class TestRos2(BackendSuite):
         "domain_id": DOMAIN,
         "timeout": 0.8,
         "silence": 1.0,
-        "assets": {"paths": {"peer_description": str(Path(__file__).with_name("peer_description"))}},
+        "assets": {
+            "paths": {"peer_description": str(Path(__file__).with_name("peer_description"))}
+        },
         "map": {
             "/sensor/odom": {"topic": "/odom", "unit": "1"},
             "/sensor/pose": {"topic": "/odom", "field": "pose.pose"},
