@@ -13,7 +13,13 @@ from typing import Annotated, Any
 import msgspec
 from msgspec import Meta
 
-from rcp_kernel.errors import AdapterUnavailable, DeviceRejected, InvalidValue, PayloadTooLarge
+from rcp_kernel.errors import (
+    AdapterUnavailable,
+    DeviceRejected,
+    DeviceTimeout,
+    InvalidValue,
+    PayloadTooLarge,
+)
 from rcp_kernel.model import Resource
 from rcp_kernel.spi import Progress
 from rcp_ros2.binding import Binding, Offer, Shared, common
@@ -162,28 +168,50 @@ class Fetching(Binding):
     """The files of one description."""
 
     def __init__(self, shared: Shared, name: str, mapping: Mapping) -> None:
-        self._packages: frozenset[str] = frozenset()
+        self._packages: frozenset[str] | None = None
+        """Those that the description names; None before it was heard."""
+        self._follows = False
         self._key = f"{mapping.target} assets"
         text = f"Returns a mesh or texture of a package that {mapping.target} names"
         facts = common(name, mapping, text, topic=mapping.topic)
         super().__init__(shared, Resource(input=Fetch, output=Asset, **facts), mapping)
-        shared.ros.post(
-            shared.listen, mapping.target, _STRING, self._key, self._described, _LATCHED
-        )
+
+    def _follow(self) -> None:
+        if not self._follows:
+            self._follows = True
+            self.shared.ros.post(
+                self.shared.listen,
+                self.mapping.target,
+                _STRING,
+                self._key,
+                self._described,
+                _LATCHED,
+            )
 
     def _described(self, text: Any) -> None:
         self._packages = packages_of(text.data)
 
     async def execute(self, value: Any, progress: Progress) -> Asset:
-        """Read the file, as `find` finds it."""
-        await self.shared.until(lambda: bool(self._packages), self.shared.settling)
-        file = await asyncio.to_thread(find, value.uri, self._packages, self.shared.config.assets)
+        """Read the file, as `find` finds it; the description is followed from the first one on.
+
+        :raises DeviceTimeout: nobody tells the description.
+        """
+        self._follow()
+        patience = self.shared.settling + self.timeout
+        if not await self.shared.until(lambda: self._packages is not None, patience):
+            raise DeviceTimeout(
+                f"nobody told {self.mapping.target} within {patience:.1f} s",
+                remedy="Start the node that publishes it, such as robot_state_publisher.",
+            )
+        packages = self._packages or ()
+        file = await asyncio.to_thread(find, value.uri, packages, self.shared.config.assets)
         data = await asyncio.to_thread(_read, file, self.shared.config.assets.size)
         return Asset(MEDIA[file.suffix.lower()], data)
 
     def close(self) -> None:
         """Follow the description no more."""
-        self.shared.ros.post(self.shared.feeds.untap, self.mapping.target, self._key)
+        if self._follows:
+            self.shared.ros.post(self.shared.feeds.untap, self.mapping.target, self._key)
 
 
 def _read(file: Path, most: int) -> bytes:
