@@ -52,7 +52,7 @@ async def test_an_action_tells_its_feedback_and_its_result(robot: Robot) -> None
     )
     assert list(result.sequence) == [0, 1, 1, 2, 3, 5, 8]
     told = [list(feedback.sequence) for feedback in heard]
-    whole = [list(result.sequence)[:length] for length in range(3, 8)]
+    whole = [list(result.sequence)[:length][-5:] for length in range(3, 8)]
     assert told
     assert told == whole[-len(told) :]  # the middleware may miss the first for a new client
 
