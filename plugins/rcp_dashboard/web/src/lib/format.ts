@@ -1,11 +1,17 @@
 /** Numbers, times and values as people read them. */
 
+/** With so many decimals; what rounds to nothing has no sign. */
+export function rounded(value: number, digits: number): string {
+  const text = value.toFixed(digits);
+  return text.startsWith("-") && Number(text) === 0 ? text.slice(1) : text;
+}
+
 export function number(value: unknown, digits = 3): string {
   if (typeof value !== "number") return String(value);
   if (Number.isInteger(value)) return String(value);
   const size = Math.abs(value);
   if (size !== 0 && (size >= 1e6 || size < 1e-3)) return value.toExponential(2);
-  return value.toFixed(size >= 100 ? 1 : digits);
+  return rounded(value, size >= 100 ? 1 : digits);
 }
 
 /** A span in seconds, short. */
