@@ -224,7 +224,7 @@ class Silence(Wire):
     async def test_more_than_may_be_in_flight_is_queue_full(self, world: World) -> None:
         client = await world.client()
         ids = [
-            await client.send(type="read", path="/sensor/silent", deadline=0.8) for _ in range(2001)
+            await client.send(type="read", path="/sensor/silent", deadline=4.0) for _ in range(2001)
         ]
         reply = await client.final(ids[-1])
         assert (reply["error"]["code"], reply["error"]["retryable"]) == ("queue_full", True)
