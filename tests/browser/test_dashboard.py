@@ -38,7 +38,19 @@ SHOWN = {
     ),
 }
 """What the pages show that show nothing by themselves."""
-POSING = {"plot": 10_000, "scene": 2000} if "RCP_SCREENSHOTS" in os.environ else {}
+SEEN = {
+    "": "rover-alpha",
+    "explore": "orientation",
+    "teleop": "Take control",
+    "camera": " Hz",
+    "scene": "sensor/map",
+    "map": "drone-gamma",
+    "plot": "linear_acceleration.x",
+    "commands": "action/move_to",
+    "log": "boot",
+}
+"""What of its own each page has to show."""
+POSING = {"plot": 10_000, "scene": 5000, "camera": 3000} if "RCP_SCREENSHOTS" in os.environ else {}
 """ms until a page has something to show to those who look at the screenshots."""
 GATEWAY = """
 [transports.asgi]
@@ -98,6 +110,7 @@ async def test_every_page_opens_and_nothing_is_complained_of(tab: Watched, runni
         await tab.open(f"{name}?{SHOWN.get(name, 'robot=rover-alpha')}")
         await expect(tab.page.locator("main")).not_to_contain_text("Loading")
         await expect(tab.page.locator("main")).not_to_contain_text("did not come")
+        await expect(tab.page.locator("main")).to_contain_text(SEEN[name])
         await tab.page.wait_for_load_state("networkidle")
         await tab.page.wait_for_timeout(POSING.get(name, 0))
         await tab.shoot(f"page-{name or 'overview'}")
