@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import os
 import shutil
-from collections.abc import AsyncGenerator
+from collections.abc import AsyncGenerator, Generator
 from pathlib import Path
 
+import httpx
 import pytest
 from playwright.async_api import Browser, Page, async_playwright
+
+from browser.watched import Watched, signed_in
+from docs.demo import Demo, demo
 
 _NAMES = ("chromium", "chromium-browser", "google-chrome")
 _FLAGS = (
@@ -70,3 +74,25 @@ async def page(browser: Browser) -> AsyncGenerator[Page]:
         yield await context.new_page()
     finally:
         await context.close()
+
+
+@pytest.fixture(scope="module")
+def running(tmp_path_factory: pytest.TempPathFactory) -> Generator[Demo]:
+    """Run the demo for all tests of a file."""
+    with demo(tmp_path_factory.mktemp("runtime")) as found:
+        yield found
+
+
+@pytest.fixture
+async def robot(running: Demo) -> AsyncGenerator[httpx.AsyncClient]:
+    """Look at the demo's robots past the page, as the operator."""
+    headers = {"authorization": f"Bearer {running.key}"}
+    async with httpx.AsyncClient(base_url=running.url, headers=headers, timeout=30) as client:
+        yield client
+
+
+@pytest.fixture
+async def tab(browser: Browser, running: Demo) -> AsyncGenerator[Watched]:
+    """Open the demo's dashboard and log in as the operator."""
+    async with signed_in(browser, running.url, running.key, "demo-operator") as found:
+        yield found

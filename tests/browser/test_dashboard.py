@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import re
 import socket
-from collections.abc import AsyncGenerator, Generator
+from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager
 from pathlib import Path
 from urllib.parse import urlencode
@@ -72,13 +72,6 @@ tenants = ["beta"]
 key = "a-key-that-may-only-look"
 {more}
 """
-
-
-@pytest.fixture(scope="module")
-def running(tmp_path_factory: pytest.TempPathFactory) -> Generator[Demo]:
-    """Run the demo for all tests of this file."""
-    with demo(tmp_path_factory.mktemp("runtime")) as found:
-        yield found
 
 
 @pytest.fixture

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from collections.abc import AsyncGenerator, Generator
 from typing import Any
 
 import httpx
@@ -11,7 +10,7 @@ import pytest
 from playwright.async_api import Browser, Page, expect
 
 from browser.watched import Watched, log_in, watched
-from docs.demo import Demo, demo
+from docs.demo import Demo
 from rcp_dashboard.pages import STATIC
 
 pytestmark = pytest.mark.anyio
@@ -61,13 +60,6 @@ _WIDER = """
 
 
 @pytest.fixture(scope="module")
-def running(tmp_path_factory: pytest.TempPathFactory) -> Generator[Demo]:
-    """Run the demo for all tests of this file."""
-    with demo(tmp_path_factory.mktemp("runtime")) as found:
-        yield found
-
-
-@pytest.fixture(scope="module")
 def axe() -> str:
     """Return axe-core, which is there where the pages were built."""
     if not AXE.is_file():
@@ -76,17 +68,6 @@ def axe() -> str:
             pytest.fail(reason)
         pytest.skip(reason)
     return AXE.read_text()
-
-
-@pytest.fixture
-async def tab(browser: Browser, running: Demo) -> AsyncGenerator[Watched]:
-    """Open the demo's dashboard and log in as the operator."""
-    async with watched(browser, running.url) as found:
-        await found.open()
-        await found.connected()
-        await log_in(found.page, running.key)
-        await expect(found.page.get_by_test_id("principal")).to_have_text("demo-operator")
-        yield found
 
 
 async def violations(page: Page, rules: list[str]) -> list[str]:

@@ -10,7 +10,7 @@ import httpx
 import pytest
 from playwright.async_api import Browser, Page, expect
 
-from browser.watched import Watched, log_in, watched
+from browser.watched import Watched, signed_in
 from rcp_kernel.config.file import parse
 from rcp_kernel.process.log import configure
 from rcp_kernel.testing import serve
@@ -49,11 +49,9 @@ async def url() -> AsyncGenerator[str]:
 @asynccontextmanager
 async def person(browser: Browser, url: str, name: str, page: str = "") -> AsyncGenerator[Watched]:
     """Open a page as one of the people."""
-    async with watched(browser, url) as tab:
+    key = f"key-of-{name}-which-is-long"
+    async with signed_in(browser, url, key, name) as tab:
         await tab.open(page)
-        await tab.connected()
-        await log_in(tab.page, f"key-of-{name}-which-is-long")
-        await expect(tab.page.get_by_test_id("principal")).to_have_text(name)
         yield tab
 
 

@@ -3,25 +3,18 @@
 from __future__ import annotations
 
 import re
-from collections.abc import AsyncGenerator, Generator
+from collections.abc import AsyncGenerator
 
 import httpx
 import pytest
 from playwright.async_api import Browser, expect
 
-from browser.watched import Watched, log_in, watched
-from docs.demo import Demo, demo
+from browser.watched import Watched, signed_in
+from docs.demo import Demo
 
 pytestmark = pytest.mark.anyio
 expect.set_options(timeout=20_000)  # ms
 FAULT = {"fault": "sensor_stop", "target": "sensor/battery"}
-
-
-@pytest.fixture(scope="module")
-def running(tmp_path_factory: pytest.TempPathFactory) -> Generator[Demo]:
-    """Run the demo for all tests of this file."""
-    with demo(tmp_path_factory.mktemp("runtime")) as found:
-        yield found
 
 
 @pytest.fixture
@@ -37,11 +30,7 @@ async def robot(running: Demo) -> AsyncGenerator[httpx.AsyncClient]:
 @pytest.fixture
 async def tab(browser: Browser, running: Demo) -> AsyncGenerator[Watched]:
     """Open the demo's dashboard as the admin."""
-    async with watched(browser, running.url) as found:
-        await found.open()
-        await found.connected()
-        await log_in(found.page, running.admin)
-        await expect(found.page.get_by_test_id("principal")).to_have_text("demo-admin")
+    async with signed_in(browser, running.url, running.admin, "demo-admin") as found:
         yield found
 
 

@@ -7,15 +7,13 @@ import csv
 import json
 import re
 import time
-from collections.abc import AsyncGenerator, Generator
 from datetime import datetime
 from typing import Any
 
 import pytest
-from playwright.async_api import Browser, Page, WebSocket, expect
+from playwright.async_api import Page, WebSocket, expect
 
-from browser.watched import Watched, log_in, watched
-from docs.demo import Demo, demo
+from browser.watched import Watched
 
 pytestmark = pytest.mark.anyio
 expect.set_options(timeout=20_000)  # ms
@@ -23,24 +21,6 @@ IMU = "/tenant/alpha/sensor/imu"
 ACCELERATION = f"{IMU}%23linear_acceleration"
 BEFORE = 4.0  # s of what was plotted before the page is loaded anew
 BOUND = 20.0  # s
-
-
-@pytest.fixture(scope="module")
-def running(tmp_path_factory: pytest.TempPathFactory) -> Generator[Demo]:
-    """Run the demo for all tests of this file."""
-    with demo(tmp_path_factory.mktemp("runtime")) as found:
-        yield found
-
-
-@pytest.fixture
-async def tab(browser: Browser, running: Demo) -> AsyncGenerator[Watched]:
-    """Open the demo's dashboard and log in as the operator."""
-    async with watched(browser, running.url) as found:
-        await found.open()
-        await found.connected()
-        await log_in(found.page, running.key)
-        await expect(found.page.get_by_test_id("principal")).to_have_text("demo-operator")
-        yield found
 
 
 async def table(page: Page) -> list[dict[str, str]]:

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncGenerator, Callable, Generator
+from collections.abc import AsyncGenerator, Callable
 from typing import Any
 
 import httpx
 import pytest
 from playwright.async_api import Browser, Page, expect
 
-from browser.watched import Watched, log_in, watched
-from docs.demo import Demo, demo
+from browser.watched import Watched, signed_in
+from docs.demo import Demo
 
 pytestmark = pytest.mark.anyio
 expect.set_options(timeout=20_000)  # ms
@@ -28,30 +28,10 @@ window.hold = (axes, shoulder) => {
 """
 
 
-@pytest.fixture(scope="module")
-def running(tmp_path_factory: pytest.TempPathFactory) -> Generator[Demo]:
-    """Run the demo for all tests of this file."""
-    with demo(tmp_path_factory.mktemp("runtime")) as found:
-        yield found
-
-
-@pytest.fixture
-async def robot(running: Demo) -> AsyncGenerator[httpx.AsyncClient]:
-    """Look at the robots past the page, as the operator."""
-    headers = {"authorization": f"Bearer {running.key}"}
-    async with httpx.AsyncClient(base_url=running.url, headers=headers, timeout=10) as client:
-        yield client
-
-
 @pytest.fixture
 async def tab(browser: Browser, running: Demo) -> AsyncGenerator[Watched]:
-    """Open the demo's dashboard with gamepads of our own, and log in as the operator."""
-    async with watched(browser, running.url) as found:
-        await found.page.add_init_script(_PAD)
-        await found.open()
-        await found.connected()
-        await log_in(found.page, running.key)
-        await expect(found.page.get_by_test_id("principal")).to_have_text("demo-operator")
+    """Open the demo's dashboard as the operator, with gamepads of our own."""
+    async with signed_in(browser, running.url, running.key, "demo-operator", _PAD) as found:
         yield found
 
 

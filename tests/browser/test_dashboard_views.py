@@ -5,15 +5,15 @@ from __future__ import annotations
 import asyncio
 import math
 import re
-from collections.abc import AsyncGenerator, Callable, Generator
+from collections.abc import AsyncGenerator, Callable
 from typing import Any
 
 import httpx
 import pytest
 from playwright.async_api import Browser, Locator, Page, expect
 
-from browser.watched import Watched, log_in, watched
-from docs.demo import Demo, demo
+from browser.watched import Watched, log_in, signed_in
+from docs.demo import Demo
 
 pytestmark = pytest.mark.anyio
 expect.set_options(timeout=20_000)  # ms
@@ -72,13 +72,6 @@ class Robot:
         await self._client.aclose()
 
 
-@pytest.fixture(scope="module")
-def running(tmp_path_factory: pytest.TempPathFactory) -> Generator[Demo]:
-    """Run the demo for all tests of this file."""
-    with demo(tmp_path_factory.mktemp("runtime")) as found:
-        yield found
-
-
 @pytest.fixture
 async def robot(running: Demo) -> AsyncGenerator[Robot]:
     made = Robot(running)
@@ -89,12 +82,8 @@ async def robot(running: Demo) -> AsyncGenerator[Robot]:
 
 @pytest.fixture
 async def tab(browser: Browser, running: Demo, robot: Robot) -> AsyncGenerator[Watched]:
-    """Open the demo's dashboard for its operator."""
-    async with watched(browser, running.url) as found:
-        await found.open()
-        await found.connected()
-        await log_in(found.page, running.key)
-        await expect(found.page.get_by_test_id("principal")).to_have_text("demo-operator")
+    """Open the demo's dashboard for its operator, with the rovers at home."""
+    async with signed_in(browser, running.url, running.key, "demo-operator") as found:
         yield found
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import re
-from collections.abc import AsyncGenerator, Callable, Generator
+from collections.abc import Callable
 from typing import Any
 
 import httpx
@@ -12,39 +12,13 @@ import pytest
 from playwright.async_api import Browser, Locator, Page, expect
 
 from browser.watched import Watched, log_in, watched
-from docs.demo import Demo, demo
+from docs.demo import Demo
 
 pytestmark = pytest.mark.anyio
 expect.set_options(timeout=20_000)  # ms
 BOUND = 20.0  # s
 ALPHA = "/tenant/alpha"
 STILL = 0.002  # m/s
-
-
-@pytest.fixture(scope="module")
-def running(tmp_path_factory: pytest.TempPathFactory) -> Generator[Demo]:
-    """Run the demo for all tests of this file."""
-    with demo(tmp_path_factory.mktemp("runtime")) as found:
-        yield found
-
-
-@pytest.fixture
-async def robot(running: Demo) -> AsyncGenerator[httpx.AsyncClient]:
-    """Look at the robots past the page, as the operator."""
-    headers = {"authorization": f"Bearer {running.key}"}
-    async with httpx.AsyncClient(base_url=running.url, headers=headers, timeout=30) as client:
-        yield client
-
-
-@pytest.fixture
-async def tab(browser: Browser, running: Demo) -> AsyncGenerator[Watched]:
-    """Open the demo's dashboard and log in as the operator."""
-    async with watched(browser, running.url) as found:
-        await found.open()
-        await found.connected()
-        await log_in(found.page, running.key)
-        await expect(found.page.get_by_test_id("principal")).to_have_text("demo-operator")
-        yield found
 
 
 async def value(robot: httpx.AsyncClient, path: str) -> Any:

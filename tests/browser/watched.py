@@ -11,11 +11,18 @@ from typing import Any
 from urllib.parse import urlsplit
 
 import pytest
-from playwright.async_api import Browser, ConsoleMessage, Page, Request, WebSocket
+from playwright.async_api import (
+    Browser,
+    ConsoleMessage,
+    Page,
+    Request,
+    WebSocket,
+    expect,
+)
 
 from rcp_dashboard.pages import STATIC
 
-__all__ = ["SCREENSHOTS", "Watched", "log_in", "require_pages", "watched"]
+__all__ = ["SCREENSHOTS", "Watched", "log_in", "require_pages", "signed_in", "watched"]
 
 SCREENSHOTS = Path(os.environ.get("RCP_SCREENSHOTS", "build/screenshots"))
 _VIOLATION = """
@@ -113,3 +120,18 @@ async def log_in(page: Page, key: str) -> None:
     await dialog.get_by_label("Key or token").fill(key)
     await dialog.get_by_role("button", name="Log in").click()
     await dialog.wait_for(state="detached")
+
+
+@asynccontextmanager
+async def signed_in(
+    browser: Browser, url: str, key: str, name: str, script: str = ""
+) -> AsyncGenerator[Watched]:
+    """Open the dashboard as the person of a key; `script` runs before the page's own."""
+    async with watched(browser, url) as found:
+        if script:
+            await found.page.add_init_script(script)
+        await found.open()
+        await found.connected()
+        await log_in(found.page, key)
+        await expect(found.page.get_by_test_id("principal")).to_have_text(name)
+        yield found
