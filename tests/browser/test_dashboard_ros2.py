@@ -7,16 +7,14 @@ import base64
 import importlib.util
 import os
 import re
-import subprocess
-import sys
 from collections.abc import AsyncGenerator, Generator
-from pathlib import Path
 from typing import Any
 
 import pytest
 from playwright.async_api import Browser, Locator, expect
 
 from browser.watched import Watched, log_in, watched
+from serving import serving
 
 if importlib.util.find_spec("rclpy") is None:
     pytest.skip("no ROS 2 here", allow_module_level=True)
@@ -82,18 +80,9 @@ def url(eyes: Eyes, domain: int, tmp_path_factory: pytest.TempPathFactory) -> Ge
     """Run a gateway in front of it."""
     folder = tmp_path_factory.mktemp("eyes")
     write(folder)
-    config = folder / "rcp.toml"
     text = _CONFIG.format(domain=domain, key=_KEY, package=PACKAGE, folder=folder)
-    config.write_text(text)
-    rcpd = Path(sys.executable).with_name("rcpd")
-    with subprocess.Popen([rcpd, "serve", config], stderr=subprocess.PIPE, text=True) as process:
-        assert process.stderr is not None
-        for line in process.stderr:
-            if "serving on " in line:
-                yield line.rpartition(" ")[2].strip()
-                break
-        process.terminate()
-        process.communicate(timeout=_BOUND)
+    with serving(folder / "rcp.toml", text) as found:
+        yield found
 
 
 @pytest.fixture

@@ -2,22 +2,19 @@
 
 from __future__ import annotations
 
-import asyncio
-from collections.abc import AsyncGenerator, Callable
-from typing import Any
+from collections.abc import AsyncGenerator
 
 import httpx
 import pytest
 from playwright.async_api import Browser, Page, expect
 
+from browser.robots import STILL, speed, until
 from browser.watched import Watched, signed_in
 from docs.demo import Demo
 
 pytestmark = pytest.mark.anyio
 expect.set_options(timeout=20_000)  # ms
-BOUND = 20.0  # s
 FLIGHT = 90.0  # s until a drone that was just switched on hangs in the air
-STILL = 0.002  # m/s
 _PAD = """
 window.pads = [];
 navigator.getGamepads = () => window.pads;
@@ -33,23 +30,6 @@ async def tab(browser: Browser, running: Demo) -> AsyncGenerator[Watched]:
     """Open the demo's dashboard as the operator, with gamepads of our own."""
     async with signed_in(browser, running.url, running.key, "demo-operator", _PAD) as found:
         yield found
-
-
-async def until(
-    robot: httpx.AsyncClient, path: str, holds: Callable[[Any], bool], bound: float = BOUND
-) -> Any:
-    """Read until the value is as wanted, within the bound."""
-    async with asyncio.timeout(bound):
-        while True:
-            answer = await robot.get(f"/rcp/v1/context{path}")
-            if answer.is_success and holds(found := answer.json()["body"]):
-                return found
-            await asyncio.sleep(0.05)
-
-
-def speed(odometry: Any) -> float:
-    twist = odometry["twist"]
-    return abs(twist["linear"]["x"]) + abs(twist["angular"]["z"])
 
 
 async def take(tab: Watched, name: str) -> Page:

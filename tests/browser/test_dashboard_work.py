@@ -2,43 +2,19 @@
 
 from __future__ import annotations
 
-import asyncio
 import re
-from collections.abc import Callable
-from typing import Any
 
 import httpx
 import pytest
 from playwright.async_api import Browser, Locator, Page, expect
 
+from browser.robots import STILL, speed, until, value
 from browser.watched import Watched, log_in, watched
 from docs.demo import Demo
 
 pytestmark = pytest.mark.anyio
 expect.set_options(timeout=20_000)  # ms
-BOUND = 20.0  # s
 ALPHA = "/tenant/alpha"
-STILL = 0.002  # m/s
-
-
-async def value(robot: httpx.AsyncClient, path: str) -> Any:
-    answer = await robot.get(f"/rcp/v1/context{path}")
-    assert answer.status_code == 200, answer.text
-    return answer.json()["body"]
-
-
-async def until(robot: httpx.AsyncClient, path: str, holds: Callable[[Any], bool]) -> Any:
-    """Read until the value is as wanted, within the bound."""
-    async with asyncio.timeout(BOUND):
-        while True:
-            if holds(found := await value(robot, path)):
-                return found
-            await asyncio.sleep(0.05)
-
-
-def speed(odometry: Any) -> float:
-    twist = odometry["twist"]
-    return abs(twist["linear"]["x"]) + abs(twist["angular"]["z"])
 
 
 async def explore(tab: Watched, path: str) -> Page:

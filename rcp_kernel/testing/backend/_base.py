@@ -128,9 +128,9 @@ class BackendTests(Suite):
     device: Any = None
     """What `twin` yielded."""
     running: Robot
+    """The backend in its gateway; kept after it has closed."""
     prompt: bool
     """Whether it was open when the gateway had started."""
-    """The backend in its gateway; kept after it has closed."""
 
     @property
     def backend(self) -> Any:

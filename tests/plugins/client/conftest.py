@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import os
 import socket
-from collections.abc import AsyncGenerator, Callable
+import subprocess
+from collections.abc import AsyncGenerator, Callable, Generator
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 import rcp_client
+from plugins.client import rcpctl
 from plugins.client.gateway import OPERATOR, Gateway
 from plugins.client.proxy import Proxy
+from serving import serving
 
 
 @pytest.fixture
@@ -56,3 +60,36 @@ def connect() -> Callable[..., rcp_client.Client]:
         return rcp_client.connect(to.url, **{"token": OPERATOR, **options})
 
     return made
+
+
+@pytest.fixture(scope="module")
+def url(tmp_path_factory: pytest.TempPathFactory) -> Generator[str]:
+    """A gateway with one simulated rover."""
+    with serving(tmp_path_factory.mktemp("rcpd") / "rcp.toml", rcpctl.CONFIG) as found:
+        yield found
+
+
+@pytest.fixture
+def run(url: str) -> Generator[rcpctl.Run]:
+    """Run `rcpctl` as the operator; afterwards the rover is as it was."""
+    changes = False
+
+    def made(*arguments: str, stdin: str = "", **env: str) -> subprocess.CompletedProcess[str]:
+        nonlocal changes
+        changes = changes or not {"write", "execute"}.isdisjoint(arguments)
+        return subprocess.run(
+            [rcpctl.BIN / "rcpctl", *arguments],
+            input=stdin,
+            capture_output=True,
+            text=True,
+            timeout=rcpctl.BOUND,
+            check=False,
+            env={**os.environ, "RCP_URL": url, "RCP_TOKEN": rcpctl.OPERATOR, **env},
+        )
+
+    yield made
+    if changes:
+        with rcp_client.Robot(url, token=rcpctl.OPERATOR) as robot:
+            robot.execute("/service/clear_faults")
+            robot.cancel("/action/move_to")
+            robot.execute("/service/reset_system", {"pose": True})

@@ -1,0 +1,34 @@
+"""A real `rcpd` in a process of its own, for tests that need no more than its address."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Generator
+from contextlib import contextmanager
+from pathlib import Path
+
+__all__ = ["serving"]
+
+_CLOSE = 40.0  # s that it may take to end
+
+
+@contextmanager
+def serving(config: Path, text: str) -> Generator[str]:
+    """Serve a configuration, written to a file, while entered; yield the address."""
+    config.write_text(text)
+    rcpd = Path(sys.executable).with_name("rcpd")
+    with subprocess.Popen([rcpd, "serve", config], stderr=subprocess.PIPE, text=True) as process:
+        assert process.stderr is not None
+        told: list[str] = []
+        for line in process.stderr:
+            told.append(line)
+            if "serving on " in line:
+                break
+        else:
+            raise AssertionError("rcpd did not serve: " + "".join(told))
+        try:
+            yield line.rpartition(" ")[2].strip()
+        finally:
+            process.terminate()
+            process.communicate(timeout=_CLOSE)
