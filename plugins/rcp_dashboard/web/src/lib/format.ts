@@ -78,8 +78,8 @@ export function pretty(value: unknown): string {
   );
 }
 
-/** An input on one line where it fits, without the fields that are left open. */
-export function compact(value: unknown): string {
-  const bare = JSON.stringify(value, (_, item) => (item === null ? undefined : item)) ?? "null";
-  return bare.length <= 100 ? bare.replaceAll(/([:,])/g, "$1 ") : pretty(JSON.parse(bare));
+/** The whole value, nothing cut, for a person who has to know it: what cannot be seen is written as its code. */
+export function exact(value: unknown): string {
+  const text = JSON.stringify(value ?? null, null, 2);
+  return text.replaceAll(/[\p{Cf}\p{Zl}\p{Zp}\p{Co}\p{Cn}]/gu, (one) => [...one].map((part) => `\\u{${part.codePointAt(0)!.toString(16)}}`).join(""));
 }

@@ -1,22 +1,28 @@
-import type { Command, RcpError } from "rcp-client";
+import { type Command, RcpError } from "rcp-client";
 
 import { app } from "./app.svelte.ts";
 
 /** One errand at a time that a page has sent a robot on, with how it stands. */
 export class Going {
   path = $state("");
+  input = $state.raw<unknown>();
   status = $state("");
   progress = $state<number>();
   done = $state(false);
   error = $state.raw<RcpError>();
+  /** What lets it pass once a person has approved it, where one has to. */
+  approval = $derived(this.error?.code === "approval_required" ? (this.error.details["approval"] as string) : undefined);
+  /** Whether it is under way, or may be as soon as it is approved. */
+  stands = $derived(this.path !== "" && (!this.done || this.approval !== undefined));
   #command: Command | undefined;
 
   /** Send it, and return when it has ended, well or not. */
-  async go(path: string, input: unknown): Promise<void> {
-    const command = app.client.execute(path, input);
+  async go(path: string, input: unknown, approval?: string): Promise<void> {
+    const command = app.client.execute(path, input, { ...(approval && { approval }) });
     this.#command = command;
     this.error = undefined;
     this.path = path;
+    this.input = input;
     const told = (): void => {
       if (this.#command !== command) return;
       this.status = command.status;
@@ -31,6 +37,17 @@ export class Going {
       if (this.#command === command) this.error = error as RcpError;
     }
     told();
+  }
+
+  /** Send what a person has approved: the same as before. */
+  async again(): Promise<void> {
+    await this.go(this.path, this.input, this.approval);
+  }
+
+  /** Tell why nothing was sent. */
+  refuse(message: string, remedy: string): void {
+    this.close();
+    this.error = new RcpError({ code: "not_sent", message, remedy });
   }
 
   cancel(): void {

@@ -37,6 +37,7 @@ export class View {
   readonly #observer: ResizeObserver;
   readonly #box: HTMLElement;
   #grid: GridHelper | undefined;
+  #held = false;
 
   /** Raises what WebGL raises where it is not there. */
   constructor(box: HTMLElement) {
@@ -93,6 +94,7 @@ export class View {
     if (mode === "2d") this.#flat.position.set(at.x, at.y, 500);
     else this.#deep.position.set(at.x - NEAR, at.y - NEAR * 0.8, NEAR);
     const controls = new OrbitControls(this.camera, this.canvas);
+    controls.enabled = !this.#held;
     controls.target.copy(at);
     controls.enableRotate = mode === "3d";
     controls.zoomToCursor = true;
@@ -109,6 +111,7 @@ export class View {
 
   /** Hold the camera still while something else is done with the pointer. */
   hold(still: boolean): void {
+    this.#held = still;
     this.#controls.enabled = !still;
   }
 

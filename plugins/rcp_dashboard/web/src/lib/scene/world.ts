@@ -7,10 +7,18 @@ import { matrixOf } from "./frames.ts";
 import { Grid } from "./grid.ts";
 import { Dots, FrameMark, goalMark, pathLine, poseArrow } from "./layers.ts";
 import { type Item, type Layer, report, type Told } from "./report.ts";
+import type { Place } from "../goal.ts";
 import type { View } from "./view.ts";
 
 const FIXED = ["map", "world", "earth", "odom"];
 const LABEL = 0.022; // of the height of the view
+
+/** Where something is to go, in a frame. */
+export interface Goal extends Place {
+  frame: string;
+  /** Whether what was pointed at could be taken into that frame. */
+  joined: boolean;
+}
 
 /** The robots of one backend and what they perceive, in one frame that is taken to stand still. */
 export class World {
@@ -192,15 +200,22 @@ export class World {
     this.#view.changed();
   }
 
-  /** A place on the floor in the frame that goals are told in: the map, or that of the robot's pose. */
-  goalFrame(at: { x: number; y: number; yaw: number | undefined }): { x: number; y: number; yaw: number | undefined; frame: string } {
-    const body = this.#first;
+  /** A place on the floor in the frame that goals of an action are told in: the map of its robot, or what its pose is in. */
+  goalFrame(at: Place, action: string): Goal {
+    const body = this.#acting(action);
     const frame = body?.frames.find("map") ?? body?.pose?.frame ?? this.fixed;
-    const into = body?.frames.between(this.fixed, frame);
-    if (!into) return { ...at, frame: this.fixed };
+    const into = frame === this.fixed ? new Matrix4() : body?.frames.between(this.fixed, frame);
+    if (!into) return { ...at, frame, joined: false };
     const { x, y } = new Vector3(at.x, at.y, 0).applyMatrix4(into);
     const along = new Vector3(1, 0, 0).transformDirection(into);
-    return { x, y, yaw: at.yaw === undefined ? undefined : at.yaw + Math.atan2(along.y, along.x), frame };
+    return { x, y, yaw: at.yaw === undefined ? undefined : at.yaw + Math.atan2(along.y, along.x), frame, joined: true };
+  }
+
+  /** The robot whose space an action stands in. */
+  #acting(action: string): Body | undefined {
+    const below = action.split("/").slice(4).join("/");
+    const near = [...this.#bodies.keys()].filter((space) => space !== "" && below.startsWith(`${space}/`)).sort((a, b) => b.length - a.length)[0];
+    return near === undefined ? this.#first : this.#bodies.get(near);
   }
 
   show(layer: Layer, visible: boolean): void {
