@@ -95,8 +95,8 @@ export class Client<T extends Catalogue = Untyped> {
 
   /** Leave. The gateway keeps the session for a while, and what it runs. */
   close(): void {
+    this.#loseLeases(undefined); // while what they bring about can still be sent
     this.session.close();
-    this.#loseLeases(undefined);
   }
 
   /** Be called at each change of the connection, its latency included; returns what ends it. */

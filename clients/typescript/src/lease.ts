@@ -1,4 +1,7 @@
+import type { RcpError } from "./errors.ts";
 import type { LeaseState, Notice } from "./wire.ts";
+
+const GONE = new Set(["lease_lost", "lease_required"]); // what a renewal is answered when there is no lease
 
 /** Exclusive control of a part of the tree, renewed until it is released or lost. */
 export class Lease {
@@ -30,8 +33,9 @@ export class Lease {
     this.#timer = setTimeout(async () => {
       try {
         this.state = await this.#renew(this.state.lease);
-      } catch {
-        // A cut may pass before the lease lapses; a loss is told by its notice.
+      } catch (problem) {
+        // A cut may pass before the lease lapses. A loss is told by its notice; what this session gave away is not.
+        if (GONE.has((problem as RcpError).code)) return this.lose(undefined);
       }
       if (this.#timer !== undefined) this.#schedule();
     }, this.#every);
@@ -50,6 +54,7 @@ export class Lease {
 
   /** Note that it is gone. */
   lose(notice: Notice | undefined): void {
+    if (this.#timer === undefined) return; // released, or lost already
     this.#stop();
     this.lost = notice;
     this.#told(notice);

@@ -1,17 +1,23 @@
-import { type Lease, RcpError } from "rcp-client";
+import { type Lease, type Notice, RcpError } from "rcp-client";
 
 import { app } from "./app.svelte.ts";
 
 const TTL = 3; // s that control outlives its page
 const AGAIN = 500; // ms between tries while a lease of our own lapses
 
+/** What is asked about leases, one after the other: two that overlap are one and the same to the gateway. */
+let asked: Promise<unknown> = Promise.resolve();
+
 /** Exclusive control of a part of a robot, for as long as the page has it. */
 export class Control {
   readonly scope: string;
   lease = $state.raw<Lease>();
   error = $state.raw<RcpError>();
+  /** Whether it is being asked for. */
+  asking = $state(false);
   /** Told when control is gone, by whatever way. */
   onlost: () => void = () => undefined;
+  #turn = 0; // of asking for it and giving it back: what is answered in an earlier one is wanted no more
 
   constructor(scope: string) {
     this.scope = scope;
@@ -22,32 +28,52 @@ export class Control {
   }
 
   /** Ask for it; with a reason, take it over from somebody of a lower priority. */
-  async take(reason?: string, again = TTL * 2 + 1): Promise<void> {
+  async take(reason?: string): Promise<void> {
+    if (this.asking || this.held) return;
+    const turn = ++this.#turn;
+    this.asking = true;
     this.error = undefined;
-    try {
-      this.lease = await app.client.lease(this.scope, {
-        ttl: TTL,
-        ...(reason !== undefined && { take: true, reason }),
-        lost: (notice) => {
-          this.lease = undefined;
-          this.onlost();
-          const message = notice ? `control was lost: ${notice["reason"] ?? notice.message ?? ""} ${notice["by"] ? `(${notice["by"]})` : ""}` : "control was lost with the session";
-          this.error = new RcpError({ code: "lease_lost", message, remedy: "Take control again when it is yours to take." });
-        },
-      });
-    } catch (problem) {
-      const error = problem as RcpError;
-      // A page that was closed or loaded anew has left its lease to lapse: that is waited for.
-      const own = error.code === "lease_held" && error.details["holder"] === app.hello?.principal;
-      if (!own || again <= 0) this.error = error;
-      else {
+    asked = asked.then(() => this.#ask(turn, reason));
+    await asked;
+    if (turn === this.#turn) this.asking = false;
+  }
+
+  async #ask(turn: number, reason: string | undefined): Promise<void> {
+    for (let tries = TTL * 2 + 1; turn === this.#turn; tries--) {
+      try {
+        const lease: Lease = await app.client.lease(this.scope, {
+          ttl: TTL,
+          ...(reason !== undefined && { take: true, reason }),
+          lost: (notice) => {
+            if (lease === this.lease) this.#lose(notice);
+          },
+        });
+        if (turn === this.#turn) this.lease = lease;
+        else await lease.release().catch(() => undefined);
+        return;
+      } catch (problem) {
+        const error = problem as RcpError;
+        // A page that was closed or loaded anew has left its lease to lapse: that is waited for.
+        const own = error.code === "lease_held" && error.details["holder"] === app.hello?.principal;
+        if (!own || tries <= 0) {
+          if (turn === this.#turn) this.error = error;
+          return;
+        }
         await new Promise((resolve) => setTimeout(resolve, AGAIN));
-        await this.take(reason, again - 1);
       }
     }
   }
 
+  #lose(notice: Notice | undefined): void {
+    this.lease = undefined;
+    this.onlost();
+    const message = notice ? `control was lost: ${notice["reason"] ?? notice.message ?? ""} ${notice["by"] ? `(${notice["by"]})` : ""}` : "control was lost with the session";
+    this.error = new RcpError({ code: "lease_lost", message, remedy: "Take control again when it is yours to take." });
+  }
+
   async give(): Promise<void> {
+    this.#turn += 1;
+    this.asking = false;
     this.onlost();
     const lease = this.lease;
     this.lease = undefined;

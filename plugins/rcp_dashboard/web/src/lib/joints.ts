@@ -39,5 +39,7 @@ export function jointsOf(resource: Resource): Joints | undefined {
   const found = whole["type"] === "object" ? parts.map(([key, one]) => joint(one, root, key, key)) : [joint({ unit: resource.unit, ...whole }, root, "", name)];
   // A field that is no joint (yaw_rate beside x, thrust beside roll) makes it something else.
   if (found.length === 0 || found.some((one) => one === undefined || one.unit !== found[0]?.unit)) return undefined;
-  return { resource, kind: SPEEDS.has(found[0]?.unit ?? "") ? "speed" : "place", joints: found as Joint[] };
+  const kind = SPEEDS.has(found[0]?.unit ?? "") ? "speed" : "place";
+  // A speed that nothing ends when the hand is gone is none to be set by a slider.
+  return kind === "speed" && resource.safe === undefined ? undefined : { resource, kind, joints: found as Joint[] };
 }

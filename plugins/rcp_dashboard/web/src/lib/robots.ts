@@ -66,7 +66,15 @@ export function alarming(one: Resource): boolean {
   return has.has("severity") || has.has("active") || /fault|alarm|error|failsafe|overflow/.test(one.path);
 }
 
+/**
+ * Whether this role may drive it with a stick: what takes speeds goes on with the last one, unless it declares the value
+ * that the gateway brings it to when nobody writes any more.
+ */
+export function steerable(one: Resource): boolean {
+  return one.kind === "actuator" && one.operations.includes("write") && one.safe !== undefined && steering(one) !== undefined;
+}
+
 /** Whether this role may move something of it by hand. */
 export function drivable(robot: Robot): boolean {
-  return robot.resources.some((one) => one.kind === "actuator" && one.operations.includes("write") && (steering(one) ?? jointsOf(one)) !== undefined);
+  return robot.resources.some((one) => steerable(one) || jointsOf(one) !== undefined);
 }

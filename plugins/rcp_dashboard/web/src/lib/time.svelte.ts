@@ -17,6 +17,12 @@ export function age(timestamp: string | undefined): number | undefined {
   return Math.max(0, (now - Date.parse(timestamp)) / 1000);
 }
 
+/** Whether a value should have come again by now, by the deadline (s) of its path; it follows the time. */
+export function overdue(timestamp: string | undefined, deadline: number | undefined): boolean {
+  const seconds = age(timestamp);
+  return seconds !== undefined && deadline !== undefined && seconds > deadline + 0.5;
+}
+
 /** Seconds until a timestamp of the gateway, down to 0; it follows the time. */
 export function left(timestamp: string): number {
   const now = ticking.now + app.client.clock.offset * 1000;

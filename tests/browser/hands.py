@@ -1,0 +1,92 @@
+"""Hands on the dashboard's Teleop page, and what may take them off it unseen."""
+
+from __future__ import annotations
+
+from playwright.async_api import Locator, Page, expect
+
+from browser.watched import Watched
+
+__all__ = ["UNSEEN", "drives", "push", "shift", "stands", "take"]
+
+UNSEEN = """
+window.pads = [];
+navigator.getGamepads = () => window.pads;
+window.hold = (axes, shoulder, mapping = "standard") => {
+  const buttons = Array.from({ length: 17 }, (_, at) => ({ pressed: at === 4 && shoulder, touched: false, value: 0 }));
+  window.pads = [{ id: "Test Pad (STANDARD GAMEPAD)", index: 0, connected: true, mapping, timestamp: 0, axes, buttons }];
+};
+
+window.addEventListener("pointerdown", (event) => (window.pointer = event.pointerId), true);
+window.tell = (what, kind, buttons) => {
+  const event = new PointerEvent(kind, { pointerId: window.pointer, buttons, bubbles: true, cancelable: true });
+  return what.dispatchEvent(event);
+};
+
+window.gone = false;
+document.hasFocus = () => !window.gone;
+window.leave = () => ((window.gone = true), window.dispatchEvent(new Event("blur")));
+window.comeBack = () => ((window.gone = false), window.dispatchEvent(new Event("focus")));
+
+window.late = undefined;
+const heard = Object.getOwnPropertyDescriptor(WebSocket.prototype, "onmessage");
+Object.defineProperty(WebSocket.prototype, "onmessage", {
+  set(told) {
+    heard.set.call(this, (event) => (window.late ? window.late.push(() => told(event)) : told(event)));
+  },
+});
+window.stall = () => (window.late = []);
+window.goOn = () => {
+  const late = window.late;
+  window.late = undefined;
+  late.forEach((one) => one());
+};
+"""
+"""Gamepads, pointers, the focus of the window and answers that come late, in the hands of the test."""
+
+
+async def take(tab: Watched, robot: str) -> Page:
+    """Open Teleop for a robot and take control of it, with a key: the mouse may be busy."""
+    picker = tab.page.get_by_role("combobox", name="Robot")
+    if f"robot={robot}" not in tab.page.url:
+        await tab.open(f"teleop?robot={robot}")
+    await expect(picker).to_have_value(robot)
+    await tab.page.get_by_role("button", name="Take control").press("Enter")
+    await expect(tab.page.get_by_test_id("control")).to_contain_text("You have control")
+    return tab.page
+
+
+async def push(page: Page, button: str = "left") -> None:
+    """Press the stick and push it to the left, without letting go."""
+    stick = page.get_by_test_id("stick").first
+    await stick.scroll_into_view_if_needed()
+    box = await stick.bounding_box()
+    assert box is not None
+    x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+    await page.mouse.move(x, y)
+    await page.mouse.down(button="right" if button == "right" else "left")
+    await page.mouse.move(x - box["width"] / 4, y, steps=3)
+
+
+async def shift(page: Page) -> None:
+    """Move the hand that is on the stick a little."""
+    stick = page.get_by_test_id("stick").first
+    box = await stick.bounding_box()
+    assert box is not None
+    x, y = box["x"] + box["width"] / 3, box["y"] + box["height"] / 2
+    await page.mouse.move(x, y - 2, steps=2)
+    await page.mouse.move(x, y + 2, steps=2)
+
+
+def deadman(page: Page) -> Locator:
+    """Return what tells who drives."""
+    return page.get_by_test_id("deadman")
+
+
+async def drives(page: Page, source: str) -> None:
+    """Wait until somebody drives."""
+    await expect(deadman(page)).to_contain_text(source)
+
+
+async def stands(page: Page) -> None:
+    """Wait until nobody drives."""
+    await expect(deadman(page)).to_contain_text("let go")
