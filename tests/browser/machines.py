@@ -36,7 +36,7 @@ use = "machine"
 name = "two"
 tenant = "beta"
 [roles.learner]
-allow = [{{ operations = ["*"], paths = ["/**", "/system/commands", "/system/status"] }}]
+allow = [{{ operations = ["*"], paths = ["/**", "/system/commands", "/system/plans", "/system/status"] }}]
 approve = ["/action/**", "/param/**"]
 """
 _DEGREES = Annotated[float, Meta(ge=-180, le=180)]

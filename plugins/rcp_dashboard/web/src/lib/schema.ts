@@ -60,6 +60,23 @@ export function initial(schema: Schema, root: Schema): unknown {
   }
 }
 
+/** What was typed, as a number; as the text itself where no number is just that: the gateway takes the digits of a long one. */
+export function numberOf(text: string): number | string {
+  const found = Number(text);
+  if (text.trim() === "" || !Number.isFinite(found)) return text;
+  const changed = /^\s*-?\d+\s*$/.test(text) && !Number.isSafeInteger(found) && BigInt(text) !== BigInt(found);
+  return changed ? text.trim() : found;
+}
+
+/** Read JSON with every number as it is written. */
+export function parse(text: string): unknown {
+  return (JSON.parse as any)(text, (_: string, value: unknown, context?: { source?: string }) => {
+    if (typeof value !== "number" || Math.abs(value) <= Number.MAX_SAFE_INTEGER) return value;
+    if (context?.source === undefined) throw new Error(`This browser may not take ${value} as it is written: put it in quotes.`);
+    return numberOf(context.source);
+  });
+}
+
 export interface Fault {
   /** JSON Pointer of the field. */
   pointer: string;
