@@ -56,7 +56,7 @@ class Client(ABC):
         self.reading = asyncio.Event()
         """Cleared by `pause`: nothing is taken from the carrier."""
         self.reading.set()
-        self._arrived = asyncio.Event()
+        self._waiting: dict[asyncio.Future[Message], Callable[[Message], bool]] = {}
         self._count = itertools.count(1)
 
     @abstractmethod
@@ -80,9 +80,12 @@ class Client(ABC):
         await self.transmit_raw(encode(message, self.encoding))
 
     def received(self, message: Message) -> None:
-        """Take in what the carrier brought."""
+        """Take in what the carrier brought, for whoever waits for it or asks later."""
+        for future, wanted in self._waiting.items():
+            if not future.done() and wanted(message):
+                future.set_result(message)
+                return
         self.inbox.append(message)
-        self._arrived.set()
 
     async def send(self, envelope: Mapping[str, Any] | None = None, /, **fields: Any) -> str:
         """Send a request, with an id of its own if none is given; return the id."""
@@ -104,17 +107,19 @@ class Client(ABC):
 
         :raises AssertionError: none came within so many seconds.
         """
+        for place, message in enumerate(self.inbox):
+            if wanted(message):
+                return self.inbox.pop(place)
+        future = asyncio.get_running_loop().create_future()
+        self._waiting[future] = wanted
         try:
             async with asyncio.timeout(within):
-                while True:
-                    for place, message in enumerate(self.inbox):
-                        if wanted(message):
-                            return self.inbox.pop(place)
-                    self._arrived.clear()
-                    await self._arrived.wait()
+                return await future
         except TimeoutError:
             held = f"{self.inbox!r:.2000}"
             raise AssertionError(f"nothing of the kind in {within} s; it holds {held}") from None
+        finally:
+            del self._waiting[future]
 
     async def reply(self, id_: str | None, within: float = BOUND) -> Message:
         """Wait for the next reply to a request, final or not."""

