@@ -255,9 +255,9 @@ def test_damiao_motor_drives_our_twin() -> None:
         try:
             drive = control.add_motor(3, 0, "4310")
             drive.ensure_control_mode("MIT")
-            drive.set_can_timeout(400)
-            until(lambda: twin.registers[9] == struct.pack("<I", 8000))
-            assert drive.get_register(9) == 8000
+            drive.set_can_timeout(1000)
+            until(lambda: twin.registers[9] == struct.pack("<I", 20_000))
+            assert drive.get_register(9) == 20_000
             drive.enable()
             until(lambda: twin.enabled)
             for _ in range(100):
