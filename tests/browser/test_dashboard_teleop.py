@@ -6,8 +6,9 @@ from collections.abc import AsyncGenerator
 
 import httpx
 import pytest
-from playwright.async_api import Browser, Page, expect
+from playwright.async_api import Browser, expect
 
+from browser.hands import UNSEEN, take
 from browser.robots import STILL, speed, until
 from browser.watched import Watched, signed_in
 from docs.demo import Demo
@@ -15,30 +16,13 @@ from docs.demo import Demo
 pytestmark = pytest.mark.anyio
 expect.set_options(timeout=20_000)  # ms
 FLIGHT = 90.0  # s until a drone that was just switched on hangs in the air
-_PAD = """
-window.pads = [];
-navigator.getGamepads = () => window.pads;
-window.hold = (axes, shoulder) => {
-  const buttons = Array.from({ length: 17 }, (_, at) => ({ pressed: at === 4 && shoulder, touched: false, value: 0 }));
-  window.pads = [{ id: "Test Pad (STANDARD GAMEPAD)", index: 0, connected: true, mapping: "standard", timestamp: 0, axes, buttons }];
-};
-"""
 
 
 @pytest.fixture
 async def tab(browser: Browser, running: Demo) -> AsyncGenerator[Watched]:
     """Open the demo's dashboard as the operator, with gamepads of our own."""
-    async with signed_in(browser, running.url, running.key, "demo-operator", _PAD) as found:
+    async with signed_in(browser, running.url, running.key, "demo-operator", UNSEEN) as found:
         yield found
-
-
-async def take(tab: Watched, name: str) -> Page:
-    """Take control of a robot."""
-    await tab.open(f"teleop?robot={name}")
-    await expect(tab.page.get_by_role("combobox", name="Robot")).to_have_value(name)
-    await tab.page.get_by_role("button", name="Take control").click()
-    await expect(tab.page.get_by_test_id("control")).to_contain_text("You have control")
-    return tab.page
 
 
 async def test_a_gamepad_drives_with_its_shoulder_held_and_stops_when_it_is_unplugged(
@@ -95,6 +79,47 @@ async def test_joints_move_while_a_slider_is_held_and_stay_where_it_is_let_go(
     await page.get_by_role("button", name="Disable head").click()
 
 
+async def test_a_joint_moves_by_a_press_on_its_slider_alone_and_from_where_it_is_known_to_be(
+    tab: Watched, robot: httpx.AsyncClient
+) -> None:
+    page = await take(tab, "head-delta")
+    joints = "/tenant/delta/sensor/head/joints"
+    await page.get_by_role("button", name="Enable head").click()
+    await expect(page.get_by_test_id("action-status")).to_contain_text("completed")
+    panel = page.locator('[data-joints="/tenant/delta/actuator/head/joints"]')
+    slider = panel.get_by_role("slider", name="pan in rad")
+    before = (await until(robot, joints, bool))["positions"]["pan"]
+    await slider.evaluate("""(slider) => {
+        slider.value = 2;
+        slider.dispatchEvent(new Event("input", { bubbles: true }));
+    }""")
+    await expect(panel).to_contain_text("hold to move")
+    assert abs(float(await slider.input_value()) - before) < 0.1
+    await slider.hover()
+    await page.mouse.down(button="right")
+    await expect(panel).to_contain_text("hold to move")
+    await page.mouse.up(button="right")
+    await slider.focus()
+    for told in ("tell(slider, 'pointermove', 2)", "tell(window, 'contextmenu', 1)"):
+        await slider.hover()
+        await page.mouse.down()
+        await expect(panel).to_contain_text("held")
+        await slider.evaluate(f"(slider) => {told}")
+        await expect(panel).to_contain_text("hold to move")
+        await page.mouse.up()
+    here = await until(robot, joints, lambda found: abs(found["velocities"]["pan"]) < STILL)
+    await page.evaluate("stall()")
+    await expect(panel).to_contain_text("was")
+    await slider.focus()
+    await page.keyboard.down("PageUp")
+    await expect(panel).to_contain_text("hold to move")
+    await page.keyboard.up("PageUp")
+    await page.evaluate("goOn()")
+    there = await until(robot, joints, lambda found: abs(found["velocities"]["pan"]) < STILL)
+    assert abs(there["positions"]["pan"] - here["positions"]["pan"]) < 0.05
+    await page.get_by_role("button", name="Disable head").click()
+
+
 async def test_a_drone_takes_off_climbs_by_key_and_lands_by_buttons(
     tab: Watched, robot: httpx.AsyncClient
 ) -> None:
@@ -121,6 +146,10 @@ async def test_a_drone_takes_off_climbs_by_key_and_lands_by_buttons(
     await until(robot, sideways, lambda found: found["y"] > 0.1 and found["z"] == 0)
     await page.keyboard.up("Shift")
     await page.keyboard.up("q")
+    await until(robot, sideways, lambda found: found["y"] == found["z"] == 0)
+    await page.evaluate("hold([0, 0, -1, -1], true)")  # the right stick
+    await until(robot, sideways, lambda found: found["y"] > 0.1 and found["z"] > 0.1)
+    await page.evaluate("pads = []")
     await until(robot, sideways, lambda found: found["y"] == found["z"] == 0)
     await actions.get_by_role("button", name="Land").click()
     await expect(status).to_contain_text("Land:")
