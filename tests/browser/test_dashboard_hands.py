@@ -39,6 +39,7 @@ priority = 10
     for name, role in PEOPLE.items()
 )
 ODOMETRY = "/tenant/alpha/sensor/odometry"
+CMD_VEL = "/tenant/alpha/actuator/cmd_vel"
 TURN = "hold([-1, 0, 0, 0], true)"  # on its place: there is a wall somewhere
 
 
@@ -82,7 +83,7 @@ async def moves(robot: httpx.AsyncClient) -> None:
 async def rests(robot: httpx.AsyncClient) -> None:
     """Wait until the rover rests, and nothing else is wanted of it."""
     await until(robot, ODOMETRY, lambda found: speed(found) < STILL)
-    await until(robot, "/tenant/alpha/actuator/cmd_vel", lambda found: found["angular"]["z"] == 0)
+    await until(robot, CMD_VEL, lambda found: found["angular"]["z"] == 0)
 
 
 async def spent(page: Page, source: str) -> None:
@@ -151,6 +152,14 @@ async def test_keys_that_drive_change_no_limit_and_none_drives_that_was_let_go_u
     await drives(page, "keyboard")
     await page.keyboard.down("Control")  # of what is let go beside it nobody tells
     await stands(page)
+    await page.keyboard.up("Control")
+    for told in ("tell(document.body, 'dragstart', 1)", "document.querySelector('select').focus()"):
+        await page.keyboard.up("Shift")
+        await page.evaluate("document.activeElement.blur()")
+        await page.keyboard.down("Shift")
+        await drives(page, "keyboard")
+        await page.evaluate(told)
+        await stands(page)
     await rests(robot)
 
 
@@ -187,6 +196,15 @@ async def test_a_stick_does_not_outlive_the_hand_on_it(
     assert not await stick.evaluate("(stick) => tell(stick, 'contextmenu', 1)"), "no menu comes"
     await shift(page)
     await drives(page, "stick")
+    box = await stick.bounding_box()
+    assert box is not None
+    await page.mouse.move(box["x"] + box["width"] * 0.4, box["y"] + box["height"] / 2)
+    await page.evaluate(
+        "document.querySelector('main').prepend(Object.assign(document.createElement('p'), { style: 'height: 40px' }))"
+    )
+    await page.mouse.move(box["x"] + box["width"] * 0.2, box["y"] + box["height"] / 2)
+    wanted = await until(robot, CMD_VEL, lambda found: found["angular"]["z"] > 0.47)
+    assert abs(wanted["linear"]["x"]) < 0.01, "what shifts below the hand steers"
     await page.get_by_role("link", name="Overview").press("Enter")
     await rests(robot)
     await until(robot, "/system/leases", lambda found: not found)
@@ -230,10 +248,14 @@ async def test_a_lease_that_comes_when_its_page_is_left_is_given_back(
     await tab.open("teleop?robot=rover")
     button = tab.page.get_by_role("button", name="Take control")
     await expect(button).to_be_enabled()
+    told = tab.page.get_by_test_id("action-status")
+    await tab.page.get_by_role("button", name="Clear faults").click()
+    await expect(told).to_contain_text("Clear faults")
     await tab.page.evaluate("stall()")
     await button.click()
     await until(robot, "/system/leases", bool)
     await tab.page.get_by_role("combobox", name="Robot").select_option("other")
+    await expect(told).to_contain_text("Nothing was asked of it")  # it is another robot's
     await tab.page.evaluate("goOn()")
     await until(robot, "/system/leases", lambda found: not found)
     await expect(tab.page.get_by_test_id("control")).to_contain_text("No control")
@@ -303,3 +325,6 @@ async def test_what_nothing_stops_is_not_offered_to_be_driven(browser: Browser, 
         await tab.open("teleop")
         picker = tab.page.get_by_role("combobox", name="Robot")
         await expect(picker.get_by_role("option")).to_have_text(["other (beta)"])
+        await tab.open("teleop?robot=rover")  # nor another one in its place
+        await expect(tab.page.get_by_text("The robot that was chosen is not here")).to_be_visible()
+        await expect(tab.page.get_by_role("button", name="Take control")).to_have_count(0)

@@ -56,6 +56,11 @@ export class Keys {
     if (this.#held.has("Shift") && !event.shiftKey) this.#letGo();
   }
 
+  /** What is typed into has the keys from now on, and a list that it opens does not tell what is let go. */
+  focused(event: FocusEvent): void {
+    if ((event.target as Element).matches?.(TYPED)) this.#letGo();
+  }
+
   /** Forget what is held, as the page does not see it any more. */
   clear(): void {
     this.#held.clear();
