@@ -200,6 +200,14 @@ test("a lease keeps others out until it is released, and a loss is told", async 
   await other.resetEstop({ scope: "/tenant/alpha" });
 });
 
+test("a lease that its own session gave away is lost at the next renewal", async () => {
+  const client = await connected();
+  let lost = 0;
+  const lease = await client.lease("/tenant/alpha/actuator", { ttl: 1, lost: () => (lost += 1) });
+  await client.execute("/system/leases", { do: "release", lease: lease.state.lease }).result;
+  await until(() => lost === 1, "the loss");
+});
+
 test("an e-stop holds until it is reset by who may", async () => {
   const [operator, boss] = [await connected(), await connected({ token: admin, tenant: "alpha" })];
   assert.equal((await operator.estop({ scope: "/tenant/alpha" })).active, true);
