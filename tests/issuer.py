@@ -14,6 +14,8 @@ import jwt
 from cryptography.hazmat.primitives.asymmetric import ec, ed25519, rsa
 from cryptography.hazmat.primitives.serialization import Encoding, PublicFormat
 
+from kernel.world import World
+
 AUDIENCE = "rcp-of-this-test"
 _MAKERS = {
     "RS256": lambda: rsa.generate_private_key(65537, 2048),
@@ -123,3 +125,8 @@ async def issuing() -> AsyncGenerator[Issuer]:
     finally:
         await issuer.close()
         server.close()
+
+
+async def who(world: World, token: str) -> Any:
+    """Return whom a token makes somebody at a gateway's door."""
+    return await world.server.door.identify(token)

@@ -18,7 +18,7 @@ from hypothesis.stateful import (
     run_state_machine_as_test,
 )
 
-from kernel.access.test_quotas import AGENT, ANN, BOB, LEVEL, at_home
+from kernel.access.quota.home import AGENT, ANN, BOB, LEVEL, at_home
 from kernel.world import Client, World, prepared, world_of
 from rcp_kernel.access.meter import Account
 from rcp_kernel.clients.session import Session

@@ -1,67 +1,25 @@
-"""Quotas: what one tenant or principal may have, exactly, and never at another's cost."""
+"""The rate of requests that one tenant or principal may have, exactly, and never at another's cost."""
 
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncGenerator
 from time import perf_counter
 from typing import Any
 
 import msgspec
 import pytest
 
-from kernel.world import BOUND, CONFIG, Client, World, prepared, world_of
+from kernel.access.quota.home import AGENT, ANN, BOB, LEVEL, SECOND, SLOW, at_home
+from kernel.world import World, prepared, world_of
 from rcp_kernel.access.meter import Account, Meter
 from rcp_kernel.config.file import parse
 from rcp_kernel.config.limits import Quota
-from rcp_kernel.errors import ConfigError, QueueFull, RateLimited
+from rcp_kernel.errors import ConfigError, RateLimited
 from rcp_kernel.process.reload import apply
 from rcp_kernel.values import Encoding, dump
 from rcp_kernel.wire import Request
 
 pytestmark = pytest.mark.anyio
-LEVEL = "/tenant/alpha/sensor/level"
-KEYS = """
-[[keys]]
-name = "ann"
-roles = { alpha = "operator" }
-key = "ann-ann-ann-ann-ann"
-
-[[keys]]
-name = "bob"
-roles = { beta = "operator" }
-key = "bob-bob-bob-bob-bob"
-
-[[keys]]
-name = "agent"
-roles = { alpha = "agent" }
-key = "agent-agent-agent-agent"
-
-[tenants.alpha]
-[tenants.beta]
-"""
-SECOND = """
-[[backends]]
-use = "robot"
-name = "second"
-tenant = "beta"
-"""
-ANN, BOB, AGENT = "ann-ann-ann-ann-ann", "bob-bob-bob-bob-bob", "agent-agent-agent-agent"
-SLOW = "[tenants.alpha.quota]\nrequests = 0.01\nburst = 3\n"
-
-
-def at_home(quotas: str) -> str:
-    return CONFIG + KEYS + quotas
-
-
-@pytest.fixture
-async def slow() -> AsyncGenerator[World]:
-    """Three requests, and then no more for a long time."""
-    async with world_of(at_home(SLOW)) as world:
-        yield world
-
-
-# -- requests --------------------------------------------------------------------------------------
 
 
 async def test_what_is_over_the_rate_is_refused_and_told_when_to_come_back(slow: World) -> None:
@@ -249,187 +207,6 @@ def test_pace_is_kept_over_any_span() -> None:
     start = perf_counter()
     taken = sum(meter.take(start + step / 1000) for step in range(10_000))
     assert taken in (104, 105)  # the burst, and ten a second for ten seconds
-
-
-# -- what is held ----------------------------------------------------------------------------------
-
-
-async def test_sessions_of_a_tenant_are_counted_over_all_its_principals() -> None:
-    async with world_of(at_home("[tenants.alpha.quota]\nsessions = 2\n")) as world:
-        first, _second = world.client(ANN), world.client(AGENT)
-        with pytest.raises(QueueFull) as caught:
-            world.client(ANN)
-        assert caught.value.details == {"quota": "tenant", "what": "sessions", "limit": 2}
-        assert caught.value.retry_after
-        assert "End sessions that are not needed" in caught.value.remedy
-        for _ in range(5):
-            world.client(BOB)
-        first.connection.close()
-        world.client(ANN)
-
-
-async def test_at_the_limit_a_client_can_still_come_back_to_its_session() -> None:
-    async with world_of(at_home("[quotas.principal]\nsessions = 1\n")) as world:
-        client = world.client(ANN)
-        known = (await client.ask(type="hello"))["body"]
-        for _ in range(3):
-            client.connection.close()
-            client = world.client(ANN)
-            back = await client.ask(type="hello", body={"session": known["session"]})
-            assert back["body"]["session"] == known["session"]
-        with pytest.raises(QueueFull):
-            world.client(ANN)
-
-
-async def test_a_tenant_with_all_its_sessions_is_not_entered_by_hello_either() -> None:
-    text = at_home(
-        "[tenants.beta.quota]\nsessions = 1\n"
-        '[[keys]]\nname = "both"\nrole = "operator"\nkey = "both-both-both-both"\n'
-    )
-    async with world_of(text) as world:
-        world.client(BOB)
-        client = world.client("both-both-both-both")
-        reply = await client.ask(type="hello", body={"tenant": "beta"})
-        assert reply["error"]["code"] == "queue_full"
-        assert (await client.ask(type="hello"))["body"]["tenant"] == "alpha"
-
-
-async def test_subscriptions_are_given_back_however_they_end() -> None:
-    async with world_of(at_home("[quotas.principal]\nsubscriptions = 2\n")) as world:
-        one, two = world.client(ANN), world.client(ANN)
-
-        async def full() -> None:
-            refused = await two.ask(type="subscribe", path=LEVEL)
-            assert refused["error"]["code"] == "queue_full", refused
-            assert refused["error"]["details"]["what"] == "subscriptions"
-            assert refused["error"]["retry_after"]
-            assert refused["error"]["remedy"]
-
-        await one.ask(type="subscribe", id="a", path=LEVEL)
-        await two.ask(type="subscribe", id="b", path=LEVEL, body={"count": 1})
-        await full()
-        world.robot.host.publish("sensor/level", 1.0)
-        await two.notice("subscription_ended")
-        await two.ask(type="subscribe", id="c", path=LEVEL)
-        await full()
-        await one.ask(type="unsubscribe", id="a")
-        await two.ask(type="subscribe", id="d", path=LEVEL)
-        await full()
-        await two.ask(type="unsubscribe", id="d")
-        await one.ask(type="subscribe", id="e", path=LEVEL)
-        one.connection.close()
-        reply = await two.ask(type="subscribe", id="f", path=LEVEL)
-        assert reply["status"] == "completed", reply
-
-
-async def test_commands_are_counted_until_they_end() -> None:
-    async with world_of(at_home("[tenants.alpha.quota]\ncommands = 1\n")) as world:
-        client, other = world.client(ANN), world.client(AGENT)
-        running = client.send(type="execute", path="/action/go", body=1)
-        await client.until(lambda m: m.get("status") == "in_progress")
-        refused = await other.ask(type="execute", path="/action/cut_in", body=1)
-        assert refused["error"]["code"] == "queue_full"
-        assert refused["error"]["retry_after"]
-        assert refused["error"]["remedy"]
-        stop = await other.ask(type="execute", path="/system/estop", body={})
-        assert stop["status"] == "completed"
-        assert (await client.final(running))["status"] != "completed"
-        echo = await other.ask(type="execute", path="/service/echo", body="x")
-        assert echo["status"] == "completed", echo
-
-
-async def test_commands_that_run_are_counted_under_the_quota_that_a_reload_brings() -> None:
-    async with world_of(at_home("")) as world:
-        client = world.client(ANN)
-        client.send(type="execute", path="/action/go", body=1)
-        await client.until(lambda m: m.get("status") == "in_progress")
-        text = at_home("[tenants.alpha.quota]\ncommands = 1\n")
-        await apply(world.server, prepared(parse(text, "test"), []))
-        refused = await client.ask(type="execute", path="/service/echo", body="x")
-        assert refused["error"]["code"] == "queue_full"
-
-
-async def test_a_session_whose_command_runs_is_given_back_when_its_quota_goes() -> None:
-    async with world_of(at_home("[tenants.alpha.quota]\nsessions = 4\n")) as world:
-        client = world.client(ANN)
-        client.send(type="execute", path="/action/go", body=1)
-        await client.until(lambda m: m.get("status") == "in_progress")
-        [account] = world.server.gateway.accounts.of("tenant")
-        assert account.connected == 1
-        await apply(world.server, prepared(parse(at_home(""), "test"), []))
-        assert account.connected == 0
-
-
-# -- what waits ------------------------------------------------------------------------------------
-
-
-def stalled(client: Client) -> None:
-    """Have a client take nothing any more."""
-    client.connection.mailbox.on_flush = lambda: None
-
-
-async def test_best_effort_gives_way_to_the_newest_when_too_much_waits() -> None:
-    async with world_of(at_home("[tenants.alpha.quota]\nqueue_bytes = 2048\n")) as world:
-        client = world.client(ANN)
-        await client.ask(type="subscribe", id="s", path=LEVEL, body={"qos": {"depth": 1000}})
-        flush = client.connection.mailbox.on_flush
-        stalled(client)
-        for value in range(500):
-            world.robot.host.publish("sensor/level", float(value))
-        mailbox = client.connection.mailbox
-        assert mailbox.pending[0].waiting == 500
-        await until(lambda: mailbox.pending[0].waiting == 1)
-        mailbox.on_flush = flush
-        mailbox.flush()
-        update = await client.update("s")
-        assert (update["body"], update["dropped"]) == (499.0, 499)
-
-
-async def test_reliable_ends_with_overrun_when_too_much_waits() -> None:
-    async with world_of(at_home("[tenants.alpha.quota]\nqueue_bytes = 2048\n")) as world:
-        client = world.client(ANN)
-        qos = {"qos": {"reliability": "reliable", "depth": 1000}}
-        await client.ask(type="subscribe", id="s", path=LEVEL, body=qos)
-        flush = client.connection.mailbox.on_flush
-        stalled(client)
-        for value in range(500):
-            world.robot.host.publish("sensor/level", float(value))
-        await until(lambda: not client.connection.session.subscriptions)
-        client.connection.mailbox.on_flush = flush
-        client.connection.mailbox.flush()
-        told = await client.notice("overrun")
-        assert "2048 bytes" in told["message"]
-
-
-async def test_who_leaves_his_replies_lying_gets_no_more_and_another_goes_on() -> None:
-    async with world_of(at_home("[tenants.alpha.quota]\nqueue_bytes = 2048\n")) as world:
-        client, other = world.client(ANN), world.client(AGENT)
-        flush = client.connection.mailbox.on_flush
-        stalled(client)
-        for _ in range(100):
-            client.send(type="ping")
-        meter = client.connection.session.meter
-        assert meter is not None
-        await until(lambda: meter.choked is not None)
-        assert (await other.ask(type="ping"))["status"] == "completed"
-        late = client.send(type="ping")
-        client.connection.mailbox.on_flush = flush
-        client.connection.mailbox.flush()
-        refused = await client.final(late)
-        assert refused["error"]["code"] == "queue_full"
-        assert refused["error"]["details"]["what"] == "queue_bytes"
-        await until(lambda: meter.choked is None)
-        assert (await client.ask(type="ping"))["status"] == "completed"
-
-
-async def until(holds: Any) -> None:
-    """Wait for what the gateway's own look at its queues does."""
-    async with asyncio.timeout(BOUND):
-        while not holds():  # noqa: ASYNC110 - it is told to nobody
-            await asyncio.sleep(0.01)
-
-
-# -- for people ------------------------------------------------------------------------------------
 
 
 async def test_status_shows_a_tenants_quota_to_its_own_people_only() -> None:
