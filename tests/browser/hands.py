@@ -34,6 +34,10 @@ Object.defineProperty(WebSocket.prototype, "onmessage", {
     heard.set.call(this, (event) => (window.late ? window.late.push(() => told(event)) : told(event)));
   },
 });
+const send = WebSocket.prototype.send;
+WebSocket.prototype.send = function (data) {
+  if (!window.mute) send.call(this, data);
+};
 window.stall = () => (window.late = []);
 window.goOn = () => {
   const late = window.late;
@@ -41,7 +45,7 @@ window.goOn = () => {
   late.forEach((one) => one());
 };
 """
-"""Gamepads, pointers, the focus of the window and answers that come late, in the hands of the test."""
+"""Gamepads, pointers, the focus of the window and what comes late or is lost on the way, in the hands of the test."""
 
 
 async def take(tab: Watched, robot: str) -> Page:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager
 
@@ -310,6 +311,28 @@ async def test_what_is_held_through_an_emergency_stop_or_for_another_robot_moves
         await take(tab, "other")
         await spent(page, "gamepad")
         await stands(page)
+        # Nor is what the last answer took told for one that is due.
+        await page.evaluate("stall()")
+        await expect(page.get_by_test_id("latency")).to_have_text(re.compile(r"\d{4} ms"))
+
+
+async def test_an_emergency_stop_passes_by_a_connection_that_hangs(
+    tab: Watched, robot: httpx.AsyncClient
+) -> None:
+    page = await take(tab, "rover")
+    await push(page)
+    await moves(robot)
+    await page.evaluate("window.mute = true")
+    await rests(robot)
+    await page.keyboard.press("F9")
+    try:
+        await until(robot, "/system/estop", lambda found: found["active"])
+        await page.evaluate("window.mute = false")
+        await expect(page.get_by_test_id("estop-active")).to_be_visible()
+        await page.mouse.up()
+    finally:
+        body = {"type": "execute", "path": "/system/estop", "body": {"reset": True}}
+        await robot.post("/rcp/v1/messages", json=body)
 
 
 async def test_what_nothing_stops_is_not_offered_to_be_driven(browser: Browser, url: str) -> None:

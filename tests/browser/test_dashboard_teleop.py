@@ -139,11 +139,11 @@ async def test_a_drone_takes_off_climbs_by_key_and_lands_by_buttons(
     await page.keyboard.down("r")
     await until(robot, place, lambda found: found["relative_alt"] > height + 0.7)
     await expect(page.get_by_test_id("deadman")).to_contain_text("keyboard")
-    await tab.shoot("teleop-drone")
     await page.keyboard.up("r")
     await page.keyboard.down("q")
     sideways = "/tenant/gamma/actuator/velocity"
     await until(robot, sideways, lambda found: found["y"] > 0.1 and found["z"] == 0)
+    await tab.shoot("teleop-drone")
     await page.keyboard.up("Shift")
     await page.keyboard.up("q")
     await until(robot, sideways, lambda found: found["y"] == found["z"] == 0)

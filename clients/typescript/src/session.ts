@@ -58,6 +58,8 @@ export class Session {
   #orphans = new Set<string>();
   #names = 0;
   #heard = 0;
+  /** When the first ping was sent of those that have no answer. */
+  #pinged: number | undefined;
 
   constructor(options: SessionOptions) {
     this.#options = options;
@@ -65,6 +67,12 @@ export class Session {
 
   get token(): string | undefined {
     return this.#options.token;
+  }
+
+  /** Seconds of the last round trip, or those that the next one has taken so far if these are more; undefined without a connection. */
+  get latency(): number | undefined {
+    const { latency } = this.clock;
+    return latency === undefined || this.#pinged === undefined ? latency : Math.max(latency, (Date.now() - this.#pinged) / 1000);
   }
 
   /** Begin to connect; what comes of it is told by `onchange`. */
@@ -237,6 +245,7 @@ export class Session {
     for (const waiting of this.#waiting.values()) waiting.cut = true;
     for (const id of this.subscriptions.keys()) this.#lose(id, why); // asked for again, however late that is
     this.clock.reset();
+    this.#pinged = undefined;
     this.#retry = setTimeout(() => this.#open(), this.#backoff.next());
     this.#to("waiting");
   }
@@ -246,9 +255,12 @@ export class Session {
     if (link === undefined || this.state !== "open") return;
     const sent = Date.now();
     if (sent - this.#heard > SILENCE) return link.close("the gateway does not answer any more");
+    if (this.#pinged !== undefined) this.onchange?.();
+    this.#pinged ??= sent;
     const id = this.newId("ping");
     this.#waiting.set(id, {
       take: (reply) => {
+        this.#pinged = undefined;
         if (reply.timestamp) this.clock.measure(sent, Date.now(), reply.timestamp);
         this.onchange?.();
         return true;

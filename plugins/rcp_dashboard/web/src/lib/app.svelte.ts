@@ -8,6 +8,8 @@ import { robotsOf } from "./robots.ts";
 const TOKEN = "rcp.token";
 const REFRESH = 5000; // ms between looks at whether the tree has changed
 
+const HUNG = 1000; // ms that an emergency stop has by the WebSocket alone
+
 /** Where the gateway is: the page stands at its root, below any path prefix. */
 export const BASE = new URL(".", document.baseURI).href.replace(/\/$/, "");
 
@@ -65,11 +67,11 @@ class App {
   }
 
   #changed(): void {
-    const { state, hello, session, clock } = this.client;
+    const { state, hello, session } = this.client;
     const opened = state === "open" && this.state !== "open";
     this.state = state;
     this.problem = session.problem;
-    this.latency = clock.latency;
+    this.latency = session.latency;
     if (hello) this.hello = hello;
     if (opened) void this.#look(true);
   }
@@ -112,10 +114,24 @@ class App {
     this.start();
   }
 
-  /** Stop everything in scope, by HTTP where the WebSocket is not there to do it. */
+  /** Stop everything in scope; by HTTP, too, where the WebSocket is not there to do it or hangs. */
   async stop(scope?: string): Promise<void> {
     const input = { reason: "stopped on the dashboard", ...(scope && { scope }) };
-    if (this.client.state === "open") return void (await this.client.estop(input));
+    const { client } = this;
+    if (client.state !== "open") return this.#stopByHttp(input);
+    const told = client.estop(input);
+    let timer: ReturnType<typeof setTimeout> | undefined;
+    const hung = new Promise((resolve) => (timer = setTimeout(resolve, HUNG)));
+    try {
+      await Promise.any([told, hung.then(() => this.#stopByHttp(input))]);
+    } catch {
+      await told; // what it was refused with is said
+    } finally {
+      clearTimeout(timer);
+    }
+  }
+
+  async #stopByHttp(input: Record<string, unknown>): Promise<void> {
     const headers: Record<string, string> = { "content-type": "application/json" };
     if (this.token) headers["authorization"] = `Bearer ${this.token}`;
     const body = JSON.stringify({ type: "execute", path: "/system/estop", body: input });
