@@ -29,11 +29,13 @@ class Fingers:
 
     async def up(self, finger: int) -> None:
         """Lift one."""
-        del self._at[finger]
-        await self._tell("touchEnd")
+        x, y = self._at.pop(finger)
+        await self._send("touchEnd", [{"x": x, "y": y, "id": finger}])
 
     async def _tell(self, event: str) -> None:
-        points = [{"x": x, "y": y, "id": finger} for finger, (x, y) in self._at.items()]
+        await self._send(event, [{"x": x, "y": y, "id": n} for n, (x, y) in self._at.items()])
+
+    async def _send(self, event: str, points: list[dict[str, float]]) -> None:
         await self._session.send("Input.dispatchTouchEvent", {"type": event, "touchPoints": points})
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, field
@@ -15,15 +16,15 @@ from rcp_kernel.model import Resource
 from rcp_kernel.process.log import configure
 from rcp_kernel.spi import BackendKind, BaseBackend, Host, Progress
 from rcp_kernel.testing import serve
-from rcp_kernel.types import Int64, Point, Pose, PoseStamped, quantity
+from rcp_kernel.types import Int64, Point, PoseStamped, Twist, quantity
 from rcp_kernel.values import to_plain
 
 __all__ = ["Machines", "key_of", "machines"]
 
-PEOPLE = {"ada": "admin", "otto": "operator", "lena": "learner"}
+PEOPLE = {"ada": "admin", "otto": "operator", "lena": "learner", "gil": "guest"}
 _CONFIG = """
 [transports.asgi]
-port = 0
+port = {port}
 [plugins.dashboard]
 [safety]
 approval_ttl = {ttl}
@@ -38,6 +39,8 @@ tenant = "beta"
 [roles.learner]
 allow = [{{ operations = ["*"], paths = ["/**", "/system/commands", "/system/plans", "/system/status"] }}]
 approve = ["/action/**", "/param/**"]
+[roles.guest]
+allow = [{{ operations = ["read", "subscribe"], paths = ["/tenant/beta/**", "/system/status"] }}]
 """
 _DEGREES = Annotated[float, Meta(ge=-180, le=180)]
 
@@ -57,6 +60,19 @@ class MoveTo(msgspec.Struct, frozen=True):
     words: str = ""
 
 
+class Wanted(msgspec.Struct, frozen=True):
+    """A file of the description."""
+
+    uri: str
+
+
+class File(msgspec.Struct, frozen=True):
+    """It."""
+
+    data: bytes
+    media_type: str = "application/octet-stream"
+
+
 class Nothing(msgspec.Struct):
     """There is nothing to configure."""
 
@@ -66,31 +82,55 @@ class Machine(BaseBackend):
 
     def __init__(self, host: Host, got: list[tuple[str, Any]]) -> None:
         self.host = host
+        self.files: dict[str, bytes] = {}
+        """What its description names, by the ends of the addresses."""
+        self.asked: asyncio.Queue[str] = asyncio.Queue()
+        self.held = asyncio.Event()
+        """Files are given while it is set."""
+        self.held.set()
         self._got = got
         self._serial = 0
-
-    def declare(self) -> None:
-        """Put its resources into the tree, with where it is."""
-        self.host.declare(
+        self._declared = (
             Resource(name="sensor/pose", description="Where.", value=PoseStamped, live=True),
             Resource(name="sensor/fix", description="Where on Earth.", value=Fix, live=True),
             Resource(name="param/serial", description="A long number.", value=Int64),
+            Resource(name="param/robot_description", description="Its looks.", value=str),
+            Resource(name="actuator/cmd_vel", description="Drives.", value=Twist, safe=Twist()),
             Resource(name="action/move_to", description="Goes.", input=MoveTo),
             Resource(name="action/go_to", description="Goes on Earth.", input=Fix),
-            Resource(name="service/step", description="Steps once.", input=Pose | None),
+            Resource(
+                name="service/assets/fetch", description="Gives files.", input=Wanted, output=File
+            ),
         )
-        self.host.publish("sensor/pose", PoseStamped(Point(0, 0)))
+
+    def come(self, x: float = 0) -> None:
+        """Put its resources into the tree, with where it is."""
+        self.host.declare(*self._declared)
+        self.host.publish("sensor/pose", PoseStamped(Point(x, 0)))
         self.host.publish("sensor/fix", Fix(47.5, 8.5))
+
+    def go(self) -> None:
+        """Take them away."""
+        self.host.withdraw(*(one.name for one in self._declared))
 
     async def read(self, name: str) -> Any:
         return self._serial if name == "param/serial" else await super().read(name)
 
     async def write(self, name: str, value: Any) -> Any:
-        self._serial = value
+        if name == "param/serial":
+            self._serial = value
         self._got.append((name, value))
 
     async def execute(self, name: str, value: Any, progress: Progress) -> Any:
+        if name == "service/assets/fetch":
+            self.asked.put_nowait(value.uri)
+            await self.held.wait()
+            return File(next(data for end, data in self.files.items() if value.uri.endswith(end)))
         self._got.append((name, to_plain(value)))
+        return None
+
+    async def halt(self) -> None:
+        """Stand still, as it does anyway."""
 
 
 @dataclass
@@ -100,6 +140,8 @@ class Machines:
     url: str = ""
     one: list[tuple[str, Any]] = field(default_factory=list)
     two: list[tuple[str, Any]] = field(default_factory=list)
+    by: dict[str, Machine] = field(default_factory=dict)
+    """The machines, by their tenants."""
 
     def forget(self) -> None:
         """Begin anew."""
@@ -113,14 +155,21 @@ def key_of(name: str) -> str:
 
 
 @asynccontextmanager
-async def machines(ttl: float = 300) -> AsyncGenerator[Machines]:
-    """Run the gateway while entered; `ttl` in seconds is how long an approval stands."""
+async def machines(
+    ttl: float = 300, port: int = 0, *, absent: bool = False
+) -> AsyncGenerator[Machines]:
+    """Run the gateway while entered; `ttl` in seconds is how long an approval stands.
+
+    Machines that are `absent` come when they are told to.
+    """
     made = Machines()
 
     @asynccontextmanager
     async def opened(_: Nothing, host: Host) -> AsyncGenerator[Machine]:
         machine = Machine(host, made.one if host.tenant == "alpha" else made.two)
-        machine.declare()
+        made.by[host.tenant] = machine
+        if not absent:
+            machine.come()
         yield machine
 
     keys = "".join(
@@ -128,7 +177,7 @@ async def machines(ttl: float = 300) -> AsyncGenerator[Machines]:
         for name, role in PEOPLE.items()
     )
     configure("error", "json")
-    config = parse(_CONFIG.format(ttl=ttl) + keys, "test")
+    config = parse(_CONFIG.format(ttl=ttl, port=port) + keys, "test")
     async with serve(config, BackendKind("machine", Nothing, opened)) as served:
         made.url = next(f["url"] for f in served.server.status.transports if "url" in f)
         yield made

@@ -192,6 +192,31 @@ async def test_only_a_click_on_the_map_sends_a_robot_there_and_only_the_one_that
         assert goal["longitude"] == pytest.approx(8.5 + 10 / 75_200, abs=1e-5)
 
 
+async def test_where_a_robot_has_gone_no_other_one_takes_its_place(
+    browser: Browser, told: Machines
+) -> None:
+    async with person(browser, told, "otto", "scene") as tab:
+        page = tab.page
+        robot = page.get_by_label("Robot", exact=True)
+        await expect(robot).to_have_value("one")
+        told.by["alpha"].go()
+        await expect(page.get_by_role("main")).to_contain_text("one is not here")
+        await expect(robot).to_have_value("one")
+        await expect(page.get_by_test_id("aim")).to_have_count(0)
+        told.by["alpha"].come()
+        await expect(page.get_by_test_id("aim")).to_be_visible()
+        await tab.open("map")
+        choice = page.get_by_label("Action that goes to a place")
+        await expect(choice).to_have_value("/tenant/alpha/action/go_to")
+        told.by["alpha"].go()
+        await expect(page.get_by_test_id("map")).to_have_attribute("data-tracks", "1")
+        await expect(choice).to_have_value("/tenant/alpha/action/go_to")
+        await expect(page.get_by_test_id("aim")).to_have_count(0)
+        told.by["alpha"].come()
+        await expect(page.get_by_test_id("aim")).to_be_visible()
+        assert (told.one, told.two) == ([], [])
+
+
 @pytest.mark.parametrize("where", ["scene?robot=one", "map"])
 async def test_a_goal_that_wants_approval_is_shown_as_it_is_and_sent_when_it_is_granted(
     browser: Browser, told: Machines, where: str

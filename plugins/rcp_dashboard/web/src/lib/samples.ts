@@ -1,6 +1,7 @@
 import type { Update } from "rcp-client";
 
 import { ask } from "./api.ts";
+import { app } from "./app.svelte.ts";
 import { pick } from "./schema.ts";
 import { Series } from "./series.ts";
 import { watch } from "./watch.ts";
@@ -53,11 +54,14 @@ class Feed {
 }
 
 const feeds = new Map<string, Feed>();
+/** Whoever logs in next begins with nothing: what the last one saw is not for all. */
+const keyOf = (path: string): string => `${app.epoch} ${path}`;
 
 /** Collect a field until the returned function is called; `seconds` of what was before come as soon as they can. */
 export function collect(path: string, field: string, seconds: number): { series: Series; stop: () => void } {
-  let feed = feeds.get(path);
-  if (!feed) feeds.set(path, (feed = new Feed(path)));
+  const key = keyOf(path);
+  let feed = feeds.get(key);
+  if (!feed) feeds.set(key, (feed = new Feed(path)));
   const mine = feed;
   let kept = mine.fields.get(field);
   if (!kept) mine.fields.set(field, (kept = { series: new Series(), users: 0 }));
@@ -69,12 +73,12 @@ export function collect(path: string, field: string, seconds: number): { series:
     if (found.users === 0) mine.fields.delete(field);
     if (mine.fields.size > 0) return;
     mine.close();
-    if (feeds.get(path) === mine) feeds.delete(path);
+    if (feeds.get(key) === mine) feeds.delete(key);
   };
   return { series: found.series, stop };
 }
 
 /** Get more of what was before, where a longer span is shown now. */
 export function refill(path: string, field: string, seconds: number): void {
-  void feeds.get(path)?.fill([field], seconds);
+  void feeds.get(keyOf(path))?.fill([field], seconds);
 }

@@ -2,6 +2,8 @@ import type { Notice, RcpError, Subscription, SubscribeOptions, Update } from "r
 
 import { app } from "./app.svelte.ts";
 
+const AGAIN = 3000; // ms: what is not there, or was taken away, may come back
+
 type Told = (update: Update) => void;
 
 interface Feed {
@@ -12,31 +14,54 @@ interface Feed {
 
 const feeds = new Map<string, Feed>();
 
+interface On {
+  notice?: (notice: Notice) => void;
+  ended?: (error: RcpError | undefined) => void;
+}
+
+function begin(path: string, options: SubscribeOptions, on: On): Feed {
+  const made: Feed = { listeners: new Set(), last: undefined, subscription: undefined as never };
+  const client = app.client;
+  const subscribe = (): void => {
+    made.subscription = client.subscribe(path, options, {
+      update: (update) => {
+        made.last = update;
+        for (const listener of made.listeners) listener(update);
+      },
+      ...(on.notice && { notice: on.notice }),
+      ended: (error) => {
+        on.ended?.(error);
+        again();
+      },
+    });
+  };
+  const again = (): unknown =>
+    setTimeout(() => {
+      if (made.listeners.size === 0 || client !== app.client) return;
+      if (path.includes("*") || app.byPath.has(path)) subscribe();
+      else again();
+    }, AGAIN);
+  subscribe();
+  return made;
+}
+
 /**
  * Call back with each sample of a path until the returned function is called.
  *
- * Those who want the same share one subscription; a late one gets the last sample at once.
+ * Those who want the same share one subscription; a late one gets the last sample at once. One that has ended is tried again.
  */
 export function watch(
   path: string,
   options: SubscribeOptions,
   told: Told,
-  on: { notice?: (notice: Notice) => void; ended?: (error: RcpError | undefined) => void } = {},
+  on: On = {},
 ): () => void {
   const shared = options.history === undefined && !on.notice && !on.ended;
   const key = shared ? `${app.epoch} ${path} ${JSON.stringify(options)}` : Symbol().toString() + Math.random();
   let feed = feeds.get(key);
   if (feed?.subscription.ended) feed = undefined;
   if (feed === undefined) {
-    const made: Feed = { listeners: new Set(), last: undefined, subscription: undefined as never };
-    made.subscription = app.client.subscribe(path, options, {
-      update: (update) => {
-        made.last = update;
-        for (const listener of made.listeners) listener(update);
-      },
-      ...on,
-    });
-    feeds.set(key, (feed = made));
+    feeds.set(key, (feed = begin(path, options, on)));
   } else if (feed.last) told(feed.last);
   const mine = feed;
   mine.listeners.add(told);

@@ -75,12 +75,6 @@ export class Grid {
   get inner(): Matrix4 {
     return this.#inner;
   }
-
-  dispose(): void {
-    this.#texture.dispose();
-    this.object.geometry.dispose();
-    this.object.material.dispose();
-  }
 }
 
 function sizeOf(grid: any): string {

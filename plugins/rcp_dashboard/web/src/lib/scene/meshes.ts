@@ -18,6 +18,7 @@ export class Meshes {
   readonly #pictures = new Map<string, string>();
   readonly #waiting: (() => void)[] = [];
   #busy = 0;
+  #over = false;
 
   constructor(fetch: Fetch | undefined) {
     this.#fetch = fetch;
@@ -96,7 +97,8 @@ export class Meshes {
         if (this.#pictures.has(uri)) return;
         this.#pictures.set(uri, NOTHING);
         try {
-          this.#pictures.set(uri, URL.createObjectURL(new Blob([await this.#file(uri)])));
+          const picture = new Blob([await this.#file(uri)]);
+          if (!this.#over) this.#pictures.set(uri, URL.createObjectURL(picture));
         } catch (error) {
           this.problems.set(uri, (error as Error).message);
         }
@@ -115,6 +117,7 @@ export class Meshes {
     if (this.#busy >= AT_ONCE) await new Promise<void>((resolve) => this.#waiting.push(resolve));
     this.#busy += 1;
     try {
+      if (this.#over) throw new Error("it is not drawn any more");
       return await this.#fetch(uri);
     } finally {
       this.#busy -= 1;
@@ -123,6 +126,7 @@ export class Meshes {
   }
 
   dispose(): void {
+    this.#over = true;
     for (const url of this.#pictures.values()) if (url !== NOTHING) URL.revokeObjectURL(url);
   }
 }

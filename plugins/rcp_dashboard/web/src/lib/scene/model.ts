@@ -9,6 +9,7 @@ import { type Fetch, Meshes } from "./meshes.ts";
 export async function modelOf(text: string, fetch: Fetch | undefined, changed: () => void): Promise<Model> {
   const robot = joined(text);
   const meshes = new Meshes(fetch);
+  meshes.manager.onLoad = changed; // pictures come after what they lie on
   await meshes.pictures([...robot.querySelectorAll("material > texture")].flatMap((one) => one.getAttribute("filename") ?? []));
   const loader = new URDFLoader(meshes.manager);
   loader.packages = (name: string) => `package://${name}`;

@@ -4,6 +4,8 @@ import {
 } from "three";
 import { OrbitControls } from "three/addons/controls/OrbitControls.js";
 
+import { discard } from "./discard.ts";
+
 export type Mode = "2d" | "3d";
 
 const PAUSE = 45; // ms between pictures that the processor has to draw
@@ -128,6 +130,7 @@ export class View {
   colours(ground: string, line: string): void {
     this.scene.background = new Color(ground);
     if (this.#grid) this.scene.remove(this.#grid);
+    this.#grid?.dispose();
     this.#grid = new GridHelper(100, 100, new Color(line), new Color(line));
     this.#grid.rotation.x = Math.PI / 2;
     this.#grid.position.z = -0.02;
@@ -171,14 +174,7 @@ export class View {
     cancelAnimationFrame(this.#frame);
     this.#observer.disconnect();
     this.#controls.dispose();
-    this.scene.traverse((thing: any) => {
-      thing.geometry?.dispose();
-      for (const material of [thing.material].flat()) {
-        material?.map?.dispose();
-        material?.uniforms?.cells?.value.dispose();
-        material?.dispose();
-      }
-    });
+    discard(this.scene);
     this.#renderer.dispose();
     this.#renderer.forceContextLoss();
     this.canvas.remove();

@@ -2,6 +2,7 @@ import { type Group, Matrix4, type Object3D, Vector3 } from "three";
 
 import { type Pose, poseOf } from "../shapes.ts";
 import { Body, type Model } from "./body.ts";
+import { discard } from "./discard.ts";
 import { cloudPoints, type Colouring, scanPoints } from "./cloud.ts";
 import { matrixOf } from "./frames.ts";
 import { Grid } from "./grid.ts";
@@ -98,10 +99,8 @@ export class World {
       const { width, height } = value.info ?? value;
       item.count = width * height;
       if (!item.grid?.take(value)) {
-        const old = item.grid;
         item.grid = new Grid(value, this.#dark);
         this.#replace(item, item.grid.object);
-        old?.dispose();
       }
     } else if (item.layer === "path") {
       item.count = value.poses?.length ?? 0;
@@ -119,13 +118,12 @@ export class World {
     if (item.object) this.#drop(item.object);
     if (item.layer === "path" || item.layer === "pose") {
       // Their own place is in the object: what moves them is around it.
-      const around = new Matrix4();
       object.updateMatrix();
-      item.object = object;
       object.matrixAutoUpdate = false;
-      object.userData["inner"] = around.copy(object.matrix);
-    } else item.object = object;
-    this.#view.add(item.object);
+      object.userData["inner"] = object.matrix.clone();
+    }
+    item.object = object;
+    this.#view.add(object);
   }
 
   /** Take where the robot is. */
@@ -296,6 +294,11 @@ export class World {
     }
   }
 
+  /** Give back what models hold beside what is drawn, which the view gives back. */
+  dispose(): void {
+    for (const body of this.#bodies.values()) for (const model of body.models.values()) model.dispose();
+  }
+
   /** What is drawn, and where. */
   report(): Told[] {
     return report(this.fixed, this.#bodies, this.#items, this.#problems);
@@ -303,9 +306,6 @@ export class World {
 
   #drop(thing: Object3D): void {
     this.#view.remove(thing);
-    thing.traverse((one: any) => {
-      one.geometry?.dispose();
-      for (const material of [one.material].flat()) material?.dispose();
-    });
+    discard(thing);
   }
 }
