@@ -36,16 +36,18 @@ Object.defineProperty(WebSocket.prototype, "onmessage", {
 });
 const send = WebSocket.prototype.send;
 WebSocket.prototype.send = function (data) {
-  if (!window.mute) send.call(this, data);
+  if (window.kept && data.includes(window.hung)) window.kept.push(() => send.call(this, data));
+  else send.call(this, data);
 };
 window.stall = () => (window.late = []);
+window.hang = (hung) => ((window.hung = hung), (window.kept = []));
 window.goOn = () => {
-  const late = window.late;
-  window.late = undefined;
-  late.forEach((one) => one());
+  const all = [...(window.kept ?? []), ...(window.late ?? [])];
+  window.late = window.kept = undefined;
+  all.forEach((one) => one());
 };
 """
-"""Gamepads, pointers, the focus of the window and what comes late or is lost on the way, in the hands of the test."""
+"""Gamepads, pointers, the focus of the window and what is late on the way, in the hands of the test."""
 
 
 async def take(tab: Watched, robot: str) -> Page:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import AsyncGenerator
 
 import httpx
 import pytest
-from playwright.async_api import Browser, expect
+from playwright.async_api import Browser, Page, expect
 
 from browser.hands import UNSEEN, take
 from browser.robots import STILL, speed, until
@@ -23,6 +24,17 @@ async def tab(browser: Browser, running: Demo) -> AsyncGenerator[Watched]:
     """Open the demo's dashboard as the operator, with gamepads of our own."""
     async with signed_in(browser, running.url, running.key, "demo-operator", UNSEEN) as found:
         yield found
+
+
+async def enable_head(page: Page) -> None:
+    """Switch the head on; its motors are simulated, and late where the machine is busy."""
+    status = page.get_by_test_id("action-status")
+    for _ in range(5):
+        await page.get_by_role("button", name="Enable head").click()
+        await expect(status).to_contain_text(re.compile("completed|rejected|failed"))
+        if "completed" in (await status.text_content() or ""):
+            return
+    pytest.fail(f"the head is not to be enabled: {await status.text_content()}")
 
 
 async def test_a_gamepad_drives_with_its_shoulder_held_and_stops_when_it_is_unplugged(
@@ -51,8 +63,7 @@ async def test_joints_move_while_a_slider_is_held_and_stay_where_it_is_let_go(
 ) -> None:
     page = await take(tab, "head-delta")
     joints = "/tenant/delta/sensor/head/joints"
-    await page.get_by_role("button", name="Enable head").click()
-    await expect(page.get_by_test_id("action-status")).to_contain_text("completed")
+    await enable_head(page)
     slider = page.get_by_role("slider", name="pan in rad")
     box = await slider.bounding_box()
     assert box is not None
@@ -84,8 +95,7 @@ async def test_a_joint_moves_by_a_press_on_its_slider_alone_and_from_where_it_is
 ) -> None:
     page = await take(tab, "head-delta")
     joints = "/tenant/delta/sensor/head/joints"
-    await page.get_by_role("button", name="Enable head").click()
-    await expect(page.get_by_test_id("action-status")).to_contain_text("completed")
+    await enable_head(page)
     panel = page.locator('[data-joints="/tenant/delta/actuator/head/joints"]')
     slider = panel.get_by_role("slider", name="pan in rad")
     before = (await until(robot, joints, bool))["positions"]["pan"]
