@@ -91,7 +91,9 @@ class Machine(BaseBackend):
         self._got = got
         self._serial = 0
         self._declared = (
-            Resource(name="sensor/pose", description="Where.", value=PoseStamped, live=True),
+            Resource(
+                name="sensor/pose", description="Where.", value=PoseStamped, live=True, deadline=1.0
+            ),
             Resource(name="sensor/fix", description="Where on Earth.", value=Fix, live=True),
             Resource(name="param/serial", description="A long number.", value=Int64),
             Resource(name="param/robot_description", description="Its looks.", value=str),
@@ -103,10 +105,10 @@ class Machine(BaseBackend):
             ),
         )
 
-    def come(self, x: float = 0) -> None:
+    def come(self, x: float = 0, z: float = 0) -> None:
         """Put its resources into the tree, with where it is."""
         self.host.declare(*self._declared)
-        self.host.publish("sensor/pose", PoseStamped(Point(x, 0)))
+        self.host.publish("sensor/pose", PoseStamped(Point(x, 0, z)))
         self.host.publish("sensor/fix", Fix(47.5, 8.5))
 
     def go(self) -> None:
@@ -127,6 +129,8 @@ class Machine(BaseBackend):
             await self.held.wait()
             return File(next(data for end, data in self.files.items() if value.uri.endswith(end)))
         self._got.append((name, to_plain(value)))
+        if isinstance(value, MoveTo) and value.words == "for ever":
+            await asyncio.Event().wait()
         return None
 
     async def halt(self) -> None:

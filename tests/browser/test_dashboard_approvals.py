@@ -36,19 +36,34 @@ _TWICE = """
 """Press the button, and once more at the moment when the answer is there."""
 _SLIDES = """
 (first) => new Promise((done) => {
-  const { x, y } = first.querySelector("button.primary").getBoundingClientRect();
+  const button = first.querySelector("button[data-steady], [data-steady] button");
+  const { x, y } = button.getBoundingClientRect();
   const seen = new MutationObserver(() => {
     if (first.isConnected) return;
     seen.disconnect();
-    const under = document.elementFromPoint(x + 5, y + 5);
+    const under = document.elementFromPoint(x + 5, y + 5).closest("button");
     under.dispatchEvent(new MouseEvent("click", { bubbles: true, detail: 1 }));
-    done(under.closest("article")?.dataset.approval);
+    const { approval, command } = under.closest("[data-approval], [data-command]").dataset;
+    done(approval ?? command);
   });
   seen.observe(document.body, { childList: true, subtree: true });
-  first.querySelector("button.primary").click();
+  button.click();
 })
 """
-"""Approve the first, and press where its button was as soon as it has gone; tell whose that is now."""
+"""Press the first, and where its button was as soon as it has gone; tell whose that is now."""
+_AT_ONCE = """
+() => {
+  window.pressed = 0;
+  const seen = new MutationObserver(() => {
+    const button = document.querySelector("[data-testid=estop-reset]");
+    if (!button) return;
+    seen.disconnect();
+    window.pressed = button.dispatchEvent(new MouseEvent("click", { bubbles: true, detail: 1 }));
+  });
+  seen.observe(document.body, { childList: true, subtree: true });
+}
+"""
+"""Press what resets a stop at the moment when it comes."""
 
 
 @pytest.fixture(scope="module")
@@ -89,6 +104,10 @@ class Asking:
         error = (await self._send(type=type_, path=path, body=value))["error"]
         assert error["code"] == "approval_required"
         return error["details"]["approval"]
+
+    async def begin(self, path: str, value: Any) -> str:
+        """Begin something that does not end by itself; return which command it is."""
+        return (await self._send(type="execute", path=path, body=value))["command"]
 
     async def states(self) -> dict[str, str]:
         body = (await self._send(type="read", path="/system/approvals"))["body"]
@@ -240,3 +259,25 @@ async def test_nothing_is_approved_that_has_only_just_slid_under_the_pointer(
         ]
         await asked.first.get_by_role("button", name="Approve").click()
         await expect(asked).to_have_count(0)
+
+
+async def test_neither_the_wrong_command_is_cancelled_nor_a_stop_reset_by_a_press_that_was_meant_for_what_stood_there(
+    browser: Browser, told: Machines
+) -> None:
+    otto = Asking(told, "otto")
+    goal = {"position": {"x": 1, "y": 0}, "words": "for ever"}
+    made = [await otto.begin(_MOVE.replace("alpha", at), goal) for at in ("alpha", "beta")]
+    async with person(browser, told, "ada", "commands") as tab:
+        page = tab.page
+        running = page.get_by_role("region", name="Running").locator("tr[data-command]")
+        await expect(running).to_have_count(2)
+        await expect(running.first).to_have_attribute("data-command", made[0])
+        assert await running.first.evaluate(_SLIDES) == made[1]
+        await page.evaluate(_AT_ONCE)
+        await page.keyboard.press("F9")
+        reset = page.get_by_test_id("estop-reset")
+        await expect(reset).to_be_enabled()
+        assert await page.evaluate("pressed")
+        await expect(page.get_by_test_id("estop-active")).to_be_visible()
+        await reset.click()
+        await expect(page.get_by_test_id("estop-active")).to_have_count(0)

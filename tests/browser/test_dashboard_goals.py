@@ -192,6 +192,23 @@ async def test_only_a_click_on_the_map_sends_a_robot_there_and_only_the_one_that
         assert goal["longitude"] == pytest.approx(8.5 + 10 / 75_200, abs=1e-5)
 
 
+async def test_what_flies_keeps_its_height_and_a_place_of_long_ago_is_told_to_be_old(
+    browser: Browser, told: Machines
+) -> None:
+    async with person(browser, told, "otto", "scene?robot=one") as tab:
+        floor = await scene(tab)
+        told.by["alpha"].come(0, 3)
+        await expect(tab.page.get_by_test_id("where")).to_contain_text("3.00 m")
+        await floor.go(2, 1)
+        await until(lambda: len(told.one) > 0)
+        assert told.one[0][1]["position"]["z"] == 3
+        old = tab.page.locator("[data-stale=true]")
+        await expect(old).to_contain_text("stale")
+        await tab.open("map")
+        await expect(old).to_have_count(2)
+        told.by["alpha"].come()
+
+
 async def test_where_a_robot_has_gone_no_other_one_takes_its_place(
     browser: Browser, told: Machines
 ) -> None:

@@ -5,6 +5,8 @@ import { initial, main, resolve } from "./schema.ts";
 export interface Place {
   x: number;
   y: number;
+  /** On the ground, or as high as what flies. */
+  z: number;
   /** Undefined where any heading will do. */
   yaw: number | undefined;
 }
@@ -16,7 +18,7 @@ export function goalInput(resource: Resource, place: Place, frame: string): unkn
   const whole = main(resolve(root, root), root).schema;
   const has = (name: string): boolean => whole["properties"]?.[name] !== undefined;
   const made = initial(whole, root) as Record<string, unknown>;
-  const position = { x: place.x, y: place.y, z: 0 };
+  const position = { x: place.x, y: place.y, z: place.z };
   const half = (place.yaw ?? 0) / 2;
   const orientation = { x: 0, y: 0, z: Math.sin(half), w: Math.cos(half) };
   if (has("position")) {

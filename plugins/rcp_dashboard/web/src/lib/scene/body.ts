@@ -1,8 +1,9 @@
 import { Group, Matrix4, type Object3D, Vector3 } from "three";
 
+import type { Place } from "../goal.ts";
 import type { Pose } from "../shapes.ts";
 import { Frames, matrixOf } from "./frames.ts";
-import { body, Drop, flyer, Trail } from "./layers.ts";
+import { body, Drop, flyer, HIGH, Trail } from "./layers.ts";
 
 /** A robot as it is described. */
 export interface Model {
@@ -18,6 +19,13 @@ export interface Model {
   joints(value: any): void;
   /** Move what no joint state tells of by the transforms. */
   follow(frames: Frames): void;
+}
+
+/** Where something is to go, in a frame. */
+export interface Goal extends Place {
+  frame: string;
+  /** Whether what was pointed at could be taken into that frame. */
+  joined: boolean;
 }
 
 const BASES = ["base_link", "base_footprint", "base"];
@@ -88,6 +96,18 @@ export class Body {
       if (at) return at.multiply(link.invert());
     }
     return this.at(fixed);
+  }
+
+  /** A place on the fixed frame's floor in the frame that goals are told in: the map, or what its pose is in. What flies keeps its height. */
+  goal(at: Omit<Place, "z">, fixed: string): Goal {
+    const frame = this.frames.find("map") ?? this.pose?.frame ?? fixed;
+    const into = frame === fixed ? new Matrix4() : this.frames.between(fixed, frame);
+    if (!into) return { ...at, z: 0, frame, joined: false };
+    const { x, y } = new Vector3(at.x, at.y, 0).applyMatrix4(into);
+    const along = new Vector3(1, 0, 0).transformDirection(into);
+    const yaw = at.yaw === undefined ? undefined : at.yaw + Math.atan2(along.y, along.x);
+    const high = this.at(frame)?.elements[14] ?? 0;
+    return { x, y, z: Math.abs(high) > HIGH ? high : 0, yaw, frame, joined: true };
   }
 
   /** Move all that stands for the robot to where it is. */

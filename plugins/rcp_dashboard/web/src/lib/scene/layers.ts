@@ -60,7 +60,8 @@ export class Drop {
   }
 }
 
-const HIGH = 0.4; // m from which on something is in the air
+/** Metres from which on something is in the air. */
+export const HIGH = 0.4;
 
 /** Where it has been. */
 export class Trail {

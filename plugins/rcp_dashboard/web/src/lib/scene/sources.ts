@@ -20,10 +20,17 @@ const NOT_ITS_OWN = /goal|target|initial/;
 
 type Stop = () => void;
 
+/** When it was last told where the robot is, and how often that is promised (s). */
+export interface Heard {
+  timestamp: string;
+  deadline: number | undefined;
+}
+
 /** What of a robot's resources the scene shows; follows them as they come and go. */
 export class Sources {
   readonly #world: World;
   readonly #stops = new Map<string, Stop>();
+  heard: Heard | undefined;
 
   /** The text that each description was drawn from. */
   readonly #described = new Map<string, [space: string, text: string]>();
@@ -78,7 +85,10 @@ export class Sources {
       const mine = space(path);
       if (!told.has(mine) && !NOT_ITS_OWN.test(path)) {
         told.add(mine);
-        yield [`robot ${path}`, () => watch(path, { rate: 30 }, ({ body }) => world.pose(mine, body))];
+        yield [`robot ${path}`, () => watch(path, { rate: 30 }, ({ body, timestamp }) => {
+          this.heard = { timestamp, deadline: one.deadline };
+          world.pose(mine, body);
+        })];
       } else if (shapes(one).has("pose") && framed(one))
         yield [`pose ${path}`, () => watch(path, { rate: 5 }, ({ body }) => world.take("pose", mine, path, body))];
     }
@@ -86,7 +96,7 @@ export class Sources {
       const mine = space(ned.path);
       const beside = parentOf(ned.path.replace(/\/position\/[^/]*$/, "/x"));
       const attitude = ofShape(resources, "attitude").find((one) => one.path.startsWith(`${beside}/`));
-      if (!told.has(mine)) yield [`ned ${ned.path}`, () => flight(world, mine, ned.path, attitude?.path)];
+      if (!told.has(mine)) yield [`ned ${ned.path}`, () => flight(world, mine, ned.path, attitude?.path, (timestamp) => (this.heard = { timestamp, deadline: ned.deadline }))];
       told.add(mine);
     }
     for (const { path } of ofShape(resources, "urdf"))
@@ -166,15 +176,16 @@ const belowBranch = (path: string): string => path.split("/").slice(4).join("/")
 const spaceOf = (star: string): string => belowBranch(star).replace(/\/?tf\/[^/]+\/\*$/, "");
 
 /** Follow a vehicle that tells place and attitude apart. */
-function flight(world: World, space: string, place: string, attitude: string | undefined): Stop {
+function flight(world: World, space: string, place: string, attitude: string | undefined, hear: (timestamp: string) => void): Stop {
   let [at, turned]: any[] = [];
   const tell = (): void => {
     const pose = at && poseOfNed(at, turned);
     if (pose) world.posed(space, pose, true);
   };
   const stops = [
-    watch(place, { rate: 20 }, ({ body }) => {
+    watch(place, { rate: 20 }, ({ body, timestamp }) => {
       at = body;
+      hear(timestamp);
       tell();
     }),
   ];

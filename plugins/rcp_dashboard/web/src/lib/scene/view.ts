@@ -10,6 +10,7 @@ export type Mode = "2d" | "3d";
 
 const PAUSE = 45; // ms between pictures that the processor has to draw
 const REACH = 12; // m from the middle to the edge of what is seen at first, from above
+const FLAT = 20; // heights of the eye: what is farther away on the floor is seen at less than 3°
 const NEAR = 6; // m of the eye from the middle along each axis
 
 /** Whether WebGL is done by the processor: then fewer pixels are drawn, and their edges not smoothed. */
@@ -148,14 +149,15 @@ export class View {
     this.changed();
   }
 
-  /** Where the pointer is on the floor. */
+  /** Where the pointer is on the floor; undefined towards the horizon, where a pixel is many metres. */
   floor(event: PointerEvent): { x: number; y: number } | undefined {
     const box = this.canvas.getBoundingClientRect();
     const at = new Vector2(((event.clientX - box.left) / box.width) * 2 - 1, 1 - ((event.clientY - box.top) / box.height) * 2);
     const ray = new Raycaster();
     ray.setFromCamera(at, this.camera);
     const hit = ray.ray.intersectPlane(new Plane(new Vector3(0, 0, 1)), new Vector3());
-    return hit ? { x: hit.x, y: hit.y } : undefined;
+    if (!hit || (this.mode === "3d" && hit.distanceTo(this.camera.position) > FLAT * this.camera.position.z)) return undefined;
+    return { x: hit.x, y: hit.y };
   }
 
   #fit(): void {

@@ -1,25 +1,18 @@
-import { type Group, Matrix4, type Object3D, Vector3 } from "three";
+import type { Group, Matrix4, Object3D } from "three";
 
+import type { Place } from "../goal.ts";
 import { type Pose, poseOf } from "../shapes.ts";
-import { Body, type Model } from "./body.ts";
+import { Body, type Goal, type Model } from "./body.ts";
 import { discard } from "./discard.ts";
 import { cloudPoints, type Colouring, scanPoints } from "./cloud.ts";
 import { matrixOf } from "./frames.ts";
 import { Grid } from "./grid.ts";
 import { Dots, FrameMark, goalMark, pathLine, poseArrow } from "./layers.ts";
 import { type Item, type Layer, report, type Told } from "./report.ts";
-import type { Place } from "../goal.ts";
 import type { View } from "./view.ts";
 
 const FIXED = ["map", "world", "earth", "odom"];
 const LABEL = 0.022; // of the height of the view
-
-/** Where something is to go, in a frame. */
-export interface Goal extends Place {
-  frame: string;
-  /** Whether what was pointed at could be taken into that frame. */
-  joined: boolean;
-}
 
 /** The robots of one backend and what they perceive, in one frame that is taken to stand still. */
 export class World {
@@ -198,15 +191,9 @@ export class World {
     this.#view.changed();
   }
 
-  /** A place on the floor in the frame that goals of an action are told in: the map of its robot, or what its pose is in. */
-  goalFrame(at: Place, action: string): Goal {
-    const body = this.#acting(action);
-    const frame = body?.frames.find("map") ?? body?.pose?.frame ?? this.fixed;
-    const into = frame === this.fixed ? new Matrix4() : body?.frames.between(this.fixed, frame);
-    if (!into) return { ...at, frame, joined: false };
-    const { x, y } = new Vector3(at.x, at.y, 0).applyMatrix4(into);
-    const along = new Vector3(1, 0, 0).transformDirection(into);
-    return { x, y, yaw: at.yaw === undefined ? undefined : at.yaw + Math.atan2(along.y, along.x), frame, joined: true };
+  /** A place on the floor in the frame that goals of an action are told in. */
+  goalFrame(at: Omit<Place, "z">, action: string): Goal {
+    return this.#acting(action)?.goal(at, this.fixed) ?? { ...at, z: 0, frame: this.fixed, joined: true };
   }
 
   /** The robot whose space an action stands in. */
