@@ -39,3 +39,14 @@ export class Clock {
     return Math.max(0, (this.now() - Date.parse(timestamp)) / 1000);
   }
 }
+
+/** A moment by both clocks of this machine: one may be set anew, the other stands while the machine sleeps. */
+export class Moment {
+  readonly wall = Date.now();
+  readonly #steady = performance.now();
+
+  /** ms since then, by the clock that tells of more. */
+  get passed(): number {
+    return Math.max(Date.now() - this.wall, performance.now() - this.#steady);
+  }
+}

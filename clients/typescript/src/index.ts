@@ -1,5 +1,5 @@
 export { Client, type CommandOptions, type Reading, type ReadOptions, type WriteOptions } from "./client.ts";
-export type { Clock } from "./clock.ts";
+export { type Clock, Moment } from "./clock.ts";
 export { Command, type Feedback } from "./command.ts";
 export { ConnectionLost, RcpError } from "./errors.ts";
 export { Lease } from "./lease.ts";

@@ -1,4 +1,4 @@
-import { Clock } from "./clock.ts";
+import { Clock, Moment } from "./clock.ts";
 import type { Command } from "./command.ts";
 import { ConnectionLost, RcpError } from "./errors.ts";
 import { Backoff, Link, type Incoming } from "./link.ts";
@@ -33,6 +33,7 @@ const DEADLINE = 10; // s, the gateway's own default
 const GRACE = 2; // s beyond a deadline before the answer is given up here
 const SETTLE = 3000; // ms after a resume within which what was missed has come
 const SILENCE = 6000; // ms without any answer after which a connection is dead
+const OPENING = 10_000; // ms that a connection may take to stand, the greeting included
 const REFUSALS = new Set(["unauthenticated", "token_expired", "forbidden", "version_unsupported"]);
 
 /** What a client holds at the gateway, over as many connections as it takes. */
@@ -57,9 +58,10 @@ export class Session {
   /** Subscriptions that are wanted no more, which the gateway has not been told yet. */
   #orphans = new Set<string>();
   #names = 0;
-  #heard = 0;
+  #heard = new Moment();
   /** When the first ping was sent of those that have no answer. */
-  #pinged: number | undefined;
+  #pinged: Moment | undefined;
+  #opening: ReturnType<typeof setTimeout> | undefined;
 
   constructor(options: SessionOptions) {
     this.#options = options;
@@ -72,7 +74,7 @@ export class Session {
   /** Seconds of the last round trip, or those that the next one has taken so far if these are more; undefined without a connection. */
   get latency(): number | undefined {
     const { latency } = this.clock;
-    return latency === undefined || this.#pinged === undefined ? latency : Math.max(latency, (Date.now() - this.#pinged) / 1000);
+    return latency === undefined || this.#pinged === undefined ? latency : Math.max(latency, this.#pinged.passed / 1000);
   }
 
   /** Begin to connect; what comes of it is told by `onchange`. */
@@ -83,6 +85,8 @@ export class Session {
   /** Leave: no connection, no further try. */
   close(): void {
     clearTimeout(this.#retry);
+    clearTimeout(this.#opening);
+    clearInterval(this.#pinging);
     this.#to("closed");
     this.#link?.close("the client was closed");
     this.#loseAll("the client was closed");
@@ -94,6 +98,17 @@ export class Session {
     clearTimeout(this.#retry);
     this.#backoff.reset();
     this.#open();
+  }
+
+  /** When the gateway was last heard, in ms since the epoch; undefined where it never was. */
+  get heard(): number | undefined {
+    return this.hello && this.#heard.wall;
+  }
+
+  /** Look whether the connection still stands: this machine may have slept, or have another network now. */
+  check(): void {
+    if (this.state === "open" && this.#heard.passed > SILENCE) this.#link?.close("nothing was heard for long");
+    if (this.state === "waiting" && this.#link === undefined) this.hurry();
   }
 
   /** Cut the connection as a lost network would: the session goes on. */
@@ -157,12 +172,17 @@ export class Session {
 
   #open(): void {
     this.#to(this.hello === undefined ? "connecting" : "waiting");
+    const before = this.#link;
+    this.#link = undefined;
+    before?.close("another one is opened");
     const url = new URL(this.#options.url);
     url.protocol = url.protocol.replace("http", "ws");
     url.pathname = `${url.pathname.replace(/\/+$/, "")}/rcp/v1/ws`;
     const { codec, encoding = codec?.name ?? "json" } = this.#options;
     const link: Link = new Link(url.href, { codec, preferred: encoding }, {
-      open: () => void this.#greet(link, this.hello !== undefined),
+      open: () => {
+        if (link === this.#link) void this.#greet(link, this.hello !== undefined);
+      },
       message: (message) => {
         if (link === this.#link) this.#take(message);
       },
@@ -171,6 +191,9 @@ export class Session {
       },
     });
     this.#link = link;
+    clearTimeout(this.#opening);
+    // What neither answers nor ends would be waited for for good: a network that swallows all, or a proxy that hangs.
+    this.#opening = setTimeout(() => link.close("the gateway does not answer"), OPENING);
   }
 
   async #greet(link: Link, resuming: boolean): Promise<void> {
@@ -192,10 +215,9 @@ export class Session {
     if (link !== this.#link) return;
     if (reply.error) return this.#refused(link, new RcpError(reply.error), resuming);
     if (reply.timestamp) this.clock.measure(sent, Date.now(), reply.timestamp);
+    clearTimeout(this.#opening);
     this.hello = reply.body as Hello;
     this.problem = undefined;
-    this.#backoff.reset();
-    this.#heard = Date.now();
     if (!resuming) this.#loseAll("the session ended with the connection");
     this.#to("open");
     this.#pinging ??= setInterval(() => this.#ping(), (this.#options.ping ?? 2) * 1000);
@@ -232,20 +254,22 @@ export class Session {
 
   #stop(state: State): void {
     this.hello = undefined;
+    clearTimeout(this.#opening);
     this.#loseAll(this.problem?.message ?? "refused");
     this.#to(state);
   }
 
   #lost(why: string): void {
     this.#link = undefined;
+    clearTimeout(this.#opening);
     clearInterval(this.#pinging);
-    this.#pinging = undefined;
+    this.#pinging = this.#pinged = undefined;
     if (this.state === "closed" || this.state === "refused") return;
     this.problem = new ConnectionLost(why);
     for (const waiting of this.#waiting.values()) waiting.cut = true;
     for (const id of this.subscriptions.keys()) this.#lose(id, why); // asked for again, however late that is
     this.clock.reset();
-    this.#pinged = undefined;
+    clearTimeout(this.#retry);
     this.#retry = setTimeout(() => this.#open(), this.#backoff.next());
     this.#to("waiting");
   }
@@ -253,15 +277,16 @@ export class Session {
   #ping(): void {
     const link = this.#link;
     if (link === undefined || this.state !== "open") return;
+    if (this.#pinged && Math.min(this.#pinged.passed, this.#heard.passed) > SILENCE) return link.close("the gateway does not answer any more");
     const sent = Date.now();
-    if (sent - this.#heard > SILENCE) return link.close("the gateway does not answer any more");
     if (this.#pinged !== undefined) this.onchange?.();
-    this.#pinged ??= sent;
+    this.#pinged ??= new Moment();
     const id = this.newId("ping");
     this.#waiting.set(id, {
       take: (reply) => {
         this.#pinged = undefined;
         if (reply.timestamp) this.clock.measure(sent, Date.now(), reply.timestamp);
+        this.#backoff.reset(); // it holds: one that is cut as soon as it stands is not tried ever faster
         this.onchange?.();
         return true;
       },
@@ -274,7 +299,7 @@ export class Session {
   // -- what comes in ------------------------------------------------------------------------
 
   #take(message: Incoming): void {
-    this.#heard = Date.now();
+    this.#heard = new Moment();
     if (message.type === "update") {
       const update = message as Update;
       this.subscriptions.get(update.id)?.update(update);

@@ -7,7 +7,12 @@ export async function ask(what: string, options: RequestInit = {}): Promise<unkn
   const headers = { "content-type": "application/json", ...(app.token && { authorization: `Bearer ${app.token}` }) };
   const answer = await fetch(`${BASE}/dashboard/api/${what}`, { ...options, headers });
   const text = await answer.text();
-  const told = text ? JSON.parse(text) : undefined;
-  if (!answer.ok) throw new RcpError(told?.error ?? { code: "internal", message: `HTTP ${answer.status}` });
-  return told;
+  try {
+    const told = text ? JSON.parse(text) : undefined;
+    if (answer.ok) return told;
+    throw new RcpError(told.error);
+  } catch (error) {
+    if (error instanceof RcpError) throw error;
+    throw new RcpError({ code: "internal", message: `something that is not the gateway answered: HTTP ${answer.status}` });
+  }
 }

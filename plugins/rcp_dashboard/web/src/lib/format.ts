@@ -1,7 +1,9 @@
 /** Numbers, times and values as people read them. */
 
 /** With so many decimals; what rounds to nothing has no sign. */
-export function rounded(value: number, digits: number): string {
+export function rounded(value: unknown, digits: number): string {
+  if (typeof value !== "number") return "–"; // what is no number in JSON comes as null
+  if (Math.abs(value) >= 1e9) return value.toExponential(2);
   const text = value.toFixed(digits);
   return text.startsWith("-") && Number(text) === 0 ? text.slice(1) : text;
 }
@@ -27,6 +29,7 @@ export function span(seconds: number | undefined): string {
 export function clock(timestamp: string | undefined): string {
   if (!timestamp) return "–";
   const when = new Date(timestamp);
+  if (Number.isNaN(when.getTime())) return "–"; // a robot may tell any words as a time
   const today = when.toDateString() === new Date().toDateString();
   const time = when.toLocaleTimeString([], { hour12: false });
   return today ? time : `${when.toISOString().slice(0, 10)} ${time}`;
@@ -40,6 +43,13 @@ export function bytes(count: number | undefined): string {
   return `${(count / 1073741824).toFixed(2)} GiB`;
 }
 
+const UNSEEN = /[\p{Cc}\u061c\u200e\u200f\u202a-\u202e\u2066-\u2069\ufeff]/gu;
+
+/** A text with what would turn the order of letters around, or not be seen at all, written as its code. */
+export function visible(text: string): string {
+  return text.replaceAll(/\s*\n\s*/g, " ⏎ ").replaceAll(UNSEEN, (one) => `\\u{${one.codePointAt(0)!.toString(16)}}`);
+}
+
 /** A value on one line: enough to recognise it, never the whole of a map. */
 export function brief(value: unknown, room = 80): string {
   const text = one(value, room);
@@ -50,7 +60,7 @@ function one(value: unknown, room: number): string {
   if (value === null || value === undefined) return "–";
   if (typeof value === "number") return number(value);
   if (typeof value === "boolean") return value ? "yes" : "no";
-  if (typeof value === "string") return value.slice(0, room + 1);
+  if (typeof value === "string") return visible(value.slice(0, room + 1));
   if (Array.isArray(value)) {
     if (value.length > 6) return `${value.length} items`;
     return `[${value.map((item) => one(item, room)).join(", ")}]`;
@@ -59,7 +69,7 @@ function one(value: unknown, room: number): string {
   for (const [key, item] of Object.entries(value as object)) {
     if (key === "timestamp" || key === "frame_id") continue;
     const told = one(item, room);
-    text += `${text && "  "}${key} ${typeof item === "object" && item !== null && !Array.isArray(item) ? `{${told}}` : told}`;
+    text += `${text && "  "}${visible(key.slice(0, room))} ${typeof item === "object" && item !== null && !Array.isArray(item) ? `{${told}}` : told}`;
     if (text.length > room) break;
   }
   return text;

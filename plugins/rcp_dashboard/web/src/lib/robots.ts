@@ -1,4 +1,4 @@
-import type { Resource } from "rcp-client";
+import type { EstopState, Resource } from "rcp-client";
 
 import { jointsOf } from "./joints.ts";
 import { properties } from "./schema.ts";
@@ -24,6 +24,11 @@ export function robotsOf(resources: Resource[], backends: [name: string, tenant:
     robot.resources.push(resource);
   }
   return [...robots.values()].sort((a, b) => a.name.localeCompare(b.name));
+}
+
+/** Whether an emergency stop holds a robot. */
+export function stopped(estop: EstopState | undefined, name: string): boolean {
+  return Object.hasOwn(estop?.robots ?? {}, name);
 }
 
 /** The path below its tenant and branch: what tells resources of one robot apart. */

@@ -43,7 +43,7 @@ function textOf(source: Source, body: any): string {
     const facts = Object.entries(body).filter(([key, value]) => !HIDDEN.has(key) && value !== null);
     return `${body.what} by ${body.principal}: ${body.outcome}  ${brief(Object.fromEntries(facts), 100)}`;
   }
-  return `${body?.active === false ? "over: " : ""}${body?.message ?? body?.text ?? brief(body, 160)}`;
+  return `${body?.active === false ? "over: " : ""}${brief(body?.message ?? body?.text ?? body, 300)}`;
 }
 
 export function entry(source: Source, path: string, timestamp: string, seq: number | string, body: any): Entry {

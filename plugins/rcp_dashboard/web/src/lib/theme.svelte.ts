@@ -1,8 +1,10 @@
+import { keep, kept } from "./kept.ts";
+
 const KEY = "rcp.theme";
 
 /** Dark or light: as the person chose, else as the system is. */
 class Theme {
-  chosen = $state(localStorage.getItem(KEY) ?? "");
+  chosen = $state(kept(KEY) ?? "");
   readonly #system = matchMedia("(prefers-color-scheme: light)");
   name = $state<"dark" | "light">("dark");
 
@@ -18,7 +20,7 @@ class Theme {
 
   toggle(): void {
     this.chosen = this.name === "dark" ? "light" : "dark";
-    localStorage.setItem(KEY, this.chosen);
+    keep(KEY, this.chosen, "computer");
     this.apply();
   }
 }

@@ -10,11 +10,23 @@ class Ticking {
 
 const ticking = new Ticking();
 
-/** Seconds since a timestamp of the gateway; it follows the time. */
+const AHEAD = 2; // s
+const MOST = 2000;
+/** When timestamps were first met that clocks ahead of the gateway's had told, in its ms. */
+const ahead = new Map<string, number>();
+
+/** Seconds since a timestamp of the gateway or a robot; it follows the time. One in the future is as old as it is known here. */
 export function age(timestamp: string | undefined): number | undefined {
   if (!timestamp) return undefined;
   const now = ticking.now + app.client.clock.offset * 1000;
-  return Math.max(0, (now - Date.parse(timestamp)) / 1000);
+  const seconds = (now - Date.parse(timestamp)) / 1000;
+  if (Number.isNaN(seconds)) return undefined;
+  if (seconds < -AHEAD && !ahead.has(timestamp)) {
+    if (ahead.size >= MOST) ahead.delete(ahead.keys().next().value as string);
+    ahead.set(timestamp, now);
+  }
+  const met = ahead.get(timestamp);
+  return Math.max(0, seconds, met === undefined ? 0 : (now - met) / 1000);
 }
 
 /** Whether a value should have come again by now, by the deadline (s) of its path; it follows the time. */
