@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import AsyncGenerator
-from contextlib import asynccontextmanager, suppress
+from contextlib import asynccontextmanager, closing, suppress
 
 
 @asynccontextmanager
@@ -12,12 +12,11 @@ async def below(prefix: str, port: int) -> AsyncGenerator[str]:
     """Serve the gateway at `port` below a prefix; yield the address."""
 
     async def serve(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        with suppress(OSError, asyncio.IncompleteReadError):
+        with suppress(OSError, asyncio.IncompleteReadError), closing(writer):
             head = (await reader.readuntil(b"\r\n\r\n")).decode("latin-1")
             method, path, rest = head.split(" ", 2)
             if not path.startswith(prefix + "/"):
                 writer.write(b"HTTP/1.1 404 Not Found\r\ncontent-length: 0\r\n\r\n")
-                writer.close()
                 return
             lines = rest.split("\r\n")
             if not any(line.lower().startswith("upgrade:") for line in lines):

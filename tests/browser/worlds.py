@@ -164,8 +164,9 @@ class Silent:
         self.opened += 1
         self._another.set()
         speaks = self._speaks
+        self._ways.add(writer)
         upstream, onward = await asyncio.open_connection("127.0.0.1", port)
-        self._ways |= {writer, onward}
+        self._ways.add(onward)
         ways = ((reader, onward), (upstream, writer))
         await asyncio.gather(*(self._pass(speaks, *way) for way in ways), return_exceptions=True)
 
