@@ -62,7 +62,9 @@ async def one_is_stopped(client: Client) -> None:
 
 
 async def test_two_simulated_vehicles_are_robots_and_one_is_flown() -> None:
-    table = {"links": ["sim:copter", "sim:copter"], "discover": True, "params": [], "twin": QUICK}
+    patient = {"parameters": {"DISARM_DELAY": 0.0}}  # at ten times the speed a second is soon over
+    links = ["sim:copter", "sim:copter"]
+    table = {"links": links, "discover": True, "params": [], "twin": QUICK | patient}
     async with serve_backend(KIND, table) as served:
         client = served.client(OPERATOR)
 

@@ -200,7 +200,7 @@ def test_each_point_of_a_cloud_lies_on_the_floor_or_on_a_face(
     assert len(found) <= COLUMNS * ROWS
     for ahead, left, up in found[::7]:
         place = (x + cosine * ahead - sine * left, y + sine * ahead + cosine * left)
-        assert 0 < ahead < REACH
+        assert 0 < ahead <= REACH
         on_floor = abs(up + EYE) < 1e-6
         assert on_floor or abs(WAREHOUSE.clearance(*place)) < 1e-3
 

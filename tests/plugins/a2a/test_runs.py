@@ -7,13 +7,13 @@ import json
 import re
 from collections.abc import AsyncGenerator, AsyncIterator
 from contextlib import AsyncExitStack, asynccontextmanager
-from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
 import httpx
 import pytest
 
+from expiring import brief_key
 from plugins.a2a.agent import KEY_BETA, agent, caller, data, rpc, sent, text
 from plugins.a2a.receiver import BOUND
 from transports.robot import Site, until
@@ -306,11 +306,9 @@ async def test_a_stop_of_the_gateway_ends_streams_and_tells_why() -> None:
 
 
 async def test_a_stream_ends_with_the_proof_of_its_client() -> None:
-    soon = datetime.now(UTC) + timedelta(seconds=2)
-    key = f'[[keys]]\nname = "brief"\nrole = "operator"\nkey = "key-that-ends-soon"\nexpires = "{soon.isoformat()}"'
     async with (
-        agent(more=key) as site,
-        caller(site, "key-that-ends-soon") as client,
+        agent() as site,
+        caller(site, brief_key(site.server)) as client,
         streamed(client, "POST", "/a2a/message:stream", json=text(GO)) as stream,
     ):
         await stream.until("WORKING")

@@ -6,12 +6,12 @@ import asyncio
 import json
 from collections.abc import AsyncGenerator, AsyncIterator, Callable
 from contextlib import asynccontextmanager, suppress
-from datetime import UTC, datetime, timedelta
 from typing import Any
 
 import httpx
 import pytest
 
+from expiring import brief_key
 from plugins.mcp.rig import BOUND, OPERATOR, Caller, Site, caller, site
 from rcp_kernel.model import Resource
 
@@ -241,16 +241,7 @@ async def test_a_session_reads_on_after_a_cut_and_no_other_reads_that(
 
 
 async def test_a_proof_that_ends_closes_what_it_opened() -> None:
-    ends = datetime.now(UTC) + timedelta(seconds=3)
-    short = f"""
-[[keys]]
-name = "short"
-role = "operator"
-tenants = ["alpha"]
-key = "short-key-of-these-tests"
-expires = "{ends.isoformat()}"
-"""
-    async with site(more=short) as made, caller(made, "short-key-of-these-tests") as client:
+    async with site() as made, caller(made, brief_key(made.server)) as client:
         async with asyncio.timeout(BOUND):
             with suppress(httpx.RemoteProtocolError):
                 body = client.body("subscriptions/listen", {"notifications": {}})
