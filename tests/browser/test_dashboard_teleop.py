@@ -117,6 +117,13 @@ async def test_a_joint_moves_by_a_press_on_its_slider_alone_and_from_where_it_is
         await slider.evaluate(f"(slider) => {told}")
         await expect(panel).to_contain_text("hold to move")
         await page.mouse.up()
+    await panel.get_by_role("slider", name="tilt in rad").hover()
+    await page.mouse.down()  # it takes the focus from the first, and stays pressed
+    await page.mouse.move(0, 0, steps=2)
+    await expect(panel.get_by_role("slider", name="tilt in rad")).to_be_focused()
+    await expect(panel).to_contain_text("held")
+    await page.mouse.up()
+    await expect(panel).to_contain_text("hold to move")
     here = await until(robot, joints, lambda found: abs(found["velocities"]["pan"]) < STILL)
     await page.evaluate("stall()")
     await expect(panel).to_contain_text("was")
