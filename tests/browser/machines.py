@@ -99,6 +99,7 @@ class Machine(BaseBackend):
             Resource(name="param/robot_description", description="Its looks.", value=str),
             Resource(name="actuator/cmd_vel", description="Drives.", value=Twist, safe=Twist()),
             Resource(name="action/move_to", description="Goes.", input=MoveTo),
+            Resource(name="action/dock", description="Docks."),
             Resource(name="action/go_to", description="Goes on Earth.", input=Fix),
             Resource(
                 name="service/assets/fetch", description="Gives files.", input=Wanted, output=File

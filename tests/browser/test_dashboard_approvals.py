@@ -113,6 +113,12 @@ class Asking:
         body = (await self._send(type="read", path="/system/approvals"))["body"]
         return {one["approval"]: one["status"] for one in body}
 
+    async def approve(self) -> None:
+        """Approve whatever waits."""
+        for approval, status in (await self.states()).items():
+            if status == "pending":
+                await self.decide(approval, "approve")
+
     async def decide(self, approval: str, decision: str) -> None:
         body = {"id": approval, "decision": decision}
         answer = await self._send(type="execute", path="/system/approvals", body=body)
@@ -184,12 +190,25 @@ async def test_what_is_sent_when_approved_is_what_the_form_shows(
         await expect(form.get_by_test_id("approval")).to_have_count(0)  # it was asked for 5
         await pressed(tab.page, form)
         await offer.click()
-        for approval, status in (await ada.states()).items():
-            if status == "pending":
-                await ada.decide(approval, "approve")
+        await ada.approve()
         await expect(form.get_by_test_id("answer")).to_be_visible()
         await expect(value).to_have_value("6")
         assert told.one == [("param/serial", 6)]
+
+
+async def test_what_a_button_asks_for_is_sent_when_it_is_approved(
+    browser: Browser, told: Machines
+) -> None:
+    ada = Asking(told, "ada")
+    async with person(browser, told, "lena", "teleop?robot=one") as tab:
+        buttons = tab.page.get_by_test_id("actions")
+        await buttons.get_by_role("button", name="Dock").click()
+        await expect(buttons.get_by_test_id("kept")).to_have_text("null")
+        await buttons.get_by_role("button", name="Ask, and send").click()
+        await expect(buttons).to_contain_text("Waiting for a person")
+        await ada.approve()
+        await expect(buttons.get_by_test_id("action-status")).to_contain_text("completed")
+        assert told.one == [("action/dock", None)]
 
 
 async def test_what_nobody_approved_in_time_is_not_sent_and_may_be_asked_anew(
