@@ -260,6 +260,23 @@ async def test_a_lease_that_comes_when_its_page_is_left_is_given_back(
     await expect(tab.page.get_by_test_id("control")).to_contain_text("No control")
 
 
+async def test_who_waits_for_one_robot_gets_no_other(
+    tab: Watched, robot: httpx.AsyncClient
+) -> None:
+    page, leases = tab.page, "/rcp/v1/context/system/leases"
+    held = {"do": "acquire", "scope": "/tenant/alpha/actuator", "ttl": 60}
+    assert (await robot.post(leases, json=held)).is_success
+    await tab.open("teleop?robot=rover")
+    await page.get_by_role("button", name="Take control").click()
+    await page.get_by_role("button", name="Take it when it is free").click()
+    await page.get_by_role("combobox", name="Robot").select_option("other")
+    await page.get_by_role("button", name="Clear faults").click()
+    # What was asked of the gateway before this is answered before it.
+    await expect(page.get_by_test_id("action-status")).to_contain_text("completed")
+    await expect(page.get_by_test_id("control")).to_contain_text("No control")
+    assert (await robot.post(leases, json={**held, "do": "release"})).is_success
+
+
 async def test_control_that_was_taken_over_and_comes_back_moves_nothing_before_a_new_press(
     browser: Browser, url: str, robot: httpx.AsyncClient
 ) -> None:

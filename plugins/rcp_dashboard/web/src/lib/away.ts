@@ -1,4 +1,4 @@
 /** Whether nobody is seen to be at this page: it is hidden, the keyboard is somewhere else, or a dialog covers it. */
 export function away(): boolean {
-  return document.hidden || !document.hasFocus() || document.querySelector(":modal") !== null;
+  return document.hidden || !document.hasFocus() || document.querySelector("dialog:modal") !== null;
 }
