@@ -6,7 +6,7 @@ from playwright.async_api import Locator, Page, expect
 
 from browser.watched import Watched
 
-__all__ = ["UNSEEN", "drives", "push", "shift", "stands", "take"]
+__all__ = ["UNSEEN", "drives", "push", "shift", "stands", "take", "unsafe"]
 
 UNSEEN = """
 window.pads = [];
@@ -48,6 +48,18 @@ window.goOn = () => {
 };
 """
 """Gamepads, pointers, the focus of the window and what is late on the way, in the hands of the test."""
+
+
+def unsafe(path: str) -> str:
+    """Return the script for which an actuator declares no safe value."""
+    return f"""
+    const parse = JSON.parse;
+    JSON.parse = (text) => {{
+      const found = parse(text);
+      for (const one of [found?.body?.resources ?? []].flat()) if (one.path === "{path}") delete one.safe;
+      return found;
+    }};
+    """
 
 
 async def take(tab: Watched, robot: str) -> Page:

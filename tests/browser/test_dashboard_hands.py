@@ -10,7 +10,7 @@ import httpx
 import pytest
 from playwright.async_api import Browser, Page, expect
 
-from browser.hands import UNSEEN, drives, push, shift, stands, take
+from browser.hands import UNSEEN, drives, push, shift, stands, take, unsafe
 from browser.robots import STILL, speed, until
 from browser.watched import Watched, signed_in
 from rcp_kernel.config.file import parse
@@ -366,15 +366,7 @@ async def test_a_key_that_is_held_presses_a_button_once(tab: Watched) -> None:
 
 
 async def test_what_nothing_stops_is_not_offered_to_be_driven(browser: Browser, url: str) -> None:
-    unsafe = """
-    const parse = JSON.parse;
-    JSON.parse = (text) => {
-      const found = parse(text);
-      for (const one of [found?.body?.resources ?? []].flat()) if (one.path === "/tenant/alpha/actuator/cmd_vel") delete one.safe;
-      return found;
-    };
-    """
-    async with person(browser, url, "otto", unsafe) as tab:
+    async with person(browser, url, "otto", unsafe(CMD_VEL)) as tab:
         await tab.open("teleop")
         picker = tab.page.get_by_role("combobox", name="Robot")
         await expect(picker.get_by_role("option")).to_have_text(["other (beta)"])

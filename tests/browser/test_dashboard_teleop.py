@@ -9,7 +9,7 @@ import httpx
 import pytest
 from playwright.async_api import Browser, Page, expect
 
-from browser.hands import UNSEEN, take
+from browser.hands import UNSEEN, take, unsafe
 from browser.robots import STILL, speed, until
 from browser.watched import Watched, signed_in
 from docs.demo import Demo
@@ -135,6 +135,18 @@ async def test_a_joint_moves_by_a_press_on_its_slider_alone_and_from_where_it_is
     there = await until(robot, joints, lambda found: abs(found["velocities"]["pan"]) < STILL)
     assert abs(there["positions"]["pan"] - here["positions"]["pan"]) < 0.05
     await page.get_by_role("button", name="Disable head").click()
+
+
+async def test_a_speed_that_nothing_ends_is_not_set_by_a_slider(
+    browser: Browser, running: Demo
+) -> None:
+    actuators = "/tenant/delta/actuator"
+    script = unsafe(f"{actuators}/pan/velocity")
+    async with signed_in(browser, running.url, running.key, "demo-operator", script) as tab:
+        await tab.open("teleop?robot=head-delta")
+        await tab.page.get_by_role("button", name="Each joint by itself").click()
+        await expect(tab.page.locator(f'[data-joints="{actuators}/tilt/velocity"]')).to_be_visible()
+        await expect(tab.page.locator(f'[data-joints="{actuators}/pan/velocity"]')).to_have_count(0)
 
 
 async def test_a_drone_takes_off_climbs_by_key_and_lands_by_buttons(
