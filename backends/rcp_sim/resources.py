@@ -252,12 +252,13 @@ def _services() -> list[Resource]:
         ),
         Resource(
             name="service/inject_fault",
-            description="Make the simulated rover fail in a chosen way, to see what follows.",
+            description="Make the simulated rover fail in a chosen way, to see what follows. While its"
+            " link is lost nothing reaches it, not even the end of that: it comes back by itself.",
             input=m.FaultSpec,
             output=m.FaultsActive,
             examples=(
                 {"fault": "sensor_stop", "target": "sensor/scan", "seconds": 5.0},
-                {"fault": "link_lost", "seconds": 3.0},
+                {"fault": "refuse", "target": "action/move_to", "seconds": 30.0},
                 {"fault": "slow", "delay": 0.5},
             ),
         ),
