@@ -212,25 +212,24 @@ async def test_what_flies_keeps_its_height_and_a_place_of_long_ago_is_told_to_be
 async def test_where_a_robot_has_gone_no_other_one_takes_its_place(
     browser: Browser, told: Machines
 ) -> None:
-    async with person(browser, told, "otto", "scene") as tab:
-        page = tab.page
-        robot = page.get_by_label("Robot", exact=True)
-        await expect(robot).to_have_value("one")
-        told.by["alpha"].go()
-        await expect(page.get_by_role("main")).to_contain_text("one is not here")
-        await expect(robot).to_have_value("one")
-        await expect(page.get_by_test_id("aim")).to_have_count(0)
-        told.by["alpha"].come()
-        await expect(page.get_by_test_id("aim")).to_be_visible()
-        await tab.open("map")
-        choice = page.get_by_label("Action that goes to a place")
+    async with person(browser, told, "otto", "map") as tab:
+        page, alpha = tab.page, told.by["alpha"]
+        aim, choice = page.get_by_test_id("aim"), page.get_by_label("Action that goes to a place")
         await expect(choice).to_have_value("/tenant/alpha/action/go_to")
-        told.by["alpha"].go()
+        alpha.go()
         await expect(page.get_by_test_id("map")).to_have_attribute("data-tracks", "1")
         await expect(choice).to_have_value("/tenant/alpha/action/go_to")
-        await expect(page.get_by_test_id("aim")).to_have_count(0)
-        told.by["alpha"].come()
-        await expect(page.get_by_test_id("aim")).to_be_visible()
+        await expect(aim).to_have_count(0)
+        alpha.come()
+        await expect(aim).to_be_visible()
+        await tab.open("scene")
+        robot = page.get_by_label("Robot", exact=True)
+        await expect(robot).to_have_value("one")
+        alpha.go()
+        await expect(page.get_by_role("main")).to_contain_text("one is not here")
+        await expect(robot).to_have_value("one")
+        await expect(aim).to_have_count(0)
+        alpha.come()
         assert (told.one, told.two) == ([], [])
 
 
