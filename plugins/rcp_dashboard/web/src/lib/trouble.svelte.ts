@@ -1,6 +1,7 @@
 import type { Notice, Update } from "rcp-client";
 
 import { app } from "./app.svelte.ts";
+import { Gathered } from "./gathered.ts";
 import { alarming } from "./robots.ts";
 import { entry, type Entry } from "./severity.ts";
 import { watch } from "./watch.ts";
@@ -17,13 +18,11 @@ export class Trouble {
   /** Listen until the returned function is called. */
   start(): () => void {
     const paths = app.resources.filter((one) => alarming(one) && one.operations.includes("subscribe")).map((one) => one.path);
-    const stops = paths.map((path) => watch(path, { history: 10, qos: { depth: 32 } }, (update) => this.#event(update)));
+    const told = new Gathered<Update>(10 * MOST, (all) => this.#add([...all.values()].map((update) => entry("event", update.path, update.timestamp, update.seq, update.body))));
+    const stops = paths.map((path) => watch(path, { history: 10, qos: { depth: 32 } }, (update) => told.add(`${path} ${update.seq}`, update)));
+    stops.push(() => told.stop());
     stops.push(app.client.onNotice((notice) => this.#notice(notice)));
     return () => stops.forEach((stop) => stop());
-  }
-
-  #event(update: Update): void {
-    this.#add(entry("event", update.path, update.timestamp, update.seq, update.body));
   }
 
   #notice(notice: Notice): void {
@@ -32,17 +31,21 @@ export class Trouble {
     // It comes again and again while a value is overdue: what counts is when the last value came.
     const since = typeof notice["age"] === "number" ? new Date(Math.round(Date.parse(notice.timestamp) / 1000 - notice["age"]) * 1000).toISOString() : notice.timestamp;
     const message = notice.message?.replace(`${path} `, "") ?? `${notice.code.replaceAll("_", " ")} ${notice.reason ?? ""}`;
-    this.#add(entry("notice", path, since, notice.code, { ...notice, message }));
+    this.#add([entry("notice", path, since, notice.code, { ...notice, message })]);
   }
 
-  #add(one: Entry): void {
-    if (one.level === "info") return;
-    const known = this.entries.find((other) => other.key === one.key);
-    if (known && Math.abs(Date.parse(known.timestamp) - Date.parse(one.timestamp)) < 3000) return;
-    // What is told again in the same words takes the place of the last time.
-    const same = this.entries.find((other) => other.path === one.path && other.text === one.text && other.source === one.source);
-    const newer = same && Date.parse(same.timestamp) > Date.parse(one.timestamp) ? same : one;
-    const times = same ? (same.times ?? 1) + 1 : 1;
-    this.entries = [{ ...newer, times }, ...this.entries.filter((other) => other !== known && other !== same)].slice(0, MOST);
+  #add(all: Entry[]): void {
+    this.entries = all.reduce(withOne, this.entries);
   }
+}
+
+function withOne(entries: Entry[], one: Entry): Entry[] {
+  if (one.level === "info") return entries;
+  const known = entries.find((other) => other.key === one.key);
+  if (known && Math.abs(Date.parse(known.timestamp) - Date.parse(one.timestamp)) < 3000) return entries;
+  // What is told again in the same words takes the place of the last time.
+  const same = entries.find((other) => other.path === one.path && other.text === one.text && other.source === one.source);
+  const newer = same && Date.parse(same.timestamp) > Date.parse(one.timestamp) ? same : one;
+  const times = same ? (same.times ?? 1) + 1 : 1;
+  return [{ ...newer, times }, ...entries.filter((other) => other !== known && other !== same)].slice(0, MOST);
 }
