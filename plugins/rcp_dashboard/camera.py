@@ -22,8 +22,10 @@ from rcp_kernel.errors import QueueFull, RcpError
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import Request, encode_reply
 
-__all__ = ["Cameras"]
+__all__ = ["STALLED", "Cameras"]
 
+STALLED = 30.0
+"""s that a client may take nothing: who sleeps would keep others from the streams that there may be."""
 _NO_STORE = (b"cache-control", b"no-store")
 _PART = b"--frame\r\ncontent-type: %b\r\ncontent-length: %d\r\nx-rcp-timestamp: %b\r\n\r\n%b\r\n"
 
@@ -49,6 +51,10 @@ class Body(Protocol):
 
     def write(self, data: bytes) -> None:
         """Send a part of the body."""
+        ...
+
+    def abort(self) -> None:
+        """Cut the connection."""
         ...
 
 
@@ -134,6 +140,8 @@ class Stream:
         self._send = send
         self._woken = asyncio.Event()
         self._ended = False
+        self._taken: float | None = None
+        """Since when the client takes nothing, by the loop's clock."""
 
     def wake(self) -> None:
         """Look again: there is a picture, or room for one."""
@@ -158,8 +166,7 @@ class Stream:
         self._closing.add(self.finish)
         watch = asyncio.ensure_future(self._watch())
         try:
-            while not self._ended:
-                await self._woken.wait()
+            while not self._ended and await self._moves():
                 self._woken.clear()
                 if self._out.writable:
                     await self._next(connection, make)
@@ -168,6 +175,22 @@ class Stream:
             self._closing.discard(self.finish)
             watch.cancel()
         await self._send({"type": "http.response.body", "body": b"", "more_body": False})
+
+    async def _moves(self) -> bool:
+        """Wait to be woken; cut a client off that has taken nothing for long, and tell so by False."""
+        now = asyncio.get_running_loop().time
+        if self._out.writable:
+            self._taken = None
+            await self._woken.wait()
+            return True
+        self._taken = now() if self._taken is None else self._taken
+        try:
+            async with asyncio.timeout(self._taken + STALLED - now()):
+                await self._woken.wait()
+        except TimeoutError:
+            self._out.abort()
+            return False
+        return True
 
     async def _next(self, connection: Connection, make: Callable[[Any], Any]) -> None:
         newest: _Seen | None = None

@@ -29,6 +29,10 @@ class Endless:
         if not self._transport.is_closing():
             self._transport.write(b"%x\r\n%b\r\n" % (len(data), data))
 
+    def abort(self) -> None:
+        """Cut the connection: what waits for the client is not waited for."""
+        self._transport.abort()
+
     def resume(self) -> None:
         """Take notice that the socket takes something again."""
         self.writable = True

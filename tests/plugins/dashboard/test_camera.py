@@ -17,7 +17,7 @@ import simplejpeg
 from rcp_dashboard.picture import picture
 from rcp_kernel.errors import AdapterUnavailable, DeviceRejected
 from rcp_kernel.model import Pattern, Resource
-from transports.robot import Site, until
+from transports.robot import KEY, Site, until
 
 pytestmark = pytest.mark.anyio
 CAMERA = "/dashboard/api/camera"
@@ -131,9 +131,9 @@ def test_without_the_library_the_remedy_names_it(monkeypatch: pytest.MonkeyPatch
     assert "rcp-gateway[dashboard]" in (raised.value.remedy or "")
 
 
-def watching(gateway: Site) -> int:
-    """Count the subscriptions to the camera."""
-    (entry,) = gateway.server.gateway.registry.match(Pattern(BLOB["path"], None))
+def watching(gateway: Site, path: str = BLOB["path"]) -> int:
+    """Count the subscriptions to a camera."""
+    (entry,) = gateway.server.gateway.registry.match(Pattern(path, None))
     return len(entry.listeners)
 
 
@@ -195,6 +195,42 @@ async def test_a_client_that_leaves_lets_go_of_the_camera(
         await anext(parts(answer))
         assert watching(gateway) == 1
     await until(lambda: watching(gateway) == 0)
+
+
+async def test_who_takes_nothing_does_not_keep_the_stream_from_others(
+    gateway: Site, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("rcp_dashboard.camera.STALLED", 0.5)
+    publish = declare_eye(gateway)
+    noise = np.random.default_rng(1).integers(0, 255, (480, 640, 3), np.uint8)
+    publish(eye("rgb8", noise))
+    url = httpx.URL(gateway.url)
+    ask = f"GET {CAMERA}/stream?path=/tenant/alpha/sensor/eye&quality=100 HTTP/1.1\r\n"
+    head = f"{ask}Host: {url.host}:{url.port}\r\nAuthorization: Bearer {KEY}\r\n\r\n"
+    reader, writer = await asyncio.open_connection(url.host, url.port, limit=1024)
+    try:
+        writer.write(head.encode())
+        await reader.readuntil(b"\r\n\r\n")  # and not a byte more
+        await until(lambda: watching(gateway, EYE["path"]) == 1)
+
+        def left() -> bool:
+            publish(eye("rgb8", noise))
+            return watching(gateway, EYE["path"]) == 0
+
+        await until(left)
+    finally:
+        writer.transport.abort()
+
+
+async def test_a_stream_ends_with_the_right_to_it(http: httpx.AsyncClient, gateway: Site) -> None:
+    gateway.robot.host.publish("sensor/blob", jpeg(0))
+    async with asyncio.timeout(30), http.stream("GET", f"{CAMERA}/stream", params=BLOB) as answer:
+        coming = parts(answer)
+        await anext(coming)
+        kernel = gateway.server.gateway
+        kernel.reconfigure(msgspec.structs.replace(kernel.config, keys=()))
+        assert [data async for data in coming] == []
+    assert watching(gateway) == 0
 
 
 async def test_a_stream_ends_where_the_resource_is_no_picture(

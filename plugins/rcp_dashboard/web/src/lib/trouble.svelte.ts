@@ -4,7 +4,6 @@ import { app } from "./app.svelte.ts";
 import { Gathered } from "./gathered.ts";
 import { alarming } from "./robots.ts";
 import { entry, type Entry } from "./severity.ts";
-import { watch } from "./watch.ts";
 
 const MOST = 50;
 
@@ -19,7 +18,9 @@ export class Trouble {
   start(): () => void {
     const paths = app.resources.filter((one) => alarming(one) && one.operations.includes("subscribe")).map((one) => one.path);
     const told = new Gathered<Update>(10 * MOST, (all) => this.#add([...all.values()].map((update) => entry("event", update.path, update.timestamp, update.seq, update.body))));
-    const stops = paths.map((path) => watch(path, { history: 10, qos: { depth: 32 } }, (update) => told.add(`${path} ${update.seq}`, update)));
+    // One for all of them: of hundreds of robots they would be more than a session may have.
+    const all = paths.length ? app.client.subscribe(paths, { history: 10, qos: { depth: 32 } }, { update: (update) => told.add(`${update.path} ${update.seq}`, update) }) : undefined;
+    const stops: (() => void)[] = [() => void all?.close()];
     stops.push(() => told.stop());
     stops.push(app.client.onNotice((notice) => this.#notice(notice)));
     return () => stops.forEach((stop) => stop());
