@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import asyncio
 import re
+import shutil
 from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager
+from pathlib import Path
 from typing import Any
 
 import httpx
@@ -13,9 +15,11 @@ import msgspec
 import pytest
 from playwright.async_api import Browser, expect
 
+import rcp_dashboard
 from browser.robots import until
-from browser.watched import Watched, log_in, watched
+from browser.watched import Watched, log_in, require_pages, watched
 from browser.worlds import KEY, OTHER, SPARE, World, free_port, line, live, world
+from rcp_dashboard.pages import STATIC
 
 pytestmark = pytest.mark.anyio
 expect.set_options(timeout=20_000)  # ms
@@ -189,6 +193,47 @@ async def rekey(gateway: World, spare: str | None) -> None:
         if key.name != "spare" or spare is not None
     ]
     server.gateway.reconfigure(msgspec.structs.replace(config, keys=tuple(keys)))
+
+
+async def test_a_page_of_another_version_of_the_gateway_says_so_and_is_never_blank(
+    browser: Browser, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    port = free_port()
+    require_pages()
+    other = tmp_path / "static"
+    shutil.copytree(STATIC, other)
+    for packed in other.rglob("*.gz"):
+        packed.unlink()
+    index = other / "index.html"
+    entry = re.search(r"assets/(index-[\w-]+)\.js", index.read_text())
+    assert entry is not None
+    (other / "assets" / f"{entry[1]}.js").rename(other / "assets" / "index-other.js")
+    for chunk in (other / "assets").glob("*.js"):
+        chunk.write_text(chunk.read_text().replace(f"{entry[1]}.js", "index-other.js"))
+    index.write_text(index.read_text().replace(f"{entry[1]}.js", "index-other.js"))
+    for scene in (other / "assets").glob("Scene-*.js"):
+        scene.rename(scene.with_name("Scene-other.js"))
+    async with world({"rover": ("alpha", ROVER)}, port) as gateway:
+        opening = seat(browser, gateway.url)
+        tab = await opening.__aenter__()
+        await expect(tab.page.get_by_test_id("outdated")).to_have_count(0)
+    try:
+        await expect(tab.page.get_by_test_id("gone")).to_be_visible()
+        monkeypatch.setattr(rcp_dashboard, "STATIC", other)
+        async with world({"rover": ("alpha", ROVER)}, port):
+            await tab.connected()
+            await expect(tab.page.get_by_test_id("outdated")).to_be_visible()
+            await tab.open("scene")
+            await expect(tab.page.locator("main")).to_contain_text("did not come from the gateway")
+            await tab.shoot("day-other-version")
+            await tab.open("explore")
+            await expect(tab.page.get_by_role("searchbox", name="Search")).to_have_count(1)
+            await tab.page.get_by_role("button", name="Load them").click()
+            await tab.connected()
+            await expect(tab.page.get_by_test_id("principal")).to_have_text("wall")
+            await expect(tab.page.get_by_test_id("outdated")).to_have_count(0)
+    finally:
+        await opening.__aexit__(None, None, None)
 
 
 FULL = """
