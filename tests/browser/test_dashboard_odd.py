@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from typing import Any
 
+import httpx
 import msgspec
 import pytest
 from playwright.async_api import Browser, Page, expect
@@ -155,3 +156,54 @@ async def tell(gateway: World, page: Page, deep: str, much: int) -> list[tuple[A
         await page.wait_for_timeout(260)  # the cards take four a second
         found.append((odd, await page.evaluate(STATE)))
     return found
+
+
+async def test_a_robot_whose_clock_is_ahead_is_old_when_it_falls_silent_and_plotted_when_it_is_set(
+    browser: Browser,
+) -> None:
+    has = [live("sensor/battery", deadline=1.0), live("sensor/level")]
+    async with world({"tank": ("alpha", has)}) as gateway, watched(browser, gateway.url) as tab:
+        await tab.open()
+        await log_in(tab.page, KEY)
+        ahead = time.time_ns() + 3 * 3600 * 10**9
+        gateway.publish("tank", "sensor/battery", {"percentage": 0.5}, ahead)
+        await expect(tab.page.locator('[data-robot="tank"]')).to_contain_text("50 %")
+        await expect(tab.page.locator('[data-robot="tank"]')).to_contain_text("stale")
+        await tab.open("plot?p=/tenant/alpha/sensor/level%23")
+        shown = tab.page.get_by_test_id("shown")
+        gateway.publish("tank", "sensor/level", 1.5, ahead)
+        await expect(shown).to_contain_text("1.5000")
+        gateway.publish("tank", "sensor/level", 2.5)
+        await expect(shown).to_contain_text("2.5000")
+
+
+@pytest.mark.parametrize(
+    "layout",
+    [
+        b"[]",
+        b"null",
+        b'"plots"',
+        b'{"plots": {"0": "a"}, "seconds": "1e999"}',
+        b'{"plots": [null, 5, ["/tenant/alpha/sensor/level#", 7, null], "x", [[]]], "seconds": -1}',
+        b'{"plots": [["/tenant/gone/sensor/level#x", "/tenant/gone/sensor/level#x"]], "seconds": 30}',
+    ],
+)
+async def test_a_layout_that_is_none_or_names_what_is_gone_leaves_the_plots_usable(
+    browser: Browser, layout: bytes
+) -> None:
+    has = [live("sensor/level")]
+    headers = {"authorization": f"Bearer {KEY}", "content-type": "application/json"}
+    async with world({"tank": ("alpha", has)}) as gateway, watched(browser, gateway.url) as tab:
+        tab.expected.append("404")  # the series of what is gone
+        await tab.open("plot")
+        await log_in(tab.page, KEY)
+        async with httpx.AsyncClient(base_url=gateway.url, headers=headers) as client:
+            (await client.put("/dashboard/api/layout", content=layout)).raise_for_status()
+        async with tab.page.expect_response("**/dashboard/api/layout"):
+            await tab.page.get_by_role("button", name="Load").click()
+        await tab.page.get_by_role("combobox", name="Path").fill("/tenant/alpha/sensor/level")
+        gateway.publish("tank", "sensor/level", 2.5)
+        await expect(tab.page.get_by_role("heading", name="Plot", exact=True)).to_be_visible()
+        await expect(tab.page.get_by_test_id("broken")).to_have_count(0)
+        await tab.open("plot?add=/tenant/alpha/sensor/level%23")
+        await expect(tab.page.get_by_test_id("shown").last).to_contain_text("2.5000")

@@ -1,13 +1,16 @@
 /** Numbers over time: a ring that grows to a bound, handed out as arrays in the order of time. */
 export class Series {
   static readonly MOST = 100_000;
+  /** s: more than what is told again to who comes back. */
+  static readonly BACK = 120;
   #times = new Float64Array(1024);
   #values = new Float64Array(1024);
   #from = 0;
   #to = 0;
 
-  /** Add a value at a time in seconds; what is not newer than the last is left out. */
+  /** Add a value at a time in seconds; what is not newer than the last is left out, unless the source's clock was set back. */
   push(time: number, value: number): void {
+    if (this.#to > this.#from && time < (this.#times[this.#to - 1] as number) - Series.BACK) this.#from = this.#to;
     if (this.#to > this.#from && time <= (this.#times[this.#to - 1] as number)) return;
     if (this.#to === this.#times.length) this.#room();
     this.#times[this.#to] = time;
