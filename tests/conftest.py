@@ -10,6 +10,7 @@ from typing import Any
 import psutil
 import pytest
 from hypothesis import settings
+from xdist.scheduler.loadscope import LoadScopeScheduling
 
 _under_way: set[str] = set()
 _MEMORY = 2**30  # bytes that a process and what its tests start may need
@@ -32,6 +33,18 @@ def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
     """Take two processes a core: tests wait more than they compute."""
     fit = psutil.virtual_memory().available // _MEMORY
     return max(1, min(2 * (psutil.cpu_count() or 1), fit))
+
+
+class _Scheduling(LoadScopeScheduling):
+    """A file's functions, or a class, in one process; all that needs a browser in one too."""
+
+    def _split_scope(self, nodeid: str) -> str:
+        return "browser" if nodeid.startswith("tests/browser/") else super()._split_scope(nodeid)
+
+
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> _Scheduling:
+    """Leave the machine to one browser at a time."""
+    return _Scheduling(config, log)
 
 
 def pytest_runtest_logstart(nodeid: str) -> None:

@@ -12,6 +12,7 @@ import pytest
 
 from browser.watched import require_pages
 
+pytestmark = pytest.mark.calm
 SCRIPT = Path(__file__).parents[2] / "benchmarks" / "dashboard.py"
 
 
