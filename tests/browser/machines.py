@@ -10,7 +10,9 @@ from typing import Annotated, Any
 
 import msgspec
 from msgspec import Meta
+from playwright.async_api import Browser
 
+from browser.watched import Watched, signed_in
 from rcp_kernel.config.file import parse
 from rcp_kernel.model import Resource
 from rcp_kernel.process.log import configure
@@ -19,7 +21,7 @@ from rcp_kernel.testing import serve
 from rcp_kernel.types import Int64, Point, PoseStamped, Twist, quantity
 from rcp_kernel.values import to_plain
 
-__all__ = ["Machines", "key_of", "machines"]
+__all__ = ["Machines", "key_of", "machines", "person"]
 
 PEOPLE = {"ada": "admin", "otto": "operator", "lena": "learner", "gil": "guest"}
 _CONFIG = """
@@ -186,3 +188,13 @@ async def machines(
     async with serve(config, BackendKind("machine", Nothing, opened)) as served:
         made.url = next(f["url"] for f in served.server.status.transports if "url" in f)
         yield made
+
+
+@asynccontextmanager
+async def person(
+    browser: Browser, running: Machines, name: str, page: str
+) -> AsyncGenerator[Watched]:
+    """Be somebody at a page of the machines' gateway."""
+    async with signed_in(browser, running.url, key_of(name), name) as tab:
+        await tab.open(page)
+        yield tab

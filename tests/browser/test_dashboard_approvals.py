@@ -5,15 +5,13 @@ from __future__ import annotations
 import asyncio
 import json
 from collections.abc import AsyncGenerator
-from contextlib import asynccontextmanager
 from typing import Any
 
 import httpx
 import pytest
 from playwright.async_api import Browser, Locator, Page, expect
 
-from browser.machines import Machines, key_of, machines
-from browser.watched import Watched, signed_in
+from browser.machines import Machines, key_of, machines, person
 
 pytestmark = pytest.mark.anyio
 expect.set_options(timeout=20_000)  # ms
@@ -77,15 +75,6 @@ def told(running: Machines) -> Machines:
     """Return what machines are told in this test."""
     running.forget()
     return running
-
-
-@asynccontextmanager
-async def person(
-    browser: Browser, running: Machines, name: str, page: str
-) -> AsyncGenerator[Watched]:
-    async with signed_in(browser, running.url, key_of(name), name) as tab:
-        await tab.open(page)
-        yield tab
 
 
 class Asking:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import AsyncGenerator, Callable
-from contextlib import asynccontextmanager
 from typing import Any
 
 import httpx
@@ -12,8 +11,8 @@ import pytest
 from playwright.async_api import Browser, Page, expect
 
 from browser.fingers import fingers
-from browser.machines import Machines, key_of, machines
-from browser.watched import Watched, signed_in
+from browser.machines import Machines, key_of, machines, person
+from browser.watched import Watched
 
 pytestmark = pytest.mark.anyio
 expect.set_options(timeout=20_000)  # ms
@@ -31,15 +30,6 @@ def told(running: Machines) -> Machines:
     """Return what machines are told in this test."""
     running.forget()
     return running
-
-
-@asynccontextmanager
-async def person(
-    browser: Browser, running: Machines, name: str, page: str
-) -> AsyncGenerator[Watched]:
-    async with signed_in(browser, running.url, key_of(name), name) as tab:
-        await tab.open(page)
-        yield tab
 
 
 class Floor:
