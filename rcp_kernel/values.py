@@ -124,13 +124,13 @@ class ValueType:
             if not (self._shape.has_wide_int and _HUGE_DIGITS.search(raw)):
                 try:
                     return self._from_json.decode(raw)
-                except (msgspec.DecodeError, RecursionError):
+                except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):
                     pass  # decoded again the slow way, which can explain and accepts "NaN"
             return self.convert(_parse_json(raw), label)
         if encoding is _MSGPACK and not self.probes_null and not self._shape.has_wide_int:
             try:
                 return self._from_msgpack.decode(raw)
-            except (msgspec.DecodeError, RecursionError):
+            except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):
                 pass
         plain = parse(raw, encoding)
         return self.convert(sound(plain) if self._shape.open else plain, label)

@@ -99,6 +99,8 @@ PAGES = {
     "camera": len(PICTURES),
     "plot?p=/tenant/alpha/sensor/pose%23position.x": 4,
     "commands": 1,
+    "scene?robot=rover": len(ODD),
+    "map": len(ODD),
 }
 """Each page, and how much of what is odd it is shown."""
 STATE = """

@@ -198,3 +198,18 @@ def test_many_readings_are_spelled_one_by_one() -> None:
     readings = [1.5, math.inf, -math.inf, math.nan, 2]
     data = type_.encode(readings, Encoding.JSON)
     assert json.loads(data) == [1.5, "Infinity", "-Infinity", "NaN", 2]
+
+
+@pytest.mark.parametrize(
+    ("raw", "encoding"),
+    [
+        (b'"\x95"', Encoding.JSON),
+        (b'{"\x95": 1}', Encoding.JSON),
+        (b"\xa1\x95", Encoding.MSGPACK),
+        (b"\x61\x95", Encoding.CBOR),
+    ],
+)
+@pytest.mark.parametrize("type_", [str, dict[str, int], Any, str | None])
+def test_text_that_is_not_utf_8_is_malformed(raw: bytes, encoding: Encoding, type_: Any) -> None:
+    with pytest.raises(BadRequest):
+        value_type(type_).decode(raw, encoding)

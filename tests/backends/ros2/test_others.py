@@ -109,6 +109,7 @@ async def test_a_preempting_command_cancels_the_running_one_at_the_robot(
         backend: Any = served.life.backend
         shared = backend._catalog._shared
         assert await shared.until(lambda: "/fleet/r2/navigate" in shared.graph.actions, BOUND)
+        await eventually(lambda: _known(served, "/tenant/alpha/action/go"), "it is told", BOUND)
 
         def go(steps: int) -> dict[str, Any]:
             return {"nested_field": {"int32_value": steps}}
@@ -129,6 +130,10 @@ async def test_a_preempting_command_cancels_the_running_one_at_the_robot(
         await client.request("cancel", command=waiting["command"])
         assert (await client.final(third, BOUND))["status"] == "cancelled"
         await client.close()
+
+
+async def _known(served: Any, path: str) -> bool:
+    return path in served.server.gateway.registry.entries
 
 
 async def _opened(served: Any) -> bool:

@@ -58,13 +58,14 @@ export interface Pose {
   frame: string;
 }
 
-/** The pose in a value of the shapes `pose` and `odometry`, however deep its type has it. */
+/** The pose in a value of the shapes `pose` and `odometry`, however deep its type has it; none by what is no number. */
 export function poseOf(value: any): Pose | undefined {
   let at = value;
   for (let depth = 0; depth < 3 && at && !at.position; depth++) at = at.pose;
   if (!at?.position) return undefined;
   const { x = 0, y = 0, z = 0 } = at.position;
   const { x: qx = 0, y: qy = 0, z: qz = 0, w = 1 } = at.orientation ?? {};
+  if (![x, y, z, qx, qy, qz, w].every(Number.isFinite)) return undefined;
   const frame = value.frame_id ?? value.header?.frame_id ?? "map";
   return { position: { x, y, z }, orientation: { x: qx, y: qy, z: qz, w }, frame };
 }
@@ -72,8 +73,8 @@ export function poseOf(value: any): Pose | undefined {
 /** Where a vehicle is that tells it north, east and down, and turned so: forward, left, up in east, north, up. */
 export function poseOfNed(position: any, attitude: any): Pose | undefined {
   const { x: north, y: east, z: down } = position;
-  if (typeof north !== "number" || typeof east !== "number" || typeof down !== "number") return undefined;
   const { roll = 0, pitch = 0, yaw = 0 } = attitude ?? {};
+  if (![north, east, down, roll, pitch, yaw].every(Number.isFinite)) return undefined;
   const [r, p, y] = [roll / 2, -pitch / 2, (Math.PI / 2 - yaw) / 2];
   const [cr, sr, cp, sp, cy, sy] = [Math.cos(r), Math.sin(r), Math.cos(p), Math.sin(p), Math.cos(y), Math.sin(y)];
   return {
