@@ -340,10 +340,17 @@ async def test_an_emergency_stop_passes_by_a_connection_that_hangs(
     await moves(robot)
     await page.evaluate("hang('')")
     await rests(robot)
-    await page.keyboard.press("F9")
+    stops: list[str] = []
+    page.on("request", lambda one: one.method == "POST" and stops.append(one.url))
+    await page.clock.install()
     try:
+        async with page.expect_response("**/rcp/v1/messages") as answer:
+            await page.keyboard.press("F9")
+        await (await answer.value).finished()
         await until(robot, "/system/estop", lambda found: found["active"])
+        await page.clock.fast_forward(3500)  # ms
         await page.evaluate("goOn()")
+        assert len(stops) == 1  # another one would undo a reset
         await expect(page.get_by_test_id("estop-active")).to_be_visible()
         await page.mouse.up()
     finally:

@@ -196,8 +196,10 @@ class App {
     };
     const send = (): Promise<Response> => fetch(`${BASE}/rcp/v1/messages`, { method: "POST", headers, body, signal: AbortSignal.timeout(PATIENCE) });
     // The first may have gone into a connection that the browser has kept, and that is dead as well.
-    const again = new Promise<void>((go) => setTimeout(go, LATER)).then(send);
+    let timer: ReturnType<typeof setTimeout> | undefined;
+    const again = new Promise<void>((go) => (timer = setTimeout(go, LATER))).then(send);
     const answer = await Promise.any([send(), again]).catch(lost);
+    clearTimeout(timer); // a second one would undo the reset that may have followed the first
     const reply = await answer.json().catch(lost);
     if (reply.error) throw new RcpError(reply.error);
   }
