@@ -204,7 +204,7 @@ class StuckBus:
         self._loop = asyncio.get_running_loop()
 
     def recv(self, timeout: float) -> None:
-        time.sleep(timeout)
+        time.sleep(timeout)  # as an interface does on a silent bus
 
     def send(self, message: can.Message, timeout: float) -> None:
         self._loop.call_soon_threadsafe(self.held.set)

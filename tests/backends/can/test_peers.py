@@ -58,7 +58,7 @@ def until(holds: Callable[[], object], seconds: float = 20) -> None:
     end = time.monotonic() + seconds
     while not holds():
         assert time.monotonic() < end, "it did not come about"
-        time.sleep(0.002)
+        time.sleep(0.002)  # the other thread tells nobody
 
 
 # canopen's master drives our CiA 402 twin
@@ -262,7 +262,7 @@ def test_damiao_motor_drives_our_twin() -> None:
             until(lambda: twin.enabled)
             for _ in range(100):
                 drive.send_cmd_mit(target_position=1.0, stiffness=50.0, damping=1.0)
-                time.sleep(0.01)
+                time.sleep(0.01)  # the beat that the library leaves to its user
                 if abs(twin.plant.position - 1.0) < 0.02 and abs(twin.plant.velocity) < 0.05:
                     break
             until(lambda: drive.get_states().get("status") == "ENABLED")

@@ -155,7 +155,7 @@ class Peer(Node):
         return response
 
     def slow(self, _request: object, response: Trigger.Response) -> Trigger.Response:
-        time.sleep(3)
+        time.sleep(3)  # longer than the deadline that is tried with it
         return response
 
     def fault(self, _request: object, response: Empty.Response) -> Empty.Response:
@@ -182,7 +182,7 @@ class Peer(Node):
                 return Fibonacci.Result(sequence=sequence)
             sequence.append((sequence[-1] + sequence[-2]) % 2**31)
             goal.publish_feedback(Fibonacci.Feedback(sequence=sequence[-5:]))
-            time.sleep(0.1)
+            time.sleep(0.1)  # the work that the goal stands for
         self.result = sequence
         if order:
             goal.succeed()
