@@ -45,6 +45,8 @@ MEDIA = {
     Encoding.MSGPACK: b"application/msgpack",
 }
 """The media type of each encoding."""
+_WITHOUT_ERROR = {"completed": 200, "failed": 502, "rejected": 409, "cancelled": 499}
+"""HTTP statuses of final replies that name no error, as a plugin may send them."""
 
 
 def header(scope: Scope, name: bytes) -> bytes | None:
@@ -121,9 +123,12 @@ async def session_of(door: Door, scope: Scope, tenant: str | None = None) -> Ses
 
 
 def status_of(reply: Reply) -> int:
-    """Return the HTTP status of a reply, by the contract's table of codes."""
+    """Return the HTTP status of a reply, by the contract's table of codes.
+
+    2xx is for what is completed or goes on, never for what failed.
+    """
     if reply.error is None:
-        return 200 if reply.final else 202
+        return _WITHOUT_ERROR.get(reply.status, 202)
     known = BY_CODE.get(reply.error["code"])
     return known.http if known is not None else 500
 

@@ -44,6 +44,7 @@ from rcp_kernel.operations.discovery import Discovery
 from rcp_kernel.operations.executing import EstopLane, Executing, Service
 from rcp_kernel.operations.idempotency import Keys
 from rcp_kernel.operations.inflight import InFlight
+from rcp_kernel.operations.intercepting import intercepted
 from rcp_kernel.operations.pending import crash
 from rcp_kernel.operations.reading import Reading
 from rcp_kernel.operations.subscribing import Subscribing
@@ -56,6 +57,8 @@ from rcp_kernel.record.keeping import Keeping
 from rcp_kernel.record.recording import ACTS, DENIALS, Recorded, Recording
 from rcp_kernel.record.store import Store
 from rcp_kernel.registry import Entry, Registry
+from rcp_kernel.safety.partners import Partners
+from rcp_kernel.safety.stop import StopController
 from rcp_kernel.streaming.filters import Options
 from rcp_kernel.streaming.hub import Hub
 from rcp_kernel.streaming.samples import READ_PIECE
@@ -99,15 +102,15 @@ class Gateway:
         self.commands.remember(history.load())
         self.accounts, self.sessions = Accounts(self), Sessions(self)
         self.standing = Standing(self.hub)
-        self.deadman = Deadman(loop)
+        self.deadman, self.partners = Deadman(loop), Partners(self.registry)
         self.deadman.note = self.recording.dead_man
+        self.deadman.untaken = self.partners.halt
         self.envelopes = Envelopes(self)
         self.discovery = Discovery(self.registry, self.envelopes)
         self.closing = False
         self.counts: dict[tuple[str, str, str], int] = {}
         """Requests by transport, type and code."""
-        self.seconds = Histogram()
-        self.identities = Identities(self, authenticator)
+        self.seconds, self.identities = Histogram(), Identities(self, authenticator)
         resolver, inflight = Resolver(self.registry), InFlight(self)
         self.resolve, self.check = resolver.resolve, resolver.check
         self.later, self.claim, self.place = inflight.later, inflight.claim, inflight.place
@@ -122,6 +125,7 @@ class Gateway:
         self.services: dict[str, Service] = {}
         """What else of the gateway's own branch can be executed, by path."""
         self.latches, self.leases = Latches(self.store), Leases(self)
+        self.stops = StopController(loop, self.recording.stop_step)
         self.approvals, self.plans = Approvals(self), Plans(self)
         self.executing = Executing(self)
         self._reading, self._writing = Reading(self), Writing(self)
@@ -139,11 +143,9 @@ class Gateway:
             "batch": Batching(self).batch,
             "hello": self._hello,
         }
-        self.handle: Handler = self._admit
+        self.handle: Handler = intercepted(interceptors, self._admit)
         self.quick = not interceptors
         """Whether nothing wants to see every request."""
-        for wrap in reversed(interceptors or []):
-            self.handle = wrap(self.handle)
 
     def check_sessions(self, count: int) -> None:
         """Refuse one session too many.
@@ -165,7 +167,7 @@ class Gateway:
                 and not meter.take(started)
                 # Its parts pay for themselves, and one may be a stop.
                 and request.type != "batch"
-                and not self._writing.stops(session, request)
+                and not self._stops(session, request)
             ):
                 raise meter.refusal(started)
             reply = self._table[request.type](session, request, answer)
@@ -174,6 +176,10 @@ class Gateway:
         if reply is not None:
             self.conclude(session, reply, started)
             answer(reply)
+
+    def _stops(self, session: Session, request: Request) -> bool:
+        """Tell whether a request brings something to rest, which no rate may keep it from."""
+        return self._writing.stops(session, request) or self.executing.stops(session, request)
 
     def _refuse(
         self, session: Session, request: Request, answer: Answer, error: Exception
@@ -291,6 +297,8 @@ class Gateway:
             id=request.id,
             path=request.path,
             body=body,
+            truncated="cursor" in body,
+            cursor=body.get("cursor"),
             timestamp=iso(now()),
             custom=request.custom,
         )
@@ -346,6 +354,7 @@ class Gateway:
         """Cancel what runs and stop all streams; the backends are still there."""
         self.closing = True
         self.leases.close()
+        self.stops.close()
         self.accounts.close()
         self.deadman.close()
         await self.commands.close()

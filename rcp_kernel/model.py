@@ -16,6 +16,7 @@ from rcp_kernel.errors import InvalidPath
 __all__ = [
     "BRANCHES",
     "MAX_PATH",
+    "MOVING",
     "Kind",
     "Operation",
     "Pattern",
@@ -67,6 +68,9 @@ BRANCHES: dict[Kind, Operation] = {
     Kind.EVENT: Operation.READ | Operation.SUBSCRIBE,
 }
 """Each branch with the operations its resources offer unless they declare fewer."""
+
+MOVING = frozenset((Kind.ACTUATOR, Kind.ACTION))
+"""Kinds that move something unless their resource says otherwise."""
 
 _ORDER = (
     Operation.READ,
@@ -226,6 +230,11 @@ class Resource(msgspec.Struct, frozen=True, kw_only=True):
     """Seconds a write stands before the dead-man writes `safe`; None has no dead-man."""
     safe: Any = None
     """Value that brings the actuator to rest."""
+    moves: bool | None = None
+    """Whether it may move something: refused under a latched e-stop. None: actuators and actions
+    do, the rest does not."""
+    energises: bool = False
+    """Whether it arms the robot or gives its motors torque: refused under a latched e-stop."""
     history: int = 128
     """Samples kept for `history` and for resume while somebody may want them."""
     native: str | None = None

@@ -19,7 +19,7 @@ import pluggy
 
 from rcp_kernel import hookspecs
 from rcp_kernel.config.file import GatewayConfig
-from rcp_kernel.errors import ConfigError, PluginError
+from rcp_kernel.errors import ConfigError, PluginError, StartupError
 from rcp_kernel.spi import AdapterKind, BackendKind, TransportKind
 
 __all__ = ["GROUPS", "Missing", "Plugins", "installed"]
@@ -76,14 +76,40 @@ class Plugins:
         self._load("backends", {backend.use for backend in config.backends})
         self._load("transports", set(config.transports))
         self._load("plugins", set(config.plugins))
+        _collect(self.backends, self._offers("rcp_backends"), "backend")
+        _collect(self.transports, self._offers("rcp_transports"), "transport")
+        _collect(self.adapters, self._offers("rcp_adapters"), "adapter")
         hook = self._manager.hook
-        _collect(self.backends, hook.rcp_backends(), "backend")
-        _collect(self.transports, hook.rcp_transports(), "transport")
-        _collect(self.adapters, hook.rcp_adapters(), "adapter")
-        self.interceptors = [
-            wrap for found in hook.rcp_interceptors(config=config) for wrap in found
-        ]
-        self.authenticator: Any = hook.rcp_authenticator(config=config)
+        try:
+            self.interceptors = [
+                wrap for found in hook.rcp_interceptors(config=config) for wrap in found
+            ]
+            self.authenticator: Any = hook.rcp_authenticator(config=config)
+        except (StartupError, MemoryError):
+            raise
+        except (Exception, SystemExit, KeyboardInterrupt) as error:
+            # What it would have kept out must not come in because it is broken.
+            raise PluginError(
+                f"a plugin's rcp_interceptors or rcp_authenticator raised {error!r}; without it the "
+                "gateway would let in what it should not"
+            ) from error
+
+    def _offers(self, hook: str) -> list[list[Any]]:
+        """Ask each plugin by itself; one whose hook raises is missing, and the others are there."""
+        found: list[list[Any]] = []
+        for name, module in self._manager.list_name_plugin():
+            offer = getattr(module, hook, None)
+            if offer is None or not hasattr(offer, "rcp_impl"):
+                continue
+            try:
+                found.append(list(offer()))
+            except StartupError:
+                raise
+            except (Exception, SystemExit, KeyboardInterrupt) as error:
+                group, _, own = name.partition(".")
+                remedy = f"mend its `{hook}`, or take '{own}' out of the configuration"
+                self.missing.append(Missing(group, own, repr(error), remedy))
+        return found
 
     def _load(self, group: str, wanted: Iterable[str]) -> None:
         points = installed(group)
@@ -95,7 +121,8 @@ class Plugins:
                 raise ConfigError(f"no installed plugin offers {group} '{name}'; {advice}")
             try:
                 module = importlib.import_module(point.value)
-            except Exception as error:  # whatever its module does, it does not stop the gateway
+            except (Exception, SystemExit, KeyboardInterrupt) as error:
+                # Whatever its module does, it does not stop the gateway.
                 extra = f"'rcp-gateway[{name}]'" if name in _EXTRA else _source(point).split()[0]
                 reason = str(error) if isinstance(error, ImportError) else repr(error)
                 self.missing.append(Missing(group, name, reason, f"pip install {extra}"))

@@ -8,14 +8,23 @@ from __future__ import annotations
 
 import re
 import time
-from bisect import bisect_left
+from bisect import bisect_left, bisect_right
 from collections import deque
 from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Any, Protocol
 
 from rcp_kernel.clock import now
 from rcp_kernel.errors import PluginError, RcpError
-from rcp_kernel.model import BRANCHES, Kind, Operation, Pattern, Resource, full_path, kind_of
+from rcp_kernel.model import (
+    BRANCHES,
+    MOVING,
+    Kind,
+    Operation,
+    Pattern,
+    Resource,
+    full_path,
+    kind_of,
+)
 from rcp_kernel.spi import Backend
 from rcp_kernel.streaming.samples import Sample
 from rcp_kernel.values import ValueType, value_type
@@ -54,6 +63,11 @@ class Owner(Protocol):
         ...
 
     @property
+    def on_loss(self) -> str:
+        """What becomes of a robot whose command was lost with its link: see `Backend.on_loss`."""
+        ...
+
+    @property
     def units(self) -> list[Unit]:
         """What an e-stop can stop alone, each."""
         ...
@@ -89,14 +103,17 @@ class Entry:
 
     __slots__ = (
         "_heard",
+        "barred",
         "deadline",
         "feedback_type",
         "input_type",
+        "is_hold",
         "kind",
         "label",
         "latest",
         "listeners",
         "live",
+        "moves",
         "name",
         "operations",
         "output_type",
@@ -127,6 +144,12 @@ class Entry:
         self.kind: Kind = kind_of(resource.name)
         offered = BRANCHES[self.kind] if resource.operations is None else resource.operations
         self.operations: Operation = offered
+        self.moves = self.kind in MOVING if resource.moves is None else resource.moves
+        """Whether it may move something."""
+        self.barred = self.moves or resource.energises
+        """Whether a latched e-stop refuses it."""
+        self.is_hold = False
+        """Whether it is the gateway's own verb that brings the robot to rest without an e-stop."""
         self.live = resource.live
         self.deadline = resource.deadline
         self.value_type: ValueType = value_type(resource.value)
@@ -267,14 +290,15 @@ class Registry:
             self._index = sorted(self.entries)
         return self._index
 
-    def match(self, pattern: Pattern) -> Iterator[Entry]:
-        """Find the entries that a pattern stands for, in order of path."""
+    def match(self, pattern: Pattern, after: str = "") -> Iterator[Entry]:
+        """Find the entries that a pattern stands for, in order of path, from behind `after` on."""
         if pattern.literal:
-            if (entry := self.entries.get(pattern.text)) is not None:
+            entry = self.entries.get(pattern.text)
+            if entry is not None and entry.path > after:
                 yield entry
             return
         index = self.index
-        start = bisect_left(index, pattern.prefix)
+        start = max(bisect_left(index, pattern.prefix), bisect_right(index, after))
         for path in index[start:]:
             if not path.startswith(pattern.prefix):
                 break

@@ -16,6 +16,7 @@ import msgspec
 
 from rcp_kernel.errors import UnsupportedOperation
 from rcp_kernel.model import Resource
+from rcp_kernel.safety.fence import check_fence, fenced_off, unfenced
 
 if TYPE_CHECKING:
     from rcp_kernel.config.file import GatewayConfig
@@ -27,10 +28,16 @@ __all__ = [
     "BackendKind",
     "BaseBackend",
     "Host",
+    "MotionState",
     "Native",
     "Progress",
     "Publication",
+    "StopPlan",
     "TransportKind",
+    "Watchdog",
+    "check_fence",
+    "fenced_off",
+    "unfenced",
 ]
 
 
@@ -56,6 +63,48 @@ class Publication(msgspec.Struct, frozen=True, gc=False):
     value: Any
     timestamp: int | None = None
     """Source time, ns since the UNIX epoch; None takes the time of receipt."""
+
+
+class MotionState(msgspec.Struct, frozen=True):
+    """Whether a robot is at rest, as its own measurements say."""
+
+    at_rest: bool | None
+    """False: it moves, or is not yet where the stop is to bring it (on the ground, for `land`);
+    None: unknown, because it cannot be reached or its feedback is too old."""
+    detail: str = ""
+    """Why it is not at rest, or what is not known: `moves at 0.8 m/s`, `no feedback for 1.2 s`."""
+    energised: bool | None = None
+    """Whether it is armed or its motors hold torque; None: unknown."""
+
+
+class Watchdog(msgspec.Struct, frozen=True):
+    """What stops a robot by itself when it no longer hears the gateway."""
+
+    mechanism: str
+    """In the field's words: `ArduPilot GCS failsafe (FS_GCS_ENABLE=1, FS_GCS_TIMEOUT=5)`."""
+    within: float | None
+    """Seconds from the gateway's last sign of life until it acts; None: there is no watchdog."""
+    verified: bool = False
+    """Whether the setting was read back from the device."""
+    robot: str | None = None
+    """Which robot or part of one; None: all of the backend."""
+
+
+class StopPlan(msgspec.Struct, frozen=True):
+    """What the guard process sends to stop a robot when the gateway's loop has stopped.
+
+    Plain data for a sender of `rcp_guard`, which imports nothing of the gateway.
+    """
+
+    sender: str
+    """The name of a sender: `can`, `ros2`, `udp`."""
+    data: dict[str, Any]
+    """As the sender's module documents it."""
+    period: float = 0.05
+    """Seconds between two transmissions."""
+    lasts: float | None = None
+    """Seconds for which it is sent, so as not to overrule a failsafe of the robot itself that acts
+    later; None: until the guard's bound."""
 
 
 class Progress(Protocol):
@@ -103,6 +152,25 @@ class Host(Protocol):
         """Say that the link is degraded (or down), with a sentence why; None: all is well again."""
         ...
 
+    def link_restored(self, robot: str | None = None) -> None:
+        """Say that a robot is heard again after it was lost, before anything else is sent to it.
+
+        A robot under a latched e-stop gets the stop at once, from within this call. One whose
+        command was lost with the link gets `Backend.recover` soon.
+        """
+        ...
+
+    def is_latched(self, robot: str | None = None) -> bool:
+        """Tell whether an e-stop holds one of the backend's robots, or the backend as a whole."""
+        ...
+
+    def guard(self, name: str, plan: StopPlan | None) -> None:
+        """Give the guard process what stops a part of the robot without the gateway.
+
+        A plan of the same name is replaced; None takes it back.
+        """
+        ...
+
 
 @runtime_checkable
 class Backend(Protocol):
@@ -148,11 +216,19 @@ class Backend(Protocol):
         """
         ...
 
-    async def halt(self) -> None:
-        """Bring everything that moves to rest, at once; return when the robot confirmed it.
+    on_loss: str
+    """What becomes of a robot whose command was lost with its link: `hold`, `continue`, `land`,
+    `return`. Clients are told in the command's error; `recover` does it."""
 
-        Called by the e-stop and before the backend closes; again until one call returns, also
-        beside one that has not answered yet: what was sent to the robot may have got lost.
+    async def halt(self) -> None:
+        """Bring everything that moves to rest, at once, by the strongest means that work.
+
+        Return when it is *measured* to be at rest; a robot that cannot be reached is an error,
+        never a success. Called by the e-stop and before the backend closes; again until one call
+        returns, also beside one that has not answered yet: what was sent may have got lost.
+
+        :raises AdapterUnavailable: a robot cannot be reached.
+        :raises DeviceTimeout: it was told and does not come to rest.
         """
         ...
 
@@ -160,9 +236,45 @@ class Backend(Protocol):
         """Bring one of several robots to rest, as `halt` does all: see `Resource.robot`."""
         ...
 
+    def motion(self, robot: str | None) -> MotionState | None:
+        """Report whether a robot (None: all of the backend) is at rest, by measurement.
+
+        Asked often while an e-stop is latched: no I/O. None: this backend measures nothing, and a
+        `halt` that returned is all that can be known.
+        """
+        ...
+
+    def hold_stop(self, robot: str | None) -> None:
+        """Send again, without waiting, what keeps a robot (None: all) stopped.
+
+        Called ten times a second while an e-stop is latched, also before the first confirmation
+        and at once when the link returns.
+        """
+        ...
+
+    async def hold(self, robot: str | None) -> None:
+        """Bring a robot (None: all) to rest without an e-stop: brake, hover, keep the position.
+
+        The verb `service/hold` that every robot has; return when it is measured to be at rest.
+        """
+        ...
+
+    async def recover(self, robot: str | None) -> str:
+        """Do what `on_loss` says, now that the link has returned; say what was done.
+
+        Called once for a robot whose command ended with its link, or with an earlier gateway.
+        """
+        ...
+
+    def watchdogs(self) -> Sequence[Watchdog]:
+        """List what stops the robots when the gateway falls silent, as verified on the device."""
+        ...
+
 
 class BaseBackend:
     """A backend that refuses everything: a subclass writes only what its robot has."""
+
+    on_loss: str = "hold"
 
     async def read(self, name: str) -> Any:
         """Refuse: there is nothing but what is published."""
@@ -186,6 +298,26 @@ class BaseBackend:
     async def halt_robot(self, robot: str) -> None:
         """Halt all: nothing says how one is halted alone."""
         await self.halt()
+
+    def motion(self, robot: str | None) -> MotionState | None:
+        """Measure nothing."""
+        return None
+
+    def hold_stop(self, robot: str | None) -> None:
+        """Do nothing: a robot that is at rest stays there."""
+
+    async def hold(self, robot: str | None) -> None:
+        """Do as the e-stop does."""
+        await (self.halt() if robot is None else self.halt_robot(robot))
+
+    async def recover(self, robot: str | None) -> str:
+        """Hold."""
+        await self.hold(robot)
+        return "held"
+
+    def watchdogs(self) -> Sequence[Watchdog]:
+        """List none."""
+        return ()
 
 
 class BackendKind(msgspec.Struct, frozen=True):

@@ -17,6 +17,7 @@ from rcp_kernel.clients.session import Session
 from rcp_kernel.clock import iso, now
 from rcp_kernel.gateway import Gateway
 from rcp_kernel.model import tenant_of
+from rcp_kernel.process.guard import GuardLink
 from rcp_kernel.process.log import Recent
 from rcp_kernel.process.metrics import Histogram, Metrics, counter, gauge, histogram
 from rcp_kernel.process.supervisor import WIRE_STATE, Slot
@@ -45,6 +46,7 @@ class StatusReport:
         self._recent = recent
         self.transports: list[dict[str, Any]] = []
         self.adapters: list[dict[str, Any]] = []
+        self.guard: GuardLink | None = None
         self.metrics = Metrics(self._families)
         self._process = psutil.Process()
         self._process.cpu_percent()
@@ -108,6 +110,7 @@ class StatusReport:
             "transports": self.transports if every else [_part(one) for one in self.transports],
             "adapters": adapters if every else [_part(one) for one in self.adapters],
             "envelopes": faults,
+            "guard": self._guarded(slots, rights),
             "sessions": len(sessions),
             "subscriptions": sum(len(session.subscriptions) for session in sessions),
             "resources": sum(1 for path in entries if rights is None or rights.mask(path)),
@@ -125,6 +128,12 @@ class StatusReport:
             }
         return report
 
+    def _guarded(self, slots: list[Slot], rights: Rights | None) -> dict[str, Any] | None:
+        """Tell what stops the robots without the gateway: of backends that are seen as a whole."""
+        if self.guard is None:
+            return None
+        return self.guard.plain(s for s in slots if rights is None or not _hidden(s, rights))
+
     def concerns(self, record: dict[str, Any], rights: Rights | None) -> bool:
         """Tell whether a log record is of somebody's tenants, and names nothing that is hidden."""
         if rights is None:
@@ -135,7 +144,7 @@ class StatusReport:
         texts = [record["message"], *(text for text in facts.values() if isinstance(text, str))]
         if any(map(rights.hides, texts)):
             return False
-        slot = next((s for s in self._slots if s.name == facts.get("backend")), None)
+        slot = next((s for s in self._slots if s.name == _backend(facts)), None)
         hidden = [] if slot is None else _hidden(slot, rights)
         return not any(e.name in text for e in hidden for text in texts)
 
@@ -145,7 +154,7 @@ class StatusReport:
         path = facts.get("path")
         if isinstance(path, str) and path.startswith("/tenant/"):
             return tenant_of(path)
-        name = facts.get("backend")
+        name = _backend(facts)
         return next((slot.tenant for slot in self._slots if slot.name == name), None)
 
     def _sessions(self, tenants: tuple[str, ...]) -> list[Session]:
@@ -276,7 +285,22 @@ class StatusReport:
     def _gauges(self) -> Iterable[Metric]:
         gateway = self._gateway
         queues = self._queues(("*",))
+        guard = self.guard
+        stops = 0 if guard is None else guard.stops
+        yield counter(
+            "rcp_guard_stops", "How often the guard has stopped robots.", (), [([], stops)]
+        )
         for name, text, value in (
+            (
+                "rcp_event_loop_lag_max_seconds",
+                "The most that the event loop was late.",
+                0.0 if guard is None else guard.lag,
+            ),
+            (
+                "rcp_guard_ready",
+                "Whether the guard is ready to send every plan, or has none.",
+                guard is not None and guard.state in ("ready", "idle"),
+            ),
             ("rcp_sessions", "Sessions held.", len(gateway.sessions.known)),
             ("rcp_subscriptions", "Subscriptions held.", len(gateway.hub.subscriptions)),
             ("rcp_queue_depth", "Messages waiting for clients.", queues["depth"]),
@@ -325,3 +349,8 @@ def _by_status(counts: dict[tuple[str, str], int]) -> list[tuple[list[str], floa
     for (_, status), count in counts.items():
         sums[status] = sums.get(status, 0) + count
     return [([status], count) for status, count in sums.items()]
+
+
+def _backend(facts: dict[str, Any]) -> str:
+    """Return the backend that a log record names: of one of its robots, what stands before it."""
+    return str(facts.get("backend", "")).partition("/")[0]

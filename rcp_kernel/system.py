@@ -14,7 +14,7 @@ from rcp_kernel.clients.session import Session
 from rcp_kernel.errors import RcpError, UnknownPath
 from rcp_kernel.gateway import Gateway
 from rcp_kernel.model import Operation, Resource
-from rcp_kernel.motion.estop import HALT_WAIT, Estop, EstopRequest, EstopState
+from rcp_kernel.motion.estop import LONGEST_WAIT, Estop, EstopRequest, EstopState
 from rcp_kernel.motion.leasing import LeaseRequest, LeaseState, Leasing
 from rcp_kernel.motion.units import Unit
 from rcp_kernel.plans.examples import EXAMPLES
@@ -32,6 +32,7 @@ __all__ = ["System"]
 _POLLED = ("sensor/status", "sensor/sessions", "sensor/commands")
 _LOOK = Operation.READ | Operation.SUBSCRIBE
 _LOG = "/system/log"
+_SOON = 0.02  # s that changes of the e-stop are gathered
 _AUDIT = 1000  # records at hand for `history`
 
 
@@ -53,6 +54,7 @@ class System(BaseBackend):
     name = "gateway"
     tenant = None
     robot = None
+    on_loss = "continue"
 
     def __init__(
         self, gateway: Gateway, slots: list[Slot], status: StatusReport, recent: Recent
@@ -61,7 +63,8 @@ class System(BaseBackend):
         self._status = status
         self.samples = 0
         self._unit = Unit(self, None)
-        estop = Estop(gateway, slots)
+        self._estop = estop = Estop(gateway, slots, gateway.stops)
+        self._estop_due: asyncio.TimerHandle | None = None
         leasing = Leasing(gateway)
         self.latency: float | None = None
         self.entries = {entry.path: entry for entry in map(self._place, _resources())}
@@ -81,13 +84,14 @@ class System(BaseBackend):
         self._open_audit(self.entries[PATH])
         gateway.hub.keep(self.entries[_LOG])
         gateway.estop = estop
-        gateway.latches.changed = lambda: self._publish("estop", estop.everything())
+        gateway.latches.changed = self._estop_changed
+        gateway.stops.on_change(self._estop_changed)
         gateway.services["/system/leases"] = leasing.request
         gateway.services["/system/approvals"] = gateway.approvals.request
         gateway.leases.changed = lambda: self._publish("leases", [])
         gateway.plans.changed = lambda: self._publish("plans", [])
         gateway.approvals.changed = lambda: self._publish("approvals", [])
-        gateway.latches.changed()
+        self._publish("estop", estop.everything())
         gateway.leases.changed()
         gateway.plans.changed()
         gateway.approvals.changed()
@@ -100,6 +104,15 @@ class System(BaseBackend):
     def _publish(self, name: str, value: Any) -> None:
         """Say that a view has changed."""
         self.entries["/system/" + name].publish(value, None)
+
+    def _estop_changed(self) -> None:
+        """Publish the e-stop soon: a stop of many robots changes it many times, and must not wait."""
+        if self._estop_due is None:
+            self._estop_due = self._gateway.loop.call_later(_SOON, self._publish_estop)
+
+    def _publish_estop(self) -> None:
+        self._estop_due = None
+        self._publish("estop", self._estop.everything())
 
     @property
     def backend(self) -> Backend | None:
@@ -231,7 +244,7 @@ def _resources() -> list[Resource]:
             output=EstopState,
             operations=_LOOK | Operation.EXECUTE,
             examples=({}, {"scope": "/tenant/alpha", "reason": "person in the cell"}),
-            timeout=HALT_WAIT + 1,
+            timeout=LONGEST_WAIT + 1,
         ),
         Resource(
             name="service/leases",

@@ -126,6 +126,9 @@ class Reply(msgspec.Struct, kw_only=True, omit_defaults=True):
     """When the source measured the value of a read."""
     state: Literal["fresh", "stale"] | None = None
     """Whether the value of a read has a successor overdue."""
+    truncated: bool = False
+    """Whether the body is not the whole answer: `cursor` leads to the rest of it."""
+    cursor: str | None = None
     timestamp: str | None = None
     dry_run: bool = False
     custom: dict[str, Any] | None = msgspec.field(default=None, name="x-")

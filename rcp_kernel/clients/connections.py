@@ -116,6 +116,12 @@ class Connection:
         if self._held is not None:
             self._hold(data)
             return
+        try:
+            self._take(data)
+        except Exception as error:
+            self.stumbled(data, error)
+
+    def _take(self, data: bytes) -> None:
         gateway = self._gateway
         try:
             if len(data) > gateway.limits.message:
@@ -139,6 +145,13 @@ class Connection:
                     mailbox.mark()
                 return
         gateway.handle(session, request, session.deliver)
+
+    def stumbled(self, data: bytes, error: Exception) -> None:
+        """Answer a message that nothing else could be done with, and log why."""
+        told = crash(error, session=self.session.id)
+        type_, id_ = salvage(data, self.encoding) if len(data) < 1_000_000 else ("error", None)
+        self._gateway.count(self.session.transport, type_, told.code)
+        self.send(failure(told, type_, id_))
 
     def send(self, reply: Reply) -> None:
         """Queue a reply; feedback that a slow client has not taken yet gives way to newer."""
@@ -222,7 +235,11 @@ class Connection:
             self._unwelcome(request, error)
         held, self._held = self._held or deque(), None
         while held and not self.closed:
-            self.incoming(held.popleft())
+            data = held.popleft()
+            try:
+                self.incoming(data)
+            except Exception as error:
+                self.stumbled(data, error)
             if self._held is not None:  # another `hello` that has to wait
                 self._held.extend(held)
                 return

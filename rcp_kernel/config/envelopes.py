@@ -11,7 +11,7 @@ import msgspec
 from msgspec import Meta
 
 from rcp_kernel.access.acl import Role
-from rcp_kernel.access.conditions import condition
+from rcp_kernel.access.conditions import ConditionTooCostly, condition
 from rcp_kernel.errors import ConfigError, InvalidPath
 from rcp_kernel.model import BRANCHES, Kind, Operation, Pattern, kind_of
 from rcp_kernel.motion.polygon import Corner, Polygon
@@ -128,6 +128,8 @@ def _check_limits(table: EnvelopeConfig, where: str) -> None:
     if table.when is not None:
         try:
             condition(table.when)
+        except ConditionTooCostly as error:
+            raise ConfigError(f"{where}: when: {error}. {error.remedy}") from None
         except ConfigError as error:
             raise ConfigError(f"{where}: when: {error}") from None
 

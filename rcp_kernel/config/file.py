@@ -30,7 +30,7 @@ from rcp_kernel.config.identity import (
 )
 from rcp_kernel.config.limits import Limits, Quota, Quotas
 from rcp_kernel.config.roles import check_pattern, check_roles
-from rcp_kernel.config.safety import Safety
+from rcp_kernel.config.safety import Safety, check_groups
 from rcp_kernel.errors import ConfigError
 from rcp_kernel.plans.config import PlansConfig, check_plans
 
@@ -336,6 +336,7 @@ def _check(config: GatewayConfig, source: str) -> None:
         check_pattern(path, f"{source}: [safety] lease_required")
     if config.safety.lease_ttl > config.safety.lease_ttl_max:
         raise ConfigError(f"{source}: [safety] lease_ttl is longer than lease_ttl_max")
+    check_groups(config.safety.groups, names, config.tenant_names, source)
     check_roles(config.roles, source)
     check_envelopes(config.envelopes, source, roles, config.tenant_names)
     check_plans(config.plans, source)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from rcp_kernel.access.acl import Role, Rule
-from rcp_kernel.access.conditions import condition
+from rcp_kernel.access.conditions import ConditionTooCostly, condition
 from rcp_kernel.errors import ConfigError, InvalidPath
 from rcp_kernel.model import Pattern
 
@@ -36,6 +36,8 @@ def _check(rule: Rule, where: str, *, deny: bool) -> None:
         return
     try:
         condition(rule.when)
+    except ConditionTooCostly as error:
+        raise ConfigError(f"{where} when: {error}. {error.remedy}") from None
     except ConfigError as error:
         raise ConfigError(f"{where} when: {error}") from None
     if deny and "discover" in rule.operations:

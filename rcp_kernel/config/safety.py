@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from typing import Annotated
 
 import msgspec
 from msgspec import Meta
 
-__all__ = ["Safety"]
+from rcp_kernel.errors import ConfigError, InvalidPath
+from rcp_kernel.model import parse_path, tenant_of
+
+__all__ = ["Safety", "check_groups"]
 
 
 class Safety(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -21,3 +25,40 @@ class Safety(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     """Longest that may be asked for."""
     approval_ttl: Annotated[float, Meta(gt=0, le=86_400)] = 300.0
     """How long what wants a person's approval can be approved and sent."""
+    guard: bool = True
+    """Whether a process of its own stops the robots when the gateway's event loop stands still."""
+    guard_after: Annotated[float, Meta(ge=0.1, le=10)] = 0.5
+    """How long the loop may stand still while something may move."""
+    guard_bound: Annotated[float, Meta(ge=1, le=3600)] = 10.0
+    """How long the guard goes on sending stops at most."""
+    groups: dict[str, tuple[str, ...]] = {}
+    """Robots that one e-stop stops together: scopes (`/tenant/alpha`, `/tenant/alpha/r1`) by the
+    group's name."""
+
+
+def check_groups(
+    groups: dict[str, tuple[str, ...]],
+    backends: Collection[str],
+    tenants: Collection[str],
+    source: str,
+) -> None:
+    """Refuse groups that name no part of the tree, or could be taken for a backend.
+
+    :raises ConfigError: with the group.
+    """
+    where = f"{source}: [safety.groups]"
+    for name, scopes in groups.items():
+        if name in backends:
+            raise ConfigError(f"{where} {name}: a backend has that name; give the group another")
+        if not scopes or name.startswith("/"):
+            raise ConfigError(f'{where} {name}: write <name> = ["/tenant/<tenant>/<robot>", …]')
+        for scope in scopes:
+            try:
+                tenant = tenant_of(parse_path(scope, None))
+            except InvalidPath:
+                tenant = None
+            if tenant not in tenants:
+                raise ConfigError(
+                    f"{where} {name}: {scope!r} is in no tenant of this gateway; write "
+                    f"/tenant/<tenant> or /tenant/<tenant>/<robot> with one of {', '.join(tenants)}"
+                )

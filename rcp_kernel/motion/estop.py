@@ -1,13 +1,14 @@
 """The e-stop: latched per robot, tenant or gateway, past every queue and limit.
 
 The latch stands before anything else happens; each robot's `Backend.halt` is entered next, and
-what ran or waited is ended after that. Nothing of it resumes when the latch is reset.
+what ran or waited is ended after that. Nothing of it resumes when the latch is reset. How a stop
+goes on from there, to its confirmation and for as long as it is latched, is `safety.stop`'s.
 """
 
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Coroutine, Sequence
+from collections.abc import Coroutine, Iterable, Sequence
 from typing import Annotated, Any
 
 import msgspec
@@ -18,22 +19,23 @@ from rcp_kernel.clock import now
 from rcp_kernel.errors import DeviceTimeout, Forbidden, UnknownPath
 from rcp_kernel.gateway import Gateway
 from rcp_kernel.motion.latches import GATEWAY, tenant_key
-from rcp_kernel.motion.safety import MOVING, halt
 from rcp_kernel.motion.scope import Scope
 from rcp_kernel.motion.units import Unit
 from rcp_kernel.process.supervisor import Slot
+from rcp_kernel.safety.stop import Stop, StopController
 
-__all__ = ["HALT_WAIT", "Estop", "EstopRequest", "EstopState"]
+__all__ = ["HALT_WAIT", "LONGEST_WAIT", "Estop", "EstopRequest", "EstopState"]
 
-HALT_WAIT = 5.0  # s an e-stop waits for robots to confirm; it goes on trying after that
+HALT_WAIT = 5.0  # s an e-stop waits for robots to come to rest; it goes on trying after that
+LONGEST_WAIT = 60.0  # s, where the request's `deadline` allows as much
 
 
 class EstopRequest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Stop, or with `reset` let commands through again; nothing moves until a new one."""
 
     scope: Annotated[str, Meta(max_length=256)] | None = None
-    """`/tenant/<tenant>`, a robot or sub-tree of one, the name of a backend, or of one of its
-    robots (`<backend>/<robot>`); None is every robot that you may see."""
+    """`/tenant/<tenant>`, a robot or sub-tree of one, a group of the configuration, the name of a
+    backend, or of one of its robots (`<backend>/<robot>`); None is every robot that you may see."""
     reset: bool = False
     reason: Annotated[str, Meta(max_length=500)] | None = None
 
@@ -43,20 +45,25 @@ class EstopState(msgspec.Struct, frozen=True):
 
     active: bool
     robots: dict[str, dict[str, Any]]
-    """Latched robots by the backend's name, or `<backend>/<robot>`: by whom, since when, why."""
+    """Latched robots by the backend's name, or `<backend>/<robot>`: by whom, since when, why; how
+    far the stop has come (`state`: requested, commanded, confirmed at rest) and when; in `detail` why
+    it is not confirmed; and in `alarm` whether the robot has moved again under the latch."""
     scopes: dict[str, dict[str, Any]] = {}
     """Latches of whole tenants and of the gateway (`*`), which hold also robots that appear."""
+    groups: tuple[str, ...] = ()
+    """Groups of the configuration that can be named as a scope."""
 
 
 class Estop:
     """Latches, halts and resets."""
 
-    def __init__(self, gateway: Gateway, slots: list[Slot]) -> None:
+    def __init__(self, gateway: Gateway, slots: list[Slot], stops: StopController) -> None:
         self._gateway = gateway
         self._slots = slots
-        self._stops: set[asyncio.Future[None]] = set()
+        self._stops = stops
         self._due: list[tuple[list[Unit], str, str | None]] = []
         """E-stops after which what ran has not been ended yet."""
+        self._ending: set[asyncio.Task[None]] = set()
 
     # -- what is latched -----------------------------------------------------------------------
 
@@ -66,12 +73,27 @@ class Estop:
             GATEWAY
         }
         wide = {key: latch.plain() for key, latch in self._wide().items() if key in mine}
-        return _state(self._visible(session), wide)
+        groups = tuple(name for name in self._groups() if self._members(session, name))
+        return self._state_of(self._visible(session), wide, groups)
 
     def everything(self) -> EstopState:
         """Return all that is latched."""
         units = [unit for slot in self._slots for unit in slot.units]
-        return _state(units, {key: latch.plain() for key, latch in self._wide().items()})
+        wide = {key: latch.plain() for key, latch in self._wide().items()}
+        return self._state_of(units, wide, tuple(self._groups()))
+
+    def _state_of(
+        self, units: list[Unit], wide: dict[str, dict[str, Any]], groups: tuple[str, ...]
+    ) -> EstopState:
+        robots: dict[str, dict[str, Any]] = {}
+        for unit in units:
+            if (latch := unit.latch) is not None:
+                stop = self._stops.of(unit)
+                robots[unit.name] = latch.plain() | ({} if stop is None else stop.plain())
+        return EstopState(bool(robots or wide), robots, wide, groups)
+
+    def _groups(self) -> dict[str, tuple[str, ...]]:
+        return self._gateway.config.safety.groups
 
     def _wide(self) -> dict[str, Any]:
         return self._gateway.latches.wide
@@ -88,11 +110,14 @@ class Estop:
 
     # -- stop and reset ------------------------------------------------------------------------
 
-    def request(self, session: Session, asked: EstopRequest) -> Coroutine[Any, Any, EstopState]:
-        """Latch or reset what is in scope, at once; return what waits for robots to confirm it.
+    def request(
+        self, session: Session, asked: EstopRequest, deadline: float | None = None
+    ) -> Coroutine[Any, Any, EstopState]:
+        """Latch or reset what is in scope, at once; return what waits for robots to come to rest.
 
         :raises UnknownPath: the scope holds no robot that the session may see.
-        :raises Forbidden: a reset by somebody whose role may not, in all of the scope.
+        :raises Forbidden: a reset by somebody whose role may not, in all of the scope; or a stop of
+            several tenants without the right to that.
         """
         keys, robots = self.check(session, asked)
         if asked.reset:
@@ -102,18 +127,14 @@ class Estop:
         fresh = [robot for robot in robots if robot.latch is None]
         for key in keys:
             latches.set(key, by, asked.reason)
-        robots = _merged(robots)
-        for robot in robots:
+        for robot in _merged(robots):
             robot.count_stop()
-        stops = [halt(robot) for robot in robots]
-        for stop in stops:  # held on to: they may have to go on after this request is answered
-            self._stops.add(stop)
-            stop.add_done_callback(self._stops.discard)
+        stops = self._stops.begin(robots)
         # After the halts: the latch keeps everything that waits from the robots meanwhile.
         self._due.append((robots, by, asked.reason))
         self._gateway.loop.call_soon(self._end_due)
         self._note(session, asked, keys, fresh)
-        return self._halted(session, robots, stops)
+        return self._halted(session, stops, deadline)
 
     def check(
         self, session: Session, asked: EstopRequest
@@ -133,6 +154,12 @@ class Estop:
             )
         return keys, robots
 
+    def names(self, session: Session, asked: EstopRequest) -> list[str]:
+        """Name the robots that a request means, as far as the session sees them; refuse as it would."""
+        _, robots = self.check(session, asked)
+        seen = set(self._visible(session))
+        return sorted(robot.name for robot in robots if robot in seen)
+
     def _reset(
         self, session: Session, asked: EstopRequest, keys: dict[str, str | None], robots: list[Unit]
     ) -> None:
@@ -140,11 +167,13 @@ class Estop:
         freed = [robot for robot in robots if robot.latch is not None]
         latches = self._gateway.latches
         for robot in robots:
+            latches.reset(robot.identity, robot.keys)
             latches.reset(robot.name, robot.keys)
         for key, tenant in keys.items():
             latches.reset(key, () if tenant is None else (tenant_key(tenant),))
         for robot in _merged(freed):
             robot.release(now())
+        self._stops.end(robot for robot in robots if robot.latch is None)
         self._note(session, asked, keys, freed)
 
     def _note(
@@ -170,28 +199,64 @@ class Estop:
         self, session: Session, scope: str | None
     ) -> tuple[dict[str, str | None], list[Unit]]:
         """Return the keys of the latches that a scope means, with their tenants, and the robots."""
-        visible = self._visible(session)
         tenants = self._gateway.identities.tenants_of(session.principal)
-        keys: dict[str, str | None] = {}
+        if scope is None and not session.rights.may_stop_all():
+            scope = self._own_tenant(session)
         if scope is None:
-            robots = visible
+            robots = self._visible(session)
             if "*" in session.rights.tenants and not self._hidden(session, None):
-                keys[GATEWAY] = None
+                keys: dict[str, str | None] = {GATEWAY: None}
             else:
-                keys = self._widest(session, tenants, visible)
+                keys = self._widest(session, tenants, robots)
+        elif scope in self._groups():
+            robots = self._members(session, scope)
+            keys = _keys(robots)
         elif not scope.startswith("/"):
+            visible = self._visible(session)
             robots = [unit for unit in visible if scope in (unit.name, unit.whole.name)]
             keys = _keys(robots)
         else:
             found = Scope(scope, session.tenant)
-            robots = [unit for unit in visible if self._within(session, unit, found)]
+            robots = self._in(session, found)
             if found.whole and found.tenant in tenants:
                 keys = self._widest(session, [found.tenant], robots)
             else:
                 keys = _keys(robots)
         if not keys:
-            raise UnknownPath(f"there is no robot in the scope {scope or 'of this session'!r}")
-        return keys, robots
+            raise UnknownPath(
+                f"there is no robot in the scope {scope or 'of this session'!r}",
+                remedy="Read /system/estop and /system/status for the names of robots and groups.",
+            )
+        return keys, self._with_partners(robots)
+
+    def _own_tenant(self, session: Session) -> str:
+        if session.tenant is None:
+            raise Forbidden(
+                f"{session.principal.name} may not stop the robots of several tenants at once",
+                remedy="Name a `scope`: a tenant (/tenant/<tenant>), a robot, or a group.",
+            )
+        return tenant_key(session.tenant)
+
+    def _members(self, session: Session, group: str) -> list[Unit]:
+        """List the robots of a group that a session may see."""
+        found: dict[Unit, None] = {}
+        for scope in self._groups()[group]:
+            found |= dict.fromkeys(self._in(session, Scope(scope)))
+        return list(found)
+
+    def _in(self, session: Session, scope: Scope) -> list[Unit]:
+        return [unit for unit in self._visible(session) if self._within(session, unit, scope)]
+
+    def _with_partners(self, units: list[Unit]) -> list[Unit]:
+        """Add what else fronts the same robots: other backends, whoever may see their resources."""
+        meant = {unit.identity for unit in units}
+        partners = (
+            unit
+            for slot in self._slots
+            for unit in slot.units
+            if unit.identity in meant and unit.own
+        )
+        return list(dict.fromkeys((*units, *partners)))
 
     def _widest(
         self, session: Session, tenants: list[str], robots: list[Unit]
@@ -229,42 +294,59 @@ class Estop:
     def _end_all(self, robots: list[Unit], by: str, reason: str | None) -> None:
         """End what runs, waits or is under way on stopped robots, and the leases on them."""
         gateway = self._gateway
+        ending: list[asyncio.Task[Any]] = []
         paths: set[str] = set()
         for robot in robots:
             for entry in robot.entries.values():
                 paths.add(entry.path)
-                if entry.kind in MOVING:
-                    gateway.deadman.ground(entry)
+                if entry.moves:
+                    ending += gateway.deadman.ground(entry)
         for command in list(gateway.commands.running.values()):
             if command.path in paths or not paths.isdisjoint(command.touches):
+                if command.task is not None:
+                    ending.append(command.task)
                 gateway.commands.cancel(command, "emergency stop")
+        if ending:
+            self._ending.add(task := gateway.loop.create_task(self._again(robots, ending)))
+            task.add_done_callback(self._ending.discard)
         why = "emergency stop" + (f": {reason}" if reason else "")
         gateway.leases.drop_on(paths, by, why)
+
+    async def _again(self, robots: list[Unit], ending: list[asyncio.Task[Any]]) -> None:
+        """Halt once more when all that was cancelled has ended.
+
+        Backends fence it off, but for those that do not, the halt must be what came last.
+        """
+        await asyncio.wait(ending)
+        self._stops.again(robots)
 
     async def _state_now(self, session: Session) -> EstopState:
         return self.state(session)
 
     async def _halted(
-        self, session: Session, robots: list[Unit], stops: Sequence[asyncio.Future[None]]
+        self, session: Session, stops: Sequence[Stop], deadline: float | None
     ) -> EstopState:
-        """Wait until every robot has confirmed its halt.
+        """Wait until every robot is confirmed at rest.
 
-        :raises DeviceTimeout: one has not yet; it stays latched and is told again.
+        :raises DeviceTimeout: one is not yet; it stays latched and the stop is repeated.
         """
-        if stops:
-            _, late = await asyncio.wait(stops, timeout=HALT_WAIT)
-            if late:
-                names = [r.name for r, stop in zip(robots, stops, strict=True) if stop in late]
-                raise DeviceTimeout(
-                    f"latched, but not confirmed yet by {', '.join(names)}; the halt is repeated",
-                    remedy="Use the robot's own emergency stop.",
-                )
+        wait = HALT_WAIT if deadline is None else min(deadline, LONGEST_WAIT)
+        late = await self._stops.wait(stops, wait)
+        if late:
+            raise self._unconfirmed(session, late)
         return self.state(session)
 
-
-def _state(units: list[Unit], wide: dict[str, dict[str, Any]]) -> EstopState:
-    robots = {unit.name: latch.plain() for unit in units if (latch := unit.latch) is not None}
-    return EstopState(bool(robots or wide), robots, wide)
+    def _unconfirmed(self, session: Session, late: Iterable[Stop]) -> DeviceTimeout:
+        visible = set(self._visible(session))
+        shown = [stop for stop in late if stop.unit in visible]
+        names = [f"{stop.unit.name} ({stop.detail})" for stop in shown]
+        names = names or ["another part of the robot"]
+        return DeviceTimeout(
+            f"latched, but not confirmed at rest: {', '.join(names)}; the stop is repeated",
+            path="/system/estop",
+            remedy="Use the robot's own emergency stop. /system/estop tells when it is at rest.",
+            details={"robots": {stop.unit.name: stop.plain() for stop in shown}},
+        )
 
 
 def _merged(units: list[Unit]) -> list[Unit]:
@@ -280,4 +362,5 @@ def _merged(units: list[Unit]) -> list[Unit]:
 
 def _keys(units: list[Unit]) -> dict[str, str | None]:
     """Return the keys of the latches for robots, those of whole backends where they can be."""
-    return {unit.name: unit.tenant for unit in _merged(units)}
+    names = {unit.name: unit.tenant for unit in _merged(units)}
+    return names | {unit.identity: unit.tenant for unit in units}

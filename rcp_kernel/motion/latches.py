@@ -12,10 +12,11 @@ from typing import Any
 from rcp_kernel.clock import iso, now
 from rcp_kernel.record.store import Store
 
-__all__ = ["GATEWAY", "Latch", "Latches", "tenant_key"]
+__all__ = ["GATEWAY", "Latch", "Latches", "robot_key", "tenant_key"]
 
 GATEWAY = "*"
 _TABLE = "latches"
+_TENANT = 2  # slashes in the key of a tenant; a robot's has more
 
 
 class Latch:
@@ -38,8 +39,13 @@ class Latch:
 
 
 def tenant_key(tenant: str) -> str:
-    """Return the key of a tenant's latch; a robot's is its backend's name."""
+    """Return the key of a tenant's latch; that of a part of a robot is its backend's name."""
     return f"/tenant/{tenant}"
+
+
+def robot_key(tenant: str, place: str) -> str:
+    """Return the key that all backends of a robot share; `place` is empty for a tenant's only one."""
+    return f"/tenant/{tenant}/{place}"
 
 
 class Latches:
@@ -89,7 +95,7 @@ class Latches:
     def _within(self, key: str) -> list[str]:
         if key == GATEWAY:
             return list(self._held)
-        below = key + "/"  # the robots of a backend; a tenant's are not named by it
+        below = key + "/"  # the robots of a backend, or of a tenant
         return [held for held in self._held if held == key or held.startswith(below)]
 
     def _keep(self, key: str, latch: Latch | None) -> None:
@@ -109,4 +115,4 @@ def _read(kept: Any) -> Latch:
 
 
 def _wide(key: str) -> bool:
-    return key == GATEWAY or key.startswith("/")
+    return key == GATEWAY or (key.startswith("/") and key.count("/") == _TENANT)

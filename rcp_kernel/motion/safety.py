@@ -13,25 +13,22 @@ from typing import Any
 
 from rcp_kernel.clock import iso, now, parse_time
 from rcp_kernel.errors import BadRequest, EstopActive, StaleCommand
-from rcp_kernel.model import Kind
 from rcp_kernel.motion.insist import insist
 from rcp_kernel.motion.latches import Latch
-from rcp_kernel.motion.units import Unit
 from rcp_kernel.registry import Entry
+from rcp_kernel.safety.fence import unfenced
 from rcp_kernel.wire import Request
 
 __all__ = [
     "ANSWER",
-    "MOVING",
     "Deadman",
     "check_age",
     "check_motion",
-    "halt",
     "safe_value",
 ]
 
+_UNTAKEN = 0.25  # s that the robot may not take a safe value before its other backends are halted
 ANSWER = 1.0  # s that a write's window is longer until the robot has answered it
-MOVING = frozenset((Kind.ACTUATOR, Kind.ACTION))
 
 
 def check_motion(entry: Entry, latch: Latch | None) -> None:
@@ -39,7 +36,7 @@ def check_motion(entry: Entry, latch: Latch | None) -> None:
 
     :raises EstopActive: the path moves something, and its robot is stopped.
     """
-    if latch is not None and entry.kind in MOVING:
+    if latch is not None and entry.barred:
         raise EstopActive(
             f"an e-stop by {latch.by} is latched" + (f": {latch.reason}" if latch.reason else ""),
             path=entry.path,
@@ -58,7 +55,7 @@ def check_age(entry: Entry, timestamp: str | float | None) -> None:
     if timestamp is None:
         return
     sent = parse_time(timestamp)
-    if sent < entry.unit.released and entry.kind in MOVING:
+    if sent < entry.unit.released and entry.barred:
         raise StaleCommand(
             f"the command is older than the reset of the e-stop on {entry.unit.name}",
             path=entry.path,
@@ -75,11 +72,6 @@ def check_age(entry: Entry, timestamp: str | float | None) -> None:
             path=entry.path,
             details={"age": age, "max_age": limit},
         )
-
-
-def halt(unit: Unit) -> asyncio.Task[None]:
-    """Call the backend's `halt` until it confirms it; cancelled, the task gives up."""
-    return insist(unit.halt, "halt_failed", backend=unit.name)
 
 
 class Deadman:
@@ -101,6 +93,10 @@ class Deadman:
         """Told when a safe value is on its way."""
         self.at_rest: Callable[[Entry, Any], None] = _nobody
         """Told when a safe value is in force, or the robot is brought to rest as a whole."""
+        self.untaken: Callable[[Entry], list[asyncio.Task[None]]] = lambda _entry: []
+        """Asked to stop the robot by other means while a safe value is not taken; returns what does."""
+        self.began: Callable[[Entry], None] = lambda _entry: None
+        """Told before a write leaves, and when its window starts; must cost next to nothing."""
 
     def window(self, entry: Entry, request: Request) -> float | None:
         """Return for how many seconds a write stands, or None for ever.
@@ -120,6 +116,7 @@ class Deadman:
     @contextmanager
     def flight(self, entry: Entry) -> Generator[None]:
         """Have the present task known as one that writes to an entry, for `ground` to cancel."""
+        self.began(entry)
         task = asyncio.current_task()
         if task is None:
             yield
@@ -133,10 +130,14 @@ class Deadman:
             if not flights and self._flights.get(entry.path) is flights:
                 del self._flights[entry.path]
 
-    def ground(self, entry: Entry) -> None:
-        """Cut what commands an entry whose robot is brought to rest as a whole."""
+    def ground(self, entry: Entry) -> list[asyncio.Task[Any]]:
+        """Cut what commands an entry whose robot is brought to rest as a whole.
+
+        Return the writes that were cancelled and have not ended yet.
+        """
         self.cut(entry)
         self.at_rest(entry, safe_value(entry))
+        return list(self.leaving.get(entry.path, ()))
 
     def stop(self, entry: Entry) -> None:
         """Bring an actuator to rest at once, whatever is in force or on its way."""
@@ -146,8 +147,13 @@ class Deadman:
     def _start(self, entry: Entry) -> None:
         task = self._loop.create_task(self._stop(entry), name=f"dead-man {entry.path}")
         self._stops[entry.path] = task
+        helping: list[asyncio.Task[None]] = []
+        late = self._loop.call_later(_UNTAKEN, lambda: helping.extend(self.untaken(entry)))
 
         def forget(done: asyncio.Task[None]) -> None:
+            late.cancel()
+            for helper in helping:
+                helper.cancel()
             if self._stops.get(entry.path) is done:
                 del self._stops[entry.path]
 
@@ -184,6 +190,11 @@ class Deadman:
         """Whether any command stands for a time, is under way, or has to be stopped."""
         return bool(self._timers or self._stops or self._flights)
 
+    @property
+    def paths(self) -> set[str]:
+        """The paths of which a command stands for a time, is under way, or has to be stopped."""
+        return {*self._timers, *self._stops, *self._flights}
+
     def holds(self, entry: Entry) -> bool:
         """Tell whether a command, or a stop that is not acknowledged, is in force on an actuator."""
         path = entry.path
@@ -209,8 +220,10 @@ class Deadman:
 
     def arm(self, entry: Entry, seconds: float) -> asyncio.TimerHandle:
         """Start the window of a write that is in force now; return what `disarm` takes."""
+        self.began(entry)
         self.begin(entry)
-        timer = self._timers[entry.path] = self._loop.call_later(seconds, self._lapse, entry)
+        with unfenced():  # it outlives the write whose window it is
+            timer = self._timers[entry.path] = self._loop.call_later(seconds, self._lapse, entry)
         return timer
 
     def disarm(self, entry: Entry, timer: asyncio.TimerHandle | None) -> None:

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from rcp_kernel.motion.latches import tenant_key
+from rcp_kernel.motion.latches import robot_key, tenant_key
 
 if TYPE_CHECKING:
     from rcp_kernel.motion.latches import Latch, Latches
     from rcp_kernel.registry import Entry, Owner
-    from rcp_kernel.spi import Backend
+    from rcp_kernel.spi import Backend, MotionState
 
 __all__ = ["Unit"]
 
@@ -21,7 +21,9 @@ class Unit:
         "_latches",
         "_released",
         "_stops",
+        "identity",
         "keys",
+        "lost",
         "name",
         "own",
         "owner",
@@ -36,10 +38,17 @@ class Unit:
         """The one robot's name in the tree; None means all of the backend."""
         self.whole: Unit = self if robot is None else owner.unit(None)
         self.name = owner.name if robot is None else f"{owner.name}/{robot}"
-        """The key of its latch."""
+        """The key of its own latch."""
         tenant = "" if owner.tenant is None else tenant_key(owner.tenant)
-        self.keys = (self.name, tenant) if robot is None else (self.name, owner.name, tenant)
+        self.identity = "" if owner.tenant is None else robot_key(owner.tenant, self._segments())
+        """The robot that it is, or is a part of: backends whose resources lie at the same place in
+        the tree front one robot, and share this key of its latch."""
+        own = (self.name,) if robot is None else (self.name, owner.name)
+        self.keys = (*own, self.identity, tenant)
         """The keys of all latches that hold it but the gateway's, the narrowest first."""
+        self.lost: str | None = None
+        """The path of a command that ended with the link, or with an earlier gateway, and that the
+        robot may still carry out."""
         self.retired: Latch | None = None
         """What holds it for good."""
         self._latches = latches
@@ -52,6 +61,9 @@ class Unit:
     def place(self) -> str | None:
         """The segment after the branch in all of its paths; None without one."""
         return self.owner.robot or self.robot
+
+    def _segments(self) -> str:
+        return "/".join(filter(None, (self.owner.robot, self.robot)))
 
     @property
     def tenant(self) -> str | None:
@@ -94,7 +106,29 @@ class Unit:
         self._released = moment
 
     async def halt(self) -> None:
-        """Bring it to rest, if there is a backend that can."""
+        """Bring it to rest; return when it is measured to be, as far as the backend measures.
+
+        :raises AdapterUnavailable: there is no backend, or it cannot reach the robot.
+        """
+        backend = self._open()
+        await (backend.halt() if self.robot is None else backend.halt_robot(self.robot))
+
+    async def hold(self) -> None:
+        """Bring it to rest without an e-stop.
+
+        :raises AdapterUnavailable: as `halt` does.
+        """
+        await self._open().hold(self.robot)
+
+    def motion(self) -> MotionState | None:
+        """Return what is measured of its motion; None: nothing is.
+
+        :raises AdapterUnavailable: there is no backend.
+        """
+        return self._open().motion(self.robot)
+
+    def _open(self) -> Backend:
         backend = self.backend
-        if backend is not None:
-            await (backend.halt() if self.robot is None else backend.halt_robot(self.robot))
+        if backend is None:
+            raise self.owner.unavailable()
+        return backend

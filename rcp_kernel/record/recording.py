@@ -21,6 +21,7 @@ from rcp_kernel.wire import NO_BODY, Reply, Request, failure
 
 if TYPE_CHECKING:
     from rcp_kernel.gateway import Gateway
+    from rcp_kernel.motion.units import Unit
     from rcp_kernel.operations.command import Command
     from rcp_kernel.operations.commands import Keeper
 
@@ -180,6 +181,29 @@ class Recording:
             path=entry.path,
             outcome=outcome,
             value=None if outcome == "lapsed" else bounded(safe_value(entry)),
+        )
+
+    def stop_step(self, unit: Unit, step: str, detail: str | None) -> None:
+        """Record that a robot under an e-stop was confirmed at rest, or that it moves again."""
+        self._gateway.audit.note(
+            "stop",
+            principal=None,
+            tenant=unit.tenant,
+            path="/system/estop",
+            robot=unit.name,
+            outcome=step,
+            message=detail,
+        )
+
+    def recovered(self, unit: Unit, command: str, done: str) -> None:
+        """Record what was done with a robot whose command had been lost with its link."""
+        self._gateway.audit.note(
+            "recovery",
+            principal=None,
+            tenant=unit.tenant,
+            path=command,
+            robot=unit.name,
+            message=done,
         )
 
     def started(self, session: Session, request: Request, command: Command) -> None:

@@ -19,6 +19,7 @@ from rcp_kernel.values import Encoding
 __all__ = ["Deadband", "Options", "Qos", "Where", "parse_where", "seconds"]
 
 _MAX_DEPTH = 65_536
+_MAX_TERMS = 64  # of a `where`; fields of a `deadband`, and of `fields`
 _AGES = 3.2e9  # s: a century is as good as any longer time
 Deadband = float | str | dict[str, float | str]
 Predicate = Callable[[Any], bool]
@@ -53,6 +54,14 @@ class Options(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     encoding: Literal["json", "cbor", "msgpack", "native"] | None = None
     duration: Annotated[float, Meta(gt=0)] | None = None
     count: Annotated[int, Meta(ge=1)] | None = None
+
+    def __post_init__(self) -> None:
+        # Each one costs time for every sample, in the loop that carries e-stops too.
+        several = {"fields": self.fields, "deadband": self.deadband}
+        for name, given in several.items():
+            if isinstance(given, (tuple, dict)) and len(given) > _MAX_TERMS:
+                text = f"`{name}` names {len(given)} fields of {_MAX_TERMS} at most"
+                raise ValueError(text)
 
     @property
     def plain(self) -> bool:
@@ -102,7 +111,6 @@ _COMPARE: dict[str, Callable[[Any, Any], bool]] = {
     "eq": operator.eq,
     "ne": operator.ne,
 }
-_MAX_TERMS = 64
 
 
 class Where:

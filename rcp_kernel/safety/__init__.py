@@ -1,0 +1,1 @@
+"""Stops: how they are commanded, confirmed by measurement, kept in force, and fenced off."""

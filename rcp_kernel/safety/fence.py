@@ -1,0 +1,72 @@
+"""A fence between what was admitted before a stop and the robot.
+
+The kernel runs each write and command under a permit, a context variable that tasks and timers
+inherit. A stop revokes the permits of its robot. Whatever a backend sends to move something asks
+`check_fence` first, so that the clean-up of a cancelled action cannot overtake the stop, in
+whatever order the two run. A stop itself runs under no permit and always passes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Generator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from typing import Protocol
+
+from rcp_kernel.errors import EstopActive
+
+__all__ = ["Fenced", "check_fence", "fenced_off", "permitted", "unfenced"]
+
+
+class Fenced(Protocol):
+    """What is stopped as one: it counts its stops."""
+
+    name: str
+
+    @property
+    def stops(self) -> int:
+        """How many stops it has had."""
+        ...
+
+
+_permit: ContextVar[tuple[Fenced, int] | None] = ContextVar("rcp_permit", default=None)
+
+
+@contextmanager
+def permitted(unit: Fenced, stops: int) -> Generator[None]:
+    """Run what is inside under a permit that the next stop of `unit` revokes.
+
+    `stops` is the unit's count when the request was admitted.
+    """
+    token = _permit.set((unit, stops))
+    try:
+        yield
+    finally:
+        _permit.reset(token)
+
+
+@contextmanager
+def unfenced() -> Generator[None]:
+    """Run what is inside under no permit: a stop, or work that outlives the request that began it."""
+    token = _permit.set(None)
+    try:
+        yield
+    finally:
+        _permit.reset(token)
+
+
+def fenced_off() -> bool:
+    """Tell whether the robot was stopped since what runs now was admitted."""
+    permit = _permit.get()
+    return permit is not None and permit[0].stops != permit[1]
+
+
+def check_fence() -> None:
+    """Refuse to move anything on behalf of what was admitted before a stop.
+
+    :raises EstopActive: the robot was stopped since.
+    """
+    if fenced_off():
+        permit = _permit.get()
+        assert permit is not None
+        raise EstopActive(f"{permit[0].name} was stopped after this was sent")

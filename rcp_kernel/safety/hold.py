@@ -1,0 +1,92 @@
+"""The verb `service/hold`: bring a robot to rest without an e-stop, and latch nothing."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+
+from rcp_kernel.errors import DeviceTimeout
+from rcp_kernel.model import Resource
+from rcp_kernel.motion.units import Unit
+from rcp_kernel.safety.fence import unfenced
+from rcp_kernel.spi import MotionState, Progress
+from rcp_kernel.wire import NO_BODY
+
+if TYPE_CHECKING:
+    from rcp_kernel.clients.session import Session
+    from rcp_kernel.motion.safety import Deadman
+    from rcp_kernel.operations.command import Command
+    from rcp_kernel.operations.commands import Commands
+
+__all__ = ["Held", "Hold", "hold_resource"]
+
+_WAIT = 30.0  # s for a robot to come to rest
+
+
+class Held(msgspec.Struct, frozen=True):
+    """How a robot was found after it was told to hold."""
+
+    at_rest: bool
+    detail: str = ""
+
+
+def hold_resource(name: str, robot: str | None) -> Resource:
+    """Return the resource that every robot with something that moves has."""
+    return Resource(
+        name=name,
+        robot=robot,
+        description="Bring the robot to rest and end its commands, without latching an e-stop.",
+        output=Held,
+        timeout=_WAIT,
+    )
+
+
+class Hold:
+    """The work of one hold."""
+
+    def __init__(self, units: list[Unit], commands: Commands, deadman: Deadman) -> None:
+        self._units, self._commands, self._deadman = units, commands, deadman
+
+    async def run(self, command: Command, session: Session, progress: Progress) -> Held:
+        """End what commands the robot, then have it hold until that is measured.
+
+        :raises DeviceTimeout: it was told to, and still moves.
+        """
+        progress(fraction=0.0)  # commands end from here on: whatever fails now was not refused
+        ending = self._end_commands()
+        with unfenced():
+            await self._hold()
+            if ending:  # what they sent last must not come after it
+                await asyncio.wait(ending)
+                await self._hold()
+        states = [unit.motion() or MotionState(True, "not measured") for unit in self._units]
+        for unit, state in zip(self._units, states, strict=True):
+            if not state.at_rest:
+                raise DeviceTimeout(
+                    f"{unit.name} was told to hold and is not at rest: {state.detail}",
+                    remedy="Use the e-stop.",
+                )
+        return Held(at_rest=True, detail="; ".join(s.detail for s in states if s.detail))
+
+    def _end_commands(self) -> list[asyncio.Task[Any]]:
+        """Cancel what drives the robot; return the work that has not ended yet."""
+        ending: list[asyncio.Task[Any]] = []
+        moving = [e for unit in self._units for e in unit.entries.values() if e.moves]
+        for entry in moving:
+            ending += self._deadman.ground(entry)
+        paths = {entry.path for entry in moving}
+        for other in list(self._commands.running.values()):
+            if other.path in paths:
+                self._commands.cancel(other, "the robot was told to hold")
+                if other.task is not None:
+                    ending.append(other.task)
+        return ending
+
+    async def _hold(self) -> None:
+        await asyncio.gather(*(unit.hold() for unit in self._units))
+
+    def report(self, *, over: bool) -> Any:
+        """Report nothing beside the result."""
+        return NO_BODY

@@ -1,0 +1,50 @@
+"""Commands that end with the link: the robot may still carry them out, and the client is told."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from rcp_kernel.errors import AdapterUnavailable, DeviceTimeout, RcpError
+from rcp_kernel.registry import Entry
+
+if TYPE_CHECKING:
+    from rcp_kernel.operations.command import Command
+
+__all__ = ["tell_cut_off", "tell_loss"]
+
+_LOST = (AdapterUnavailable, DeviceTimeout)
+_THEN = {
+    "hold": "it is told to hold when contact returns",
+    "continue": "it may carry on: nothing is sent when contact returns",
+    "land": "it is told to land when contact returns",
+    "return": "it is told to return home when contact returns",
+}
+
+
+def tell_loss(entry: Entry, error: RcpError) -> None:
+    """Note that a command was lost with the link, and say in its error what becomes of the robot.
+
+    What is done when contact returns is the robot's policy: `Backend.on_loss`.
+    """
+    if not entry.moves or not isinstance(error, _LOST):
+        return
+    policy = entry.owner.on_loss
+    entry.unit.lost = entry.path
+    error.details = {**(error.details or {}), "on_loss": policy}
+    error.message = _with_policy(error.message, policy)
+
+
+def tell_cut_off(command: Command, policy: str) -> None:
+    """Say the same of a command that the end of an earlier gateway cut off."""
+    last = command.history[-1]
+    if last.error is None:
+        return
+    message = _with_policy(last.error["message"], policy)
+    details = {**last.error.get("details", {}), "on_loss": policy}
+    error = {**last.error, "message": message, "details": details}
+    command.history[-1] = replace(last, message=message, error=error)
+
+
+def _with_policy(message: str, policy: str) -> str:
+    return f"{message}; {_THEN.get(policy, policy)} (on_loss = {policy})"

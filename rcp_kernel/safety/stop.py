@@ -1,0 +1,355 @@
+"""The life of a stop: requested → commanded → confirmed at rest, and kept so while it is latched.
+
+One state machine for every backend. A stop is confirmed by measurement only: the backend's `halt`
+has returned since it was requested, and its `motion` says that the robot is at rest. A robot that
+cannot be reached is never confirmed. Until it is, the stop is repeated; as long as an e-stop is
+latched it is asserted again ten times a second, and a robot that moves again is stopped again and
+raises an alarm.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import re
+from collections.abc import Callable, Iterable, Sequence
+from functools import partial
+from typing import Any, Literal, Protocol
+
+import structlog
+
+from rcp_kernel.clock import iso, now
+from rcp_kernel.errors import AdapterUnavailable, DeviceTimeout, RcpError
+from rcp_kernel.motion.insist import insist
+from rcp_kernel.motion.units import Unit
+from rcp_kernel.safety.fence import unfenced
+from rcp_kernel.spi import MotionState
+
+__all__ = ["Phase", "Stop", "StopController", "StopRecord"]
+
+log = structlog.get_logger("rcp.safety")
+Phase = Literal["requested", "commanded", "confirmed"]
+_NUMBER = re.compile(r"[-\d.]+")
+_PERIOD = 0.1  # s between two assertions of a latched stop
+_ALONE = 0.25  # s that the halt of a whole backend may take before its robots are halted one by one
+
+
+class StopRecord(Protocol):
+    """Where the steps of a stop are written down."""
+
+    def __call__(self, unit: Unit, step: str, detail: str | None, /) -> None:
+        """Note that a robot's stop was confirmed, or that it moves again; must not block."""
+        ...
+
+
+class Stop:
+    """The stop of one robot: how far it has come, with times in ns since the epoch."""
+
+    __slots__ = (
+        "alarm",
+        "attempts",
+        "commanded",
+        "confirmed",
+        "confirming",
+        "detail",
+        "halted",
+        "released",
+        "requested",
+        "tasks",
+        "unit",
+    )
+
+    def __init__(self, unit: Unit) -> None:
+        self.unit = unit
+        self.requested = now()
+        self.commanded: int | None = None
+        """When the stop was first handed to a backend that could send it."""
+        self.confirmed: int | None = None
+        """Since when it is measured to be at rest."""
+        self.detail: str | None = None
+        """Why it is not confirmed."""
+        self.alarm = False
+        """Whether it has moved again after it had been confirmed."""
+        self.confirming = asyncio.Event()
+        """Set while it is confirmed."""
+        self.attempts = 0
+        self.halted = False
+        """Whether a `halt` has returned since the stop was requested, or since it moved again."""
+        self.released = False
+        """Whether the latch was reset: nothing is repeated any more."""
+        self.tasks: set[asyncio.Future[None]] = set()
+
+    @property
+    def phase(self) -> Phase:
+        """How far it has come."""
+        if self.confirmed is not None:
+            return "confirmed"
+        return "requested" if self.commanded is None else "commanded"
+
+    def plain(self) -> dict[str, Any]:
+        """Describe it for `/system/estop`."""
+        return {
+            "state": self.phase,
+            "requested": iso(self.requested),
+            "commanded": None if self.commanded is None else iso(self.commanded),
+            "confirmed": None if self.confirmed is None else iso(self.confirmed),
+            "detail": self.detail,
+            "alarm": self.alarm,
+        }
+
+
+class StopController:
+    """Every stop that is under way or held."""
+
+    def __init__(self, loop: asyncio.AbstractEventLoop, record: StopRecord) -> None:
+        self._loop = loop
+        self._record = record
+        self._stops: dict[Unit, Stop] = {}
+        self._timer: asyncio.TimerHandle | None = None
+        self._watchers: list[Callable[[], None]] = []
+        self.alarms = 0
+        """How often a stopped robot has moved again."""
+
+    def on_change(self, changed: Callable[[], None]) -> None:
+        """Have a function called after every change of a stop's state."""
+        self._watchers.append(changed)
+
+    def of(self, unit: Unit) -> Stop | None:
+        """Return the stop of a robot, if there is one."""
+        return self._stops.get(unit)
+
+    # -- begin, go on, end ---------------------------------------------------------------------
+
+    def begin(self, units: Sequence[Unit]) -> list[Stop]:
+        """Stop robots now; return their stops. The backends are called before anything else runs."""
+        stops = [self._fresh(unit) for unit in units]
+        for whole, together in _by_halt(stops):
+            if len(together) == 1:
+                self._halt(together[0])
+            else:
+                self._halt_together(whole, together)
+        self._schedule()
+        return stops
+
+    def resume(self, unit: Unit) -> None:
+        """Stop a latched robot that is there again: the stop goes out from within this call."""
+        stop = self._fresh(unit)
+        self._assert(stop)
+        self._halt(stop)
+        self._schedule()
+
+    def again(self, units: Iterable[Unit]) -> None:
+        """Halt robots once more: what was cancelled has ended, and may have sent something last."""
+        for unit in units:
+            stop = self._stops.get(unit)
+            if stop is not None and unit.latch is not None:
+                self._halt(stop)
+
+    def end(self, units: Iterable[Unit]) -> None:
+        """Let go of robots whose latch was reset; a halt that is under way ends by itself."""
+        for unit in units:
+            stop = self._stops.pop(unit, None)
+            if stop is not None:
+                stop.released = True
+        self._changed()
+
+    async def wait(self, stops: Sequence[Stop], seconds: float) -> list[Stop]:
+        """Wait until all are confirmed, or the time is over; return those that are not."""
+        waiting = [asyncio.ensure_future(stop.confirming.wait()) for stop in stops]
+        try:
+            if waiting:
+                await asyncio.wait(waiting, timeout=seconds)
+        finally:
+            for waiter in waiting:
+                waiter.cancel()
+        return [stop for stop in stops if stop.confirmed is None]
+
+    def close(self) -> None:
+        """Repeat nothing any more; the backends are halted by whoever closes them."""
+        if self._timer is not None:
+            self._timer.cancel()
+            self._timer = None
+        for stop in self._stops.values():
+            stop.released = True
+            for task in stop.tasks:
+                task.cancel()
+        self._stops.clear()
+
+    # -- the halts -----------------------------------------------------------------------------
+
+    def _fresh(self, unit: Unit) -> Stop:
+        """Return the stop of a robot that is under way, or a new one that is to be confirmed."""
+        old = self._stops.get(unit)
+        if old is not None and old.confirmed is None:
+            return old
+        stop = self._stops[unit] = Stop(unit)
+        if old is not None:
+            old.released = True
+            stop.alarm = old.alarm
+        return stop
+
+    def _halt(self, stop: Stop) -> None:
+        """Halt at once, and again until it is confirmed."""
+        if not stop.tasks:
+            self._insist(stop)
+            return
+        with unfenced():  # what insists is between two calls, perhaps for some time
+            task = self._loop.create_task(self._attempt(stop))
+        task.add_done_callback(_forget)
+
+    def _insist(self, stop: Stop) -> None:
+        task = insist(partial(self._attempt, stop), "halt_failed", backend=stop.unit.name)
+        stop.tasks.add(task)
+        task.add_done_callback(stop.tasks.discard)
+
+    async def _attempt(self, stop: Stop) -> None:
+        """Halt once; return when the robot is confirmed at rest."""
+        if stop.released and stop.attempts:
+            return
+        stop.attempts += 1
+        try:
+            self._command(stop)
+            await stop.unit.halt()
+        except RcpError as error:
+            self._unsent(stop, error)
+            raise
+        stop.halted = True
+        self._judge(stop)
+        if stop.confirmed is None and not stop.released:
+            raise DeviceTimeout(f"{stop.unit.name} is not at rest: {stop.detail}")
+
+    def _halt_together(self, whole: Unit, stops: list[Stop]) -> None:
+        """Halt all robots of a backend by one call; one by one where that fails or takes long."""
+
+        def alone(_: object = None) -> None:
+            late.cancel()
+            for stop in stops:
+                if stop.confirmed is None and not stop.released and not stop.tasks:
+                    self._insist(stop)
+
+        with unfenced():
+            task = self._loop.create_task(self._attempt_together(whole, stops))
+        late = self._loop.call_later(_ALONE, alone)
+        task.add_done_callback(alone)
+
+    async def _attempt_together(self, whole: Unit, stops: list[Stop]) -> None:
+        try:
+            for stop in stops:
+                stop.attempts += 1
+                self._command(stop)
+            await whole.halt()
+        except Exception as error:  # whichever robot it was, each is halted alone next
+            log.warning("halt_failed", backend=whole.name, error=repr(error))
+            return
+        for stop in stops:
+            stop.halted = True
+            self._judge(stop)
+
+    def _command(self, stop: Stop) -> None:
+        if stop.unit.backend is not None and stop.commanded is None:
+            stop.commanded = now()
+            self._changed()
+
+    def _unsent(self, stop: Stop, error: RcpError) -> None:
+        if isinstance(error, AdapterUnavailable):
+            stop.commanded = None
+        self._doubt(stop, error.message)
+
+    # -- what is measured ----------------------------------------------------------------------
+
+    def _judge(self, stop: Stop) -> None:
+        """Compare a stop with what the robot's own measurements say."""
+        try:
+            state = stop.unit.motion()
+        except Exception as error:
+            log.exception("motion_failed", backend=stop.unit.name)
+            state = MotionState(None, f"its motion cannot be told: {error!r}")
+        if state is None:  # it measures nothing
+            state = MotionState(True if stop.halted else None, stop.detail or "")
+        if state.at_rest and stop.halted:
+            self._confirm(stop)
+            return
+        moves_again = stop.confirmed is not None and state.at_rest is False
+        self._doubt(stop, state.detail or ("it moves" if state.at_rest is False else "unknown"))
+        if moves_again:
+            self._alarm(stop)
+
+    def _confirm(self, stop: Stop) -> None:
+        if stop.confirmed is not None:
+            return
+        stop.confirmed, stop.detail = now(), None
+        stop.confirming.set()
+        self._record(stop.unit, "confirmed", None)
+        self._changed()
+
+    def _doubt(self, stop: Stop, detail: str) -> None:
+        changed = stop.confirmed is not None or _gist(detail) != _gist(stop.detail)
+        stop.detail = detail
+        if stop.confirmed is not None:
+            stop.confirmed, stop.halted = None, False
+            stop.confirming.clear()
+            if not stop.tasks:
+                self._insist(stop)
+        if changed:
+            self._changed()
+
+    def _alarm(self, stop: Stop) -> None:
+        stop.alarm = True
+        self.alarms += 1
+        log.error("moves_under_estop", backend=stop.unit.name, detail=stop.detail)
+        self._record(stop.unit, "moves_again", stop.detail)
+        self._changed()
+
+    # -- time ----------------------------------------------------------------------------------
+
+    def _schedule(self) -> None:
+        if self._timer is None and self._stops:
+            with unfenced():
+                self._timer = self._loop.call_later(_PERIOD, self._tick)
+
+    def _tick(self) -> None:
+        self._timer = None
+        for stop in list(self._stops.values()):
+            if stop.unit.latch is None:
+                self.end([stop.unit])
+            elif stop.unit.backend is None:
+                self._doubt(stop, stop.unit.owner.unavailable().message)
+            else:
+                self._assert(stop)
+                self._judge(stop)
+        self._schedule()
+
+    def _assert(self, stop: Stop) -> None:
+        backend = stop.unit.backend
+        if backend is None:
+            return
+        try:
+            with unfenced():
+                backend.hold_stop(stop.unit.robot)
+        except Exception as error:
+            log.warning("stop_not_asserted", backend=stop.unit.name, error=repr(error))
+
+    def _changed(self) -> None:
+        for changed in self._watchers:
+            changed()
+
+
+def _gist(detail: str | None) -> str | None:
+    """Leave the numbers of a reason out: that they change is not worth telling everybody."""
+    return None if detail is None else _NUMBER.sub("", detail)
+
+
+def _forget(task: asyncio.Task[None]) -> None:
+    """Look at the outcome of a call that others repeat, so that asyncio does not report it."""
+    if not task.cancelled():
+        task.exception()
+
+
+def _by_halt(stops: list[Stop]) -> list[tuple[Unit, list[Stop]]]:
+    """Group stops by the one call that halts them: that of a whole backend where all are meant."""
+    meant = {stop.unit for stop in stops}
+    groups: dict[Unit, list[Stop]] = {}
+    for stop in stops:
+        unit = stop.unit
+        together = unit.whole in meant or meant.issuperset(unit.owner.units)
+        groups.setdefault(unit.whole if together else unit, []).append(stop)
+    return list(groups.items())

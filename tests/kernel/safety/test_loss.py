@@ -1,0 +1,148 @@
+"""A command that ends with the link: its error says what becomes of the robot, and that is done."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncGenerator
+from pathlib import Path
+
+import pytest
+
+from kernel.safety.scripted import ADMIN, DRIVE, FAST, GO, Scripted, estop, scripted, scripted_world
+from kernel.world import BOUND, Client, World, settled
+from rcp_kernel.errors import AdapterUnavailable
+from rcp_kernel.spi import Progress
+
+pytestmark = pytest.mark.anyio
+
+
+@pytest.fixture
+async def world() -> AsyncGenerator[World]:
+    async with scripted_world() as made:
+        yield made
+
+
+async def lose(world: World, admin: Client) -> None:
+    """Begin an action and lose the link under it."""
+    robot = scripted(world)
+    go = admin.send(type="execute", path=GO, body=1)
+    async with asyncio.timeout(BOUND):
+        await robot.started.get()
+    robot.reachable = False
+    robot.host.report("the link is cut", down=True)
+    final = await admin.final(go)
+    assert (final["status"], final["error"]["code"]) == ("failed", "adapter_unavailable")
+    assert final["error"]["details"]["on_loss"] == "land"
+    assert "told to land when contact returns (on_loss = land)" in final["error"]["message"]
+    robot.sent.clear()
+
+
+def back(robot: Scripted) -> None:
+    """Have the link return."""
+    robot.reachable = True
+    robot.host.link_restored()
+    robot.host.report(None)
+
+
+async def test_the_policy_is_carried_out_once_when_contact_returns(world: World) -> None:
+    robot, admin = scripted(world), world.client(ADMIN)
+    audit = admin.send(type="subscribe", path="/system/audit", body={"initial": False})
+    await lose(world, admin)
+    back(robot)
+    async with asyncio.timeout(BOUND):
+        await robot.recovered.wait()
+    record = (await admin.update(audit))["body"]
+    while record["what"] != "recovery":
+        record = (await admin.update(audit))["body"]
+    assert (record["robot"], record["message"], record["path"]) == ("r1", "landed", GO)
+    back(robot)
+    read = await admin.ask(type="write", path=DRIVE, body=FAST, valid_for=BOUND)
+    assert read["status"] == "completed"
+    assert robot.sent == ["recover", "write 1"]
+
+
+async def test_a_robot_that_lost_nothing_is_left_alone(world: World) -> None:
+    robot, admin = scripted(world), world.client(ADMIN)
+    robot.host.report("the link is cut", down=True)
+    back(robot)
+    await admin.ask(type="write", path=DRIVE, body=FAST, valid_for=BOUND)
+    assert robot.sent == ["write 1"]
+
+
+async def test_a_latched_robot_is_stopped_and_not_recovered(world: World) -> None:
+    robot, admin = scripted(world), world.client(ADMIN)
+    await lose(world, admin)
+    await estop(admin, deadline=0.1)
+    back(robot)
+    assert robot.sent == ["hold_stop"]
+    assert (await estop(admin))["status"] == "completed"
+    assert "recover" not in robot.sent
+
+
+async def test_a_new_command_takes_the_place_of_the_recovery(world: World) -> None:
+    robot, admin = scripted(world), world.client(ADMIN)
+    await lose(world, admin)
+    robot.reachable = True
+    robot.host.report(None)
+    go = admin.send(type="execute", path="/tenant/alpha/action/r1/cut_in", body=1)
+    async with asyncio.timeout(BOUND):
+        await robot.started.get()
+    robot.host.link_restored()
+    robot.release.set()
+    assert (await admin.final(go))["status"] == "completed"
+    assert robot.sent == ["execute action/cut_in"]
+
+
+async def test_a_recovery_that_fails_is_tried_again(world: World) -> None:
+    robot, admin = scripted(world), world.client(ADMIN)
+    await lose(world, admin)
+    robot.host.link_restored()  # heard, and lost again at once
+    robot.host.report(None)
+    robot.reachable = True
+    async with asyncio.timeout(BOUND):
+        await robot.recovered.wait()
+
+
+async def test_a_command_that_a_killed_gateway_left_behind_is_settled_by_the_next(
+    tmp_path: Path,
+) -> None:
+    store = tmp_path / "rcp.db"
+    async with scripted_world(store=store) as world:
+        robot, admin = scripted(world), world.client(ADMIN)
+        admin.send(type="execute", path=GO, body=1)
+        async with asyncio.timeout(BOUND):
+            await robot.started.get()
+        await settled(world.server.gateway.store)
+        kept = store.read_bytes(), (store.parent / f"{store.name}-wal").read_bytes()
+    killed = tmp_path / "killed" / "rcp.db"
+    killed.parent.mkdir()
+    killed.write_bytes(kept[0])
+    killed.with_name("rcp.db-wal").write_bytes(kept[1])
+    async with scripted_world(store=killed) as world:
+        robot = scripted(world)
+        async with asyncio.timeout(BOUND):
+            await robot.recovered.wait()
+        assert robot.sent == ["recover"]
+
+
+class Unheard(Scripted):
+    """Fails its cancel, as a robot does whose link is gone and not yet known to be."""
+
+    async def execute(self, name: str, value: object, progress: Progress) -> object:
+        self.started.put_nowait(value)
+        try:
+            await self.release.wait()
+        except asyncio.CancelledError:
+            raise AdapterUnavailable("the hold was not answered") from None
+
+
+async def test_a_cancel_that_does_not_reach_the_robot_is_not_called_cancelled() -> None:
+    async with scripted_world(make=Unheard) as world:
+        robot, admin = scripted(world), world.client(ADMIN)
+        go = admin.send(type="execute", path=GO, body=1)
+        async with asyncio.timeout(BOUND):
+            await robot.started.get()
+        await admin.ask(type="cancel", path=GO)
+        final = await admin.final(go)
+        assert (final["status"], final["error"]["code"]) == ("failed", "adapter_unavailable")
+        assert final["error"]["details"]["on_loss"] == "land"

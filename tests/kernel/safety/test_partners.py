@@ -1,0 +1,106 @@
+"""Two backends of one robot: they share its latch, and a stop that one cannot deliver the other does."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncGenerator
+from typing import Any
+
+import pytest
+
+from kernel.motion.test_latches import HEAD
+from kernel.safety.scripted import ADMIN, DRIVE, FAST, HOLD, Scripted, estop, until_sent
+from kernel.world import World, world_of
+from rcp_kernel.model import Resource
+from rcp_kernel.spi import Host
+from rcp_kernel.types import quantity
+
+pytestmark = pytest.mark.anyio
+TORSO = "/tenant/alpha/actuator/r1/torso"
+BACKEND = '[[backends]]\nuse = "robot"\nname = "{}"\ntenant = "alpha"\nrobot = "{}"\n'
+TWO = HEAD + "".join(
+    BACKEND.format(name, robot) for name, robot in (("base", "r1"), ("torso", "r1"), ("r2", "r2"))
+)
+
+
+class Torso(Scripted):
+    """The robot's other backend."""
+
+    def declare(self) -> None:
+        self.script()
+        self.host.declare(
+            Resource(
+                name="actuator/torso",
+                description="Turns.",
+                value=quantity("rad/s"),
+                safe=0.0,
+            )
+        )
+
+    async def write(self, name: str, value: Any) -> Any:
+        self.sent.append(f"write {value:g}")
+
+
+@pytest.fixture
+async def parts() -> AsyncGenerator[tuple[World, Scripted, Scripted, Scripted]]:
+    made: list[Scripted] = []
+
+    def make(host: Host) -> Scripted:
+        kind = Torso if getattr(host, "name", "") == "torso" else Scripted
+        made.append(kind(host))
+        return made[-1]
+
+    async with world_of(TWO, make) as world:
+        base, torso, other = (
+            next(m for m in made if getattr(m.host, "name", "") == name)
+            for name in ("base", "torso", "r2")
+        )
+        yield world, base, torso, other
+
+
+Parts = tuple[World, Scripted, Scripted, Scripted]
+
+
+async def test_a_stop_of_one_backend_stops_and_holds_the_whole_robot(parts: Parts) -> None:
+    world, base, torso, other = parts
+    admin = world.client(ADMIN)
+    answer = await estop(admin, scope="torso")
+    assert answer["status"] == "completed"
+    assert set(answer["body"]["robots"]) == {"base", "torso"}
+    assert (base.halts >= 1, torso.halts >= 1, other.halts) == (True, True, 0)
+    for path, body in ((DRIVE, FAST), (TORSO, 1.0)):
+        write = await admin.ask(type="write", path=path, body=body)
+        assert write["error"]["code"] == "estop_active"
+    reset = await estop(admin, scope="base", reset=True)
+    assert reset["body"]["active"] is False
+    assert (await admin.ask(type="write", path=TORSO, body=1.0))["status"] == "completed"
+
+
+async def test_a_robot_is_not_confirmed_while_one_of_its_backends_is_not(parts: Parts) -> None:
+    world, base, _, _ = parts
+    base.reachable = False
+    answer = await estop(world.client(ADMIN), scope="torso", deadline=0.2)
+    assert answer["error"]["code"] == "device_timeout"
+    assert set(answer["error"]["details"]["robots"]) == {"base"}
+
+
+async def test_a_lapsed_velocity_that_cannot_be_stopped_halts_the_other_backends(
+    parts: Parts,
+) -> None:
+    world, base, torso, other = parts
+    admin = world.client(ADMIN)
+    await admin.ask(type="write", path=DRIVE, body=FAST, valid_for=0.05)
+    base.reachable = False
+    await until_sent(torso, "halt")
+    assert other.halts == 0
+    base.reachable = True
+    await until_sent(base, "write 0")
+    halts = torso.halts
+    assert (await admin.ask(type="write", path=TORSO, body=1.0))["status"] == "completed"
+    assert torso.halts == halts
+
+
+async def test_a_hold_of_the_robot_holds_all_its_backends(parts: Parts) -> None:
+    world, base, torso, other = parts
+    held = await world.client(ADMIN).ask(type="execute", path=HOLD)
+    assert held["status"] == "completed"
+    assert (base.sent, torso.sent, other.sent) == (["hold"], ["hold"], [])
