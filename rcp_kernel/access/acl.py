@@ -63,6 +63,9 @@ class Role(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     deny: tuple[Rule, ...] = ()
     reset: bool = False
     """May reset a latched e-stop."""
+    stop_all: bool = True
+    """May stop the robots of all its tenants at once; without it an e-stop that names no scope
+    stops those of the session's own tenant."""
     priority: Annotated[int, Meta(ge=0, le=100)] = 50
     """Who takes a lease from whom: a person (50) beats an agent (10)."""
     quota: Quota | None = None
@@ -177,6 +180,10 @@ class Rights:
     def may_reset(self, tenant: str | None) -> bool:
         """Tell whether a latched e-stop of a tenant's robot may be reset."""
         return any(role.reset for place, role in self._held if place in ("*", tenant))
+
+    def may_stop_all(self) -> bool:
+        """Tell whether one e-stop may stop the robots of several tenants."""
+        return any(role.stop_all for _, role in self._held)
 
     def asks(self, path: str) -> bool:
         """Tell whether a person has to approve commands on a path first."""

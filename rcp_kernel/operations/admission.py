@@ -6,6 +6,7 @@ passes the first and ends there.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 from rcp_kernel.clients.session import Session
@@ -26,11 +27,13 @@ class Admission:
 
     def __init__(self, gateway: Gateway) -> None:
         self._gateway = gateway
+        self.check_thaw: Callable[[Entry], None] = lambda _entry: None
+        """Refuse what may have waited while the event loop stood still and its robot was stopped."""
 
     def admit(self, session: Session, request: Request, entry: Entry, value: Any) -> None:
         """Refuse what may not be done now.
 
-        :raises StaleCommand: the request is older than its path allows.
+        :raises StaleCommand: the request is older than its path allows, or came in a freeze.
         :raises EstopActive: the path moves something, and its robot is stopped.
         :raises LeaseHeld, LeaseLost, LeaseRequired: somebody else has control, or nobody.
         :raises AdapterUnavailable: the gateway is closing, or there is no robot.
@@ -38,7 +41,11 @@ class Admission:
         :raises OutOfRange, ModeForbids, PreconditionFailed: an envelope does not hold.
         """
         check_age(entry, request.timestamp)
+        if entry.is_hold:  # bringing a robot to rest is open to whoever may execute it
+            self._gateway.check_open()
+            return
         check_motion(entry, entry.unit.latch)
+        self.check_thaw(entry)
         self._gateway.leases.check(session, entry)
         self._gateway.check_open()
         self._gateway.recording.check()
@@ -63,10 +70,13 @@ class Admission:
         called = entry.operations & Operation.EXECUTE
         self._gateway.check(session, entry, called or Operation.WRITE)
         check_age(entry, timestamp)
-        check_motion(entry, entry.unit.latch)
-        self._gateway.leases.check(session, entry)
+        if not entry.is_hold:
+            check_motion(entry, entry.unit.latch)
+            self._gateway.leases.check(session, entry)
         backend = entry.owner.backend
         if backend is None:
             raise entry.owner.unavailable()
+        if entry.is_hold:
+            return backend
         self._gateway.envelopes.send(session, entry, value)
         return backend

@@ -11,6 +11,8 @@ from rcp_kernel._plain import is_map
 from rcp_kernel.clients.session import Answer, Session
 from rcp_kernel.clock import iso, now
 from rcp_kernel.errors import BadRequest, RcpError
+from rcp_kernel.operations.pages import shared_room
+from rcp_kernel.operations.pending import crash
 from rcp_kernel.values import Encoding, value_type
 from rcp_kernel.wire import NO_BODY, Reply, Request, decode_request, failure
 
@@ -45,7 +47,9 @@ class Batching:
         return None
 
     async def _do_batch(self, session: Session, parts: list[Any]) -> list[Reply]:
-        return await asyncio.gather(*(self._do_part(session, part) for part in parts))
+        # Each part begins in a task of its own, which takes over how much room there is.
+        with shared_room(len(parts)):
+            return await asyncio.gather(*(self._do_part(session, part) for part in parts))
 
     async def _do_part(self, session: Session, part: Any) -> Reply:
         final: asyncio.Future[Reply] = self._gateway.loop.create_future()
@@ -79,6 +83,17 @@ def plain_request(part: Any) -> Request:
 
 
 def _as_plain(reply: Reply) -> dict[str, Any]:
+    """Write a reply as an item of the batch's body; a value that is none fails alone."""
+    try:
+        return _written(reply)
+    except Exception as error:
+        told = crash(error, path=reply.path)
+        failed = failure(told, reply.type, reply.id, reply.path, command=reply.command)
+        failed.custom = reply.custom
+        return _written(failed)
+
+
+def _written(reply: Reply) -> dict[str, Any]:
     out = {
         name: getattr(reply, name)
         for name in reply.__struct_fields__

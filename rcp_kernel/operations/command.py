@@ -15,6 +15,7 @@ from rcp_kernel.errors import (
     AdapterUnavailable,
     Cancelled,
     DeviceRejected,
+    EstopActive,
     InternalError,
     RcpError,
     Refused,
@@ -159,10 +160,11 @@ class Command:
 
 def outcome_of(command: Command, task: asyncio.Task[Any]) -> Any:
     """Return what a command's task came to: its result, or the error that is told."""
-    if task.cancelled():
+    error = None if task.cancelled() else task.exception()
+    fenced = isinstance(error, EstopActive) and command.cancelling is not None
+    if task.cancelled() or fenced:  # what it did last was fenced off by the stop that ended it
         reason = command.cancelling or "the backend gave it up"
         return Cancelled(f"{command.path} was cancelled: {reason}", path=command.path)
-    error = task.exception()
     if error is None:
         return task.result()
     if isinstance(error, RcpError):
@@ -184,4 +186,5 @@ def status_of(command: Command, error: RcpError) -> Status:
         return "cancelled"
     moved = any(record.status == "in_progress" for record in command.history)
     refused = isinstance(error, (DeviceRejected, Refused))
-    return "rejected" if refused and not moved else "failed"
+    # A cancel that fails is no refusal: the robot may have begun, and may go on.
+    return "rejected" if refused and not moved and command.cancelling is None else "failed"

@@ -27,6 +27,8 @@ from rcp_kernel.operations.command import Command, Record, outcome_of, status_of
 from rcp_kernel.operations.finished import Finished
 from rcp_kernel.process.metrics import Histogram
 from rcp_kernel.registry import Entry
+from rcp_kernel.safety.fence import permitted
+from rcp_kernel.safety.loss import tell_loss
 from rcp_kernel.spi import Backend
 from rcp_kernel.wire import FINAL, NO_BODY, error_body
 
@@ -65,6 +67,8 @@ class Commands:
         self.keeper = keeper
         self.confirm = confirm
         """Asked when a command's turn comes: the world may have changed while it waited."""
+        self.began: Callable[[Entry], None] = lambda _entry: None
+        """Told before a command runs; must cost next to nothing."""
         self._active: dict[str, Command] = {}
         """The command that holds each path, where the policy allows only one."""
         self._queues: dict[str, deque[Command]] = {}
@@ -152,8 +156,11 @@ class Commands:
     def _run(
         self, command: Command, asker: Session, entry: Entry, value: Any, timeout: float | None
     ) -> None:
+        self.began(entry)
         if not self._shared(entry):
             self._active[entry.path] = command
+        if entry.moves:
+            entry.unit.lost = None
         loop = asyncio.get_running_loop()
         command.task = loop.create_task(
             self._call(command, asker, entry, value), name=f"command {command.id}"
@@ -163,7 +170,7 @@ class Commands:
         command.task.add_done_callback(lambda task: self._ended(command, task))
 
     async def _call(self, command: Command, asker: Session, entry: Entry, value: Any) -> Any:
-        work = command.work
+        work, stops = command.work, entry.unit.stops
         if command.ready is not None:
             await command.ready()
         backend = self.confirm(asker, entry, value, command.timestamp)
@@ -175,7 +182,8 @@ class Commands:
         if work is not None:
             result = await work.run(command, asker, progress)
         else:
-            result = await backend.execute(entry.name, value, progress)
+            with permitted(entry.unit, stops):
+                result = await backend.execute(entry.name, value, progress)
         try:
             return entry.output_type.check(result)[0] if result is not None else None
         except RcpError as error:
@@ -274,6 +282,8 @@ class Commands:
             outcome.path = outcome.path or command.path
             if outcome.origin is None and command.entry is not None:
                 outcome.origin = command.entry.owner.name
+            if command.task is not None and command.entry is not None:
+                tell_loss(command.entry, outcome)
             status: Any = status_of(command, outcome)
             body = NO_BODY if command.work is None else command.work.report(over=True)
             record = Record(status, now(), body, message=outcome.message, error=error_body(outcome))

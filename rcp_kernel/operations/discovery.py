@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-import base64
-import binascii
-from bisect import bisect_right
-from collections.abc import Iterator
 from typing import Annotated, Any, NamedTuple
 from weakref import WeakKeyDictionary
 
@@ -17,13 +13,13 @@ from rcp_kernel.clock import now
 from rcp_kernel.errors import BadRequest
 from rcp_kernel.model import Kind, Operation, Pattern, Resource, operation_names
 from rcp_kernel.motion.envelopes import Envelopes
+from rcp_kernel.operations.pages import LONGEST, MOST, cursor_of, place_of
 from rcp_kernel.registry import Entry, Registry
 from rcp_kernel.values import ValueType, to_plain, value_type
 from rcp_kernel.wire import Request
 
 __all__ = ["Discovery", "Query"]
 
-_LIMIT = 1000
 _COMMANDED = Operation.WRITE | Operation.EXECUTE
 
 
@@ -34,8 +30,8 @@ class Query(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     op: Annotated[str, Meta(max_length=16)] | None = None
     q: Annotated[str, Meta(max_length=200)] | None = None
     """Words that must all stand in the path or the description."""
-    limit: Annotated[int, Meta(ge=1, le=_LIMIT)] = 100
-    cursor: Annotated[str, Meta(max_length=1024)] | None = None
+    limit: Annotated[int, Meta(ge=1, le=MOST)] = 100
+    cursor: Annotated[str, Meta(max_length=LONGEST)] | None = None
     schemas: bool = True
     """Whether schemas are written out; their ids always are."""
 
@@ -93,9 +89,9 @@ class Discovery:
         """List what matches and may be seen, one page of it."""
         wanted = _operation(query.op)
         words = query.q.casefold().split() if query.q else []
-        after = _decode(query.cursor) if query.cursor else ""
+        after = place_of(query.cursor) if query.cursor else ""
         page: list[dict[str, Any]] = []
-        for entry in self._from(pattern, after):
+        for entry in self._registry.match(pattern, after):
             mask = reach(rights.mask(entry.path))
             if not mask or (query.kind is not None and entry.kind is not query.kind):
                 continue
@@ -104,10 +100,9 @@ class Discovery:
             if words and not _has(entry, words):
                 continue
             if len(page) == query.limit:
-                cursor = base64.urlsafe_b64encode(page[-1]["path"].encode()).decode()
                 return {
                     "resources": page,
-                    "cursor": cursor,
+                    "cursor": cursor_of(page[-1]["path"]),
                     "generation": self.generation(rights),
                 }
             facts = self.describe(entry, mask, schemas=query.schemas)
@@ -115,15 +110,6 @@ class Discovery:
                 facts |= self._envelopes.told(rights, entry, schemas=query.schemas)
             page.append(facts)
         return {"resources": page, "generation": self.generation(rights)}
-
-    def _from(self, pattern: Pattern, after: str) -> Iterator[Entry]:
-        if not after:
-            yield from self._registry.match(pattern)
-            return
-        index = self._registry.index
-        for path in index[bisect_right(index, after) :]:
-            if pattern.matches(path):
-                yield self._registry.entries[path]
 
     def describe(self, entry: Entry, mask: int, *, schemas: bool = True) -> dict[str, Any]:
         """Write one resource as the catalogue does, with the operations that `mask` allows."""
@@ -156,13 +142,6 @@ def _operation(name: str | None) -> Operation:
     except KeyError:
         allowed = ", ".join(operation_names(Operation(31)))
         raise BadRequest(f"{name!r} is no operation", remedy=f"Name one of {allowed}.") from None
-
-
-def _decode(cursor: str) -> str:
-    try:
-        return base64.urlsafe_b64decode(cursor.encode()).decode()
-    except (binascii.Error, ValueError):
-        raise BadRequest("the cursor is not one that this gateway gave out") from None
 
 
 def _has(entry: Entry, words: list[str]) -> bool:

@@ -14,12 +14,13 @@ import msgspec
 from rcp_kernel.access.acl import reach
 from rcp_kernel.clients.session import Answer, Session
 from rcp_kernel.clock import iso, now
-from rcp_kernel.errors import UnknownPath
+from rcp_kernel.errors import RcpError, UnknownPath
 from rcp_kernel.model import Kind, Operation
 from rcp_kernel.operations.command import Command
 from rcp_kernel.operations.writing import would
 from rcp_kernel.plans.resource import PATH as PLANS
 from rcp_kernel.registry import Entry
+from rcp_kernel.safety.hold import Hold
 from rcp_kernel.values import value_type
 from rcp_kernel.wire import Reply, Request
 
@@ -43,11 +44,13 @@ class Service(Protocol):
 class EstopLane(Protocol):
     """The e-stop's own lane, past every queue and limit."""
 
-    def check(self, session: Session, asked: Any, /) -> object:
-        """Refuse what `request` would, and do nothing."""
+    def names(self, session: Session, asked: Any, /) -> list[str]:
+        """Refuse what `request` would, or name the robots that it means; do nothing."""
         ...
 
-    def request(self, session: Session, asked: Any, /) -> Coroutine[Any, Any, Any]:
+    def request(
+        self, session: Session, asked: Any, deadline: float | None = None, /
+    ) -> Coroutine[Any, Any, Any]:
         """Latch when called, not when awaited; return what waits for the robots."""
         ...
 
@@ -83,6 +86,9 @@ class Executing:
         gateway.admission.admit(session, request, entry, value)
         gateway.commands.admit(entry)
         gateway.accounts.check_command(session, entry.path)
+        if entry.is_hold and not request.dry_run:
+            self._hold(session, request, entry, answer, started)
+            return None
         work = gateway.plans.prepare(session, request, value) if entry.path == PLANS else None
         if request.dry_run:
             if work is not None:
@@ -123,6 +129,38 @@ class Executing:
         gateway.commands.start(command, session, entry, value, timeout, request.deadline)
         return None
 
+    def _hold(
+        self, session: Session, request: Request, entry: Entry, answer: Answer, started: float
+    ) -> None:
+        """Bring a robot to rest without an e-stop, past leases, envelopes and quotas."""
+        gateway = self._gateway
+        command = Command(
+            id="cmd-" + secrets.token_hex(8),
+            path=entry.path,
+            principal=session.principal.name,
+            proof=session.principal.proof,
+            tenant=entry.tenant,
+            work=Hold([entry.unit, *gateway.partners.of(entry)], gateway.commands, gateway.deadman),
+            request_id=request.id,
+            custom=request.custom,
+            timestamp=request.timestamp,
+            session=session.id,
+            entry=entry,
+        )
+        self._follow(session, request, command, answer, started)
+        gateway.recording.started(session, request, command)
+        timeout = self._timeout(request, entry)
+        gateway.commands.start(command, session, entry, None, timeout, request.deadline)
+
+    def stops(self, session: Session, request: Request) -> bool:
+        """Tell whether a request brings a robot to rest."""
+        if request.type != "execute":
+            return False
+        try:
+            return self._gateway.resolve(session, request.path, Operation.EXECUTE).is_hold
+        except RcpError:
+            return False
+
     def _settling(self, session: Session, request: Request, path: str) -> Answer:
         def settle(reply: Reply) -> None:
             if reply.final:
@@ -137,8 +175,8 @@ class Executing:
         assert gateway.estop is not None
         asked = value or entry.input_type.convert({})
         if request.dry_run:
-            gateway.estop.check(session, asked)
-            return would(request, entry, {"execute": value})
+            robots = gateway.estop.names(session, asked)
+            return would(request, entry, {"execute": value, "robots": robots})
 
         def done(state: Any) -> Reply:
             text = "E-stop latched." if state.active else "E-stop released."
@@ -152,7 +190,7 @@ class Executing:
                 timestamp=now_,
             )
 
-        work = gateway.estop.request(session, asked)
+        work = gateway.estop.request(session, asked, request.deadline)
         gateway.later(
             session,
             request,

@@ -23,6 +23,7 @@ from rcp_kernel.errors import (
     UnsupportedOperation,
 )
 from rcp_kernel.model import Operation, Pattern
+from rcp_kernel.operations.pages import MOST, cursor_of
 from rcp_kernel.registry import Entry
 from rcp_kernel.streaming.filters import Change, Options, check_fields, parse_where, seconds
 from rcp_kernel.streaming.notices import notice
@@ -80,11 +81,17 @@ class Subscribing:
         entries = self._entries(session, patterns, options)
 
         subscription = self._begin(session, id_, patterns, options)
+        paths = [entry.path for entry in entries]
+        cut = len(paths) > MOST
+        if cut:  # in the order of discovery, whose cursor then leads to the rest
+            paths = sorted(paths)[:MOST]
         reply = Reply(
             type="subscribe",
             id=request.id,
             path=patterns[0].text,
-            body={"subscription": id_, "paths": [entry.path for entry in entries[:1000]]},
+            body={"subscription": id_, "paths": paths, "count": len(entries)},
+            truncated=cut,
+            cursor=cursor_of(paths[-1]) if cut else None,
             message=f"Subscribed to {len(entries)} paths.",
             timestamp=iso(now()),
             custom=request.custom,

@@ -12,9 +12,10 @@ from rcp_kernel.clients.session import Answer, Session
 from rcp_kernel.clock import iso, now
 from rcp_kernel.errors import DeviceRejected, EstopActive, RcpError, Refused
 from rcp_kernel.model import Operation
-from rcp_kernel.motion.safety import ANSWER, MOVING, check_motion, safe_value
+from rcp_kernel.motion.safety import ANSWER, check_motion, safe_value
 from rcp_kernel.operations.pending import blame
 from rcp_kernel.registry import Entry
+from rcp_kernel.safety.fence import permitted
 from rcp_kernel.spi import Backend
 from rcp_kernel.streaming.samples import Sample
 from rcp_kernel.wire import Reply, Request
@@ -95,12 +96,12 @@ class Writing:
         gateway = self._gateway
         if request.idempotency_key is not None:
             await gateway.recording.committed()
-        with gateway.deadman.flight(entry):
+        with gateway.deadman.flight(entry), permitted(entry.unit, stops):
             try:
                 if entry.path in gateway.deadman.leaving:
                     await gateway.deadman.cleared(entry)
                 backend = gateway.admission.confirm(session, entry, value, request.timestamp)
-                if entry.unit.stops != stops and entry.kind in MOVING:
+                if entry.unit.stops != stops and entry.barred:
                     gateway.envelopes.refused(entry, value)
                     text = "an e-stop has come and gone since this was sent"
                     raise EstopActive(text, path=entry.path)

@@ -11,7 +11,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 from rcp_kernel._plain import is_map
-from rcp_kernel.access.conditions import condition
+from rcp_kernel.access.conditions import ConditionTooCostly, condition
 from rcp_kernel.clients.session import Session
 from rcp_kernel.errors import (
     BY_CODE,
@@ -49,6 +49,7 @@ _OPERATIONS = {
     "execute": Operation.EXECUTE,
 }
 _NOT_HERE = ("/system/plans", "/system/approvals")
+_TEXT = 8192  # characters of all different conditions of a plan: reading them takes time
 _SEARCHES = 5  # misspelt paths of one plan for which near ones are looked for
 
 
@@ -72,6 +73,8 @@ class _Check:
         self._types: dict[str, ValueType] = {}
         """Of the results of steps."""
         self._count = 0
+        self._texts: set[str] = set()
+        self._length = 0
         self._searches = 0
         self._leased: list[Scope] = []
         """What earlier steps acquire."""
@@ -298,16 +301,36 @@ class _Check:
 
     def _condition(self, node: Node, text: str, name: str) -> None:
         """Compile a condition of a step, which may be about what its asker may read alone."""
+        allowance, principal = self._gateway.conditions.allowance, self._session.principal.name
+        if not self._texts:
+            allowance.check(principal)
+        if text not in self._texts:
+            self._texts.add(text)
+            self._length += len(text)
+        if self._length > _TEXT:
+            raise _too_long()
+        details = {"pointer": f"/{name}"}
         try:
-            found = condition(text)
+            with allowance.spending(principal):
+                found = condition(text)
+        except ConditionTooCostly as error:
+            raise OutOfRange(f"`{name}`: {error}", remedy=error.remedy, details=details) from None
         except ConfigError as error:
-            raise InvalidValue(f"`{name}`: {error}", details={"pointer": f"/{name}"}) from None
+            raise InvalidValue(f"`{name}`: {error}", details=details) from None
         assert self._checked is not None
         self._checked.touches += looked_at(self._gateway, self._session, node, found)
         if name == "when":
             node.when = found
         else:
             node.until = found
+
+
+def _too_long() -> OutOfRange:
+    return OutOfRange(
+        f"the conditions of the plan have more than {_TEXT} characters",
+        remedy="Send the plan in parts.",
+        details={"limit": _TEXT},
+    )
 
 
 def _codes(retry: Retry | None) -> None:

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from rcp_kernel.access.conditions import Condition
+from rcp_kernel.access.pace import Pace
 from rcp_kernel.clients.session import Session
 from rcp_kernel.clock import iso, now
 from rcp_kernel.errors import (
@@ -21,7 +22,7 @@ from rcp_kernel.errors import (
     PreconditionFailed,
     RcpError,
 )
-from rcp_kernel.plans.looking import looked_at
+from rcp_kernel.plans.looking import looked_at, refuse_excess
 from rcp_kernel.plans.model import Group, Operate, Parallel, Retry, Wait
 from rcp_kernel.plans.node import Checked, Node, every
 from rcp_kernel.plans.sending import Sending
@@ -51,6 +52,7 @@ class Engine:
         self._sending = Sending(gateway, session, {node.id: node for node in nodes}, command)
         self._part = f"plan {command}"
         self._asked: set[str] = set()
+        self._pace = Pace(gateway.conditions.turns)
         self._conditions = [c for node in nodes for c in (node.when, node.until) if c is not None]
 
     async def run(self, token: str | None) -> None:
@@ -227,6 +229,7 @@ class Engine:
 
     async def _wait(self, node: Node) -> None:
         assert node.until is not None
+        await self._pace.wait()
         while not self._look(node, node.until):
             await self._pause()
 
@@ -235,6 +238,7 @@ class Engine:
 
         :raises PreconditionFailed: it cannot be known.
         """
+        await self._pace.wait()
         until = self._gateway.loop.time() + _UNKNOWN
         while (found := self._look(node, when)) is None:
             if self._gateway.loop.time() > until:
@@ -245,14 +249,20 @@ class Engine:
             await self._pause()
         return found
 
-    @staticmethod
-    async def _pause() -> None:
+    async def _pause(self) -> None:
         # Not an event: in some conditions nothing changes but the time.
-        await asyncio.sleep(_LOOK)
+        await self._pace.wait(_LOOK)
 
     def _look(self, node: Node, condition: Condition) -> bool | None:
+        """Look at a condition once.
+
+        :raises PreconditionFailed: its values are too large to be looked at.
+        """
         paths = looked_at(self._gateway, self._session, node, condition)  # rights may have gone
-        found = self._gateway.conditions.holds(condition, node)
+        with self._pace.spending():
+            found = self._gateway.conditions.holds(condition, node)
+            if found is None:
+                refuse_excess(self._gateway, node, condition)
         if found is None:
             self._ask_for(paths)
         return found

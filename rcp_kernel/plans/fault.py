@@ -39,12 +39,15 @@ def refusal(faults: list[Fault]) -> RcpError:
     """Make one error of all faults; its code is that of the first."""
     first = faults[0]
     count = f"{len(faults)} faults; the first" if len(faults) > 1 else "a fault"
+    details: dict[str, Any] = {"faults": [fault.plain() for fault in faults[:_TOLD]]}
+    if len(faults) > _TOLD:
+        details |= {"truncated": True, "count": len(faults)}
     return type(first.error)(
         f"the plan has {count} in step '{first.step}': {first.error.message}",
         path=first.error.path,
         remedy="Mend what `details.faults` lists and send the plan again; nothing was begun.",
         retry_after=first.error.retry_after,
-        details={"faults": [fault.plain() for fault in faults[:_TOLD]]},
+        details=details,
     )
 
 

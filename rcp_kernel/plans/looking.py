@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from rcp_kernel.access.conditions import Condition
+from rcp_kernel.access.conditions import Condition, ConditionTooCostly
 from rcp_kernel.clients.session import Session
-from rcp_kernel.errors import Forbidden, UnknownPath
+from rcp_kernel.errors import Forbidden, PreconditionFailed, UnknownPath
 from rcp_kernel.model import Operation
 from rcp_kernel.plans.node import Node
 
 if TYPE_CHECKING:
     from rcp_kernel.gateway import Gateway
 
-__all__ = ["looked_at"]
+__all__ = ["looked_at", "refuse_excess"]
 
 
 def looked_at(gateway: Gateway, session: Session, node: Node, condition: Condition) -> list[str]:
@@ -37,3 +37,16 @@ def _path(gateway: Gateway, session: Session, node: Node, ref: tuple[str, ...]) 
     if not session.rights.permits(entry, Operation.READ):
         raise Forbidden(f"{session.principal.name} may not read {entry.path}", path=entry.path)
     return entry.path
+
+
+def refuse_excess(gateway: Gateway, node: Node, condition: Condition) -> None:
+    """Refuse a condition whose values are too large for it now.
+
+    :raises PreconditionFailed: they are.
+    """
+    why = gateway.conditions.excess(condition, node)
+    if why is not None:
+        raise PreconditionFailed(
+            f"the condition `{condition.text}` is too costly: {why}",
+            remedy=ConditionTooCostly.remedy,
+        )

@@ -159,6 +159,9 @@ class StepState(msgspec.Struct, omit_defaults=True, kw_only=True):
     result: Any = None
     omitted: Annotated[int, Meta(extra_json_schema={"unit": "By"})] | None = None
     """Length of a result that is too long to be told here."""
+    truncated: bool = False
+    """Whether `result` is only the first page of what a pattern reads; `cursor` leads on."""
+    cursor: str | None = None
     error: dict[str, Any] | None = None
     message: str | None = None
     command: str | None = None

@@ -104,7 +104,6 @@ class Plans:
                 f"the plan has {len(bytes(request.body))} bytes; the limit is {limits.size}",
                 details={"limit": limits.size},
             )
-        work = Work(self._gateway, session, check_plan(self._gateway, session, plan))
         running = [c for c in self._gateway.commands.running.values() if c.path == PATH]
         if sum(1 for c in running if c.tenant == session.tenant) >= limits.running:
             raise QueueFull(
@@ -112,7 +111,7 @@ class Plans:
                 remedy="Wait for one to end, or cancel one.",
                 details={"limit": limits.running},
             )
-        return work
+        return Work(self._gateway, session, check_plan(self._gateway, session, plan))
 
     def view(self, session: Session) -> list[dict[str, Any]]:
         """List the plans that a session may see, newest first."""

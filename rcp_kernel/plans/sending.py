@@ -52,6 +52,7 @@ class Sending:
             limit = None if left is None else max(end - loop.time(), 0.001)
             reply = await self._ask(node, self._request(node, step, limit), told)
             if reply.error is None:
+                node.state.truncated, node.state.cursor = reply.truncated, reply.cursor
                 return _plain(reply.body), reply.message
             error = _error_of(reply.error)
             pause = error.retry_after or 0.0

@@ -20,7 +20,7 @@ from rcp_kernel.record.cli import audit
 if TYPE_CHECKING:
     from rcp_kernel.process.demo import Demo
     from rcp_kernel.process.log import Recent
-    from rcp_kernel.process.server import Prepared
+    from rcp_kernel.process.server import Prepared, Server
 
 __all__ = ["main"]
 
@@ -176,6 +176,7 @@ def _fail(text: str) -> NoReturn:
 
 
 def _run(config: GatewayConfig, source: str, path: Path | None, demo: Demo | None) -> None:
+    from rcp_kernel.process.containment import end_in_time, run_contained
     from rcp_kernel.process.log import configure
     from rcp_kernel.process.memory import keep_freed_memory
     from rcp_kernel.process.server import prepare
@@ -188,7 +189,8 @@ def _run(config: GatewayConfig, source: str, path: Path | None, demo: Demo | Non
         _fail(str(error))
     with asyncio.Runner(loop_factory=_loop_factory()) as runner:
         try:
-            runner.run(_serve(prepared, recent, path, demo))
+            run_contained(runner, _serve(prepared, recent, path, demo))
+            end_in_time()
         except StartupError as error:
             _fail(str(error))
         except OSError as error:
@@ -204,36 +206,52 @@ def _loop_factory() -> Callable[[], asyncio.AbstractEventLoop] | None:
 
 
 async def _serve(prepared: Prepared, recent: Recent, path: Path | None, demo: Demo | None) -> None:
-    from rcp_kernel.process.garbage import collected_at_rest
-    from rcp_kernel.process.reload import reload
+    from rcp_kernel.process.notify import notifying
     from rcp_kernel.process.server import running
 
     loop = asyncio.get_running_loop()
     stop = asyncio.Event()
+    with notifying(loop) as notifier:
 
-    def ask(name: str) -> None:
-        if stop.is_set():
-            click.echo("rcpd: stopped without waiting", err=True)
-            signal.raise_signal(signal.SIGKILL)
-        click.echo(f"rcpd: {name}: bringing the robots to rest", err=True)
-        stop.set()
+        def ask(name: str) -> None:
+            if stop.is_set():
+                click.echo("rcpd: stopped without waiting", err=True)
+                signal.raise_signal(signal.SIGKILL)
+            click.echo(f"rcpd: {name}: bringing the robots to rest", err=True)
+            notifier.send("STOPPING=1")
+            stop.set()
 
-    for number in (signal.SIGINT, signal.SIGTERM):
-        loop.add_signal_handler(number, ask, number.name)
-    async with running(prepared, recent) as server:
-        gateway = server.gateway
-        tasks: set[asyncio.Task[None]] = set()
-        if path is not None:
-            loop.add_signal_handler(
-                signal.SIGHUP, lambda: tasks.add(loop.create_task(reload(server, path)))
-            )
-        with collected_at_rest(loop, lambda: gateway.moving):
-            if demo is not None:
-                with demo.credentials(server):
-                    click.echo(demo.banner(server))
-                    await stop.wait()
-            else:
-                for facts in server.status.transports:
-                    if "url" in facts:
-                        click.echo(f"rcpd: serving on {facts['url']}", err=True)
+        for number in (signal.SIGINT, signal.SIGTERM):
+            loop.add_signal_handler(number, ask, number.name)
+        async with running(prepared, recent) as server:
+            notifier.send("READY=1")
+            await _serve_until(stop, server, path, demo)
+
+
+async def _serve_until(
+    stop: asyncio.Event, server: Server, path: Path | None, demo: Demo | None
+) -> None:
+    from rcp_kernel.process.garbage import collected_at_rest
+    from rcp_kernel.process.reload import reload
+
+    loop = asyncio.get_running_loop()
+    gateway = server.gateway
+    tasks: set[asyncio.Task[None]] = set()
+    if path is not None:
+
+        def again() -> None:
+            task = loop.create_task(reload(server, path), name="reload")
+            tasks.add(task)
+            task.add_done_callback(tasks.discard)
+
+        loop.add_signal_handler(signal.SIGHUP, again)
+    with collected_at_rest(loop, lambda: gateway.moving):
+        if demo is not None:
+            with demo.credentials(server):
+                click.echo(demo.banner(server))
                 await stop.wait()
+        else:
+            for facts in server.status.transports:
+                if "url" in facts:
+                    click.echo(f"rcpd: serving on {facts['url']}", err=True)
+            await stop.wait()

@@ -16,6 +16,8 @@ __all__ = ["apply", "reload"]
 log = structlog.get_logger("rcp.reload")
 _FIXED = ("transports", "plugins", "store", "log", "name")
 """What a running gateway cannot change."""
+_GUARD = ("guard", "guard_after", "guard_bound")
+"""What a guard that runs cannot change, of `[safety]`."""
 
 
 async def reload(server: Server, path: Path) -> None:
@@ -33,22 +35,41 @@ async def reload(server: Server, path: Path) -> None:
         log.error("reload_refused", reason=str(error))
         server.gateway.audit.note("reload", principal=None, outcome="refused")
         return
+    except Exception:
+        log.exception("reload_failed", reason="a plugin or the gateway has a bug")
+        server.gateway.audit.note("reload", principal=None, outcome="failed")
+        return
     for part in _FIXED:
         if getattr(running, part) != getattr(fresh, part):
             log.warning("reload_needs_restart", part=part)
+    for key in _GUARD:
+        if getattr(running.safety, key) != getattr(fresh.safety, key):
+            log.warning("reload_needs_restart", part=f"safety.{key}")
     await apply(server, prepared)
 
 
 async def apply(server: Server, prepared: Prepared) -> None:
-    """Change rules, keys, limits and backends of a running gateway to those of a configuration."""
-    gateway = server.gateway
-    new = prepared.config
-    gone = [slot for slot in server.slots if slot.config not in new.backends]
-    await retire(server, gone)
-    gateway.reconfigure(new)
-    kept = {slot.config.name for slot in server.slots}
-    for backend, table in zip(new.backends, prepared.backends, strict=True):
-        if backend.name not in kept:
-            start_backend(server, prepared, backend, table)
+    """Change rules, keys, limits and backends of a running gateway to those of a configuration.
+
+    What clients may do changes at once. Backends change one reload after the other: one that
+    takes long to close must not delay a revoked key, nor may what came before be applied after it.
+    """
+    gateway, turn = server.gateway, server.reloading
+    turn.newest = prepared
+    gateway.reconfigure(prepared.config)
+    async with turn.lock:
+        if turn.newest is not prepared:
+            gateway.audit.note("reload", principal=None, outcome="superseded")
+            return
+        new = prepared.config
+        gone = [slot for slot in server.slots if slot.config not in new.backends]
+        await retire(server, gone)
+        if turn.newest is not prepared or gateway.closing:
+            gateway.audit.note("reload", principal=None, outcome="superseded")
+            return
+        kept = {slot.config.name for slot in server.slots}
+        for backend, table in zip(new.backends, prepared.backends, strict=True):
+            if backend.name not in kept:
+                start_backend(server, prepared, backend, table)
     gateway.audit.note("reload", principal=None, backends=[slot.name for slot in server.slots])
     log.info("reloaded", backends=len(server.slots), stopped=[slot.name for slot in gone])

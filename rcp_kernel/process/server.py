@@ -15,8 +15,9 @@ from rcp_kernel.config.file import BackendConfig, GatewayConfig, decode_table
 from rcp_kernel.door import Door
 from rcp_kernel.errors import ConfigError
 from rcp_kernel.gateway import Gateway
-from rcp_kernel.motion.safety import MOVING, halt
+from rcp_kernel.motion.insist import insist
 from rcp_kernel.plugins import Missing, Plugins
+from rcp_kernel.process.guard import GuardLink
 from rcp_kernel.process.log import Recent
 from rcp_kernel.process.supervisor import Slot
 from rcp_kernel.record.store import DiskStore, Store
@@ -26,6 +27,7 @@ from rcp_kernel.system import System
 
 __all__ = [
     "Prepared",
+    "Reloading",
     "Server",
     "prepare",
     "retire",
@@ -51,6 +53,15 @@ class Prepared(msgspec.Struct, frozen=True):
     adapters: dict[str, Any]
 
 
+class Reloading:
+    """What reloads of one gateway share, so that they are applied in order."""
+
+    def __init__(self) -> None:
+        self.lock = asyncio.Lock()
+        """Held while backends are closed and started."""
+        self.newest: Prepared | None = None
+
+
 class Server(msgspec.Struct, frozen=True):
     """A gateway that is up."""
 
@@ -60,6 +71,7 @@ class Server(msgspec.Struct, frozen=True):
     slots: list[Slot]
     tasks: dict[str, asyncio.Task[None]]
     """Of the backends, by name."""
+    reloading: Reloading = msgspec.field(default_factory=Reloading)
 
 
 def prepare(config: GatewayConfig, source: str) -> Prepared:
@@ -132,6 +144,9 @@ async def running(prepared: Prepared, recent: Recent | None = None) -> AsyncGene
         await stack.enter_async_context(gateway.identities.running())
         door = Door(gateway, status, "gateway")
         server = Server(gateway, door, status, slots, {})
+        status.guard = GuardLink(gateway, slots)
+        status.guard.start()
+        stack.push_async_callback(status.guard.close)
         await stack.enter_async_context(_backends(server, prepared))
         first = loop.time() + _FIRST_OPEN
         await _open_all(stack, door, prepared.adapters, plugins.adapters, status.adapters)
@@ -232,7 +247,7 @@ async def _rest(gateway: Gateway, slots: list[Slot]) -> None:
     """Bring everything that moves to rest before anything closes."""
     gateway.closing = True
     _ground(gateway, slots)
-    halts = [halt(slot.whole) for slot in slots if slot.backend is not None]
+    halts = _halts(slots)
     await gateway.commands.close()
     await _halted(halts)
 
@@ -240,7 +255,7 @@ async def _rest(gateway: Gateway, slots: list[Slot]) -> None:
 def _ground(gateway: Gateway, slots: list[Slot]) -> None:
     for slot in slots:
         for entry in slot.entries.values():
-            if entry.kind in MOVING:
+            if entry.moves:
                 gateway.deadman.ground(entry)
 
 
@@ -249,8 +264,16 @@ async def retire(server: Server, slots: list[Slot]) -> None:
     for slot in slots:
         slot.retire()
     _ground(server.gateway, slots)
-    await _halted([halt(s.whole) for s in slots if s.backend is not None])
+    await _halted(_halts(slots))
     await asyncio.gather(*(stop_backend(server, slot) for slot in slots))
+
+
+def _halts(slots: Sequence[Slot]) -> list[asyncio.Task[None]]:
+    return [
+        insist(slot.whole.halt, "halt_failed", backend=slot.name)
+        for slot in slots
+        if slot.backend is not None
+    ]
 
 
 async def _halted(halts: Sequence[asyncio.Future[None]]) -> None:

@@ -23,10 +23,14 @@ from rcp_kernel.errors import AdapterUnavailable, ConfigError, NotReady, PluginE
 from rcp_kernel.gateway import Gateway
 from rcp_kernel.model import Resource, full_path
 from rcp_kernel.motion.latches import Latch
-from rcp_kernel.motion.safety import MOVING, halt
 from rcp_kernel.motion.units import Unit
+from rcp_kernel.operations.command import Command
+from rcp_kernel.process.containment import ContainedBackend, contained
 from rcp_kernel.registry import Entry
-from rcp_kernel.spi import Backend, BackendKind, Publication
+from rcp_kernel.safety.fence import permitted
+from rcp_kernel.safety.hold import hold_resource
+from rcp_kernel.safety.loss import tell_cut_off
+from rcp_kernel.spi import Backend, BackendKind, BaseBackend, Publication, StopPlan
 
 __all__ = ["Slot", "State"]
 
@@ -63,13 +67,20 @@ class Slot:
         """Seconds that the last call of the robot took."""
         self.samples = 0
         self.faults = 0
+        self.plans: dict[str, StopPlan] = {}
+        """What stops its robots without the gateway, by name."""
+        self.plans_changed = 0
+        """How often they have changed."""
         self._units: dict[str, Unit] = {}
-        self._stops: set[asyncio.Task[None]] = set()
+        self._recoveries: dict[Unit, asyncio.Task[None]] = {}
+        self._cut_off: list[Command] = []
+        """Commands that an earlier gateway began, of which the policy is not told yet."""
         self.whole = Unit(self, gateway.latches)
         self.entries: dict[str, Entry] = {}
         self.settled = asyncio.Event()
         """Set once the first attempt to open has ended, well or not."""
-        self._backend: Backend | None = None
+        self._backend: ContainedBackend | None = None
+        self._on_loss = BaseBackend.on_loss
         self._closing = asyncio.Event()
         self._told = 0.0
 
@@ -88,15 +99,19 @@ class Slot:
         if unit is None:
             unit = self._units[robot] = Unit(self, self._gateway.latches, robot)
             if self._backend is not None and unit.latch is not None:
-                self._stops.add(stop := halt(unit))
-                stop.add_done_callback(self._stops.discard)
+                self._gateway.stops.resume(unit)
         return unit
+
+    @property
+    def on_loss(self) -> str:
+        """What becomes of a robot whose command was lost with its link."""
+        return self._on_loss
 
     @property
     def units(self) -> list[Unit]:
         """The robots that can be stopped one by one, and all of the backend if more than they move."""
         alone = [unit for unit in self._units.values() if unit.own]
-        if not alone or any(entry.kind in MOVING for entry in self.whole.own.values()):
+        if not alone or any(entry.moves for entry in self.whole.own.values()):
             alone.append(self.whole)
         return alone
 
@@ -126,6 +141,42 @@ class Slot:
                 self, resource, tenant=self.tenant, robot=self.robot
             )
             self.entries[resource.name] = entry.unit.own[resource.name] = entry
+            if entry.moves:
+                self._offer_hold(entry.unit)
+                self._find_lost(entry)
+
+    def _offer_hold(self, unit: Unit) -> None:
+        """Give a robot that moves the verb that brings it to rest, unless it has one of its own."""
+        name = _hold_name(unit.robot)
+        if name in self.entries:
+            return
+        place = self._gateway.registry
+        path = full_path(self.tenant, self.robot, name)
+        if path in place.entries:  # another backend of the same robot offers it for both
+            return
+        entry = Entry(path, hold_resource(name, unit.robot), self, self.tenant, self.robot)
+        entry.is_hold = True
+        self.entries[name] = unit.own[name] = place.place(entry)
+
+    def _find_lost(self, entry: Entry) -> None:
+        """Note a command that an earlier gateway began and that the robot may still carry out."""
+        cut_off = [c for c in self._gateway.history.cut_off if c.path == entry.path]
+        if cut_off:
+            for command in cut_off:
+                self._gateway.history.cut_off.remove(command)
+            self._cut_off += cut_off
+            self._tell_cut_off()
+            entry.unit.lost = entry.path
+            self._regain(entry.unit)
+
+    def _tell_cut_off(self) -> None:
+        """Add to the errors of those commands what becomes of the robot, once that is known."""
+        if self.backend is None:
+            return
+        for command in self._cut_off:
+            tell_cut_off(command, self._on_loss)
+            self._gateway.history.save(command)
+        self._cut_off.clear()
 
     def withdraw(self, *names: str) -> None:
         """Take resources out of the tree; commands that run on them end."""
@@ -136,6 +187,14 @@ class Slot:
                 gone = AdapterUnavailable(f"{entry.path} was withdrawn by its backend")
                 self._gateway.commands.interrupt(entry.path, gone)
                 self._gateway.registry.withdraw(entry.path)
+                self._take_hold_back(entry.unit)
+
+    def _take_hold_back(self, unit: Unit) -> None:
+        """Withdraw the verb of a robot with nothing left that moves."""
+        name = _hold_name(unit.robot)
+        entry = self.entries.get(name)
+        if entry is not None and entry.is_hold and not any(e.moves for e in unit.own.values()):
+            self.withdraw(name)
 
     def publish(self, name: str, value: Any, timestamp: int | None = None) -> None:
         """Hand a value over; an undeclared name is a fault."""
@@ -156,7 +215,15 @@ class Slot:
     def call_soon(self, function: Callable[..., object], *args: Any) -> None:
         """Run a function on the event loop, from any thread."""
         gather = self._gateway.hub.ticker.gather
-        self._gateway.loop.call_soon_threadsafe(gather, function, *args)
+        self._gateway.loop.call_soon_threadsafe(gather, self._call, function, *args)
+
+    def _call(self, function: Callable[..., object], *args: Any) -> None:
+        try:
+            with contained():
+                function(*args)
+        except Exception as error:
+            self.fault(f"{type(error).__name__}: {error}")
+            log.exception("backend_call_failed", backend=self.name)
 
     def report(self, detail: str | None, *, down: bool = False) -> None:
         """Change the state of an open backend."""
@@ -168,6 +235,23 @@ class Slot:
             self._enter("down" if down else "degraded", detail)
             if down:
                 self._interrupt(detail)
+
+    def link_restored(self, robot: str | None = None) -> None:
+        """Stop a latched robot before anything else reaches it."""
+        if self.state == "down" and self._backend is not None:
+            self._enter("degraded", "the link has just returned")
+        self._regain(self.unit(robot))
+
+    def is_latched(self, robot: str | None = None) -> bool:
+        """Tell whether an e-stop holds a robot."""
+        return self.unit(robot).latch is not None
+
+    def guard(self, name: str, plan: StopPlan | None) -> None:
+        """Keep what the guard process is to send."""
+        self.plans.pop(name, None)
+        if plan is not None:
+            self.plans[name] = plan
+        self.plans_changed += 1
 
     # -- life ----------------------------------------------------------------------------------
 
@@ -184,7 +268,8 @@ class Slot:
             if self.state != "down":
                 self._enter("opening", None)
             try:
-                await self._live(kind, config)
+                with contained():
+                    await self._live(kind, config)
             except (ConfigError, PluginError) as error:
                 self._backend = None
                 self._enter("failed", str(error))
@@ -204,20 +289,57 @@ class Slot:
         self._enter("closed", None)
 
     async def _live(self, kind: BackendKind, config: Any) -> None:
-        async with kind.open(config, self) as backend:
-            self._backend = backend
+        async with kind.open(config, self) as opened:
+            backend = self._backend = ContainedBackend(opened)
+            self._on_loss = backend.on_loss
             self._enter("ready", None)
-            held = [unit for unit in self.units if unit.latch is not None]
-            if len(held) == len(self.units):
-                held = [self.whole]
-            await asyncio.wait_for(asyncio.gather(*map(halt, held)), _LAST_RETRY)
+            self._tell_cut_off()
+            for unit in self.units:
+                self._regain(unit)
             self.settled.set()
             try:
                 await self._closing.wait()
             finally:
+                for recovery in self._recoveries.values():
+                    recovery.cancel()
                 if not self._closing.is_set():
                     self._enter("down", self.detail or "the backend stopped")
         self._backend = None
+
+    def _regain(self, unit: Unit) -> None:
+        """Stop a latched robot that is there again; else settle what it was left with."""
+        if self.backend is None:
+            return
+        if unit.latch is not None:
+            self._gateway.stops.resume(unit)
+        elif unit.lost is not None and unit not in self._recoveries:
+            task = asyncio.create_task(self._recover(unit), name=f"recover {unit.name}")
+            self._recoveries[unit] = task
+            task.add_done_callback(lambda _: self._recoveries.pop(unit, None))
+
+    async def _recover(self, unit: Unit) -> None:
+        """Do with a robot what its policy says of a lost command, unless it has a new one."""
+        wait = _FIRST_RETRY
+        while (lost := unit.lost) is not None and (backend := self.backend) is not None:
+            try:
+                with permitted(unit, unit.stops):
+                    done = await backend.recover(unit.robot)
+            except Exception as error:
+                unexpected = None if isinstance(error, RcpError) else error
+                text = str(error)
+                log.warning(
+                    "not_recovered",
+                    backend=unit.name,
+                    command=lost,
+                    error=text,
+                    exc_info=unexpected,
+                )
+                await asyncio.sleep(wait)
+                wait = min(wait * 2, _LAST_RETRY)
+            else:
+                unit.lost = None
+                log.warning("recovered", backend=unit.name, command=lost, done=done)
+                self._gateway.recording.recovered(unit, lost, done)
 
     def _down(self, error: Exception) -> None:
         self._backend = None
@@ -283,6 +405,10 @@ class Slot:
     def path(self, name: str) -> str:
         """Return the full path of one of the backend's own names."""
         return full_path(self.tenant, self.robot, name)
+
+
+def _hold_name(robot: str | None) -> str:
+    return "service/hold" if robot is None else f"service/{robot}/hold"
 
 
 def _sentence(error: BaseException) -> str:

@@ -1,6 +1,6 @@
 """The public kit: an author subclasses a suite, and the suite, not the author, wrote the tests.
 
-`BackendSuite` proves a robot's plugin, `TransportSuite` a client's wire, `loopback` and
+`BackendSuite` and `StopSuite` prove a robot's plugin, `TransportSuite` a client's wire, `loopback` and
 `serve_backend` run a real gateway without a socket for tests of one's own. Needs pytest.
 """
 
@@ -20,6 +20,7 @@ from rcp_kernel.testing._serve import (
 )
 from rcp_kernel.testing._suite import Suite, eventually, proves
 from rcp_kernel.testing.backend import BackendSuite, Goal, Robot
+from rcp_kernel.testing.stop import StopRig, StopSuite
 from rcp_kernel.testing.wire import REQUIREMENTS, Requirement, TransportSuite
 
 __all__ = [
@@ -37,6 +38,8 @@ __all__ = [
     "Requirement",
     "Robot",
     "Served",
+    "StopRig",
+    "StopSuite",
     "Suite",
     "TransportSuite",
     "decode",

@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from rcp_kernel.model import Resource
-from rcp_kernel.spi import Host, Publication
+from rcp_kernel.spi import Host, Publication, StopPlan
 
 __all__ = ["Recorder"]
 
@@ -26,6 +26,8 @@ class Recorder:
         """How many values were published of each name."""
         self.wrong_thread: set[str] = set()
         """Methods that were called from another thread than the event loop's, and must not be."""
+        self.plans: dict[str, StopPlan] = {}
+        """What the guard process has, by name."""
         self._thread = threading.get_ident()
         self._waiting: list[tuple[str, asyncio.Event]] = []
 
@@ -84,3 +86,21 @@ class Recorder:
         """Pass on."""
         self._check("report")
         self._host.report(detail, down=down)
+
+    def link_restored(self, robot: str | None = None) -> None:
+        """Pass on."""
+        self._check("link_restored")
+        self._host.link_restored(robot)
+
+    def is_latched(self, robot: str | None = None) -> bool:
+        """Pass on."""
+        self._check("is_latched")
+        return self._host.is_latched(robot)
+
+    def guard(self, name: str, plan: StopPlan | None) -> None:
+        """Note and pass on."""
+        self._check("guard")
+        self.plans.pop(name, None)
+        if plan is not None:
+            self.plans[name] = plan
+        self._host.guard(name, plan)

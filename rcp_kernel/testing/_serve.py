@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import AsyncGenerator, Callable, Mapping
+from collections.abc import AsyncGenerator, Callable, Mapping, Sequence
 from contextlib import AbstractAsyncContextManager, asynccontextmanager
+from pathlib import Path
 from typing import Any
 
 import msgspec
@@ -11,6 +12,7 @@ import structlog
 
 from rcp_kernel.config.file import GatewayConfig, KeyConfig, decode_table, parse
 from rcp_kernel.plugins import Plugins
+from rcp_kernel.process.log import Recent
 from rcp_kernel.process.server import Prepared, Server, running
 from rcp_kernel.process.supervisor import Slot
 from rcp_kernel.spi import Backend, BackendKind, Host
@@ -36,6 +38,7 @@ _KEYS = tuple(
 class Life(msgspec.Struct, frozen=True):
     """One life of a backend, from its opening on; kept after it has closed."""
 
+    kind: str
     backend: Backend
     host: Recorder
 
@@ -46,11 +49,17 @@ class Served:
     def __init__(self, server: Server, lives: list[Life]) -> None:
         self.server = server
         self.lives = lives
+        self._first = server.slots[0].config.use if server.slots else None
 
     @property
     def life(self) -> Life:
-        """The latest life of a backend given as a kind."""
-        return self.lives[-1]
+        """The latest life of the first backend, or of the one that opened first if it has none.
+
+        Which one opens first says nothing: a device has to answer before its backend is open.
+        """
+        kinds = [self._first, self.lives[0].kind]
+        name = next(kind for kind in kinds if any(life.kind == kind for life in self.lives))
+        return next(life for life in reversed(self.lives) if life.kind == name)
 
     @property
     def slot(self) -> Slot:
@@ -63,10 +72,12 @@ class Served:
 
 
 @asynccontextmanager
-async def serve(config: str | GatewayConfig, *kinds: BackendKind) -> AsyncGenerator[Served]:
+async def serve(
+    config: str | GatewayConfig, *kinds: BackendKind, recent: Recent | None = None
+) -> AsyncGenerator[Served]:
     """Run the gateway of a configuration while entered.
 
-    The `kinds` serve its `[[backends]]` by name, without an entry point. Transports that the
+    What was logged of late comes into its status where `recent`, of `configure`, is given. The `kinds` serve its `[[backends]]` by name, without an entry point. Transports that the
     configuration names are opened; a text that names none opens none.
 
     :raises StartupError: as `rcpd serve` would.
@@ -93,7 +104,7 @@ async def serve(config: str | GatewayConfig, *kinds: BackendKind) -> AsyncGenera
         for name, table in config.plugins.items()
     }
     prepared = Prepared(config, plugins, tuple(tables), transports, adapters)
-    async with running(prepared) as server:
+    async with running(prepared, recent) as server:
         yield Served(server, lives)
 
 
@@ -119,10 +130,13 @@ async def serve_backend(
     *,
     tenant: str = "t",
     robot: str | None = None,
+    beside: Sequence[BackendKind] = (),
+    store: Path | None = None,
 ) -> AsyncGenerator[Served]:
     """Run a gateway around one backend: a kind with its table, or an `open` with its Struct.
 
-    Clients get in by the keys `OPERATOR`, `VIEWER` and `ADMIN`.
+    Kinds `beside` it, which have no options, front the same robot. Clients get in by the keys
+    `OPERATOR`, `VIEWER` and `ADMIN`.
 
     :raises ConfigError: the table does not fit the kind's type.
     """
@@ -138,11 +152,17 @@ async def serve_backend(
                 "tenant": tenant,
                 "robot": robot,
                 "options": dict(table),
-            }
-        ]
+            },
+            *(
+                {"use": kind.name, "name": kind.name, "tenant": tenant, "robot": robot}
+                for kind in beside
+            ),
+        ],
+        "store": {"path": None if store is None else str(store)},
     }
     config = decode_table(raw, GatewayConfig, "test: ")
-    async with serve(msgspec.structs.replace(config, keys=_KEYS), backend) as served:
+    config = msgspec.structs.replace(config, keys=_KEYS)
+    async with serve(config, backend, *beside) as served:
         yield served
 
 
@@ -174,7 +194,7 @@ def _noted(kind: BackendKind, lives: list[Life]) -> BackendKind:
     async def open_noted(config: Any, host: Host) -> AsyncGenerator[Backend]:
         recorder = Recorder(host)
         async with kind.open(config, recorder) as backend:
-            lives.append(Life(backend, recorder))
+            lives.append(Life(kind.name, backend, recorder))
             yield backend
 
     return msgspec.structs.replace(kind, open=open_noted)

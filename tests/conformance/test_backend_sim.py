@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import asyncio
+from collections.abc import AsyncGenerator, Mapping, Sequence
+from contextlib import asynccontextmanager, suppress
 from typing import Any, ClassVar
 
 import rcp_sim
-from rcp_kernel.testing import BackendSuite, Goal, eventually
+from rcp_kernel.errors import RcpError
+from rcp_kernel.testing import BackendSuite, Goal, StopRig, StopSuite, eventually
 from rcp_sim.messages import FaultSpec
 
 REST = (0.0, 0.0)
 
 
-class TestSim(BackendSuite):
+class SimRig(StopRig):
     kind = next(iter(rcp_sim.rcp_backends()))
     config: ClassVar[Mapping[str, Any]] = {
         "world": "empty",
@@ -64,3 +67,39 @@ class TestSim(BackendSuite):
 
     async def mend_link(self) -> None:
         self.backend.device.mend()
+
+    async def freeze_device(self) -> None:
+        device = self.backend.device
+        device.strike(FaultSpec("slow", delay=60.0))
+        device.strike(FaultSpec("sensor_stop"))
+
+    async def thaw_device(self) -> None:
+        self.backend.device.mend()
+
+    async def freeze_feedback(self) -> None:
+        self.backend.device.strike(FaultSpec("sensor_stop"))
+
+    async def thaw_feedback(self) -> None:
+        self.backend.device.mend()
+
+    @asynccontextmanager
+    async def foreign_commander(self) -> AsyncGenerator[None]:
+        async def command() -> None:
+            while True:  # as fast as another's joystick
+                with suppress(RcpError):
+                    self.backend.device.sim.drive(0.5, 0.0)
+                await asyncio.sleep(0.05)
+
+        task = asyncio.create_task(command())
+        try:
+            yield
+        finally:
+            task.cancel()
+
+
+class TestSim(SimRig, BackendSuite):
+    """What any backend owes."""
+
+
+class TestSimStops(SimRig, StopSuite):
+    """What any stop owes."""

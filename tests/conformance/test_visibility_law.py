@@ -159,6 +159,12 @@ held = st.dictionaries(
 )
 
 
+def hold(names: set[str]) -> set[str]:
+    """Return the verb that the gateway offers for a robot with something that moves."""
+    moves = any(name.startswith(("actuator/", "action/")) for name in names)
+    return {"service/hold"} if moves else set()
+
+
 class Model:
     """The contract, in the plainest words."""
 
@@ -172,7 +178,7 @@ class Model:
         self.paths = sorted(
             f"/tenant/{tenant}/{name}"
             for tenant, names in tree.items()
-            for name in {*names, "sensor/truth"}
+            for name in {*names, "sensor/truth", *hold(names)}
         )
         self.tenants = [t for t in ("alpha", "beta") if t in held or "*" in held]
 

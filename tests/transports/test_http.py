@@ -11,8 +11,10 @@ import msgspec
 import pytest
 import zstandard
 
+from rcp_kernel.errors import AdapterUnavailable, Cancelled, DeviceRejected, DeviceTimeout
+from rcp_kernel.model import Resource
 from transports.raw import answer, connected
-from transports.robot import KEY, Site, site
+from transports.robot import KEY, Robot, Site, site
 
 pytestmark = pytest.mark.anyio
 POSE = "/rcp/v1/context/tenant/alpha/sensor/pose"
@@ -273,6 +275,140 @@ async def test_waiting_in_vain_ends_with_what_there_is(
     assert response.headers["location"].endswith(response.json()["command"])
     failed = await http.post(f"{CONTEXT}/action/go?wait=5&tenant=beta", json=400)
     assert (failed.status_code, error(failed)) == (502, "device_rejected")
+
+
+# -- the status says how it ended ------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("trouble", "status", "code"),
+    [
+        (DeviceRejected, 502, "device_rejected"),
+        (DeviceTimeout, 504, "device_timeout"),
+        (AdapterUnavailable, 503, "adapter_unavailable"),
+        (Cancelled, 499, "cancelled"),
+        (ZeroDivisionError, 500, "internal"),
+    ],
+)
+@pytest.mark.parametrize("call", ["write", "execute", "posted", "service"])
+async def test_what_has_failed_is_never_a_2xx(
+    http: httpx.AsyncClient,
+    monkeypatch: pytest.MonkeyPatch,
+    trouble: type[Exception],
+    status: int,
+    code: str,
+    call: str,
+) -> None:
+    async def fail(self: Robot, name: str, value: Any, progress: Any = None) -> Any:
+        if name == "action/go":
+            progress(1.0, fraction=0.5)
+        raise trouble("the way is blocked")
+
+    monkeypatch.setattr(Robot, "write", fail)
+    monkeypatch.setattr(Robot, "execute", fail)
+    message = {"type": "execute", "path": "/action/go", "body": 4, "deadline": 5}
+    for key in ("first", "first", "again"):  # a repeat under a key tells the same
+        headers = {"idempotency-key": key}
+        if call == "write":
+            response = await http.put(f"{CONTEXT}/param/limit", json=1.0, headers=headers)
+        elif call == "posted":
+            response = await http.post("/rcp/v1/messages", json=message, headers=headers)
+        else:
+            path = {"execute": "action/go", "service": "service/add"}[call]
+            response = await http.post(f"{CONTEXT}/{path}?wait=5", json=4, headers=headers)
+        assert (response.status_code, error(response)) == (status, code)
+        assert response.json()["status"] in ("failed", "rejected", "cancelled")
+    if call != "write":  # the lookup of a failed command has not failed
+        found = await http.get(response.headers["location"])
+        assert (found.status_code, found.json()["body"]["error"]["code"]) == (200, code)
+
+
+async def test_a_value_that_does_not_fit_its_type_is_a_bad_gateway(
+    http: httpx.AsyncClient, gateway: Site, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # Values are checked when they are written out: the status has to wait for that.
+    good = await http.get(POSE)
+    gateway.robot.host.publish("sensor/pose", {"position": "somewhere"})
+    for media in ("application/json", "application/cbor"):
+        bad = await http.get(POSE, headers={"accept": media})
+        assert (bad.status_code, "etag" in bad.headers) == (502, False)
+    assert (
+        await http.get(POSE, headers={"if-none-match": good.headers["etag"]})
+    ).status_code == 502
+    posted = await http.post("/rcp/v1/messages", json={"type": "read", "path": "/sensor/pose"})
+    assert (posted.status_code, error(posted)) == (502, "device_rejected")
+
+    async def read_back(self: Robot, name: str, value: Any) -> Any:
+        return "a text where a number was promised"
+
+    monkeypatch.setattr(Robot, "write", read_back)
+    written = await http.put(f"{CONTEXT}/param/limit", json=1.0)
+    assert (written.status_code, written.json()["status"]) == (502, "failed")
+
+
+async def test_one_bad_value_spoils_no_other_part_of_a_batch(
+    http: httpx.AsyncClient, gateway: Site
+) -> None:
+    gateway.robot.host.publish("sensor/pose", {"position": "somewhere"})
+    parts = [{"type": "read", "path": "/sensor/pose", "id": "bad", "x-n": 1}]
+    parts.append({"type": "read", "path": "/sensor/text", "id": "good"})
+    batch = await http.post("/rcp/v1/messages", json={"type": "batch", "body": parts})
+    bad, good = batch.json()["body"]
+    assert (batch.status_code, bad["id"], bad["x-n"]) == (200, "bad", 1)
+    assert bad["error"]["code"] == "device_rejected"
+    assert (good["status"], good["body"]) == ("completed", "x")
+
+
+# -- pages -----------------------------------------------------------------------------------------
+
+
+async def test_a_pattern_is_read_page_by_page(http: httpx.AsyncClient, gateway: Site) -> None:
+    names = [f"param/many/p{number:04}" for number in range(1348)]
+    gateway.robot.host.declare(
+        *(Resource(name=name, description="One of many.", value=float, live=True) for name in names)
+    )
+    for name in names:
+        gateway.robot.host.publish(name, 0.5)
+    found: list[str] = []
+    query: dict[str, str] = {}
+    sizes: list[int] = []
+    while True:
+        response = await http.get(f"{CONTEXT}/param/many/*", params=query)
+        page = response.json()
+        sizes.append(len(page["body"]))
+        found += [item["path"].removeprefix("/tenant/alpha/") for item in page["body"]]
+        assert page.get("truncated", False) is ("cursor" in page)
+        if "cursor" not in page:
+            break
+        query = {"cursor": page["cursor"], "limit": "200"}
+    assert (sizes, found) == ([1000, 200, 148], names)
+    for wrong in ({"limit": "0"}, {"limit": "1001"}, {"limit": "x"}, {"cursor": "?"}):
+        refused = await http.get(f"{CONTEXT}/param/many/*", params=wrong)
+        assert (refused.status_code, error(refused)) == (400, "bad_request")
+
+
+async def test_commands_are_listed_page_by_page(http: httpx.AsyncClient, gateway: Site) -> None:
+    sent = [
+        (await http.post(f"{CONTEXT}/service/add?wait=5", json=n)).json()["command"]
+        for n in range(25)
+    ]
+    running = await http.post(f"{CONTEXT}/action/go", json=1)
+    await gateway.robot.started.wait()
+    found: list[str] = []
+    query: dict[str, str] = {"limit": "10"}
+    while True:
+        page = (await http.get("/rcp/v1/commands", params=query)).json()
+        found += [command["command"] for command in page["body"]]
+        assert page.get("truncated", False) is ("cursor" in page)
+        if "cursor" not in page:
+            break
+        query["cursor"] = page["cursor"]
+        gateway.robot.release.set()  # it ends between two pages, and is told once all the same
+    assert found == [running.json()["command"], *reversed(sent)]
+    one = (await http.get("/rcp/v1/commands?status=completed&limit=25&path=/x")).json()
+    assert (one["body"], "truncated" in one) == ([], False)
+    bad = await http.get("/rcp/v1/commands", params={"cursor": "L3RlbmFudA=="})
+    assert (bad.status_code, error(bad)) == (400, "bad_request")
 
 
 # -- envelopes -------------------------------------------------------------------------------------

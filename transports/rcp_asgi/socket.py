@@ -10,6 +10,7 @@ from __future__ import annotations
 import asyncio
 import zlib
 
+import structlog
 from picows import WSFrame, WSListener, WSMsgType, WSTransport
 
 from rcp_asgi import heads
@@ -26,9 +27,11 @@ _HIGH_WATER = 64 * 1024  # bytes in the write buffer above which the socket is n
 _CLOSE_WAIT = 2.0  # s the peer has to answer a close
 _UNANSWERED = 2  # pings after which the peer counts as gone
 # RFC 6455 7.4.1
+log = structlog.get_logger("rcp.asgi")
 _PROTOCOL_ERROR = 1002
 _GONE = 1006
 _INVALID_TEXT = 1007
+_INTERNAL = 1011
 
 
 class Socket(WSListener):
@@ -129,9 +132,11 @@ class Socket(WSListener):
                 self._control(frame, opcode)
             elif self.open:
                 self._fragment(frame, opcode)
-        finally:
             if frame.last_in_buffer:
                 self._settled()
+        except Exception:
+            log.exception("websocket_failed", opcode=str(opcode))
+            self._fail(_INTERNAL, "the gateway failed; its log has the reason")
 
     def on_ws_disconnected(self, transport: WSTransport) -> None:
         """End."""

@@ -38,17 +38,20 @@ class Answers:
         etag = None
         if reply.seq is not None and reply.type == "read" and reply.error is None:
             etag = b'W/"%b.%d.%b"' % (BOOT, reply.seq, b"s" if reply.state == "stale" else b"f")
-        status = status_of(reply)
-        found = [] if headers is None else headers
-        if reply.error is not None:
-            found += _error_headers(status, reply.error)
-        if reply.command is not None and asked.method == "POST":
-            place = f"{asked.root_path}/rcp/v1/commands/{reply.command}"
-            found.append((b"location", place.encode("latin-1")))
         if etag is not None and matches(asked, etag):
             await self.unchanged(send, etag)
             return
-        await self.body(send, asked, status, _encode(reply, asked.encoding), found, etag)
+        # Values are checked when they are written, so only now it is known how the request ended.
+        told, data = _encode(reply, asked.encoding)
+        status = status_of(told)
+        found = [] if headers is None else headers
+        if told.error is not None:
+            etag = None
+            found += _error_headers(status, told.error)
+        if told.command is not None and asked.method == "POST":
+            place = f"{asked.root_path}/rcp/v1/commands/{told.command}"
+            found.append((b"location", place.encode("latin-1")))
+        await self.body(send, asked, status, data, found, etag)
 
     async def unchanged(self, send: Send, etag: bytes) -> None:
         """Tell that the client has it already."""
@@ -90,12 +93,14 @@ def matches(asked: Asked, etag: bytes) -> bool:
     )
 
 
-def _encode(reply: Reply, encoding: Encoding) -> bytes:
+def _encode(reply: Reply, encoding: Encoding) -> tuple[Reply, bytes]:
+    """Write a reply; one that cannot be written becomes the failure that says so."""
     try:
-        return encode_reply(reply, encoding)
+        return reply, encode_reply(reply, encoding)
     except Exception as error:
         told = crash(error, path=reply.path)
-        return encode_reply(failure(told, reply.type, reply.id, reply.path), encoding)
+        failed = failure(told, reply.type, reply.id, reply.path, command=reply.command)
+        return failed, encode_reply(failed, encoding)
 
 
 def _error_headers(status: int, error: dict[str, Any]) -> Headers:

@@ -16,10 +16,11 @@ from rcp_kernel.asgi import Receive, Scope, bearer, peer_of, read_body, too_larg
 from rcp_kernel.clients.session import Session
 from rcp_kernel.door import Door
 from rcp_kernel.errors import BadRequest
+from rcp_kernel.operations.pages import MOST
 from rcp_kernel.values import Encoding, parse
 from rcp_kernel.wire import Request, decode_request
 
-__all__ = ["Asked", "flag", "number"]
+__all__ = ["Asked", "count", "flag", "number"]
 
 _FIELDS = (
     "deadline",
@@ -233,6 +234,16 @@ def number(name: str, text: str) -> float:
     if not math.isfinite(found) or found < 0:
         raise BadRequest(f"`{name}` is a number of seconds, not {text[:40]!r}")
     return found
+
+
+def count(name: str, text: str) -> int:
+    """Read a parameter that says how many items a page has.
+
+    :raises BadRequest: it is not a number of those.
+    """
+    if not (text.isascii() and text.isdigit()) or not 1 <= int(text[:9]) <= MOST:
+        raise BadRequest(f"`{name}` is a number from 1 to {MOST}, not {text[:40]!r}")
+    return int(text)
 
 
 def flag(name: str, text: str) -> bool:

@@ -9,7 +9,7 @@ import msgspec
 from msgspec import Raw
 
 from rcp_http.answers import BOOT, Answers, matches
-from rcp_http.asked import Asked, flag
+from rcp_http.asked import Asked, count, flag
 from rcp_http.config import HttpConfig
 from rcp_http.context import Context, Follower
 from rcp_http.negotiate import body_encoding
@@ -18,12 +18,14 @@ from rcp_kernel.clients.session import Session
 from rcp_kernel.clock import iso, now
 from rcp_kernel.door import Door
 from rcp_kernel.errors import BadRequest, RcpError, UnknownPath, UnsupportedOperation
+from rcp_kernel.operations.command import Command
+from rcp_kernel.operations.pages import LONGEST, cursor_of, place_of
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import FINAL, Reply, Request, decode_request, encode_reply, failure, salvage
 
 __all__ = ["Calls"]
 
-_LISTED = 1000  # commands in one answer
+_PAGE = 100  # items of a page where the caller does not say how many
 _STREAMS = ("subscribe", "unsubscribe", "hello")
 
 
@@ -82,21 +84,33 @@ class Calls:
 
     async def commands(self, asked: Asked, session: Session, send: Send) -> None:
         """GET /commands: the newest first, without their histories."""
-        asked.allow("status", "path", "limit")
+        asked.allow("status", "path", "limit", "cursor")
         status, path = asked.one("status"), asked.one("path")
         limit = _count(asked.one("limit"))
+        cursor = asked.one("cursor")
+        after = None if cursor is None else _place(place_of(cursor[:LONGEST]))
+        # By when they began, which never changes: a command that ends between two pages stays
+        # where it was.
+        listed = sorted(self._door.commands(session), key=_age, reverse=True)
         found: list[dict[str, Any]] = []
-        for command in self._door.commands(session):
-            if len(found) == limit:
-                break
+        last: Command | None = None
+        for command in listed:
+            if after is not None and _age(command) >= after:
+                continue
             live = status == "running" and command.status not in FINAL
             if (status is None or live or command.status == status) and (
                 path is None or command.path == path
             ):
+                if len(found) == limit:
+                    break
                 facts = command.plain()
                 del facts["history"]
                 found.append(facts)
-        await self._plain(asked, send, found, "/system/commands")
+                last = command
+        else:
+            last = None
+        next_ = None if last is None else cursor_of(f"{last.created}:{last.id}")
+        await self._plain(asked, send, found, "/system/commands", next_)
 
     async def command(self, asked: Asked, session: Session, id_: str, send: Send) -> None:
         """GET /commands/<id>: the state, with feedback and history."""
@@ -111,13 +125,17 @@ class Calls:
         request.command = id_
         await self._ask(asked, session, request, send)
 
-    async def _plain(self, asked: Asked, send: Send, body: Any, path: str | None) -> None:
+    async def _plain(
+        self, asked: Asked, send: Send, body: Any, path: str | None, cursor: str | None = None
+    ) -> None:
         request = asked.request("read")
         reply = Reply(
             type="read",
             id=request.id,
             path=path,
             body=body,
+            truncated=cursor is not None,
+            cursor=cursor,
             timestamp=iso(now()),
             custom=request.custom,
         )
@@ -185,8 +203,17 @@ class Calls:
 
 
 def _count(text: str | None) -> int:
-    if text is None:
-        return 100
-    if not text.isdigit() or not 1 <= int(text) <= _LISTED:
-        raise BadRequest(f"`limit` is a number from 1 to {_LISTED}, not {text[:40]!r}")
-    return int(text)
+    return _PAGE if text is None else count("limit", text)
+
+
+def _age(command: Command) -> tuple[int, str]:
+    return command.created, command.id
+
+
+def _place(text: str) -> tuple[int, str]:
+    created, _, id_ = text.partition(":")
+    if not (created.isascii() and created.isdigit()):
+        raise BadRequest(
+            "`cursor` is not one of this list's", remedy="Send the cursor of the last page."
+        )
+    return int(created), id_

@@ -8,7 +8,7 @@ import msgspec
 from msgspec import Raw
 
 from rcp_http.answers import Answers
-from rcp_http.asked import Asked, flag
+from rcp_http.asked import Asked, count, flag
 from rcp_http.config import HttpConfig
 from rcp_http.octets import bytes_of, send_octets
 from rcp_kernel.asgi import Receive, Send, respond
@@ -87,7 +87,7 @@ class Context:
     async def read(self, asked: Asked, session: Session, path: str, send: Send) -> None:
         """GET: the value."""
         if asked.query:
-            asked.allow("fields", "fresh")
+            asked.allow("fields", "fresh", "limit", "cursor")
         request = asked.request("read", path)
         if asked.query:
             self._options(asked, request)
@@ -116,6 +116,10 @@ class Context:
             options["fields"] = [name for name in names if name]
         if (fresh := asked.one("fresh")) is not None:
             options["fresh"] = flag("fresh", fresh)
+        if (limit := asked.one("limit")) is not None:
+            options["limit"] = count("limit", limit)
+        if (cursor := asked.one("cursor")) is not None:
+            options["cursor"] = cursor
         if options:
             request.body = Raw(msgspec.json.encode(options))
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from rcp_http.openapi_calls import ERROR, REPLY, calls
+from rcp_http.openapi_calls import ERROR, REFUSED, REPLY, calls
 from rcp_kernel.clients.session import Session
 from rcp_kernel.door import Door
 from rcp_kernel.operations.discovery import Query
@@ -61,7 +61,7 @@ def _describe(resource: Node, paths: Node, schemas: Node) -> None:
         if "input" in refs:
             item["post"]["requestBody"] = _body(refs["input"], resource["examples"])
         item["post"]["responses"]["202"] = {
-            "description": "Accepted; `Location` names the command.",
+            "description": "Accepted, and not at its end yet; `Location` names the command.",
             "content": _content({"$ref": "#/components/schemas/Reply"}),
         }
     if item:
@@ -78,7 +78,7 @@ def _operation(resource: Node, name: str, schema: Node | None) -> Node:
         "responses": {
             "200": {"description": "The final reply.", "content": _content(whole)},
             "default": {
-                "description": "Refused or failed.",
+                "description": REFUSED,
                 "content": _content({"$ref": "#/components/schemas/Reply"}),
             },
         },

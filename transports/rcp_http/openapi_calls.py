@@ -6,12 +6,15 @@ from typing import Any
 
 from rcp_kernel.errors import BY_CODE
 from rcp_kernel.model import Kind
+from rcp_kernel.operations.pages import MOST
 from rcp_kernel.wire import FINAL
 
-__all__ = ["ERROR", "REPLY", "calls"]
+__all__ = ["ERROR", "REFUSED", "REPLY", "calls"]
 
 Node = dict[str, Any]
 _TEXT: Node = {"type": "string"}
+_COUNT: Node = {"type": "integer", "minimum": 1, "maximum": MOST}
+REFUSED = "Refused or failed, with the status of the error's code; never a 2xx."
 ERROR: Node = {
     "type": "object",
     "required": ["code", "message", "remedy", "retryable", "trace_id"],
@@ -43,6 +46,11 @@ REPLY: Node = {
         "seq": {"type": "integer"},
         "source_timestamp": _TEXT,
         "state": {"enum": ["fresh", "stale"]},
+        "truncated": {
+            "type": "boolean",
+            "description": "The body is one page of the answer; `cursor` leads to the next.",
+        },
+        "cursor": {"type": "string", "description": "Send it to get the next page."},
         "timestamp": _TEXT,
         "dry_run": {"type": "boolean"},
     },
@@ -66,7 +74,7 @@ def _call(summary: str, *parameters: Node, media: str = "application/json") -> N
         "responses": {
             "200": {"description": "The reply.", "content": {media: {"schema": schema}}},
             "default": {
-                "description": "Refused or failed.",
+                "description": REFUSED,
                 "content": {"application/json": {"schema": {"$ref": "#/components/schemas/Reply"}}},
             },
         },
@@ -110,10 +118,25 @@ def calls() -> Node:
         _query("kind", {"enum": [kind.value for kind in Kind]}, "Only this kind."),
         _query("op", _TEXT, "Only what the caller may do this with."),
         _query("q", _TEXT, "Words in path or description."),
-        _query("limit", {"type": "integer", "minimum": 1, "maximum": 1000}, "In one page."),
+        _query("limit", _COUNT, "In one page."),
+        _query("cursor", _TEXT, "Of the last page."),
+    )
+    many = _call(
+        "Read everything that a pattern reaches, page by page.",
+        {
+            "name": "pattern",
+            "in": "path",
+            "required": True,
+            "schema": _TEXT,
+            "description": "`*` is one segment, `**` any number: `param/**`.",
+        },
+        _query("fields", _TEXT, "Only these fields of the values, separated by commas."),
+        _query("fresh", {"type": "boolean"}, "Ask the robot, even where a sample is at hand."),
+        _query("limit", _COUNT, "Items in one page."),
         _query("cursor", _TEXT, "Of the last page."),
     )
     return {
+        "/rcp/v1/context/{pattern}": {"get": many},
         "/rcp/v1/messages": {"post": post},
         "/rcp/v1/discovery": {"get": discovery},
         "/rcp/v1/status": {"get": _call("Report how the gateway and its robots are.")},
@@ -124,7 +147,8 @@ def calls() -> Node:
                 "List commands, the newest first.",
                 _query("status", _TEXT, "Only those of this status, or `running`."),
                 _query("path", _TEXT, "Only those of this path."),
-                _query("limit", {"type": "integer", "minimum": 1, "maximum": 1000}, "At most."),
+                _query("limit", _COUNT, "In one page."),
+                _query("cursor", _TEXT, "Of the last page."),
             )
         },
         "/rcp/v1/commands/{id}": {

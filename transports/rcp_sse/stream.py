@@ -6,10 +6,13 @@ import asyncio
 from collections.abc import Callable
 from typing import Any, Protocol
 
+import structlog
+
 from rcp_kernel.asgi import Receive, Scope, Send
 
 __all__ = ["Collect", "Stream"]
 
+log = structlog.get_logger("rcp.sse")
 _HEADERS = [
     (b"content-type", b"text/event-stream; charset=utf-8"),
     (b"cache-control", b"no-store"),
@@ -54,7 +57,13 @@ class Stream:
         collect = self._collect
         if collect is None or not self._out.writable:
             return
-        chunks = collect()
+        try:
+            chunks = collect()
+        except Exception:
+            # Whatever woke it is no part of this response: the client comes back and resumes.
+            log.exception("stream_failed")
+            self.finish()
+            return
         if self._comment:
             self._comment = False
             chunks.append(_COMMENT)

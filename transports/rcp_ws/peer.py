@@ -8,6 +8,8 @@ from collections.abc import Callable
 from time import perf_counter
 from typing import Any
 
+import structlog
+
 from rcp_kernel.access import peer
 from rcp_kernel.access.identity import Principal
 from rcp_kernel.clients.connections import Hello
@@ -24,9 +26,11 @@ from rcp_ws.socket import NativeSocket
 
 __all__ = ["Peer"]
 
+log = structlog.get_logger("rcp.ws")
 _NOBODY = Principal("nobody", ())
 _PATIENCE = 10.0  # s for a client to prove itself in `hello`
 _POLICY = 1008
+_INTERNAL = 1011
 _SEGMENT = b"segment"  # only a message with this word in it can be one
 _TURN = 0.0005  # s of the loop's time for what one client sent at once; then others have theirs
 _LOOK_EVERY = 32  # replies between looks whether the client takes them
@@ -112,9 +116,13 @@ class Peer:
         self._mailbox.dirty = True
         if not self._began:
             self._began = perf_counter()
-        if _SEGMENT in data and self._segment(data):
-            return
-        self._receive(data)
+        try:
+            if _SEGMENT in data and self._segment(data):
+                return
+            self._receive(data)
+        except Exception as error:
+            # Else the client would wait for its answer for ever.
+            self.connection.stumbled(data, error)
         if len(self._mailbox.control) >= _LOOK_EVERY:
             self.flush()
             if len(self._mailbox.control) >= self._config.backlog:
@@ -160,9 +168,12 @@ class Peer:
     def _next_turn(self) -> None:
         """Go on with what came together and took too long, so that an e-stop came in between."""
         if self._held and not self.gone.is_set():
-            if len(self._mailbox.control) < self._config.backlog:
-                self._release()
-            self.settled()
+            try:
+                if len(self._mailbox.control) < self._config.backlog:
+                    self._release()
+                self.settled()
+            except Exception as error:
+                self._broken(error)
 
     def _release(self) -> None:
         self._held = False
@@ -170,6 +181,11 @@ class Peer:
             self.received(self._inbox.popleft(), False)
         if not self._held:
             self._socket.resume_reading()
+
+    def _broken(self, error: Exception) -> None:
+        """Close a connection that cannot go on: what it was told may have gaps."""
+        log.error("websocket_failed", session=self.connection.session.id, exc_info=error)
+        self._socket.close(_INTERNAL, "the gateway failed; its log has the reason")
 
     def garbled(self, data: bytes) -> None:
         """Answer text that is not UTF-8, before the socket closes for it."""
@@ -235,6 +251,12 @@ class Peer:
 
     def flush(self) -> None:
         """Send what there is, if the socket takes it."""
+        try:
+            self._flush()
+        except Exception as error:
+            self._broken(error)
+
+    def _flush(self) -> None:
         socket = self._socket
         if not socket.writable:
             return

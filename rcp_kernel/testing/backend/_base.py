@@ -5,13 +5,13 @@ from __future__ import annotations
 import asyncio
 from collections.abc import AsyncGenerator, Mapping, Sequence
 from contextlib import AbstractAsyncContextManager, asynccontextmanager, nullcontext, suppress
+from pathlib import Path
 from typing import Any, ClassVar
 
 import msgspec
 import pytest
 
-from rcp_kernel.model import BRANCHES, Kind, Operation, Resource, full_path
-from rcp_kernel.motion.safety import MOVING
+from rcp_kernel.model import BRANCHES, MOVING, Kind, Operation, Resource, full_path
 from rcp_kernel.spi import Backend, BackendKind
 from rcp_kernel.testing._client import BOUND, Client, Message
 from rcp_kernel.testing._schemas import legal, same
@@ -125,6 +125,10 @@ class BackendTests(Suite):
     complete_within: ClassVar[float] = 10.0
     """Seconds in which a good goal is reached."""
 
+    beside: Sequence[BackendKind] = ()
+    """Further backends of the same robot."""
+    store: Path | None = None
+    """Where the gateway keeps what survives it."""
     device: Any = None
     """What `twin` yielded."""
     running: Robot
@@ -203,10 +207,13 @@ class BackendTests(Suite):
     @asynccontextmanager
     async def served_by_device(self) -> AsyncGenerator[Robot]:
         """Run a gateway around the backend, whose device runs already."""
-        async with serve_backend(self.kind, self.table()) as served:
+        async with serve_backend(
+            self.kind, self.table(), beside=self.beside, store=self.store
+        ) as served:
             self.prompt = served.slot.settled.is_set()
             with suppress(TimeoutError):  # it is late on a machine that is busy otherwise
                 await asyncio.wait_for(served.slot.settled.wait(), BOUND)
+            assert served.slot.name == self.kind.name
             assert served.lives, f"it did not open: {served.slot.state}, {served.slot.detail}"
             self.running = Robot(served)
             yield self.running

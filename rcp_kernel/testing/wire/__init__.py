@@ -9,6 +9,7 @@ from rcp_kernel.testing.wire._control import Control
 from rcp_kernel.testing.wire._discovery import Discovery
 from rcp_kernel.testing.wire._envelopes import Envelopes
 from rcp_kernel.testing.wire._once import Once
+from rcp_kernel.testing.wire._pages import Pages
 from rcp_kernel.testing.wire._paths import Paths
 from rcp_kernel.testing.wire._plans import Planning
 from rcp_kernel.testing.wire._qos import Quality
@@ -42,6 +43,7 @@ class TransportSuite(
     Silence,
     Values,
     Reading,
+    Pages,
     Commands,
     Control,
     Planning,

@@ -123,7 +123,7 @@ class World:
     def robot(self, name: str = "main") -> WireRobot:
         """Return one of the robots by the name of its backend."""
         slot = next(slot for slot in self.server.slots if slot.name == name)
-        found = slot.backend
+        found = getattr(slot.backend, "inner", None)
         assert isinstance(found, WireRobot)
         return found
 

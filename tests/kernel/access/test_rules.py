@@ -270,3 +270,17 @@ async def test_the_masks_that_are_kept_are_bounded(
 def test_a_principal_of_the_same_name_by_another_proof_is_another() -> None:
     key = Principal("ann", (), "key")
     assert key.identity != msgspec.structs.replace(key, proof="certificate").identity
+
+
+@pytest.mark.parametrize("table", ["roles", "envelopes"])
+def test_a_condition_that_costs_too_much_stops_the_start_with_its_place(table: str) -> None:
+    dear = "sensor.scan.all(x, " * 4 + "true" + ")" * 4
+    rule = f'allow = [{{ operations = ["read"], paths = ["/**"], when = "{dear}" }}]'
+    envelope = f'[[envelopes]]\nname = "e"\npaths = ["/actuator/**"]\nwhen = "{dear}"'
+    text = f"[roles.dear]\n{rule}" if table == "roles" else envelope
+    with pytest.raises(
+        ConfigError, match=r"dear\] allow\[0\] when|\[\[envelopes\]\] 'e': when"
+    ) as e:
+        parse(text, "gateway.toml")
+    assert "too costly" in str(e.value)
+    assert "fewer comprehensions" in str(e.value)

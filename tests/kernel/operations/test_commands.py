@@ -163,7 +163,10 @@ async def test_history_outlives_the_gateway_and_what_a_crash_cut_off_is_failed(
     async with world_of(kept_in(tmp_path / "crashed.db")) as world:
         listed = (await world.client().ask(type="read", path="/system/commands"))["body"]
         assert [(c["input"], c["status"]) for c in listed] == [(2.0, "failed"), (1.0, "completed")]
-        assert "stopped while the command was running" in listed[0]["error"]["message"]
+        error = listed[0]["error"]
+        assert "stopped while the command was running" in error["message"]
+        assert "(on_loss = hold)" in error["message"]
+        assert error["details"] == {"on_loss": "hold"}
 
 
 async def test_a_row_that_cannot_be_read_is_left_out_of_the_history(tmp_path: Path) -> None:

@@ -24,6 +24,13 @@ from kernel.world import CONFIG, Client, world_of
 HALF = "half-half-half-half"
 
 
+async def test_more_faults_than_are_listed_are_counted() -> None:
+    async with world_of() as world:
+        wrong = [step("read", f"/sensor/none{number}") for number in range(130)]
+        details = (await run(world.client(), *wrong))["error"]["details"]
+        assert (len(details["faults"]), details["truncated"], details["count"]) == (100, True, 130)
+
+
 async def plan(client: Client, **body: Any) -> dict[str, Any]:
     return await client.ask(type="execute", path="/system/plans", body=body)
 
@@ -265,3 +272,37 @@ async def test_times_let_actions_overlap_and_keep_those_apart_that_do_not() -> N
         ]
         world.robot.release.set()
         assert set(states(await client.final(id_)).values()) == {"completed"}
+
+
+async def test_a_condition_that_costs_too_much_is_refused_with_the_way_out() -> None:
+    dear = "sensor.level.all(x, " * 40 + "true" + ")" * 40
+    async with world_of() as world:
+        wait = {"do": "wait", "until": dear, "deadline": 5, "id": "dear"}
+        reply = await run(world.client(), wait)
+        assert (reply["status"], code(reply)) == ("rejected", "out_of_range")
+        fault = reply["error"]["details"]["faults"][0]
+        assert (fault["step"], fault["details"]["pointer"]) == ("dear", "/until")
+        assert "too costly" in fault["message"]
+        assert "fewer comprehensions" in fault["remedy"]
+
+
+async def test_all_conditions_of_a_plan_together_are_bounded() -> None:
+    texts = [f"sensor.level > {n}.0 || '{'a' * 90}' == 'b'" for n in range(150)]
+    async with world_of() as world:
+        reply = await run(world.client(), *(echo(when=text) for text in texts))
+        assert code(reply) == "out_of_range"
+        assert "conditions of the plan" in reply["error"]["message"]
+        assert (await run(world.client(), *(echo(when="param.limit > 9.0") for _ in texts)))[
+            "status"
+        ] == "completed"
+
+
+async def test_who_sends_new_conditions_without_end_is_told_to_wait() -> None:
+    async with world_of() as world:
+        client = world.client()
+        told = {
+            code(await run(client, *(echo(when=f"[{'1,' * 150}{m}] == [{n}]") for n in range(20))))
+            for m in range(20)
+        }
+        assert "rate_limited" in told
+        assert code(await run(world.client("admin-admin-admin"), echo(when="true"))) == "completed"

@@ -9,6 +9,7 @@ import pytest
 
 from kernel.plans.planned import LIMIT, begun, code, echo, go, run, send, states, step
 from kernel.world import CONFIG, kept_in, world_of
+from rcp_kernel.model import Resource
 
 
 async def test_steps_follow_each_other_and_later_ones_use_results_of_earlier_ones() -> None:
@@ -24,6 +25,23 @@ async def test_steps_follow_each_other_and_later_ones_use_results_of_earlier_one
         assert states(reply) == {"before": "completed", "said": "completed", "3": "completed"}
         assert [one.get("result") for one in reply["body"]["steps"]] == [1.5, "0.5", 1.5]
         assert world.robot.writes == [("param/limit", 1.5)]
+
+
+async def test_a_step_that_reads_more_than_a_page_says_so_and_a_later_one_reads_on() -> None:
+    async with world_of() as world:
+        names = [f"param/many/p{number:04}" for number in range(1348)]
+        world.robot.host.declare(
+            *(Resource(name=n, description="One of many.", value=float, live=True) for n in names)
+        )
+        for name in names:
+            world.robot.host.publish(name, 0.5)
+        first = await run(world.client(), step("read", "/param/many/*"))
+        (state,) = first["body"]["steps"]
+        assert (len(state["result"]), state["truncated"]) == (1000, True)
+        rest = {"cursor": state["cursor"]}
+        last = await run(world.client(), step("read", "/param/many/*", rest))
+        assert len(last["body"]["steps"][0]["result"]) == 348
+        assert "truncated" not in last["body"]["steps"][0]
 
 
 async def test_each_change_of_a_step_is_told_with_the_part_done() -> None:

@@ -1,0 +1,161 @@
+"""What a plugin raises to end the process ends the plugin's own work, and nothing else.
+
+`SystemExit` and `KeyboardInterrupt` pass by every `except Exception`, and asyncio lets them out of
+the event loop. So they become an ordinary error at the plugin's edge, and where they come out of
+the loop all the same (a task or timer of the plugin's own), the loop is entered again.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import sys
+import threading
+from collections.abc import AsyncGenerator, Coroutine, Generator, Sequence
+from contextlib import AbstractAsyncContextManager, asynccontextmanager, contextmanager, suppress
+from typing import Any
+
+import structlog
+
+from rcp_kernel.spi import Backend, MotionState, Progress, Watchdog
+
+__all__ = ["ContainedBackend", "PluginExit", "contained", "end_in_time", "run_contained"]
+
+log = structlog.get_logger("rcp.plugins")
+_LEAVE = 3.0  # s that threads which plugins have left behind may go on after the gateway's end
+
+
+class PluginExit(RuntimeError):
+    """A plugin tried to end the process."""
+
+
+@contextmanager
+def contained() -> Generator[None]:
+    """Turn whatever would end the process into an ordinary error.
+
+    :raises PluginExit: it would have.
+    """
+    try:
+        yield
+    except (Exception, asyncio.CancelledError, GeneratorExit):
+        raise
+    except BaseException as error:
+        what = f"{type(error).__name__}({', '.join(map(str, error.args))})"
+        text = f"the plugin raised {what}, which ends a process; only the plugin's work ended"
+        raise PluginExit(text) from error
+
+
+class ContainedBackend:
+    """A plugin's backend as the kernel calls it."""
+
+    def __init__(self, backend: Backend) -> None:
+        self._backend = backend
+        self.on_loss = backend.on_loss
+
+    @property
+    def inner(self) -> Backend:
+        """The plugin's own object, for tests that look at it."""
+        return self._backend
+
+    def __getattr__(self, name: str) -> Any:
+        """Find what else a backend has: tests and adapters of its own kind know of it."""
+        return getattr(self._backend, name)
+
+    async def read(self, name: str) -> Any:
+        """Ask the robot for a value."""
+        with contained():
+            return await self._backend.read(name)
+
+    async def write(self, name: str, value: Any) -> Any:
+        """Write a value."""
+        with contained():
+            return await self._backend.write(name, value)
+
+    async def execute(self, name: str, value: Any, progress: Progress) -> Any:
+        """Run an action or a service."""
+        with contained():
+            return await self._backend.execute(name, value, progress)
+
+    def watch(self, name: str, rate: float | None) -> AbstractAsyncContextManager[object]:
+        """Have a value published while entered."""
+        return self._watch(name, rate)
+
+    @asynccontextmanager
+    async def _watch(self, name: str, rate: float | None) -> AsyncGenerator[object]:
+        with contained():
+            async with self._backend.watch(name, rate) as watching:
+                yield watching
+
+    async def halt(self) -> None:
+        """Bring all to rest."""
+        with contained():
+            await self._backend.halt()
+
+    async def halt_robot(self, robot: str) -> None:
+        """Bring one robot to rest."""
+        with contained():
+            await self._backend.halt_robot(robot)
+
+    def motion(self, robot: str | None) -> MotionState | None:
+        """Report whether a robot is at rest."""
+        with contained():
+            return self._backend.motion(robot)
+
+    def hold_stop(self, robot: str | None) -> None:
+        """Send again what keeps a robot stopped."""
+        with contained():
+            self._backend.hold_stop(robot)
+
+    async def hold(self, robot: str | None) -> None:
+        """Bring a robot to rest without an e-stop."""
+        with contained():
+            await self._backend.hold(robot)
+
+    async def recover(self, robot: str | None) -> str:
+        """Do what the policy says after a lost link."""
+        with contained():
+            return await self._backend.recover(robot)
+
+    def watchdogs(self) -> Sequence[Watchdog]:
+        """List what stops the robot when the gateway falls silent."""
+        with contained():
+            return self._backend.watchdogs()
+
+
+def run_contained(runner: asyncio.Runner, main: Coroutine[Any, Any, None]) -> None:
+    """Run the gateway to its end, whatever a task or timer of a plugin raises in its loop.
+
+    Ctrl-C comes as a signal that the gateway handles itself, so a `KeyboardInterrupt` out of the
+    loop is a plugin's as well.
+    """
+    loop = runner.get_loop()
+    task = loop.create_task(main, name="gateway")
+    while True:
+        try:
+            loop.run_until_complete(task)
+        except (SystemExit, KeyboardInterrupt) as error:
+            if task.done():
+                raise
+            # Without the traceback: writing it down may ask the plugin's own values.
+            with suppress(BaseException):
+                log.error("plugin_would_end_the_process", error=repr(error))
+        else:
+            return
+
+
+def end_in_time() -> None:
+    """End the process within a bound from now on, though a plugin has left threads behind.
+
+    Python waits for every thread that is no daemon, and the loop for its executor's.
+    """
+
+    def end() -> None:
+        left = [t.name for t in threading.enumerate() if not t.daemon and t.name != "MainThread"]
+        log.error("threads_left_behind", threads=left, detail="ended without waiting for them")
+        sys.stderr.flush()
+        sys.stdout.flush()
+        os._exit(0)
+
+    last = threading.Timer(_LEAVE, end)
+    last.daemon = True
+    last.start()

@@ -1,0 +1,318 @@
+"""The gateway's side of the guard: who may move, the heartbeat, and what follows a stop by it.
+
+The heartbeat comes from the event loop, so it is missing whenever the loop stands still, whatever
+the reason. A backend is armed from before the first command that may move it until it is measured at
+rest, and while an e-stop holds it. See `rcp_guard` for the other side.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import os
+import time
+from collections.abc import Iterable, Sequence
+from contextlib import suppress
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+import structlog
+
+from rcp_kernel.errors import StaleCommand
+from rcp_kernel.motion.insist import insist
+from rcp_kernel.process.guard_process import GuardProcess
+from rcp_kernel.process.supervisor import Slot
+from rcp_kernel.registry import Entry
+
+if TYPE_CHECKING:
+    from rcp_kernel.gateway import Gateway
+
+__all__ = ["GuardLink"]
+
+log = structlog.get_logger("rcp.guard")
+_PERIOD = 0.1  # s between two heartbeats at most; a fifth of `guard_after` if that is less
+_LINGER = 1.0  # s that a backend stays armed after its last command: it takes time to brake
+_UNKNOWN = 30.0  # s that it stays armed if nobody can know whether it rests
+_SETTLE = 10.0  # s that a backend has to verify its watchdogs before their lack is a warning
+_THAW = 0.5  # s after a freeze in which what comes in may have been sent before or during it
+_HOLD = 10.0  # s that a robot is told to rest after a stop by the guard
+
+
+class GuardLink:
+    """Arms and feeds the guard, and says in the status what stops each robot without the gateway."""
+
+    def __init__(self, gateway: Gateway, slots: Sequence[Slot]) -> None:
+        self._gateway = gateway
+        self._slots = slots
+        safety = gateway.config.safety
+        self._on = safety.guard and os.name == "posix"
+        self._after = safety.guard_after
+        self._period = min(_PERIOD, safety.guard_after / 5)
+        self._process = GuardProcess(gateway.loop, safety, self._told)
+        self._moved: dict[Slot, float] = {}
+        """When a backend that may move was last told to."""
+        self._armed: frozenset[str] = frozenset()
+        self._plans: dict[str, dict[str, Any]] = {}
+        self._seen: list[tuple[str, int]] = []
+        self._senders: dict[str, tuple[str, str]] = {}
+        self._ready: dict[Slot, float] = {}
+        self._warned: set[tuple[str, str | None]] = set()
+        self._holds: set[asyncio.Task[None]] = set()
+        self._timer: asyncio.TimerHandle | None = None
+        self._expected = float("inf")
+        self._thawed = float("-inf")
+        self._frozen: frozenset[str] = frozenset()
+        """The backends that were armed when the loop last stood still."""
+        self.lag = 0.0
+        """The most that the event loop was late, s."""
+        self.stops = 0
+        """How often the guard has stopped robots."""
+
+    # -- the heartbeat ---------------------------------------------------------------------------
+
+    def start(self) -> None:
+        """Begin the heartbeat, and be told of whatever may move."""
+        gateway = self._gateway
+        gateway.deadman.began = gateway.commands.began = self.arm
+        gateway.admission.check_thaw = self.check_thaw
+        self._next()
+
+    async def close(self) -> None:
+        """End the heartbeat with a goodbye: the robots were brought to rest, nothing is sent."""
+        if self._timer is not None:
+            self._timer.cancel()
+        self._expected = float("inf")
+        for task in self._holds:
+            task.cancel()
+        await self._process.close()
+
+    def arm(self, entry: Entry) -> None:
+        """Arm the guard before something moves; does next to nothing where it is armed."""
+        slot = entry.owner
+        if not entry.barred or not isinstance(slot, Slot):
+            return
+        self._moved[slot] = self._gateway.loop.time()
+        if slot.name not in self._armed:
+            self._armed |= {slot.name}
+            self._process.arm(self._armed)
+
+    def check_thaw(self, entry: Entry) -> None:
+        """Refuse motion of a robot that the guard has stopped while a client's requests waited.
+
+        The loop may read these before anything else, also before it hears of the guard's stop.
+
+        :raises StaleCommand: the loop stood still until just now.
+        """
+        slot = entry.owner
+        if not self._on or not entry.barred or not isinstance(slot, Slot) or not slot.plans:
+            return
+        self._look_for_freeze()
+        left = self._thawed + _THAW - time.monotonic()
+        if left > 0 and slot.name in self._frozen:
+            raise StaleCommand(
+                "the gateway stood still and the guard has stopped the robot: this may be older",
+                path=entry.path,
+                remedy="Look at the robot, then send a new command.",
+            )
+
+    def _look_for_freeze(self) -> None:
+        now = time.monotonic()
+        if now - self._expected > self._after and now > self._thawed + _THAW:
+            self._thawed, self._frozen = now, self._armed
+
+    def _next(self) -> None:
+        self._expected = self._gateway.loop.time() + self._period
+        self._timer = self._gateway.loop.call_at(self._expected, self._beat)
+
+    def _beat(self) -> None:
+        self._look_for_freeze()
+        late = self._gateway.loop.time() - self._expected
+        self.lag = max(self.lag, late)
+        if late > self._after and self._armed:
+            log.error("loop_stood_still", seconds=round(late, 3), armed=sorted(self._armed))
+        self._next()
+        try:
+            self._look()
+            self._armed = frozenset(slot.name for slot in self._slots if self._may_move(slot))
+        except Exception:  # a heartbeat that fails would have the robots stopped
+            log.exception("guard_link_failed")
+        self._process.beat(self._armed)
+
+    def _look(self) -> None:
+        """Take over plans that changed, and warn of robots that nothing would stop."""
+        seen = [(slot.name, slot.plans_changed) for slot in self._slots]
+        if self._on and seen != self._seen:
+            self._seen = seen
+            self._moved = {slot: at for slot, at in self._moved.items() if slot in self._slots}
+            self._ready = {slot: at for slot, at in self._ready.items() if slot in self._slots}
+            self._replace(dict(self._plans_now()))
+        for slot in self._slots:
+            if slot not in self._ready:
+                if slot.backend is not None:
+                    self._ready[slot] = self._gateway.loop.time()
+            elif self._gateway.loop.time() - self._ready[slot] > _SETTLE:
+                self._warn(slot)
+
+    def _replace(self, plans: dict[str, dict[str, Any]]) -> None:
+        held = self._plans
+        if plans == held:
+            return
+        same = {name for name, plan in plans.items() if held.get(name) == plan}
+        self._senders = {name: told for name, told in self._senders.items() if name in same}
+        self._plans = plans
+        self._process.replace_plans(plans)
+
+    def _plans_now(self) -> Iterable[tuple[str, dict[str, Any]]]:
+        for slot in self._slots:
+            for name, plan in slot.plans.items():
+                try:
+                    plain = json.loads(json.dumps(msgspec.structs.asdict(plan)))
+                except (TypeError, ValueError) as error:
+                    slot.fault(f"the stop plan '{name}' is not plain data: {error}")
+                    continue
+                yield f"{slot.name}/{name}", {"group": slot.name, **plain}
+
+    def _may_move(self, slot: Slot) -> bool:
+        if any(unit.latch is not None for unit in slot.units):
+            return True
+        moved = self._moved.get(slot)
+        if moved is None:
+            return False
+        now = self._gateway.loop.time()
+        if self._is_commanded(slot):
+            self._moved[slot] = now
+            return True
+        if now - moved > _LINGER and self._rests(slot, now - moved):
+            del self._moved[slot]
+            return False
+        return True
+
+    def _is_commanded(self, slot: Slot) -> bool:
+        gateway = self._gateway
+        entries = gateway.registry.entries
+        running = gateway.commands.running.values()
+        return any(
+            (entry := entries.get(path)) is not None and entry.owner is slot
+            for path in gateway.deadman.paths
+        ) or any(c.entry is not None and c.entry.owner is slot and c.entry.barred for c in running)
+
+    def _rests(self, slot: Slot, since: float) -> bool:
+        """Tell whether a backend rests, as it measures, or else as far as anybody can know."""
+        backend, state = slot.backend, None
+        if backend is not None:
+            with suppress(Exception):
+                state = backend.motion(None)
+        if state is not None and state.at_rest is not None:
+            return state.at_rest
+        if any(self._gateway.deadman.holds(entry) for entry in slot.entries.values()):
+            return False
+        measures_nothing = backend is not None and state is None
+        return measures_nothing or since > _UNKNOWN
+
+    # -- what the guard says ---------------------------------------------------------------------
+
+    def _told(self, message: dict[str, Any]) -> None:
+        match message:
+            case {"event": "sender", "plan": str(plan), "state": str(state), "detail": str(detail)}:
+                self._senders[plan] = state, detail
+                if state in ("failed", "missing"):
+                    backend = self._plans.get(plan, {}).get("group")
+                    log.warning("guard_sender", backend=backend, plan=plan, reason=detail)
+            case {"event": "stopped", "groups": [*groups], "reason": str(reason)}:
+                self.stops += 1
+                for slot in self._slots:
+                    if slot.name in groups and slot.plans:
+                        log.error("guard_stopped_robot", backend=slot.name, reason=reason)
+                        self._end(slot, reason)
+            case {"event": "released", "reason": str(reason)}:
+                log.warning("guard_released_robots", reason=reason)
+            case {"event": "ended"}:
+                self._senders.clear()
+            case _:
+                pass
+
+    def _end(self, slot: Slot, reason: str) -> None:
+        """End what ran on a backend that the guard has stopped: nothing is to resume by itself."""
+        gateway = self._gateway
+        if gateway.closing:
+            return
+        gateway.audit.note("guard", principal=None, tenant=slot.tenant, robots=[slot.name])
+        slot.whole.count_stop()
+        for entry in slot.entries.values():
+            if entry.moves:
+                gateway.deadman.ground(entry)
+        for command in list(gateway.commands.running.values()):
+            if command.entry is not None and command.entry.owner is slot and command.entry.barred:
+                gateway.commands.cancel(command, f"the guard has stopped the robot: {reason}")
+        if slot.backend is not None:
+            hold = insist(slot.whole.hold, "hold_failed", backend=slot.name)
+            self._holds.add(hold)
+            hold.add_done_callback(self._holds.discard)
+            gateway.loop.call_later(_HOLD, hold.cancel)
+
+    # -- the status ------------------------------------------------------------------------------
+
+    @property
+    def state(self) -> str:
+        """Say how it is: `off`, `idle` (no plans), `starting`, `ready`, `degraded`."""
+        if not self._on:
+            return "off"
+        if not self._plans:
+            return "idle"
+        if not self._process.running:
+            return "degraded" if self._process.restarts else "starting"
+        states = {self._senders.get(name, ("opening", ""))[0] for name in self._plans}
+        if states & {"failed", "missing", "waiting"}:
+            return "degraded"
+        return "starting" if "opening" in states else "ready"
+
+    def plain(self, slots: Iterable[Slot]) -> dict[str, Any]:
+        """Write the part of `/system/status` about some backends."""
+        shown = list(slots)
+        names = {slot.name for slot in shown}
+        plans: list[dict[str, Any]] = []
+        for name, plan in self._plans.items():
+            if plan["group"] in names:
+                state, detail = self._senders.get(name, ("opening", ""))
+                one = {"backend": plan["group"], "name": name.partition("/")[2]}
+                told = {"sender": plan["sender"], "state": state, "detail": detail or None}
+                plans.append(one | told)
+        return {
+            "state": self.state,
+            "armed": not names.isdisjoint(self._armed),
+            "stops": self.stops,
+            "plans": plans,
+            "watchdogs": [
+                {"backend": slot.name, **msgspec.to_builtins(watchdog)}
+                for slot in shown
+                for watchdog in _watchdogs(slot)
+            ],
+        }
+
+    def _warn(self, slot: Slot) -> None:
+        if slot.plans and self._on:
+            return
+        verified = [one for one in _watchdogs(slot) if one.verified and one.within is not None]
+        for unit in slot.units:
+            key = slot.name, unit.robot
+            moves = any(entry.moves for entry in unit.own.values())
+            stopped = any(one.robot in (None, unit.robot) for one in verified)
+            if moves and not stopped and key not in self._warned:
+                self._warned.add(key)
+                log.warning(
+                    "robot_without_watchdog",
+                    backend=slot.name,
+                    robot=unit.place,
+                    detail="if the gateway freezes or is killed, nothing is known to stop it",
+                )
+
+
+def _watchdogs(slot: Slot) -> Sequence[Any]:
+    backend = slot.backend
+    if backend is None:
+        return ()
+    try:
+        return backend.watchdogs()
+    except Exception as error:
+        slot.fault(f"watchdogs: {error}")
+        return ()

@@ -1,0 +1,166 @@
+"""A plugin that would end the process ends its own work; the process runs on, and ends in time."""
+
+from __future__ import annotations
+
+import asyncio
+import importlib
+import importlib.util
+import os
+import signal
+import sys
+import time
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+from rcp_kernel.config.file import parse
+from rcp_kernel.errors import PluginError
+from rcp_kernel.hookspecs import hookimpl
+from rcp_kernel.plugins import Plugins
+
+pytestmark = pytest.mark.anyio
+_TESTS = Path(__file__).parents[2]
+_ENDS = 30.0  # s that a whole run may take on a busy machine
+PLACES = [
+    "open",
+    "read",
+    "write",
+    "execute",
+    "watch",
+    "halt",
+    "motion",
+    "hold_stop",
+    "close",
+    "task",
+    "timer",
+    "call_soon",
+    "publish",
+]
+
+
+async def run(*args: str) -> tuple[int | None, str, str, float]:
+    process = await asyncio.create_subprocess_exec(
+        sys.executable,
+        "-m",
+        "kernel.process.culprit",
+        *args,
+        stdout=asyncio.subprocess.PIPE,
+        stderr=asyncio.subprocess.PIPE,
+        env={**os.environ, "PYTHONPATH": str(_TESTS)},
+    )
+    began = time.monotonic()
+    try:
+        async with asyncio.timeout(_ENDS):
+            out, err = await process.communicate()
+    finally:
+        if process.returncode is None:
+            process.kill()
+            await process.wait()
+    return process.returncode, out.decode(), err.decode(), time.monotonic() - began
+
+
+@pytest.mark.parametrize("what", ["exit", "interrupt"])
+@pytest.mark.parametrize("where", PLACES)
+async def test_what_ends_a_process_ends_the_plugins_work_alone(where: str, what: str) -> None:
+    code, out, err, _ = await run(where, what)
+    lines = out.splitlines()
+    assert len([line for line in lines if line.startswith("answered")]) == 6, out + err
+    assert "other here" in lines
+    assert lines[-1] == "closed"
+    assert code == 0
+
+
+@pytest.mark.parametrize("where", ["thread", "executor"])
+async def test_the_process_ends_though_a_plugin_left_a_thread_behind(where: str) -> None:
+    code, out, err, took = await run(where, "exit")
+    assert "closed\n" in out
+    assert "threads_left_behind" in err + out
+    assert code == 0
+    assert took < _ENDS
+
+
+def _plugin(name: str, **hooks: object) -> ModuleType:
+    module = ModuleType(name)
+    vars(module).update(hooks)
+    return module
+
+
+@pytest.mark.parametrize("error", [SystemExit(3), KeyboardInterrupt(), ZeroDivisionError()])
+def test_a_plugin_whose_import_or_hook_would_end_the_process_is_missing(
+    monkeypatch: pytest.MonkeyPatch, error: BaseException
+) -> None:
+    real = importlib.import_module
+
+    @hookimpl
+    def rcp_adapters() -> object:
+        raise error
+
+    def load(name: str) -> ModuleType:
+        if name == "rcp_sim":
+            raise error
+        return _plugin(name, rcp_adapters=rcp_adapters) if name == "rcp_a2a" else real(name)
+
+    monkeypatch.setattr(importlib, "import_module", load)
+    text = '[plugins.a2a]\n[plugins.mcp]\n[[backends]]\nuse = "sim"\nname = "s"\ntenant = "t"'
+    plugins = Plugins(parse(text, "test"))
+    assert {(one.group, one.name) for one in plugins.missing} == {
+        ("backends", "sim"),
+        ("plugins", "a2a"),
+    }
+    assert "mcp" in plugins.adapters
+    assert "asgi" in plugins.transports
+
+
+def test_a_plugin_that_guards_and_cannot_be_asked_stops_the_start(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    real = importlib.import_module
+
+    @hookimpl
+    def rcp_interceptors() -> object:
+        raise SystemExit
+
+    def load(name: str) -> ModuleType:
+        guard = _plugin(name, rcp_interceptors=rcp_interceptors)
+        return guard if name == "rcp_a2a" else real(name)
+
+    monkeypatch.setattr(importlib, "import_module", load)
+    with pytest.raises(PluginError, match="let in what it should not"):
+        Plugins(parse("[plugins.a2a]", "test"))
+
+
+@pytest.mark.skipif(importlib.util.find_spec("rclpy") is None, reason="needs ROS 2")
+async def test_a_ros_middleware_that_is_not_installed_fails_its_backend_alone(
+    tmp_path: Path,
+) -> None:
+    file = tmp_path / "rcp.toml"
+    file.write_text(
+        "[transports.asgi]\nport = 0\n"
+        '[[backends]]\nuse = "ros2"\nname = "ros"\ntenant = "t"\n'
+        '[[backends]]\nuse = "sim"\nname = "rover"\ntenant = "a"\n'
+    )
+    process = await asyncio.create_subprocess_exec(
+        Path(sys.executable).with_name("rcpd"),
+        "serve",
+        file,
+        stdout=asyncio.subprocess.PIPE,
+        stderr=asyncio.subprocess.STDOUT,
+        env={**os.environ, "RMW_IMPLEMENTATION": "rmw_nowhere_cpp"},
+    )
+    assert process.stdout is not None
+    said = ""
+    try:
+        async with asyncio.timeout(_ENDS * 2):
+            while "serving on" not in said or "cannot be loaded" not in said:
+                line = await process.stdout.readline()
+                assert line, said
+                said += line.decode()
+            assert "RMW_IMPLEMENTATION=rmw_nowhere_cpp" in said
+            process.send_signal(signal.SIGTERM)
+            await process.stdout.read()
+            assert await process.wait() == 0
+    finally:
+        if process.returncode is None:
+            process.kill()
+            await process.wait()

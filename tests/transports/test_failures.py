@@ -1,0 +1,165 @@
+"""Bugs in what handles requests: whoever asked is answered or cut off, and the log has the reason."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import Any, NoReturn
+
+import httpx
+import pytest
+from structlog.testing import capture_logs
+
+from rcp_kernel.clients.session import Answer, Handler, Session
+from rcp_kernel.operations.intercepting import intercepted
+from rcp_kernel.wire import Request
+from transports.raw import opened
+from transports.robot import BOUND, KEY, Site
+
+pytestmark = pytest.mark.anyio
+POSE = "/tenant/alpha/sensor/pose"
+AUTH = f"Bearer {KEY}"
+
+
+def on_the_way_in(_handler: Handler) -> Handler:
+    def handle(_session: Session, request: Request, _answer: Answer) -> None:
+        raise ZeroDivisionError(request.type)
+
+    return handle
+
+
+def on_the_way_out(handler: Handler) -> Handler:
+    def handle(session: Session, request: Request, answer: Answer) -> None:
+        def broken(reply: Any) -> NoReturn:
+            raise ZeroDivisionError(reply.status)
+
+        handler(session, request, broken)
+
+    return handle
+
+
+def after_the_answer(handler: Handler) -> Handler:
+    def handle(session: Session, request: Request, answer: Answer) -> None:
+        handler(session, request, answer)
+        raise ZeroDivisionError
+
+    return handle
+
+
+def intercept(gateway: Site, wrap: Any) -> None:
+    inner = gateway.server.gateway
+    inner.handle = intercepted([wrap], inner._admit)
+    inner.quick = False
+
+
+def crashes(said: list[Any]) -> list[str]:
+    return [one["trace_id"] for one in said if one["event"] == "request_crashed"]
+
+
+REQUESTS = [
+    {"type": "read", "path": POSE, "id": "1"},
+    {"type": "read", "path": "/tenant/alpha/sensor/silent", "deadline": 0.05, "id": "1"},
+    {"type": "write", "path": "/tenant/alpha/param/limit", "body": 1.0, "id": "1"},
+    {"type": "execute", "path": "/tenant/alpha/service/add", "body": 1, "id": "1"},
+    {"type": "subscribe", "path": POSE, "id": "1"},
+    {"type": "ping", "id": "1"},
+]
+
+
+@pytest.mark.parametrize(
+    "request_", REQUESTS, ids=[f"{n}-{r['type']}" for n, r in enumerate(REQUESTS)]
+)
+@pytest.mark.parametrize("wrap", [on_the_way_in, on_the_way_out])
+async def test_an_interceptor_that_raises_leaves_nobody_without_an_answer(
+    gateway: Site, wrap: Any, request_: dict[str, Any]
+) -> None:
+    intercept(gateway, wrap)
+    async with asyncio.timeout(BOUND), opened(gateway, authorization=AUTH) as raw:
+        with capture_logs() as said:
+            raw.ask(**request_)
+            reply = await raw.reply()
+        assert (reply["id"], reply["type"]) == ("1", request_["type"])
+        assert reply["error"]["code"] == "internal"
+        assert reply["error"]["trace_id"] in crashes(said)
+
+
+async def test_an_interceptor_that_raises_after_the_answer_is_logged_and_gives_no_second_one(
+    gateway: Site,
+) -> None:
+    intercept(gateway, after_the_answer)
+    async with asyncio.timeout(BOUND), opened(gateway, authorization=AUTH) as raw:
+        with capture_logs() as said:
+            raw.ask(type="ping", id="1")
+            raw.ask(type="ping", id="2")
+            replies = [await raw.reply(), await raw.reply()]
+        assert [(one["id"], one["status"]) for one in replies] == [
+            ("1", "completed"),
+            ("2", "completed"),
+        ]
+        assert len(crashes(said)) == 2
+
+
+@pytest.mark.parametrize("wrap", [on_the_way_in, on_the_way_out])
+@pytest.mark.parametrize(
+    ("method", "path", "body"),
+    [
+        ("GET", "/rcp/v1/context/tenant/alpha/sensor/silent", None),
+        ("PUT", "/rcp/v1/context/tenant/alpha/param/limit", 1.0),
+        ("POST", "/rcp/v1/context/tenant/alpha/service/add", 1),
+        ("POST", "/rcp/v1/messages", {"type": "ping"}),
+        ("GET", "/rcp/v1/events?path=/tenant/alpha/sensor/pose", None),
+    ],
+)
+async def test_over_http_it_is_a_500_with_the_trace_id(
+    gateway: Site, http: httpx.AsyncClient, wrap: Any, method: str, path: str, body: Any
+) -> None:
+    intercept(gateway, wrap)
+    with capture_logs() as said:
+        response = await http.request(method, path, json=body)
+    error = response.json()["error"]
+    assert (response.status_code, error["code"]) == (500, "internal")
+    assert error["trace_id"] in crashes(said)
+
+
+async def test_a_bug_while_a_message_is_taken_is_answered(
+    gateway: Site, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def broken(*_: Any) -> NoReturn:
+        raise ZeroDivisionError
+
+    async with asyncio.timeout(BOUND), opened(gateway, authorization=AUTH) as raw:
+        for target in (
+            "rcp_kernel.clients.connections.decode_request",
+            "rcp_ws.peer.segments.read",
+        ):
+            with monkeypatch.context() as patched, capture_logs() as said:
+                patched.setattr(target, broken)
+                raw.ask(type="read", path=POSE, id="1", **{"x-segment": 1})
+                reply = await raw.reply()
+            assert (reply["id"], reply["error"]["code"]) == ("1", "internal")
+            assert reply["error"]["trace_id"] in crashes(said)
+        raw.ask(type="ping", id="2")
+        assert (await raw.reply())["id"] == "2"
+
+
+@pytest.mark.parametrize(
+    "target",
+    [
+        "rcp_kernel.clients.connections.Connection.stumbled",
+        "rcp_kernel.clients.mailbox.Mailbox.collect",
+        "rcp_ws.peer.Peer.settled",
+    ],
+)
+async def test_where_not_even_an_answer_can_be_made_the_connection_is_closed_with_a_code(
+    gateway: Site, monkeypatch: pytest.MonkeyPatch, target: str
+) -> None:
+    def broken(*_: Any, **__: Any) -> NoReturn:
+        raise ZeroDivisionError
+
+    with capture_logs() as said:
+        monkeypatch.setattr(target, broken)
+        if target.endswith("stumbled"):
+            monkeypatch.setattr("rcp_kernel.clients.connections.decode_request", broken)
+        async with asyncio.timeout(BOUND), opened(gateway, authorization=AUTH) as raw:
+            raw.ask(type="subscribe", path=POSE, id="1")
+            assert await raw.closed() == 1011
+    assert "websocket_failed" in [one["event"] for one in said]

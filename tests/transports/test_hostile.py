@@ -1,0 +1,113 @@
+"""What a hostile client sends, while an e-stop and a reader are timed from another process."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import httpx
+import pytest
+
+from serving import serving
+
+pytestmark = pytest.mark.anyio
+CONFIG = """
+[transports.asgi]
+port = 0
+[[backends]]
+use = "sim"
+name = "rover"
+tenant = "alpha"
+[[keys]]
+name = "operator"
+role = "operator"
+key = "operator-operator"
+[[keys]]
+name = "admin"
+role = "admin"
+key = "admin-admin-admin"
+"""
+COLD = "sensor.joint_states.position"
+IN_TIME = 0.7  # s until an e-stop is answered, on a machine that is busy otherwise
+
+
+def nested(levels: int, over: str = COLD) -> str:
+    return f"{over}.all(x, " * levels + "false" + ")" * levels
+
+
+def waits(*conditions: str) -> dict[str, Any]:
+    steps = [{"do": "wait", "until": text, "deadline": 2} for text in conditions]
+    return {"steps": [{"do": "parallel", "steps": steps}]}
+
+
+CELL = "[" + ",".join(["1"] * 50) + "]"
+DEAR = [
+    pytest.param(waits(nested(28)), 422, id="900 characters"),
+    pytest.param(waits(nested(3)), 422, id="three levels"),
+    pytest.param(waits(nested(10, f"{CELL[:41]}]")), 422, id="literal lists"),
+    pytest.param(waits(*[nested(2)] * 60), 202, id="the most that is admitted"),
+    pytest.param(
+        waits(*[f"{CELL}.all(x, {CELL}.all(y, {n} < 0 && x > y))" for n in range(30)]),
+        202,
+        id="literal lists as far as admitted",
+    ),
+]
+
+
+FLOOD = """
+import asyncio, json, sys, httpx
+
+async def main(url, key):
+    plan = json.load(sys.stdin)
+    async with httpx.AsyncClient(base_url=url, timeout=60, headers={"authorization": key}) as client:
+        path = "/rcp/v1/context/system/plans"
+        replies = await asyncio.gather(*(client.post(path, json=plan) for _ in range(100)))
+    print(json.dumps(sorted({reply.status_code for reply in replies})), flush=True)
+
+asyncio.run(main(*sys.argv[1:]))
+"""
+
+
+@pytest.mark.calm
+@pytest.mark.parametrize(("plan", "status"), DEAR)
+async def test_an_estop_is_answered_while_a_hundred_dear_plans_are_sent(
+    tmp_path: Path, plan: dict[str, Any], status: int
+) -> None:
+    with serving(tmp_path / "rcp.toml", CONFIG) as url:
+        async with httpx.AsyncClient(base_url=url, timeout=30, headers=_as("admin")) as safe:
+            await safe.get("/rcp/v1/context/system/status")
+            hostile = await asyncio.create_subprocess_exec(
+                sys.executable,
+                "-c",
+                FLOOD,
+                url,
+                _as("operator")["authorization"],
+                stdin=asyncio.subprocess.PIPE,
+                stdout=asyncio.subprocess.PIPE,
+            )
+            flood = asyncio.create_task(_flood(hostile, plan))
+            worst = 0.0
+            while not flood.done():
+                began = time.perf_counter()
+                stop = await safe.post("/rcp/v1/context/system/estop", json={"scope": "rover"})
+                worst = max(worst, time.perf_counter() - began)
+                assert stop.status_code == 200, stop.text
+                await asyncio.sleep(0.02)
+            told = await flood
+        assert worst < IN_TIME
+        assert told <= {status, 422, 429, 503}
+        assert status in told
+
+
+async def _flood(process: asyncio.subprocess.Process, plan: dict[str, Any]) -> set[int]:
+    said, _ = await process.communicate(json.dumps(plan).encode())
+    await asyncio.sleep(2.5)  # what was admitted runs
+    return set(json.loads(said))
+
+
+def _as(name: str) -> dict[str, str]:
+    return {"authorization": f"Bearer {'-'.join([name] * (3 if name == 'admin' else 2))}"}
