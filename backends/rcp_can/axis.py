@@ -1,7 +1,7 @@
 """One motor under control: what is asked of it, ramped and watched, whatever its make.
 
 Nothing here moves a drive that nobody asked to move: a set-point is forgotten when the drive resets,
-falls out of its enabled state, or is not heard of, and only a new command makes another.
+falls out of its enabled state, or its feedback is lost, and only a new command makes another.
 """
 
 from __future__ import annotations
@@ -14,19 +14,32 @@ from typing import TYPE_CHECKING
 import structlog
 
 from rcp_can import motor_messages as m
-from rcp_can import views
+from rcp_can import switching, views
 from rcp_can.bus import Bus
 from rcp_can.codec import clamp
 from rcp_can.config_motor import MotorConfig
 from rcp_can.drive import Drive, Fault
 from rcp_can.faultbook import FaultBook
-from rcp_can.guard import STALLED, Loss, check_bus, heartless, loss
+from rcp_can.guard import (
+    STALLED,
+    Loss,
+    heartless,
+    limit_of,
+    loss,
+    stale,
+)
 from rcp_can.health import Health
 from rcp_can.messages import Condition
 from rcp_can.ramp import Ramp
 from rcp_can.setpoint import set_point
-from rcp_kernel.errors import AdapterUnavailable, ModeForbids, QueueFull, RcpError
-from rcp_kernel.spi import Host
+from rcp_kernel.errors import (
+    AdapterUnavailable,
+    DeviceTimeout,
+    ModeForbids,
+    QueueFull,
+    RcpError,
+)
+from rcp_kernel.spi import Host, check_fence, unfenced
 
 if TYPE_CHECKING:
     import can
@@ -36,7 +49,10 @@ __all__ = ["Axis"]
 log = structlog.get_logger("rcp.can")
 _RESTING = 0.02  # rad/s at the drive's shaft, below which it rests, whatever the motor's tolerance
 _LAG = 0.2  # s that a joint may be behind its ramp, and still stop where that stops
-_RETRY = 1.0  # s between two attempts to configure a drive
+_RETRY = 1.0  # s between two attempts to configure a drive, or to cut its torque
+_LATE = 0.1  # s between two ticks, after which frames may still wait to be read
+_FROZEN = 0.5  # s between two ticks, after which a watchdog or the guard may have stopped it
+_STILL = 3  # reports of velocity in a row that say that it rests
 
 
 class Axis:
@@ -46,6 +62,7 @@ class Axis:
         self, name: str, config: MotorConfig, drive: Drive, bus: Bus, host: Host, health: Health
     ) -> None:
         self.name, self.config, self.drive, self.bus = name, config, drive, bus
+        self._host, self._health = host, health
         self.status = drive.status
         reach, gear = drive.reach(), config.gear
         self.ratio = gear * config.direction
@@ -57,8 +74,15 @@ class Axis:
         self.ramp = Ramp(self.velocity_limit, config.acceleration)
         self.mode: m.Mode | None = None
         self.goal = 0.0
-        self.online = False
-        self.stopping = False
+        self.online = self.stopping = False
+        """Whether it is heard; whether a quick stop is under way that nothing has confirmed yet."""
+        self.released, self.still = False, 0
+        """Whether the torque was cut after a stop; and the reports of velocity in a row, since the
+        stop, that say that it rests."""
+        self.blind: Loss | None = None
+        """Which signal is too old, while it is heard."""
+        self.signals = _signals(config, drive)
+        """What its control rests on."""
         self.owner: str | None = None
         """The action that drives it now."""
         self.gone: RcpError | None = None
@@ -67,19 +91,21 @@ class Axis:
         """Whether an action that is over still brings it to rest."""
         self.ended: Callable[[RcpError], None] | None = None
         """Told when what the action commanded is forgotten."""
-        self._host, self._health = host, health
-        self.heard = 0.0
+        self.heard = self.configured_at = 0.0
         """When it said something, by the monotonic clock."""
-        self._after_stop = 0
+        self._stop_began: float | None = None
+        self._releasing: asyncio.Task[None] | None = None
+        self._lost_once = self.enabling = False
+        self._ticked, self._velocities = time.monotonic(), 0
         self._seen = (0, 0, 0, 0)
         self._shown: m.MotorState | None = None
         self.faults = FaultBook(name, host)
         self.configured = False
         """Whether the drive is set up since it was last heard to boot or to come back."""
         self.configuring: asyncio.Task[None] | None = None
-        self._tick = 0
-        self._step_due = False
-        self._wanted_on = self._in_use = False
+        self._tick, self._step_due = 0, False
+        self.wanted_on = self.in_use = False
+        """Whether it was switched on from here and should be so; whether it was at all."""
         self.first = asyncio.Event()
         """Set when the drive was heard for the first time, and is configured."""
         bus.listen(self._take, *drive.routes())
@@ -105,25 +131,54 @@ class Axis:
         """How it stands, in one word."""
         if not self.online:
             return "offline"
-        if self.status.faults and not self.status.enabled:
+        if self.blind is not None:
+            return "no_feedback"
+        broken = self.faults.own("configuration") is not None
+        if broken or (self.status.faults and not self.status.enabled):
             return "fault"
-        if self.stopping:
+        if self.stopping and self.status.energised is not False:
             return "stopping"
-        return "enabled" if self.status.enabled else "disabled"
+        if self.status.enabled:
+            return "enabled"
+        return "quick_stop" if self.status.energised else "disabled"
 
     @property
     def met(self) -> bool:
         """Whether it was ever heard."""
         return self.heard > 0.0
 
+    def is_fresh(self, signal: str) -> bool:
+        """Tell whether a signal is young enough to rest on."""
+        at = self.status.at.get(signal)
+        return at is not None and time.monotonic() - at <= limit_of(self, signal)
+
     @property
-    def resting(self) -> bool:
-        """Whether it is known to stand, or to have no power."""
+    def slow(self) -> bool:
+        """Whether its last velocity is that of rest."""
         velocity = self.status.velocity
-        slow = velocity is not None and abs(velocity) <= max(
+        return velocity is not None and abs(velocity) <= max(
             _RESTING, self.config.standstill * self.config.gear
         )
-        return slow or (velocity is None and self.status.enabled is False)
+
+    @property
+    def resting(self) -> bool:
+        """Whether its fresh feedback says that it rests."""
+        return self.online and self.slow and self.is_fresh("velocity")
+
+    @property
+    def stopped(self) -> bool:
+        """Whether a quick stop stands that no command has followed."""
+        return self._stop_began is not None
+
+    @property
+    def secure(self) -> bool:
+        """Whether it rests without torque, and nothing is under way that could change that."""
+        return (
+            self.resting
+            and self.is_fresh("enabled")
+            and self.status.energised is False
+            and not (self.enabling or self.stopping or self.mode is not None)
+        )
 
     def _take(self, message: can.Message) -> None:
         if self.drive.take(message):
@@ -143,8 +198,11 @@ class Axis:
             self._reset()
         if status.twins != old[3]:
             self._doubled()
-        if self._wanted_on and not status.enabled and status.enabled is not None:
+        if self.wanted_on and not status.enabled and status.enabled is not None:
             self._dropped()
+        if status.counts["velocity"] != self._velocities:
+            self._velocities = status.counts["velocity"]
+            self.still = self.still + 1 if self.slow else 0
         self.drive.look()
         if status.moved != old[0]:
             self._host.publish(f"sensor/{self.name}/motion", views.motion(self))
@@ -154,6 +212,9 @@ class Axis:
 
     def _appear(self) -> None:
         self.online = True
+        if self._lost_once or self._host.is_latched():
+            self._host.link_restored()  # before anything else is sent to it
+        self._lost_once = False
         self.faults.take_back("feedback_lost", "heartbeat_lost")
         self._health.say(self.name, None)
         self._configure()
@@ -161,39 +222,61 @@ class Axis:
     def _configure(self) -> None:
         if self.configuring is None or self.configuring.done():
             self.configured = False
-            self.configuring = asyncio.create_task(self._prepare(), name=f"can {self.name}")
+            with unfenced():
+                self.configuring = asyncio.create_task(self._prepare(), name=f"can {self.name}")
 
     async def _prepare(self) -> None:
         while self.online:
             try:
                 await self.drive.configure()
             except RcpError as error:
-                self.fault("configuration", f"it could not be configured: {error.message}")
+                text = f"it could not be configured: {error.message}"
+                self.fault("configuration", text)
+                self._health.say(self.name, f"motor '{self.name}': {text}")
                 await asyncio.sleep(_RETRY)
             else:
-                self.faults.take_back("configuration")
-                self.configured = True
+                if self.faults.own("configuration") is not None:
+                    self.faults.take_back("configuration")
+                    self._health.say(self.name, None)
+                self.configured, self.configured_at = True, time.monotonic()
                 if self.status.position is not None:
                     self.first.set()
+                self._tell_protection()
                 self.show()
                 return
 
+    def _tell_protection(self) -> None:
+        found = self.drive.protection
+        if found.within is None:
+            log.warning("no_watchdog", motor=self.name, found=found.mechanism)
+        else:
+            log.info(
+                "watchdog",
+                motor=self.name,
+                mechanism=found.mechanism,
+                within=found.within,
+                verified=found.verified,
+            )
+
     def _reset(self) -> None:
-        if self._wanted_on or self.mode is not None:
+        used = self.wanted_on or self.mode is not None or self.stopping
+        if self.wanted_on or self.mode is not None:
             self.fault("reset", "the drive has started anew while it was in use", lasting=False)
-        self._wanted_on = False
+        self.wanted_on = False
         self.forget(AdapterUnavailable(f"motor '{self.name}': the drive has started anew"))
+        if used:  # one that has only left its operational state may still run
+            self.stop()
         self._configure()
 
     def _doubled(self) -> None:
         text = f"two drives answer to node {self.drive.node}"
         self.fault("duplicate_node", text)
-        if self._in_use:
+        if self.in_use:
             self.forget(ModeForbids(f"motor '{self.name}': {text}"))
             self.stop()
 
     def _dropped(self) -> None:
-        self._wanted_on = False
+        self.wanted_on = False
         why = "; ".join(f.text for f in self.status.faults) or "it switched itself off"
         if not self.status.faults and not self.stopping:
             self.fault("switched_off", "the drive has switched itself off", lasting=False)
@@ -204,8 +287,13 @@ class Axis:
     def command(
         self, mode: m.Mode, value: float, path: Callable[[], tuple[float, float]] | None = None
     ) -> None:
-        """Make a set-point stand, until the next; a path tells how it is reached."""
+        """Make a set-point stand, until the next; a path tells how it is reached.
+
+        :raises EstopActive: it is of a request that a stop has cut off.
+        """
+        check_fence()
         self.stopping = False
+        self._stop_began = None
         if mode != self.mode:
             self.ramp.start(self.position or 0.0, self.velocity or 0.0)
         self.ramp.limit, self.ramp.path = self.velocity_limit, path
@@ -232,12 +320,62 @@ class Axis:
         elif self.mode is not None:
             self.rest()
 
+    def pause(self, reason: RcpError) -> None:
+        """Come to rest by the ramp, hold, and end what was commanded, for `reason`."""
+        own = self.drive.moves and self.owner is not None
+        if self.stopped and self.resting:
+            pass  # a stop holds it already, and its torque may be about to go
+        elif self.status.enabled and not self.stopping:
+            if own or (self.mode is None and not self.resting):
+                self.rest()  # from the drive's own trajectory, or what somebody else commanded
+            else:
+                self.hold()
+        elif not self.stopping and not self.resting and self.status.energised is not False:
+            self.stop()
+        ended, self.ended, self.gone = self.ended, None, reason
+        if ended is not None:
+            ended(reason)
+
     def stop(self) -> None:
         """Quick stop: brake hard, again and again until the drive says that it rests."""
         self.mode = None
-        self.stopping = True
-        self._after_stop = self.status.moved
-        self._send(self.drive.stop)
+        self.stopping, self.still = True, 0
+        if self._stop_began is None:
+            self._stop_began = time.monotonic()
+        self._brake()
+        self.show()
+
+    def hold_stop(self) -> None:
+        """Stop it again if it does not rest, or another master has it enabled again."""
+        if not self.met:
+            self._brake()  # it may hear, and not be heard
+        elif self.released and self.status.energised:
+            self._release()
+        elif not self.stopping and (not self.resting or self.drive.loose):
+            self.stop()
+
+    def _brake(self) -> None:
+        if not self.released:
+            with unfenced():
+                self._send(self.drive.stop)
+        elif self.status.energised is not False:
+            self._release()
+
+    def _release(self) -> None:
+        """Cut the torque after a stop, until the drive says that it is off."""
+        self.released, self.mode = True, None
+        if self._releasing is None or self._releasing.done():
+            with unfenced():
+                self._releasing = asyncio.create_task(self._cut(), name=f"can {self.name} off")
+
+    async def _cut(self) -> None:
+        self.wanted_on = False
+        while self.released and (self.status.energised is not False or self.blind is not None):
+            try:
+                await self.drive.disable()
+            except RcpError as error:
+                log.warning("torque_not_off", motor=self.name, error=error.message)
+                await asyncio.sleep(_RETRY)
         self.show()
 
     def forget(self, reason: RcpError | None) -> None:
@@ -249,26 +387,21 @@ class Axis:
         self.show()
 
     async def enable(self) -> None:
-        """Switch on, at rest.
-
-        :raises RcpError: as `check_bus`, and of the drive.
-        """
-        check_bus(self)
-        self.forget(None)
-        self.stopping = False
-        await self.drive.enable()
-        self._wanted_on = self._in_use = True
-        if self.drive.holds:
-            self.rest()
-        self.show()
+        """Switch on, at rest; see `switching.enable`."""
+        await switching.enable(self)
 
     async def disable(self) -> None:
         """Switch off."""
-        self._wanted_on = False
+        self.end_stop()
+        self.wanted_on = False
         self.forget(ModeForbids(f"motor '{self.name}' was disabled"))
-        self.stopping = False
-        await self.drive.disable()
-        self._in_use = False
+        with unfenced():
+            await self.drive.disable()
+        self.in_use = False
+
+    def end_stop(self) -> None:
+        """Let a quick stop be over: what comes now is somebody's wish."""
+        self.stopping, self.released, self._stop_began = False, False, None
 
     # Time
 
@@ -276,24 +409,73 @@ class Axis:
         """Send what is due; called at the motor's rate."""
         self._tick += 1
         self._step_due = True
-        if self.online and (why := loss(self, time.monotonic())) is not None:
-            self._lose(why)
+        now = time.monotonic()
+        gap, self._ticked = now - self._ticked, now
+        late = gap > _LATE
+        if gap > _FROZEN and (self.mode is not None or self.owner is not None):
+            self._thaw(gap)
+        if self.online and not late:
+            if (why := loss(self, now)) is not None:
+                self._lose(why)
+            else:
+                self._look(stale(self, now))
         if not self.bus.up:
             return
         if self.mode is not None and self.bus.lag > STALLED:
             self._stall()
         if self.stopping:
-            if self.resting and self.status.moved > self._after_stop + 2:
-                self.stopping = False
-                if self.drive.holds and self.status.enabled:
-                    self.rest()
-                self.show()
+            if self.resting and self.still >= _STILL:
+                self._stopped()
             else:
-                self._send(self.drive.stop)
+                self._brake()
         elif self.mode is not None and self.status.enabled:
             self._step_due = False
             self.step(dt)
+        elif self.online and self._moved_by_another():
+            self.stop()
+        after = self.config.torque_off_after
+        began = self._stop_began
+        if None not in (after, began) and not self.released and now - began >= after:  # type: ignore[operator]
+            self._release()
         self._send(lambda: self.drive.poll(self._tick))
+
+    def _thaw(self, gap: float) -> None:
+        """Stop after the gateway itself stood still: the world has gone on meanwhile."""
+        text = f"the gateway stood still for {gap:.1f} s"
+        self.fault("gateway_stalled", text, lasting=False)
+        self.forget(AdapterUnavailable(f"motor '{self.name}': {text}, and it was stopped"))
+        self.stop()
+
+    def _moved_by_another(self) -> bool:
+        moves = self.is_fresh("velocity") and not self.slow
+        if not (self.drive.loose or moves) or self.status.energised is False:
+            return False
+        return self._host.is_latched()
+
+    def _stopped(self) -> None:
+        self.stopping = False
+        if self.drive.holds and self.status.enabled and not self.released:
+            began = self._stop_began
+            self.rest()
+            self._stop_began = began
+        self.show()
+
+    def _look(self, why: Loss | None) -> None:
+        """Stop a motor whose feedback is too old, and take note of its return."""
+        was, self.blind = self.blind, why
+        if was is None and why is not None:
+            self.wanted_on = False
+            self.fault(why.fault, why.text)
+            self._health.say(self.name, f"motor '{self.name}': {why.text}")
+            self.forget(DeviceTimeout(f"motor '{self.name}': feedback lost: {why.text}"))
+            if self.status.energised is not False:
+                self.stop()
+            self.show()
+        elif was is not None and why is None:
+            self.faults.take_back("feedback_lost")
+            self._health.say(self.name, None)
+            self.wanted_on = False
+            self.show()
 
     def step(self, dt: float) -> None:
         """Send the next set-point of the ramp."""
@@ -308,10 +490,10 @@ class Axis:
             log.debug("not_sent", motor=self.name, error=error.message)
 
     def _lose(self, why: Loss) -> None:
-        self.online = False
-        self._wanted_on = False
-        was_on = bool(self.status.enabled) or self.mode is not None
-        self.status.enabled = None
+        self.online, self._lost_once, self.blind = False, True, None
+        self.wanted_on = False
+        was_on = self.status.energised is not False or self.mode is not None
+        self.status.enabled = self.status.holding = None
         self.fault(why.fault, why.text)
         self._health.say(self.name, f"motor '{self.name}': {why.text}")
         self.forget(AdapterUnavailable(f"motor '{self.name}': {why.text}"))
@@ -342,8 +524,13 @@ class Axis:
             self.faults.tell(fault, active=True)
 
     async def clear_faults(self) -> None:
-        """Have the drive acknowledge its faults, and take back those that the gateway has seen."""
-        await self.drive.clear_faults()
+        """Have the drive acknowledge its faults, and take back those that the gateway has seen.
+
+        A drive without a fault is sent nothing: it may be turning.
+        """
+        if self.status.faults:
+            with unfenced():
+                await self.drive.clear_faults()
         self.faults.absolve()
         self.show()
 
@@ -362,6 +549,13 @@ class Axis:
 
     async def close(self) -> None:
         """Let go of what runs in the background."""
-        if self.configuring is not None:
-            self.configuring.cancel()
-            await asyncio.wait((self.configuring,))
+        for task in (self.configuring, self._releasing):
+            if task is not None:
+                task.cancel()
+                await asyncio.wait((task,))
+
+
+def _signals(config: MotorConfig, drive: Drive) -> tuple[str, ...]:
+    """Return what control rests on; a position only where something is made of it."""
+    placed = "position" in drive.modes or config.position is not None
+    return ("position", "velocity", "enabled") if placed else ("velocity", "enabled")

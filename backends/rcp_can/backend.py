@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncGenerator, Iterable
+from collections.abc import AsyncGenerator, Coroutine, Iterable, Sequence
 from contextlib import AbstractAsyncContextManager, asynccontextmanager
 from typing import Any
 
@@ -23,14 +23,25 @@ from rcp_can.joint_group import JointGroupPart
 from rcp_can.motor import MotorPart
 from rcp_can.raw import BusPart
 from rcp_can.sdo import Sdo
-from rcp_kernel.errors import ConfigError, UnknownPath
-from rcp_kernel.spi import BaseBackend, Host, Progress
+from rcp_can.standstill import motion_of_all
+from rcp_can.stop_plan import stop_plans
+from rcp_kernel.errors import (
+    AdapterUnavailable,
+    ConfigError,
+    DeviceTimeout,
+    ModeForbids,
+    RcpError,
+    UnknownPath,
+)
+from rcp_kernel.spi import BaseBackend, Host, MotionState, Progress, Watchdog
 
 __all__ = ["CanBackend", "open_buses"]
 
 
 class CanBackend(BaseBackend):
     """Several buses, and all that sits on them."""
+
+    on_loss = "hold"
 
     def __init__(self, host: Host, buses: dict[str, Bus], axes: dict[str, Axis]) -> None:
         self.buses, self.axes = buses, axes
@@ -78,8 +89,59 @@ class CanBackend(BaseBackend):
             yield
 
     async def halt(self) -> None:
-        """Quick stop for all that moves; returns when every drive confirmed it."""
-        await asyncio.gather(*(part.halt() for part in self._parts))
+        """Quick stop for all that moves; return when every drive's fresh feedback confirms it.
+
+        :raises AdapterUnavailable: a motor cannot be reached; the others have been stopped.
+        :raises DeviceTimeout: one was told, and is not known to rest.
+        """
+        await self._all(part.halt() for part in self._parts)
+
+    def motion(self, robot: str | None) -> MotionState | None:
+        """Report whether all motors rest; devices by DBC have nothing to measure it by."""
+        return motion_of_all(self.axes.values())
+
+    def hold_stop(self, robot: str | None) -> None:
+        """Stop again every motor that does not rest, or that another master has enabled."""
+        for part in self._parts:
+            part.hold_stop()
+
+    async def hold(self, robot: str | None) -> None:
+        """Bring all motors to rest by their ramps, and hold them there, torque on.
+
+        :raises RcpError: as `halt`.
+        """
+        reason = ModeForbids("the robot was told to hold")
+        await self._all(part.hold(reason) for part in self._parts)
+
+    async def recover(self, robot: str | None) -> str:
+        """Hold: the set-points of before are forgotten, and what still moves is brought to rest."""
+        try:
+            await self.hold(robot)
+        except AdapterUnavailable as error:
+            return f"held what can be reached ({error.message}); set-points forgotten"
+        return "held at rest; set-points forgotten"
+
+    def watchdogs(self) -> Sequence[Watchdog]:
+        """List what stops each motor when the gateway falls silent, as known now."""
+        return [
+            Watchdog(found.mechanism, found.within, found.verified, robot=axis.name)
+            for axis in self.axes.values()
+            for found in (axis.drive.protection,)
+        ]
+
+    async def _all(self, work: Iterable[Coroutine[Any, Any, None]]) -> None:
+        """Do all to the end, whatever fails; then say of all of them what failed."""
+        done = await asyncio.gather(*work, return_exceptions=True)
+        failed = [each for each in done if isinstance(each, BaseException)]
+        if not failed:
+            return
+        told = [each for each in failed if isinstance(each, RcpError)]
+        if len(told) < len(failed):
+            raise next(each for each in failed if not isinstance(each, RcpError))
+        text = "; ".join(each.message for each in told)
+        if any(isinstance(each, AdapterUnavailable) for each in told):
+            raise AdapterUnavailable(text, remedy=told[0].remedy)
+        raise DeviceTimeout(text, details=told[0].details)
 
 
 @asynccontextmanager
@@ -120,10 +182,15 @@ async def open_buses(config: CanConfig, host: Host) -> AsyncGenerator[CanBackend
                     tasks.start_soon(run_axes, group)
                 for node in nodes:
                     node.watched.start()
+                plans = stop_plans(config, axes.values(), devices)
+                for bus, plan in plans.items():
+                    host.guard(f"can/{bus}", plan)
                 await heard(axes.values(), config.grace, health)
                 try:
                     yield backend
                 finally:
+                    for bus in plans:
+                        host.guard(f"can/{bus}", None)
                     for node in nodes:
                         node.watched.stop()
                     for closing in (*lines, *axes.values()):

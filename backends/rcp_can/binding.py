@@ -5,7 +5,7 @@ from __future__ import annotations
 from contextlib import AbstractContextManager, nullcontext
 from typing import Any
 
-from rcp_kernel.errors import AdapterUnavailable, UnsupportedOperation
+from rcp_kernel.errors import AdapterUnavailable, RcpError, UnsupportedOperation
 from rcp_kernel.model import Resource
 from rcp_kernel.spi import Progress
 
@@ -40,3 +40,9 @@ class Part:
 
     async def halt(self) -> None:
         """Bring what moves to rest; return when the drive confirmed it."""
+
+    async def hold(self, reason: RcpError) -> None:
+        """Bring what moves to rest without switching it off; commands end for `reason`."""
+
+    def hold_stop(self) -> None:
+        """Send again what keeps it stopped, if it does not rest."""

@@ -72,7 +72,7 @@ class Bus:
         self._busy = 0.0
         self._past = {"rx": 0, "tx": 0, "dropped": 0, "expired": 0, "failed": 0}
         self._message: Any = None
-        self._due: dict[str, float] = {}
+        self._done: dict[str, float] = {}
         self._counters: tuple[int | None, int | None] = (None, None)
 
     def listen(self, listener: Listener, *routes: Route) -> None:
@@ -137,11 +137,14 @@ class Bus:
             tap(message)
 
     def paced(self, what: str, period: float) -> bool:
-        """Tell whether something that is periodic on the whole bus is due, and count it as done."""
+        """Tell whether something that is periodic on the whole bus is due, and count it as done.
+
+        Callers may want different periods: the shortest of them is kept.
+        """
         now = time.monotonic()
-        if now < self._due.get(what, 0.0):
+        if now < self._done.get(what, 0.0) + period:
             return False
-        self._due[what] = now + period
+        self._done[what] = now
         return True
 
     async def run(self, ready: asyncio.Event) -> None:

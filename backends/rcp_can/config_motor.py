@@ -12,6 +12,7 @@ __all__ = ["HOUSE", "MotorConfig"]
 
 HOUSE = "cia402", "odrive", "mit", "tmotor", "damiao", "moteus", "vesc", "cybergear"
 """Profiles that come with the backend."""
+_FED = 3  # set-points in the time of a watchdog, for some may get lost
 Positive = Annotated[float, Meta(gt=0, le=1e6)]
 
 
@@ -39,6 +40,15 @@ class MotorConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
     """Set-points, and requests for feedback where the drive must be asked, a second."""
     timeout: Seconds = 0.5
     """Silence after which the drive counts as lost."""
+    feedback_timeout: Seconds | None = None
+    """Age of position, velocity or state after which the motor is not controllable, although it is
+    heard; five of the drive's own periods, and 0.25 s at least, without it."""
+    torque_off_after: Annotated[float, Meta(ge=0, extra_json_schema={"unit": "s"})] | None = None
+    """After a quick stop has begun, its torque is cut; without it the joint is held."""
+    watchdog: Annotated[float, Meta(gt=0, le=60, extra_json_schema={"unit": "s"})] | bool = 0.5
+    """Silence of the gateway after which the drive is to stop by itself; false leaves it alone."""
+    optional: bool = False
+    """It may be absent: while it was never heard, a stop is confirmed without it."""
     tolerance: Annotated[float, Meta(gt=0, extra_json_schema={"unit": "rad"})] = 0.01
     """How near to its goal a move ends."""
     standstill: Annotated[float, Meta(gt=0, extra_json_schema={"unit": "rad/s"})] = 0.05
@@ -52,5 +62,9 @@ class MotorConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
             raise ValueError(
                 f"`profile`: no {self.profile!r}; there are {known}, and <module>:<NAME>"
             )
+        if self.watchdog is True:
+            raise ValueError("`watchdog` is a time in s, or false")
+        if self.watchdog and self.watchdog * self.rate < _FED:
+            raise ValueError(f"`watchdog` is shorter than {_FED} periods of `rate`, which feed it")
         if self.position is not None and self.position[0] >= self.position[1]:
             raise ValueError("`position` is [lowest, highest], and the lowest is less")

@@ -20,7 +20,9 @@ class NodeConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """The file: EDS or DCF."""
     objects: tuple[IdRange, ...] = ("0x2000-0xFFFF",)
     """Indices, `"0x6083"` or `"0x2000-0x5FFF"`; those of the communication are left out unless named."""
-
+    moves: tuple[IdRange, ...] = ("0x1F50-0x1F8F", "0x6000-0x9FFF")
+    """Those whose writing may start or move something, and is refused under an e-stop: programs and
+    NMT of other nodes, and the device profile's own; name a maker's here as well."""
     heartbeat: Seconds | None = None
     """Within which a heartbeat must come; without it none is missed."""
 
@@ -28,3 +30,8 @@ class NodeConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     def ranges(self) -> list[tuple[int, int]]:
         """The indices of `objects` as closed ranges."""
         return id_ranges(self.objects)
+
+    @property
+    def moving(self) -> list[tuple[int, int]]:
+        """The indices of `moves` as closed ranges."""
+        return id_ranges(self.moves)

@@ -56,6 +56,7 @@ def make_axes(
             drive = kind.drive(motor.node, options, buses[motor.bus])
         except (msgspec.ValidationError, ValueError) as error:
             raise ConfigError(f"motors.{name}.options: {error}") from error
+        drive.watchdog = motor.watchdog or None
         axes[name] = Axis(name, motor, drive, buses[motor.bus], host, health)
     return axes
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
 import cantools
@@ -11,9 +12,9 @@ from rcp_can.binding import Part
 from rcp_can.bus import Bus, Route
 from rcp_can.config_device import DeviceConfig
 from rcp_can.device_types import message_type
-from rcp_kernel.errors import AdapterUnavailable, ConfigError, InvalidValue
+from rcp_kernel.errors import AdapterUnavailable, ConfigError, InvalidValue, RcpError
 from rcp_kernel.model import Resource
-from rcp_kernel.spi import Host
+from rcp_kernel.spi import Host, check_fence
 from rcp_kernel.values import to_plain
 
 if TYPE_CHECKING:
@@ -47,7 +48,6 @@ class DevicePart(Part):
             path: message_type(message, bounded=path in self._actuators)
             for path, message in (self._sensors | self._actuators).items()
         }
-        self._sent: set[str] = set()
         for path, message in self._sensors.items():
             mask = 0x1FFFFFFF if message.is_extended_frame else 0x7FF
             route = Route(message.frame_id, mask, message.is_extended_frame)
@@ -72,6 +72,11 @@ class DevicePart(Part):
             self._host.publish(path, value, int(frame.timestamp * 1e9) or None)
 
         return take
+
+    @property
+    def bus(self) -> str:
+        """The name of its bus."""
+        return self._bus.name
 
     def resources(self) -> list[Resource]:
         """List its messages."""
@@ -129,20 +134,42 @@ class DevicePart(Part):
     async def write(self, name: str, value: Any) -> None:
         """Send a message."""
         message = self._actuators[name]
+        data = self._encode(message, value)
+        check_fence()
+        self._bus.send(message.frame_id, data, extended=message.is_extended_frame, fd=message.is_fd)
+
+    @staticmethod
+    def _encode(message: Message, value: Any) -> bytes:
         values = {key: each for key, each in to_plain(value).items() if each is not None}
         try:
-            data = message.encode(values, strict=True)
+            return message.encode(values, strict=True)
         except Exception as error:
             raise InvalidValue(f"{message.name} cannot be made of that: {error}") from error
-        self._bus.send(message.frame_id, data, extended=message.is_extended_frame, fd=message.is_fd)
-        self._sent.add(name)
 
     async def halt(self) -> None:
-        """Send what is safe of all that was sent."""
-        for name in self._sent:
-            safe = self._config.safe.get(name.rpartition("/")[2])
+        """Send all that is safe, whether or not the rest was sent from here."""
+        for identifier, data, extended, fd in self.safe_frames():
+            self._bus.send(identifier, data, extended=extended, fd=fd, urgent=True, sender=self)
+
+    async def hold(self, reason: RcpError) -> None:
+        """Send what is safe."""
+        await self.halt()
+
+    def hold_stop(self) -> None:
+        """Send what is safe again: another node may have sent something else."""
+        with suppress(RcpError):  # the bus's own state tells of it; it is called again soon
+            for identifier, data, extended, fd in self.safe_frames():
+                self._bus.send(identifier, data, extended=extended, fd=fd, sender=self)
+
+    def safe_frames(self) -> list[tuple[int, bytes, bool, bool]]:
+        """List the frames of `safe`: identifier, payload, extended, CAN FD."""
+        found: list[tuple[int, bytes, bool, bool]] = []
+        for path, message in self._actuators.items():
+            safe = self._config.safe.get(message.name)
             if safe is not None:
-                await self.write(name, msgspec.convert(safe, self._types[name]))
+                data = self._encode(message, msgspec.convert(safe, self._types[path]))
+                found.append((message.frame_id, data, message.is_extended_frame, message.is_fd))
+        return found
 
 
 def _sentence(message: Message) -> str:

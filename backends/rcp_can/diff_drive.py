@@ -8,6 +8,7 @@ from rcp_can.config_diff_drive import DiffDriveConfig
 from rcp_can.guard import check, check_link
 from rcp_kernel.errors import InvalidValue, ModeForbids, OutOfRange
 from rcp_kernel.model import Resource
+from rcp_kernel.spi import check_fence
 from rcp_kernel.types import Twist
 
 __all__ = ["DiffDrivePart"]
@@ -39,6 +40,7 @@ class DiffDrivePart(Part):
 
         :raises OutOfRange: a wheel would have to turn faster than it may.
         """
+        check_fence()
         forward, turn = value.linear.x, value.angular.z
         if any((value.linear.y, value.linear.z, value.angular.x, value.angular.y)):
             raise InvalidValue("a differential drive has linear.x and angular.z only")
@@ -50,7 +52,7 @@ class DiffDrivePart(Part):
         for axis, speed in wheels:
             self._check(axis, speed, still=not forward and not turn)
         for axis, speed in wheels:
-            if axis.status.enabled and (speed or not axis.stopping):
+            if axis.status.enabled and (speed or not axis.stopped):
                 axis.command("velocity", speed)
 
     def _check(self, axis: Axis, speed: float, *, still: bool) -> None:

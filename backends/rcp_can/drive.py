@@ -8,30 +8,24 @@ from __future__ import annotations
 
 import asyncio
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from rcp_can.bus import Bus, Route
 from rcp_can.motor_messages import Mode
+from rcp_can.status import Fault, Status
 from rcp_kernel.errors import DeviceRejected, DeviceTimeout
+from rcp_kernel.spi import check_fence
 
 if TYPE_CHECKING:
     import can
 
     from rcp_can.sdo import Sdo
 
-__all__ = ["Drive", "Fault", "Profile", "Reach", "Status"]
+__all__ = ["Drive", "Fault", "Profile", "Protection", "Reach", "Status", "StopFrame"]
 
 _ANSWER = 1.0  # s in which a drive is in the state that it was asked to take
 _AGAIN = 0.1  # s between two requests
-
-
-class Fault(NamedTuple):
-    """A fault that stands."""
-
-    name: str
-    text: str
-    code: int | None = None
 
 
 class Reach(NamedTuple):
@@ -42,32 +36,24 @@ class Reach(NamedTuple):
     torque: float = 1e5
 
 
-class Status:
-    """What the drive said last; rad, rad/s and N·m at its own shaft, None where it says nothing."""
+class Protection(NamedTuple):
+    """What stops a drive by itself when it no longer hears the gateway."""
 
-    def __init__(self) -> None:
-        self.position: float | None = None
-        self.velocity: float | None = None
-        self.torque: float | None = None
-        self.current: float | None = None
-        self.drive_temperature: float | None = None
-        self.motor_temperature: float | None = None
-        self.voltage: float | None = None
-        self.enabled: bool | None = None
-        """By the drive's own word; None before it has said anything."""
-        self.faults: tuple[Fault, ...] = ()
-        self.reached: bool | None = None
-        self.homed: bool | None = None
-        self.beat = 0.0
-        """When it sent its last heartbeat, by the monotonic clock."""
-        self.moved = 0
-        """Counts news of the motion."""
-        self.told = 0
-        """Counts news of anything else."""
-        self.resets = 0
-        """Counts boots that were seen."""
-        self.twins = 0
-        """Counts signs that two drives answer to one id."""
+    mechanism: str
+    within: float | None = None
+    """Seconds of silence until it acts; None: nothing does."""
+    verified: bool = False
+    """Whether the setting was read back from the drive."""
+
+
+class StopFrame(NamedTuple):
+    """A frame that stops a drive, whoever sends it."""
+
+    identifier: int
+    data: bytes
+    extended: bool = False
+    fd: bool = False
+    switched: bool = False
 
 
 class Drive(ABC):
@@ -82,15 +68,31 @@ class Drive(ABC):
     holds = False
     """Whether it must be sent a set-point from the moment it is enabled."""
 
+    sags = False
+    """Whether a joint under load sinks at velocity zero, and is held by its position only."""
+    watchdog: float | None = 0.5
+    """Seconds of silence that the drive's own watchdog is to allow; None leaves it alone."""
+
     def __init__(self, node: int, options: Any, bus: Bus) -> None:
         self.node, self.options, self.bus = node, options, bus
         self.status = Status()
+        self.protection = Protection("none known")
+        """What stops it without the gateway, as known now."""
         self._waiters: list[tuple[Callable[[], bool], asyncio.Future[None]]] = []
 
     @property
     def beats(self) -> float | None:
         """Seconds within which it must send heartbeats; None where it sends none, or none yet."""
         return None
+
+    def period(self, signal: str) -> float | None:
+        """Return the seconds between two reports of a signal; None: it comes when asked for."""
+        return None
+
+    @property
+    def loose(self) -> bool:
+        """Whether a set-point of another master would move it, although it was told to stop."""
+        return False
 
     @property
     def server(self) -> Sdo | None:
@@ -121,7 +123,10 @@ class Drive(ABC):
 
         :raises AdapterUnavailable: the bus is down, or off.
         :raises QueueFull: too many frames wait already.
+        :raises EstopActive: it is sent on behalf of a request that a stop has cut off.
         """
+        if not urgent:  # what is urgent stops it
+            check_fence()
         self.bus.send(identifier, data, lifetime=lifetime, urgent=urgent, sender=self, **flags)
 
     def reach(self) -> Reach:
@@ -144,7 +149,10 @@ class Drive(ABC):
 
     @abstractmethod
     async def clear_faults(self) -> None:
-        """Acknowledge faults; return when the drive has none, still switched off."""
+        """Acknowledge the faults there are, by their reset only; return when the drive has none.
+
+        Called only while `status.faults` has some. It must neither switch on nor off.
+        """
 
     async def home(self) -> None:
         """Find the reference, where it `homes`; return when the drive says it has it."""
@@ -164,7 +172,14 @@ class Drive(ABC):
 
     @abstractmethod
     def stop(self) -> None:
-        """Brake as hard as the drive can, ahead of every queue; called again until it rests."""
+        """Brake as hard as the drive can, ahead of every queue; called again until it rests.
+
+        It must not switch on a drive that is off.
+        """
+
+    def stop_frames(self) -> Sequence[StopFrame]:
+        """List frames that stop it without knowing how it stands, and never switch it on."""
+        return ()
 
     def look(self) -> None:
         """Wake those who wait for the status; called after each batch of frames."""

@@ -16,7 +16,7 @@ from rcp_can.node_state import NodeWatch
 from rcp_can.sdo import Sdo
 from rcp_kernel.errors import ConfigError, RcpError
 from rcp_kernel.model import Operation, Resource
-from rcp_kernel.spi import Host
+from rcp_kernel.spi import Host, check_fence
 
 if TYPE_CHECKING:
     from canopen.objectdictionary import ObjectDictionary, ODVariable
@@ -68,6 +68,7 @@ class EdsPart(Part):
                     description=f"{self._texts[path]}.",
                     value=entry.type,
                     operations=may,
+                    moves=any(a <= entry.index <= b for a, b in self._config.moving),
                     meta={
                         "bus": self._bus.name,
                         "node": self._config.node,
@@ -91,6 +92,7 @@ class EdsPart(Part):
     async def write(self, name: str, value: Any) -> Any:
         """Have the node take a value, and return the one that it has then."""
         entry = self._entries[name]
+        check_fence()
         await self._sdo.download(entry.index, entry.sub, entry.pack(value))
         if not entry.readable:
             return value

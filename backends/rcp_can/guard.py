@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 from typing import TYPE_CHECKING, NamedTuple
 
-from rcp_kernel.errors import AdapterUnavailable, ModeForbids, QueueFull
+from rcp_kernel.errors import AdapterUnavailable, DeviceTimeout, ModeForbids, QueueFull
 
 if TYPE_CHECKING:
     from rcp_can.axis import Axis
@@ -15,13 +15,18 @@ __all__ = [
     "Loss",
     "check",
     "check_bus",
+    "check_feedback",
     "check_link",
     "heartless",
+    "limit_of",
     "loss",
     "ready",
+    "stale",
 ]
 
 STALLED = 0.25  # s that a frame waits to be sent, after which set-points would leave in a heap
+_MISSED = 5  # reports in a row: two of three may be lost on the way
+_SHORTEST = 0.25  # s: the gateway's own loop may be late by a part of this
 _CONFIGURING = 1.0  # s that a call waits for a drive to be configured
 
 
@@ -36,10 +41,45 @@ def loss(axis: Axis, now: float) -> Loss | None:
     """Tell whether a drive that was heard is lost."""
     timeout = axis.config.timeout
     if now - axis.heard > timeout:
-        return Loss("feedback_lost", f"nothing was heard of it for {timeout:g} s")
+        return Loss("feedback_lost", f"no message received for {timeout:g} s")
     if heartless(axis, now):
-        return Loss("heartbeat_lost", "its heartbeats have stopped, whatever else it sends")
+        return Loss("heartbeat_lost", "heartbeat lost, although other messages still arrive")
     return None
+
+
+def stale(axis: Axis, now: float) -> Loss | None:
+    """Tell whether a drive that is heard no longer tells what its control rests on."""
+    if not axis.configured:
+        return None
+    at, since = axis.status.at, axis.configured_at
+    for signal in axis.signals:
+        limit = limit_of(axis, signal)
+        if now - max(at.get(signal, 0.0), since) > limit:
+            word = "state" if signal == "enabled" else signal
+            text = f"no {word} received for {limit:g} s"
+            if now - axis.heard <= limit:
+                text += ", although other messages still arrive"
+            return Loss("feedback_lost", text)
+    return None
+
+
+def limit_of(axis: Axis, signal: str) -> float:
+    """Return the age in s at which a signal is too old."""
+    if axis.config.feedback_timeout is not None:
+        return axis.config.feedback_timeout
+    return max(_MISSED * (axis.drive.period(signal) or 1 / axis.config.rate), _SHORTEST)
+
+
+def check_feedback(axis: Axis) -> None:
+    """See that position, velocity and state are fresh.
+
+    :raises DeviceTimeout: one of them is not.
+    """
+    if axis.blind is not None:
+        raise DeviceTimeout(
+            f"motor '{axis.name}': feedback lost: {axis.blind.text}",
+            remedy=f"See sensor/{axis.name}/motion; does the drive still send what was configured?",
+        )
 
 
 def heartless(axis: Axis, now: float) -> bool:
@@ -52,10 +92,12 @@ def check(axis: Axis) -> None:
     """See that it can be commanded.
 
     :raises AdapterUnavailable: its bus is down, or it is not heard of.
+    :raises DeviceTimeout: its feedback is too old.
     :raises ModeForbids: it is not enabled.
     """
     check_link(axis)
     check_bus(axis)
+    check_feedback(axis)
     if not axis.status.enabled or not axis.configured:
         faults = ", ".join(fault.name for fault in axis.status.faults)
         raise ModeForbids(

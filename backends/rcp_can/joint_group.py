@@ -13,13 +13,14 @@ from rcp_can import motor_messages as m
 from rcp_can.axis import Axis
 from rcp_can.binding import Part
 from rcp_can.config_joints import JointGroupConfig
-from rcp_can.guard import check, check_link, ready
+from rcp_can.guard import check, check_feedback, check_link, ready
 from rcp_can.joint_types import joint_types
-from rcp_can.motor import abandon, drive_to, released, rested
+from rcp_can.motor import abandon, drive_to, released
 from rcp_can.path import Leg, Path
+from rcp_can.standstill import rested
 from rcp_kernel.errors import AdapterUnavailable, ConfigError, InvalidValue, ModeForbids, RcpError
 from rcp_kernel.model import Resource
-from rcp_kernel.spi import Host, Progress
+from rcp_kernel.spi import Host, Progress, check_fence, fenced_off
 
 __all__ = ["JointGroupPart"]
 
@@ -92,6 +93,7 @@ class JointGroupPart(Part):
                     name=f"service/{name}/{verb}",
                     description=f"Joints of '{name}': {text}",
                     timeout=10.0,
+                    energises=verb == "enable",
                 )
                 for verb, text in _SERVICES.items()
             ),
@@ -99,7 +101,8 @@ class JointGroupPart(Part):
 
     def _batch(self) -> None:
         seen = sum(axis.status.moved for axis in self._axes)
-        if seen != self._seen and all(axis.online for axis in self._axes):
+        heard = all(axis.online and axis.blind is None for axis in self._axes)
+        if seen != self._seen and heard:
             self._seen = seen
             if (value := self._value()) is not None:
                 self._host.publish(self._states, value)
@@ -123,12 +126,14 @@ class JointGroupPart(Part):
             return await super().read(name)
         for axis in self._axes:
             check_link(axis)
+            check_feedback(axis)
         if (value := self._value()) is None:
             raise AdapterUnavailable(f"not every joint of '{self._name}' has told its position yet")
         return value
 
     async def write(self, name: str, value: Any) -> None:
         """Make positions stand, for all that are named or for none; the other joints stay."""
+        check_fence()
         targets = self._targets(value)
         if not targets and self._ended is not None:
             self._ended.append(ModeForbids("a stop of the joints ended the move"))
@@ -153,7 +158,7 @@ class JointGroupPart(Part):
         driven = axis.owner is not None
         if driven:
             axis.forget(ModeForbids(f"a stop of '{self._name}' ended the move"))
-        if axis.status.enabled and not axis.stopping:
+        if axis.status.enabled and not axis.stopped:
             if driven:  # perhaps by the drive's own trajectory, which no set-point holds
                 axis.rest()
             else:
@@ -169,9 +174,10 @@ class JointGroupPart(Part):
     async def execute(self, name: str, value: Any, progress: Progress) -> Any:
         """Move together, or switch all joints."""
         verb = name.rpartition("/")[2]
-        for axis in self._axes:
-            await ready(axis)
-            await released(axis)
+        if verb != "disable":
+            for axis in self._axes:
+                await ready(axis)
+                await released(axis)
         match verb:
             case "enable":
                 await _together(axis.enable() for axis in self._axes if not axis.status.enabled)
@@ -260,14 +266,28 @@ _SERVICES = {
 
 
 async def _halted(legs: dict[Axis, Leg], path: Path, why: BaseException) -> None:
-    """Brake on the way that the joints share, and see each of them at rest."""
+    """Brake on the way that the joints share, and see each of them at rest.
+
+    :raises RcpError: it was cancelled, and a joint is not known to have come to rest.
+    """
+    if fenced_off():  # the joints are the stop's: nothing of this move is sent any more
+        for axis in legs:
+            axis.ended = None
+        return
+    settled: list[BaseException | None] = []
     with anyio.CancelScope(shield=True):
         path.brake()
         for axis in legs:
             axis.ended, axis.leaving = None, True
         while not path.over and any(axis.mode == "position" for axis in legs):  # noqa: ASYNC110
             await asyncio.sleep(_LOOK)
-        await _together(_settle(axis, why) for axis in legs)
+        settled = await asyncio.gather(
+            *(_settle(axis, why) for axis in legs), return_exceptions=True
+        )
+    if isinstance(why, asyncio.CancelledError):
+        for error in settled:
+            if isinstance(error, BaseException):
+                raise error
 
 
 async def _settle(axis: Axis, why: BaseException) -> None:
@@ -277,7 +297,9 @@ async def _settle(axis: Axis, why: BaseException) -> None:
         else:
             await abandon(axis, why)
     except RcpError:
-        axis.stop()
+        if axis.status.energised is not False:
+            axis.stop()
+        raise
     finally:
         axis.leaving = False
 

@@ -13,23 +13,22 @@ from rcp_can import motor_messages as m
 from rcp_can import views
 from rcp_can.axis import Axis
 from rcp_can.binding import Part
-from rcp_can.guard import check, check_link, ready
+from rcp_can.guard import check, check_feedback, check_link, ready
 from rcp_can.motor_resources import motor_resources
+from rcp_can.standstill import rested
 from rcp_kernel.errors import (
     DeviceRejected,
-    DeviceTimeout,
     ModeForbids,
     OutOfRange,
     RcpError,
 )
 from rcp_kernel.model import Resource
-from rcp_kernel.spi import Progress
+from rcp_kernel.spi import Progress, fenced_off
 
-__all__ = ["MotorPart", "abandon", "drive_to", "released", "rested"]
+__all__ = ["MotorPart", "abandon", "drive_to", "released"]
 
 _FEEDBACK = 0.1  # s between two reports of a move
 _SETTLE = 3.0  # s that the joint may need after its set-point has arrived
-_REST = 4.0  # s that it may need to come to rest
 _LOOK = 0.01  # s
 
 
@@ -56,7 +55,7 @@ class MotorPart(Part):
             axis.forget(ModeForbids("a zero set-point ended the move"))
         if value == 0.0 and mode != "position":
             check_link(axis)
-            if not axis.status.enabled or axis.stopping:
+            if not axis.status.enabled or axis.stopped:  # and no zero takes a stop back
                 return
         check(axis)
         axis.command(mode, value)
@@ -69,6 +68,7 @@ class MotorPart(Part):
                 return views.state(axis)
             case _ if name.endswith("/motion"):
                 check_link(axis)
+                check_feedback(axis)
                 return views.motion(axis)
             case _ if name.endswith("/health"):
                 check_link(axis)
@@ -80,8 +80,9 @@ class MotorPart(Part):
         """Run one of the motor's services or actions."""
         axis = self.axis
         verb = name.rpartition("/")[2]
-        await ready(axis)
-        await released(axis)
+        if verb != "disable":  # which is sent to a drive that says nothing, too
+            await ready(axis)
+            await released(axis)
         if axis.owner is not None and verb in ("enable", "set_zero", "home", "move_to"):
             raise ModeForbids(f"motor '{axis.name}' is driven by {axis.owner}")
         match verb:
@@ -102,20 +103,45 @@ class MotorPart(Part):
         return None
 
     async def halt(self) -> None:
-        """Quick stop; return when the drive says that it rests.
+        """Quick stop; return when fresh feedback says that it rests.
 
-        :raises DeviceTimeout: it does not say so.
+        :raises AdapterUnavailable: it cannot be reached, or was never heard.
+        :raises DeviceTimeout: it does not come to rest, or its feedback is lost.
         """
         axis = self.axis
         if not axis.met:
-            return  # never heard of, so never moved
-        if axis.online and axis.status.enabled is False and axis.resting:
-            axis.forget(ModeForbids(f"motor '{axis.name}' was halted"))
+            axis.hold_stop()  # it may hear, and not be heard
+            if axis.config.optional:
+                return
+            check_link(axis)
+        reason = ModeForbids(f"motor '{axis.name}' was halted")
+        if axis.secure:
+            axis.forget(reason)
             return
         axis.stop()
-        axis.forget(ModeForbids(f"motor '{axis.name}' was halted"))
+        axis.forget(reason)
         check_link(axis)
         await rested(axis)
+
+    async def hold(self, reason: RcpError) -> None:
+        """Come to rest by the ramp and stay there, torque on; return when it is measured.
+
+        :raises RcpError: as `halt` has them.
+        """
+        axis = self.axis
+        if not axis.met and axis.config.optional:
+            return
+        check_link(axis)
+        axis.pause(reason)
+        await rested(axis)
+        if axis.drive.sags and axis.status.enabled and not axis.stopped and axis.mode != "position":
+            here = axis.position
+            if here is not None and axis.low <= here <= axis.high:
+                axis.command("position", here)
+
+    def hold_stop(self) -> None:
+        """Stop it again if it moves."""
+        self.axis.hold_stop()
 
     async def _zero(self) -> None:
         if self.axis.mode is not None and not self.axis.resting:
@@ -234,8 +260,17 @@ async def drive_to(axis: Axis, move: m.Move, progress: Progress) -> None:
 
 
 async def abandon(axis: Axis, why: BaseException) -> None:
-    """Bring a joint to rest whose move is over, unless its drive is out of our hands already."""
+    """Bring a joint to rest whose move is over, unless its drive is out of our hands already.
+
+    :raises RcpError: it was cancelled, and it is not known to have come to rest.
+    """
     axis.ended = None
+    if fenced_off():
+        return  # it is the stop's
+    cancelled = isinstance(why, asyncio.CancelledError)
+    if cancelled:
+        check_link(axis)
+        check_feedback(axis)
     if why is axis.gone or axis.stopping or not axis.online or not axis.status.enabled:
         return
     axis.rest()
@@ -245,6 +280,8 @@ async def abandon(axis: Axis, why: BaseException) -> None:
             await rested(axis)
     except RcpError:
         axis.stop()
+        if cancelled:
+            raise
     finally:
         axis.leaving = False
 
@@ -253,19 +290,3 @@ async def released(axis: Axis) -> None:
     """Wait for an action that is over to let go of the motor."""
     while axis.leaving:  # noqa: ASYNC110  # it is let go of by a task that nobody wakes for
         await asyncio.sleep(_LOOK)
-
-
-async def rested(axis: Axis) -> None:
-    """Wait until the drive says, anew, that it rests.
-
-    :raises DeviceTimeout: it does not.
-    :raises AdapterUnavailable: it is lost meanwhile.
-    """
-    news = axis.status.moved
-    end = time.monotonic() + _REST
-    while time.monotonic() < end:
-        if axis.resting and axis.status.moved > news + 2:  # those under way are of before
-            return
-        check_link(axis)
-        await asyncio.sleep(_LOOK)
-    raise DeviceTimeout(f"motor '{axis.name}' does not say that it rests")

@@ -30,7 +30,9 @@ Tolerance = Annotated[float, Meta(gt=0, le=10, extra_json_schema={"unit": "rad"}
 Code = Annotated[int, Meta(ge=0, extra_json_schema={"unit": "1"})]
 
 Mode = Literal["position", "velocity", "torque"]
-State = Literal["offline", "disabled", "enabled", "stopping", "fault"]
+State = Literal["offline", "no_feedback", "disabled", "enabled", "stopping", "quick_stop", "fault"]
+"""`no_feedback`: it is heard, but a signal that control needs is too old; `quick_stop`: it was
+stopped, takes no set-points and holds torque."""
 
 
 class Motion(Struct, frozen=True, kw_only=True):
@@ -60,6 +62,12 @@ class MotorState(Struct, frozen=True, kw_only=True):
     reached: bool | None = None
     """Whether the drive reports its target reached; None where it has no word for that."""
     homed: bool | None = None
+    energised: bool | None = None
+    """Whether it gives or holds torque; None: unknown."""
+    watchdog: Seconds | None = None
+    """Silence of the gateway after which the drive stops by itself; None: nothing makes it."""
+    watchdog_verified: bool = False
+    """Whether that was read back from the drive."""
 
 
 class MotorFault(Struct, frozen=True, kw_only=True):

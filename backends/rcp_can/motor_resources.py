@@ -92,9 +92,11 @@ def _between(low: float, high: float, part: float) -> float:
 def _services(axis: Axis) -> list[Resource]:
     name = axis.name
     found = [
-        _service(name, "enable", "Switch the power stage on, at rest."),
+        _service(name, "enable", "Switch the power stage on, at rest.", energises=True),
         _service(name, "disable", "Switch the power stage off."),
-        _service(name, "clear_faults", "Acknowledge its faults; it stays switched off."),
+        _service(
+            name, "clear_faults", "Acknowledge its faults, if it has any; no power is switched."
+        ),
     ]
     if axis.drive.zeroes:
         found.append(_service(name, "set_zero", "Make the present position zero."))
@@ -124,7 +126,10 @@ def _services(axis: Axis) -> list[Resource]:
     return found
 
 
-def _service(motor: str, verb: str, text: str) -> Resource:
+def _service(motor: str, verb: str, text: str, *, energises: bool = False) -> Resource:
     return Resource(
-        name=f"service/{motor}/{verb}", description=f"Motor '{motor}': {text}", timeout=_SERVICE
+        name=f"service/{motor}/{verb}",
+        description=f"Motor '{motor}': {text}",
+        timeout=_SERVICE,
+        energises=energises,
     )

@@ -11,7 +11,7 @@ from rcp_kernel.errors import ConfigError, NotReady
 if TYPE_CHECKING:
     import can
 
-__all__ = ["open_interface"]
+__all__ = ["arguments", "open_interface"]
 
 
 async def open_interface(name: str, config: BusConfig) -> can.BusABC:
@@ -33,7 +33,7 @@ def _open(name: str, config: BusConfig) -> can.BusABC:
             f"it has {', '.join(known)}"
         )
     try:
-        return can.Bus(config.channel, config.interface, ignore_config=True, **_arguments(config))
+        return can.Bus(config.channel, config.interface, ignore_config=True, **arguments(config))
     except can.CanInterfaceNotImplementedError as error:
         raise ConfigError(
             f"buses.{name}: {config.interface} does not work here: {error}"
@@ -46,7 +46,8 @@ def _open(name: str, config: BusConfig) -> can.BusABC:
         ) from error
 
 
-def _arguments(config: BusConfig) -> dict[str, Any]:
+def arguments(config: BusConfig) -> dict[str, Any]:
+    """Return what python-can's `Bus` is given beside interface and channel."""
     found: dict[str, Any] = dict(config.options)
     if config.bitrate is not None and config.interface not in ("virtual", "udp_multicast"):
         found.setdefault("bitrate", config.bitrate)

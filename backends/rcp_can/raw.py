@@ -14,7 +14,7 @@ from rcp_can.bus import Bus
 from rcp_can.recording import Recording
 from rcp_kernel.errors import InvalidValue, PreconditionFailed
 from rcp_kernel.model import Resource
-from rcp_kernel.spi import Host, Progress
+from rcp_kernel.spi import Host, Progress, check_fence
 
 if TYPE_CHECKING:
     import can
@@ -119,6 +119,7 @@ class BusPart(Part):
                     name=self._send,
                     description="Send any frame, past every check that motors have.",
                     value=m.Frame,
+                    moves=True,
                     examples=({"id": 0x7DF, "data": "AgEMAAAAAAA="}, {"id": 0x123}),
                     max_age=1.0,
                 )
@@ -167,6 +168,7 @@ class BusPart(Part):
             raise InvalidValue(f"no frame has {size} bytes", details={"pointer": "/data"})
         if value.id > 0x7FF and not value.extended:
             raise InvalidValue("an id above 0x7FF needs `extended`", details={"pointer": "/id"})
+        check_fence()
         self._bus.send(
             value.id,
             value.data,

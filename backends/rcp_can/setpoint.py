@@ -40,8 +40,10 @@ def set_point(axis: Axis, dt: float) -> SetPoint | None:
 
 def _within(axis: Axis, velocity: float) -> float:
     """Let no velocity lead out of the positions that are allowed."""
-    position = axis.position
-    if axis.config.position is None or position is None:
+    if axis.config.position is None:
         return velocity
+    position = axis.position
+    if position is None or not axis.is_fresh("position"):
+        return 0.0  # a limit does not rest on where it was
     out = (position >= axis.high and velocity > 0) or (position <= axis.low and velocity < 0)
     return 0.0 if out else velocity

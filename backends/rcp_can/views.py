@@ -13,11 +13,11 @@ __all__ = ["health", "motion", "state"]
 
 
 def motion(axis: Axis) -> m.Motion:
-    """Return what the drive measured last, at the joint."""
+    """Return what the drive measured last, at the joint; what is too old is left out."""
     status = axis.status
     return m.Motion(
-        position=axis.position,
-        velocity=axis.velocity,
+        position=axis.position if axis.is_fresh("position") else None,
+        velocity=axis.velocity if axis.is_fresh("velocity") else None,
         torque=None if status.torque is None else status.torque * axis.ratio,
         current=None if status.current is None else status.current * axis.config.direction,
     )
@@ -41,4 +41,7 @@ def state(axis: Axis) -> m.MotorState:
         faults=sorted(axis.faults.standing),
         reached=axis.status.reached,
         homed=axis.status.homed,
+        energised=axis.status.energised,
+        watchdog=axis.drive.protection.within,
+        watchdog_verified=axis.drive.protection.verified,
     )

@@ -5,10 +5,12 @@ from __future__ import annotations
 import math
 import struct
 import time
+from collections import Counter
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from rcp_can.bus import Bus, Route
-from rcp_can.drive import Drive, Fault, Profile, Reach
+from rcp_can.drive import Drive, Fault, Profile, Protection, Reach, StopFrame
 from rcp_can.motor_messages import Mode
 from rcp_can.profiles.cia402_objects import (
     COMMANDS,
@@ -22,7 +24,7 @@ from rcp_can.profiles.cia402_options import Cia402Options
 from rcp_can.profiles.cia402_pdos import eds_map, own_map
 from rcp_can.profiles.cia402_setup import map_pdos, set_up
 from rcp_can.sdo import Sdo
-from rcp_kernel.errors import DeviceRejected
+from rcp_kernel.errors import DeviceRejected, DeviceTimeout
 
 if TYPE_CHECKING:
     import can
@@ -37,14 +39,23 @@ _UNDER_WAY = 1  # PDOs that may have left the drive before it heard us
 _PROBE = 0.3  # s between two looks for a node that says nothing by itself
 _SWITCHING = 2.0  # s for the way through the state machine
 _I32, _I16 = 2**31 - 1, 2**15 - 1
-_EMERGENCY, _ANSWER, _HEARTBEAT = 0x080, 0x580, 0x700
+_EMERGENCY, _ANSWER, _REQUEST, _HEARTBEAT = 0x080, 0x580, 0x600, 0x700
+_BY_SDO = 0.1  # s between two control words by SDO, where PDOs have no effect
+_PATIENCE = 0.06  # s after which a quick stop by PDO should have had one
+_NEW_STOP = 0.5  # s without a stop, after which the next is another
+_ARRIVE = 1.0  # s for every mapped PDO to arrive once
+_BEATS = 5  # of the gateway in the time that the drive waits for one
 _RATES = "target_velocity", "target_torque"
 _TARGETS: dict[Mode, str] = {
     "position": "target_position",
     "velocity": "target_velocity",
     "torque": "target_torque",
 }
+_CONTROLLED = frozenset(("statusword", "position", "velocity"))
+"""What control rests on, and must arrive once after every configuration."""
 _FAULTS = frozenset(("fault", "fault_reaction"))
+_POWERED = frozenset(("enabled", "quick_stop", "fault_reaction"))
+_CONTROL_WRITTEN = b"\x60\x40\x60\0", b"\x80\x40\x60\0"  # or refused: CiA 301, 7.2.4.3.4
 
 
 class Cia402Drive(Drive):
@@ -66,9 +77,11 @@ class Cia402Drive(Drive):
         self._nmt: int | None = None
         self._moving = False
         self._heard = 0
-        self._configured = False
+        self._configured = self._watched = False
         self._sync = options.sync
         self._probes = 0
+        self._stop_began = self._stop_last = 0.0
+        self._told: Counter[str] = Counter()
         self._emergencies: dict[int, Fault] = {}
         self._pdos = eds_map(options.eds, node) if options.eds else own_map(node)
         carried = self._pdos.commanded
@@ -78,6 +91,15 @@ class Cia402Drive(Drive):
     def beats(self) -> float | None:
         """Three of its periods, once they are set."""
         return 0.003 * self.options.heartbeat or None if self._configured else None
+
+    def period(self, signal: str) -> float:
+        """Return the period of its PDOs, which carry all."""
+        return (self._sync or self.options.feedback) / 1000
+
+    @property
+    def loose(self) -> bool:
+        """Whether it is in operation enabled: a quick stop keeps it out of that."""
+        return self.state == "enabled"
 
     @property
     def server(self) -> Sdo:
@@ -106,7 +128,9 @@ class Cia402Drive(Drive):
             self._on_pdo(layout.decode(message.data))
             return True
         cob = message.arbitration_id - self.node
-        if cob == _ANSWER and self._probes and not self.sdo.busy:
+        if cob == _ANSWER and bytes(message.data[:4]) in _CONTROL_WRITTEN:
+            self.status.told += 1  # to a stop that went past the SDO client
+        elif cob == _ANSWER and self._probes and not self.sdo.busy:
             self._probes -= 1
             self.status.told += 1
         elif cob == _ANSWER:
@@ -127,14 +151,14 @@ class Cia402Drive(Drive):
             self._configured = False
             self.state = "unknown"
             self._emergencies.clear()
-            status.enabled, status.faults = False, ()
+            status.enabled, status.holding, status.faults = False, False, ()
             status.resets += 1
         elif state != self._nmt:
             fell = self._nmt == _OPERATIONAL and self._configured
             self._nmt = state
-            if fell:  # nothing it says by PDO comes any more
+            if fell:  # nothing it says by PDO comes any more, and it may still turn
                 self._configured = False
-                status.enabled = False
+                status.enabled = status.holding = None
                 status.resets += 1
         status.told += 1
 
@@ -155,6 +179,7 @@ class Cia402Drive(Drive):
 
     def _on_pdo(self, values: dict[str, float]) -> None:
         status, scale = self.status, self._scale
+        self._told.update(values.keys())
         for name, value in values.items():
             match name:
                 case "position":
@@ -177,6 +202,7 @@ class Cia402Drive(Drive):
         self._heard += 1
         was, self.state = self.state, state_of(statusword)
         status.enabled = self.state == "enabled"
+        status.holding = self.state in _POWERED
         if was in _FAULTS and self.state not in _FAULTS:
             self._emergencies.clear()
         status.reached = bool(statusword & _REACHED) if self._moving else None
@@ -199,16 +225,31 @@ class Cia402Drive(Drive):
         """Set heartbeats, quick stop and PDOs, and start the node."""
         self._configured = False
         self._nmt_command(0x80)
-        await set_up(self.sdo, self.options)
+        self.protection = Protection("not read yet")
+        found = await set_up(self.sdo, self.options, self.watchdog)
+        self.protection, self._watched = found.protection, True
         if self.options.map_pdos:
             self._sync = await map_pdos(self.sdo, self.node, self.options)
         self._control = COMMANDS["disable_voltage"]
         self._nmt_command(_START)
-        status = self.status
-        moved = status.moved
         self._nmt = None
-        await self.until(lambda: status.moved > moved, "sending PDOs", again=self._start_again)
-        status.beat = time.monotonic()
+        self._told.clear()
+        mapped = {name for layout in self._pdos.feedback.values() for name in layout.names}
+        due = mapped & _CONTROLLED
+        try:
+            await self.until(
+                lambda: due <= self._told.keys(),
+                "sending its PDOs",
+                again=self._start_again,
+                seconds=_ARRIVE,
+            )
+        except DeviceTimeout:
+            missing = ", ".join(sorted(due - self._told.keys()))
+            raise DeviceTimeout(
+                f"node {self.node} accepted its PDOs, and {missing} did not arrive",
+                remedy="Take the PDOs that it has: map_pdos = false, with its EDS.",
+            ) from None
+        self.status.beat = time.monotonic()
         self._configured = True
 
     def _start_again(self) -> None:
@@ -224,16 +265,17 @@ class Cia402Drive(Drive):
     def poll(self, tick: int) -> None:
         """Send SYNC and the gateway's heartbeat, where they are wanted; look for a silent node."""
         options, bus = self.options, self.bus
+        who = f"heartbeat {options.master}"
+        if self._watched and self.watchdog and bus.paced(who, self.watchdog / _BEATS):
+            bus.send(_HEARTBEAT + options.master, bytes((_OPERATIONAL,)), lifetime=_FAST)
         if not self._configured:
             if self._nmt is None and not self.sdo.busy and bus.paced(f"probe {self.node}", _PROBE):
                 self._probes = 1
                 device_type = struct.pack("<BHBxxxx", 0x40, 0x1000, 0)
-                bus.send(0x600 + self.node, device_type, lifetime=_FAST)
+                bus.send(_REQUEST + self.node, device_type, lifetime=_FAST)
             return
         if self._sync and bus.paced("sync", 0.9 * self._sync / 1000):
             bus.send(0x080, lifetime=_FAST)
-        if options.watchdog and bus.paced("heartbeat", options.watchdog / 5000):
-            bus.send(0x700 + options.master, bytes((_OPERATIONAL,)), lifetime=_FAST)
 
     def _say(self, *names: str, urgent: bool = False) -> None:
         """Send the PDOs that carry some objects, as those now are."""
@@ -248,6 +290,11 @@ class Cia402Drive(Drive):
         for cob, layout in self._pdos.carrying(*names):
             data = layout.encode(**{name: values.get(name, 0) for name in layout.names})
             self.send(cob, data, urgent=urgent, lifetime=lifetime)
+
+    def _push_by_sdo(self, control: int) -> None:
+        """Write the control word by SDO, past the client: it works where PDOs have no effect."""
+        if self.bus.paced(f"control {self.node}", _BY_SDO):
+            self.send(_REQUEST + self.node, _control_request(control), urgent=True)
 
     def _push(self, control: int, *, urgent: bool = False) -> None:
         self._control = control
@@ -281,32 +328,44 @@ class Cia402Drive(Drive):
     async def disable(self) -> None:
         """Switch the voltage off."""
         self._rate = self._torque = 0
+        heard = self._heard + _UNDER_WAY  # a statusword under way is of before
+        until = time.monotonic() + _PATIENCE
+
+        def ask() -> None:
+            self._push(COMMANDS["disable_voltage"])
+            if time.monotonic() > until:
+                self._push_by_sdo(COMMANDS["disable_voltage"])
+
         await self.until(
-            lambda: self.state in ("switch_on_disabled", "ready", "fault", "not_ready"),
+            lambda: (
+                self._heard > heard
+                and self.state in ("switch_on_disabled", "ready", "fault", "not_ready")
+            ),
             "disabled",
-            again=lambda: self._push(COMMANDS["disable_voltage"]),
+            again=ask,
             faults=False,
         )
 
     async def clear_faults(self) -> None:
-        """Reset the fault: the rising edge of bit 7, with the voltage off."""
+        """Reset the fault: the rising edge of bit 7. A drive that is not in fault is sent nothing."""
 
         def edge() -> None:
-            self._push(COMMANDS["disable_voltage"])
-            self._push(COMMANDS["fault_reset"])
+            if self.state == "fault":  # not while it still reacts to it
+                self._push(COMMANDS["disable_voltage"])
+                self._push(COMMANDS["fault_reset"])
 
-        self._rate = self._torque = 0
-        if self.state == "fault":
+        if self.state in _FAULTS:
+            self._rate = self._torque = 0
             await self.until(
-                lambda: self.state == "switch_on_disabled",
+                lambda: self.state not in _FAULTS,
                 "free of faults",
                 again=edge,
                 seconds=_SWITCHING,
                 faults=False,
             )
+            self._push(COMMANDS["disable_voltage"])
         self._emergencies.clear()
         self._sum_up()
-        self._push(COMMANDS["disable_voltage"])
 
     def _modes(self, mode: Mode) -> int:
         kind = "cyclic" if self.options.control == "cyclic" else "profile"
@@ -318,8 +377,11 @@ class Cia402Drive(Drive):
         """Home by the drive's method."""
         await self.write("homing_method", self.options.homing_method)
         self._mode = MODES["homing"]
-        self._push(COMMANDS["enable"])
-        await self.until(lambda: self._shown == MODES["homing"], "in homing mode")
+        await self.until(
+            lambda: self._shown == MODES["homing"],
+            "in homing mode",
+            again=lambda: self._push(COMMANDS["enable"]),
+        )
         self._push(COMMANDS["enable"] | _NEW_SET_POINT)
         done = _HOMED | _REACHED
         await self.until(
@@ -384,10 +446,27 @@ class Cia402Drive(Drive):
         self._moving = True
 
     def stop(self) -> None:
-        """Quick stop."""
+        """Quick stop by PDO; by SDO too where that has no effect, as out of operational."""
+        now = time.monotonic()
+        if now - self._stop_last > _NEW_STOP:
+            self._stop_began = now
+        self._stop_last = now
         self._rate = self._torque = 0
         self._moving = False
         self._push(COMMANDS["quick_stop"], urgent=True)
+        unheard = not self._configured or now - self.status.at.get("enabled", 0.0) > _PATIENCE
+        if unheard or (self.state == "enabled" and now - self._stop_began > _PATIENCE):
+            self._push_by_sdo(COMMANDS["quick_stop"])
+
+    def stop_frames(self) -> Sequence[StopFrame]:
+        """Quick stop by SDO: a PDO would carry a mode and a target that may be old."""
+        data = _control_request(COMMANDS["quick_stop"])
+        return (StopFrame(_REQUEST + self.node, data),)
+
+
+def _control_request(control: int) -> bytes:
+    """Return an expedited download of the control word (CiA 301, 7.2.4.3.3)."""
+    return struct.pack("<BHBHxx", 0x2B, *OBJECTS["controlword"][:2], control)
 
 
 PROFILE = Profile(

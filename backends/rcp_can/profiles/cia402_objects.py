@@ -7,6 +7,7 @@ from typing import NamedTuple
 from rcp_can.codec import Field, Layout
 
 __all__ = [
+    "ABORT_CONNECTION",
     "COMMANDS",
     "EMERGENCIES",
     "MESSAGES",
@@ -72,6 +73,7 @@ OBJECTS = {
     "error_code": (0x603F, 0, "H"),
     "controlword": (0x6040, 0, "H"),
     "statusword": (0x6041, 0, "H"),
+    "abort_connection": (0x6007, 0, "h"),
     "quick_stop_option": (0x605A, 0, "h"),
     "mode": (0x6060, 0, "b"),
     "mode_shown": (0x6061, 0, "b"),
@@ -87,6 +89,10 @@ OBJECTS = {
     "target_velocity": (0x60FF, 0, "i"),
 }
 """Index, sub-index and struct code of the objects that the profile uses."""
+
+
+ABORT_CONNECTION = {1: "fault", 2: "disable_voltage", 3: "quick_stop"}
+"""What 0x6007 has a drive do when its master falls silent (CiA 402-2, 7.2.5); 0 does nothing."""
 
 
 class Pdo(NamedTuple):

@@ -28,8 +28,11 @@ class Cia402Options(Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     """Period of SYNC, ms, with which the drive's PDOs come instead of by their own; 0 sends none."""
     heartbeat: Annotated[int, Meta(ge=0, le=10_000)] = 100
     """Period of the drive's heartbeat, ms; 0 leaves it alone."""
-    watchdog: Annotated[int, Meta(ge=0, le=60_000)] = 500
-    """Silence of the gateway after which the drive reacts, ms; 0 leaves it alone."""
+    on_silence: Literal["quick_stop", "disable_voltage", "fault"] = "quick_stop"
+    """What the drive does when the gateway's heartbeat fails to come (0x6007)."""
+    quick_stop: Annotated[int, Meta(ge=0, le=8)] | None = 6
+    """What a quick stop does (0x605A): 5 to 8 brake and hold torque, 0 to 4 end without; 6 brakes
+    on the quick stop ramp and holds. None leaves the drive's own setting alone."""
     master: Annotated[int, Meta(ge=1, le=127)] = 126
     """Node id of the gateway's own heartbeat."""
     map_pdos: bool = True

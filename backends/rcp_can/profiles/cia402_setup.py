@@ -1,30 +1,73 @@
-"""Set a CiA 402 drive up by SDO: heartbeats, quick stop, PDOs."""
+"""Set a CiA 402 drive up by SDO, and read back what it has taken: heartbeats, quick stop, PDOs."""
 
 from __future__ import annotations
 
 import struct
+from contextlib import suppress
+from typing import NamedTuple
 
-from rcp_can.profiles.cia402_objects import OBJECTS, PDOS
+from rcp_can.drive import Protection
+from rcp_can.profiles.cia402_objects import ABORT_CONNECTION, OBJECTS, PDOS
 from rcp_can.profiles.cia402_options import Cia402Options
 from rcp_can.sdo import Sdo, SdoAborted
+from rcp_kernel.errors import DeviceRejected
 
-__all__ = ["map_pdos", "set_up"]
+__all__ = ["SetUp", "map_pdos", "set_up"]
 
 _ABSENT = 0x06020000, 0x06090011  # no such object, no such sub-index
 _READ_ONLY = 0x06010002
-_SLOW_DOWN_AND_STAY = 6  # on the quick stop ramp, in quick stop active
+_WRITE_ONLY = 0x06010001
+_HOLDING = range(5, 9)  # quick stop options that end in quick stop active
 
 
-async def set_up(sdo: Sdo, options: Cia402Options) -> None:
-    """Set heartbeats both ways, and what a quick stop does.
+class SetUp(NamedTuple):
+    """What a drive is set to, by its own word."""
+
+    protection: Protection
+    holds_after_stop: bool | None
+    """Whether it holds torque after a quick stop; None: it does not tell."""
+
+
+async def set_up(sdo: Sdo, options: Cia402Options, watchdog: float | None) -> SetUp:
+    """Set heartbeats both ways, and what a quick stop and silence do; return what is in force.
 
     :raises SdoAborted: the drive refuses what it must have.
     """
     if options.heartbeat:
         await _write(sdo, "heartbeat_period", options.heartbeat)
-    if options.watchdog:
-        await _optional(sdo, "heartbeat_consumer", options.master << 16 | options.watchdog)
-    await _optional(sdo, "quick_stop_option", _SLOW_DOWN_AND_STAY)
+    if options.quick_stop is not None:
+        await _optional(sdo, "quick_stop_option", options.quick_stop)
+    after = await _read(sdo, "quick_stop_option")
+    if watchdog is not None:
+        reaction = next(n for n, word in ABORT_CONNECTION.items() if word == options.on_silence)
+        with suppress(SdoAborted):  # what it has then is read below
+            await _write(sdo, "abort_connection", reaction)
+        word = options.master << 16 | round(watchdog * 1000)
+        await _optional(sdo, "heartbeat_consumer", word)
+    return SetUp(
+        await _protection(sdo, options.master), None if after is None else after in _HOLDING
+    )
+
+
+async def _protection(sdo: Sdo, master: int) -> Protection:
+    """Read what the drive does by itself when the gateway falls silent."""
+    word = await _read(sdo, "heartbeat_consumer")
+    reaction = await _read(sdo, "abort_connection")
+    if word is None:
+        return Protection("no heartbeat consumer (0x1016): it does not notice a silent gateway")
+    node, period = word >> 16 & 0x7F, word & 0xFFFF
+    if not period:
+        return Protection("heartbeat consumer 0x1016 is off")
+    if node != master:
+        return Protection(f"heartbeat consumer 0x1016 watches node {node}, not the gateway")
+    if reaction == 0:
+        return Protection(f"heartbeat consumer 0x1016 = {period} ms, but 0x6007 = 0: no reaction")
+    if reaction is None:
+        text = f"heartbeat consumer 0x1016 = {period} ms; no 0x6007, so the drive's own reaction"
+        return Protection(text, period / 1000)
+    done = ABORT_CONNECTION.get(reaction, "the maker's own")
+    text = f"heartbeat consumer 0x1016 = {period} ms, abort connection 0x6007 = {reaction} ({done})"
+    return Protection(text, period / 1000, reaction in ABORT_CONNECTION)
 
 
 async def _write(sdo: Sdo, name: str, value: int) -> None:
@@ -40,10 +83,24 @@ async def _optional(sdo: Sdo, name: str, value: int) -> None:
             raise
 
 
+async def _read(sdo: Sdo, name: str) -> int | None:
+    """Read an object that need not be there."""
+    index, sub, code = OBJECTS[name]
+    try:
+        data = await sdo.upload(index, sub)
+    except SdoAborted as aborted:
+        if aborted.abort not in (*_ABSENT, _WRITE_ONLY):
+            raise
+        return None
+    size = struct.calcsize(code)
+    return struct.unpack("<" + code, data[:size])[0] if len(data) >= size else None
+
+
 async def map_pdos(sdo: Sdo, node: int, options: Cia402Options) -> int:
     """Map all PDOs; return the period of SYNC that the drive needs, ms, or 0.
 
     :raises SdoAborted: the drive refuses a mapping.
+    :raises DeviceRejected: it accepts a mapping and has another.
     """
     sync = options.sync
     for name in PDOS:
@@ -58,16 +115,33 @@ async def _map(sdo: Sdo, name: str, node: int, feedback: int, sync: int) -> int:
     mapping = pdo.parameters + 0x200
     await sdo.download(pdo.parameters, 1, struct.pack("<I", 0x80000000 | cob))
     await sdo.download(mapping, 0, b"\0")
+    words: list[int] = []
     for sub, entry in enumerate(pdo.objects, 1):
         index, subindex, code = OBJECTS[entry]
-        word = index << 16 | subindex << 8 | struct.calcsize(code) * 8
-        await sdo.download(mapping, sub, struct.pack("<I", word))
+        words.append(index << 16 | subindex << 8 | struct.calcsize(code) * 8)
+        await sdo.download(mapping, sub, struct.pack("<I", words[-1]))
     await sdo.download(mapping, 0, bytes((len(pdo.objects),)))
     if sends and not sync and not await _timed(sdo, pdo.parameters, feedback):
         sync = feedback
     await sdo.download(pdo.parameters, 2, bytes((1 if sync and sends else 255,)))
     await sdo.download(pdo.parameters, 1, struct.pack("<I", cob))
+    await _verify(sdo, mapping, words)
     return sync
+
+
+async def _verify(sdo: Sdo, mapping: int, words: list[int]) -> None:
+    """See that a mapping is what it was set to: some drives accept any, and keep their own."""
+    count = (await sdo.upload(mapping, 0))[:1]
+    found = [
+        int.from_bytes((await sdo.upload(mapping, sub))[:4], "little")
+        for sub in range(1, (count[0] if count else 0) + 1)
+    ]
+    if found != words:
+        kept = ", ".join(f"0x{word:08X}" for word in found) or "nothing"
+        raise DeviceRejected(
+            f"the drive accepted the PDO mapping 0x{mapping:04X} and has {kept} in it",
+            remedy="Take the mapping that it has: map_pdos = false, with its EDS.",
+        )
 
 
 async def _timed(sdo: Sdo, parameters: int, feedback: int) -> bool:

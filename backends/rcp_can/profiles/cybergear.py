@@ -4,24 +4,28 @@ from __future__ import annotations
 
 import math
 import struct
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Annotated
 
 from msgspec import Meta
 
 from rcp_can.bus import Bus, Route
 from rcp_can.codec import Packed, Span
-from rcp_can.drive import Fault, Profile, Reach
+from rcp_can.drive import Fault, Profile, Protection, Reach, StopFrame
 from rcp_can.profiles.impedance import FAST, Gains, ImpedanceDrive
+from rcp_kernel.errors import DeviceTimeout
 
 if TYPE_CHECKING:
     import can
 
 __all__ = ["COMMAND", "FEEDBACK", "PROFILE", "TORQUE", "CyberGearDrive", "CyberGearOptions"]
 
-_CONTROL, _FEEDBACK, _ENABLE, _STOP, _ZERO, _WRITE = 1, 2, 3, 4, 6, 18
+_CONTROL, _FEEDBACK, _ENABLE, _STOP, _ZERO, _READ, _WRITE = 1, 2, 3, 4, 6, 17, 18
 _P, _V, _T = 4 * math.pi, 30.0, 12.0
 _RUN_MODE, _CAN_TIMEOUT = 0x7005, 0x7028
 _RUNNING = 2
+_TICKS = 20_000  # a second in steps of the parameter
+_ANSWERS = 0.5  # s for a parameter's value
 
 COMMAND = Packed(
     Span("position", 16, -_P, _P),
@@ -48,12 +52,10 @@ _FAULTS = (
 
 
 class CyberGearOptions(Gains, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Beside the gains: who we are, and the watchdog."""
+    """Beside the gains: who we are."""
 
     host: Annotated[int, Meta(ge=0, le=0xFF)] = 0xFD
     """Id that the drive answers to."""
-    watchdog: Annotated[int, Meta(ge=0, le=60_000)] = 500
-    """Silence after which the drive stops, ms; firmware that has none takes no notice."""
 
 
 class CyberGearDrive(ImpedanceDrive):
@@ -61,18 +63,23 @@ class CyberGearDrive(ImpedanceDrive):
 
     def __init__(self, node: int, options: CyberGearOptions, bus: Bus) -> None:
         super().__init__(node, options, bus)
+        self._parameters: dict[int, int] = {}
 
     def routes(self) -> tuple[Route, ...]:
-        """Take its feedback, whatever state and faults stand in the identifier."""
-        value = _FEEDBACK << 24 | self.node << 8 | self.options.host
-        return (Route(value, 0x1F00FFFF, extended=True),)
+        """Take its feedback, whatever stands in the identifier, and the parameters it tells."""
+        low = self.node << 8 | self.options.host
+        return tuple(
+            Route(kind << 24 | low, 0x1F00FFFF, extended=True) for kind in (_FEEDBACK, _READ)
+        )
 
     def reach(self) -> Reach:
         """Say the ranges of the payload."""
         return Reach(_P, _V, _T)
 
     def take(self, message: can.Message) -> bool:
-        """Read feedback."""
+        """Read feedback, or a parameter."""
+        if message.arbitration_id >> 24 == _READ:
+            return self._on_parameter(message.arbitration_id >> 16 & 0xFF, bytes(message.data))
         values = FEEDBACK.decode(message.data)
         word, status = message.arbitration_id >> 16, self.status
         status.position, status.velocity = values["position"], values["velocity"]
@@ -87,6 +94,16 @@ class CyberGearDrive(ImpedanceDrive):
         self.answered()
         status.moved += 1
         status.told += 1
+        return True
+
+    def _on_parameter(self, failed: int, data: bytes) -> bool:
+        if len(data) < 8:
+            raise ValueError("a parameter has 8 bytes")
+        self.answered()
+        if not failed:
+            index, value = struct.unpack("<HxxI", data[:8])
+            self._parameters[index] = value
+        self.status.told += 1
         return True
 
     def _say(
@@ -126,9 +143,33 @@ class CyberGearDrive(ImpedanceDrive):
         self._say(_WRITE, struct.pack("<Hxx", index) + value.ljust(4, b"\0"))
 
     async def configure(self) -> None:
-        """Arm the watchdog, in 50 µs."""
-        if self.options.watchdog:
-            self._parameter(_CAN_TIMEOUT, struct.pack("<I", self.options.watchdog * 20))
+        """Arm the watchdog, in 50 µs, and read it back; older firmware has none."""
+        wanted = None if self.watchdog is None else round(self.watchdog * _TICKS)
+        self._parameters.clear()
+
+        def ask() -> None:
+            if wanted is not None:
+                self._parameter(_CAN_TIMEOUT, struct.pack("<I", wanted))
+            self._say(_READ, struct.pack("<Hxxxxxx", _CAN_TIMEOUT))
+
+        def told() -> bool:
+            found = self._parameters.get(_CAN_TIMEOUT)
+            return found is not None and wanted in (None, found)
+
+        try:
+            await self.until(
+                told, "telling its canTimeout", again=ask, seconds=_ANSWERS, faults=False
+            )
+        except DeviceTimeout:
+            self.protection = Protection(
+                "canTimeout (0x7028) was not taken: older firmware has none"
+            )
+            return
+        if seconds := self._parameters[_CAN_TIMEOUT] / _TICKS:
+            text = f"canTimeout (0x7028) = {seconds * 1000:g} ms: it switches itself off"
+            self.protection = Protection(text, seconds, verified=True)
+        else:
+            self.protection = Protection("canTimeout (0x7028) = 0: its watchdog is off")
 
     async def enable(self) -> None:
         """Choose operation control, and run, limp."""
@@ -144,6 +185,12 @@ class CyberGearDrive(ImpedanceDrive):
         await self.until(
             lambda: self.status.enabled is False, "disabled", again=self.ask, faults=False
         )
+
+    def stop_frames(self) -> Sequence[StopFrame]:
+        """Damp it as a quick stop does: a drive that is off takes no notice."""
+        word = int.from_bytes(TORQUE.encode(torque=0.0), "big")
+        data = COMMAND.encode(kd=self._gains.brake)
+        return (StopFrame(_CONTROL << 24 | word << 8 | self.node, data, extended=True),)
 
     async def clear_faults(self) -> None:
         """Stop, with the bit that clears faults."""

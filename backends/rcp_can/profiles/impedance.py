@@ -38,6 +38,7 @@ class ImpedanceDrive(Drive):
     """What such drives have in common."""
 
     zeroes = True
+    sags = True
 
     def __init__(self, node: int, options: Gains, bus: Bus) -> None:
         super().__init__(node, options, bus)

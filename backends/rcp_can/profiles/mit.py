@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import struct
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 from msgspec import Meta
 
 from rcp_can.bus import Bus, Route
 from rcp_can.codec import Packed, Span
-from rcp_can.drive import Fault, Profile, Reach
+from rcp_can.drive import Fault, Profile, Protection, Reach, StopFrame
 from rcp_can.profiles.impedance import FAST, Gains, ImpedanceDrive
 
 if TYPE_CHECKING:
@@ -20,6 +21,7 @@ __all__ = ["DAMIAO", "MIT", "MODELS", "TMOTOR", "Ranges", "command_codec", "repl
 _ENABLE, _DISABLE, _ZERO, _CLEAR = 0xFC, 0xFD, 0xFE, 0xFB
 _REGISTERS, _READ, _WRITE, _REFRESH = 0x7FF, 0x33, 0x55, 0xCC
 _TIMEOUT_REGISTER, _MODE_REGISTER, _MIT_MODE = 9, 10, 1
+_TICKS = 20_000  # a second in steps of the register
 
 
 class Ranges(NamedTuple):
@@ -113,6 +115,7 @@ class MitDrive(ImpedanceDrive):
         self._command, self._reply = command_codec(self.span), reply_codec(self.span, *self.extra)
         self._on = False
         self._answers = 0
+        self.protection = Protection("no watchdog: it keeps to its last set-point")
 
     def routes(self) -> tuple[Route, ...]:
         """Take the answers of all drives that answer to one id; the first byte says whose it is."""
@@ -170,6 +173,10 @@ class MitDrive(ImpedanceDrive):
         """Send a set-point without gains or torque: it answers, on or off."""
         self.impede()
 
+    def stop_frames(self) -> Sequence[StopFrame]:
+        """Damp it as a quick stop does: a drive that is off takes no notice."""
+        return (StopFrame(self.node, self._command.encode(kd=self._gains.brake)),)
+
     async def _told(self, code: int, what: str, *, on: bool) -> None:
         answers = self._answers
         self._on = on
@@ -193,7 +200,7 @@ class MitDrive(ImpedanceDrive):
         await self._told(_DISABLE, "disabled", on=False)
 
     async def clear_faults(self) -> None:
-        """Leave motor mode: there is nothing else to clear faults by."""
+        """Leave motor mode: there is nothing else to clear faults by, and in fault it is off."""
         self._on = False
         await self.until(
             lambda: not self.status.faults and not self.status.enabled,
@@ -249,11 +256,9 @@ class TMotorDrive(MitDrive):
 
 
 class DamiaoOptions(MitOptions, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Beside the gains and the model: the watchdog."""
+    """Beside the gains: the model."""
 
     model: str = "4310"
-    watchdog: Annotated[int, Meta(ge=0, le=60_000)] = 500
-    """Silence after which the drive goes into fault, ms; 0 leaves it alone."""
 
 
 class DamiaoDrive(MitDrive):
@@ -265,13 +270,14 @@ class DamiaoDrive(MitDrive):
     def __init__(self, node: int, options: DamiaoOptions, bus: Bus) -> None:
         super().__init__(node, options, bus)
         self._register: tuple[int, int] | None = None
+        self._value = 0
 
     def take(self, message: can.Message) -> bool:
         """Read an answer, to a set-point or to a register's access."""
         data = message.data
         wanted = self._register
         if len(data) == 8 and data[0] == self.node & 0xFF and (data[2], data[3]) == wanted:
-            self._register = None
+            self._register, self._value = None, int.from_bytes(data[4:8], "little")
             self.status.told += 1
             return True
         return super().take(message)
@@ -290,18 +296,28 @@ class DamiaoDrive(MitDrive):
         self.send(_REGISTERS, data, lifetime=FAST)
 
     async def configure(self) -> None:
-        """Choose MIT mode, and arm the drive's own watchdog (register 9, in 50 µs)."""
-        wanted = [(_MODE_REGISTER, _MIT_MODE)]
-        if self.options.watchdog:
-            wanted.append((_TIMEOUT_REGISTER, self.options.watchdog * 20))
-        for register, value in wanted:
-            self._register = _WRITE, register
-            await self.until(
-                lambda: self._register is None,
-                "answering for its registers",
-                again=lambda r=register, v=value: self._access(_WRITE, r, v),
-                faults=False,
+        """Choose MIT mode, arm the drive's own watchdog (register 9, in 50 µs), and read it back."""
+        await self._set(_WRITE, _MODE_REGISTER, _MIT_MODE)
+        if self.watchdog is not None:
+            await self._set(_WRITE, _TIMEOUT_REGISTER, round(self.watchdog * _TICKS))
+        await self._set(_READ, _TIMEOUT_REGISTER)
+        seconds = self._value / _TICKS
+        if seconds:
+            text = (
+                f"register 9 (TIMEOUT) = {seconds * 1000:g} ms: it goes into fault, without torque"
             )
+            self.protection = Protection(text, seconds, verified=True)
+        else:
+            self.protection = Protection("register 9 (TIMEOUT) = 0: its watchdog is off")
+
+    async def _set(self, command: int, register: int, value: int = 0) -> None:
+        self._register = command, register
+        await self.until(
+            lambda: self._register is None,
+            "answering for its registers",
+            again=lambda: self._access(command, register, value),
+            faults=False,
+        )
 
     def ask(self) -> None:
         """Ask for its state."""

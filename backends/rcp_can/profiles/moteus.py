@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 from msgspec import Meta, Struct
 
 from rcp_can.bus import Bus, Route
-from rcp_can.drive import Drive, Fault, Profile
+from rcp_can.drive import Drive, Fault, Profile, Protection
 from rcp_can.motor_messages import Mode as MotorMode
 from rcp_can.profiles.moteus_wire import REGISTERS, Access, Kind, Mode, Width, build, pad, parse
 
@@ -24,13 +24,15 @@ _ASKED = (
     *(("torque", Width.FLOAT), ("q_current", Width.FLOAT), ("motor_temperature", Width.INT16)),
     *(("trajectory_complete", Width.INT8), ("voltage", Width.INT16)),
     *(("temperature", Width.INT16), ("fault", Width.INT8)),
-    ("milliseconds", Width.INT32),
+    *(("watchdog", Width.FLOAT), ("milliseconds", Width.INT32)),
 )
 _QUERY = build(Access(Kind.READ, REGISTERS[name].number, width) for name, width in _ASKED)
 _STILL = {"command_position": math.nan, "command_velocity": 0.0}
 """Hold velocity zero where it is."""
 _NAMES = {register.number: name for name, register in REGISTERS.items()}
 _ON = frozenset((Mode.POSITION, Mode.ZERO_VELOCITY, Mode.BRAKE, 13, 14))
+_OWN_TIMEOUT = 0.1  # s: servo.default_timeout_s as it comes
+_OWN = "servo.default_timeout_s, 0.1 s unless it was set otherwise: zero velocity, damped"
 _WRAPS = 2**31 - 60_000  # ms: nearer to its end the clock may begin anew by itself
 _UNDER_WAY = 64  # questions that may have been lost, or wait to be sent
 _TOO_MANY = 4  # answers that nobody asked for
@@ -58,8 +60,6 @@ class MoteusOptions(Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
 
     source: Annotated[int, Meta(ge=0, le=127)] = 0
     """Id of the gateway."""
-    watchdog: Annotated[int, Meta(ge=0, le=60_000)] = 500
-    """Silence after which the drive goes into its time-out mode, ms; 0 leaves it alone."""
     max_torque: Annotated[float, Meta(gt=0)] | None = None
     """N·m at the drive's shaft."""
     switched: bool = True
@@ -79,6 +79,7 @@ class MoteusDrive(Drive):
         self._spoken = self._moving = False
         self._owed = 0
         self._target: dict[str, float] = {}
+        self.protection = Protection(_OWN, _OWN_TIMEOUT)
         self._clock = math.nan
 
     def routes(self) -> tuple[Route, ...]:
@@ -95,6 +96,7 @@ class MoteusDrive(Drive):
             if access.kind == Kind.REPLY and access.register in _NAMES and access.value is not None:
                 values[_NAMES[access.register]] = access.value
         self._count()
+        self._look_at_the_watchdog(values.get("watchdog", math.nan))
         self._look_for_a_boot(values.get("milliseconds", math.nan))
         status = self.status
         for name, factor in (("position", TURN), ("velocity", TURN), ("torque", 1.0)):
@@ -110,6 +112,13 @@ class MoteusDrive(Drive):
         status.moved += 1
         status.told += 1
         return True
+
+    def _look_at_the_watchdog(self, seconds: float) -> None:
+        """See that the time of its watchdog, which comes with each set-point, is the one it has."""
+        if self.watchdog is not None and math.isfinite(seconds) and self._mode in _ON:
+            same = math.isclose(seconds, self.watchdog, rel_tol=0.01)
+            text = f"watchdog register 0x027 = {seconds * 1000:g} ms: zero velocity, damped"
+            self.protection = Protection(text, seconds, verified=same)
 
     def _look_for_a_boot(self, milliseconds: float) -> None:
         """See that its clock goes on.
@@ -127,6 +136,8 @@ class MoteusDrive(Drive):
         self._mode = mode
         status = self.status
         status.enabled = mode in _ON
+        # Its time-out damps to zero velocity, and lasts until it is stopped.
+        status.holding = mode in _ON or mode == Mode.TIMEOUT
         if mode == Mode.FAULT:
             text = _FAULTS.get(fault, f"fault {fault}")
             status.faults = (Fault(text.replace(" ", "_"), text, fault),)
@@ -169,8 +180,8 @@ class MoteusDrive(Drive):
         whole = {"mode": float(Mode.POSITION), **values}
         if options.max_torque is not None:
             whole["max_torque"] = options.max_torque
-        if options.watchdog:
-            whole["watchdog"] = options.watchdog / 1000
+        if self.watchdog is not None:
+            whole["watchdog"] = self.watchdog
         self._write(whole, urgent=urgent)
 
     def poll(self, tick: int) -> None:
@@ -204,7 +215,7 @@ class MoteusDrive(Drive):
         )
 
     async def clear_faults(self) -> None:
-        """Stop: that clears the fault."""
+        """Stop, which clears a fault or a time-out."""
         self._moving = False
         await self.until(
             lambda: self._mode == Mode.STOPPED,
@@ -247,9 +258,14 @@ class MoteusDrive(Drive):
         self.status.reached = None
 
     def stop(self) -> None:
-        """Brake with all the torque there is, and hold velocity zero."""
+        """Brake with all the torque there is, and hold velocity zero; one that is off stays off."""
         self._moving = False
-        self._drive(_STILL, urgent=True)
+        if self._mode in _ON:
+            self._drive(_STILL, urgent=True)
+        elif self._mode != Mode.TIMEOUT:  # which brakes by itself
+            self._write({"mode": Mode.STOPPED}, urgent=True)
+        else:
+            self._write({}, urgent=True)
 
 
 _OTHERS = {

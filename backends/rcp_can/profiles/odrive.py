@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from msgspec import Struct
 
 from rcp_can.bus import Route
 from rcp_can.codec import Field, Layout
-from rcp_can.drive import Drive, Fault, Profile, Reach
+from rcp_can.drive import Drive, Fault, Profile, Protection, Reach, StopFrame
 from rcp_can.motor_messages import Mode
 from rcp_kernel.errors import DeviceRejected
 
@@ -25,6 +26,8 @@ _CONTROL: dict[Mode, int] = {"torque": 1, "velocity": 2, "position": 3}
 _PASSTHROUGH, _TRAPEZOID = 1, 5
 _SLOW = 0.4  # s between two requests for a state, which take their time
 _BEATS = 0.5  # s within which a heartbeat must come
+_ENCODER, _HEARTBEAT = 0.02, 0.1  # s: periods of the drive's reports, which are 10 and 100 ms
+_FED = 0.1  # s without a message that feeds the drive's watchdog, after which one is sent
 _FAST = 0.05  # s: a set-point that could not leave within this is not worth sending
 
 
@@ -120,6 +123,13 @@ class OdriveDrive(Drive):
         self._state = 0
         self._serial: tuple[float, float] | None = None
         self._moving = False
+        self._ours = False
+        self._fed = 0.0
+        self._input: tuple[str, dict[str, float]] = ("velocity", {})
+        self.protection = Protection(
+            "the axis's own watchdog is set by odrivetool only (axis.config.enable_watchdog, "
+            "watchdog_timeout) and cannot be read by CANSimple; the gateway feeds it"
+        )
         self._read = {
             MESSAGES[name][0]: (MESSAGES[name][1], getattr(self, f"_on_{name}"))
             for name in (
@@ -132,6 +142,10 @@ class OdriveDrive(Drive):
     def beats(self) -> float | None:
         """Several of its periods, which are 100 ms unless somebody has set others."""
         return _BEATS if self.status.beat else None
+
+    def period(self, signal: str) -> float:
+        """Return the period of its encoder message, or of its heartbeat, which has the state."""
+        return _HEARTBEAT if signal == "enabled" else _ENCODER
 
     def routes(self) -> tuple[Route, ...]:
         """Take all of the node's frames."""
@@ -201,7 +215,11 @@ class OdriveDrive(Drive):
         self.send(self._base | command, data, urgent=urgent, lifetime=stale)
 
     def poll(self, tick: int) -> None:
-        """Ask for what is not sent unasked: temperatures and supply, now and then who answers."""
+        """Feed its watchdog; ask for temperatures and supply, and now and then who answers."""
+        name, values = self._input
+        again = self._moving or not any(values.values())  # no old set-point makes it move
+        if self._ours and again and self.status.enabled and time.monotonic() - self._fed > _FED:
+            self._feed(name, values)
         slow = tick % 64
         if slow in (1, 17, 33):
             name = {1: "temperature", 17: "supply", 33: "address"}[slow]
@@ -217,10 +235,13 @@ class OdriveDrive(Drive):
             self._say("velocity")
             self._say("state", state=_CLOSED_LOOP)
 
+        self._input = "velocity", {}
         await self.until(lambda: self._state == _CLOSED_LOOP, "enabled", again=ask, every=_SLOW)
+        self._ours = True
 
     async def disable(self) -> None:
         """Go idle."""
+        self._ours = False
         await self.until(
             lambda: self._state == _IDLE,
             "disabled",
@@ -230,8 +251,7 @@ class OdriveDrive(Drive):
         )
 
     async def clear_faults(self) -> None:
-        """Clear the errors, and leave the axis idle."""
-        self._say("state", state=_IDLE)
+        """Clear the errors; an axis with errors is idle already."""
         await self.until(
             lambda: not self.status.faults,
             "free of faults",
@@ -271,11 +291,14 @@ class OdriveDrive(Drive):
         self._control(mode, _PASSTHROUGH)
         match mode:
             case "position":
-                self._say(mode, stale=_FAST, position=value, velocity=velocity)
-            case "velocity":
-                self._say(mode, stale=_FAST, velocity=value)
-            case "torque":
-                self._say(mode, stale=_FAST, torque=value)
+                self._feed(mode, {"position": value, "velocity": velocity})
+            case "velocity" | "torque":
+                self._feed(mode, {mode: value})
+
+    def _feed(self, name: str, values: dict[str, float], *, stale: float | None = _FAST) -> None:
+        """Send an input, which feeds the watchdog, and keep it to be sent again."""
+        self._say(name, urgent=False, stale=stale, **values)
+        self._fed, self._input = time.monotonic(), (name, values)
 
     async def move(self, position: float, velocity: float, acceleration: float | None) -> None:
         """Follow a trapezoidal trajectory."""
@@ -283,7 +306,7 @@ class OdriveDrive(Drive):
         if acceleration is not None:
             self._say("trap_acceleration", acceleration=acceleration, deceleration=acceleration)
         self._control("position", _TRAPEZOID)
-        self._say("position", position=position)
+        self._feed("position", {"position": position}, stale=None)
         self._moving = True
         self.status.reached = None
 
@@ -291,8 +314,18 @@ class OdriveDrive(Drive):
         """Brake with all the torque there is: velocity zero, without a ramp."""
         self._moving = False
         self._mode = _CONTROL["velocity"], _PASSTHROUGH
+        self._fed, self._input = time.monotonic(), ("velocity", {})
         self._say("velocity", urgent=True)
         self._say("mode", urgent=True, control=self._mode[0], input=self._mode[1])
+
+    def stop_frames(self) -> Sequence[StopFrame]:
+        """Velocity zero without a ramp, as `stop`: its emergency stop would drop a load."""
+        words = {"mode": {"control": _CONTROL["velocity"], "input": _PASSTHROUGH}, "velocity": {}}
+        return [
+            StopFrame(self._base | command, layout.encode(**words[name]).ljust(8, b"\0"))
+            for name in words
+            for command, layout in (MESSAGES[name],)
+        ]
 
 
 def _faults(error: int) -> tuple[Fault, ...]:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Annotated
 
 from msgspec import Meta, Struct
 
 from rcp_can.bus import Bus, Route
 from rcp_can.codec import Field, Layout
-from rcp_can.drive import Drive, Profile
+from rcp_can.drive import Drive, Profile, Protection, StopFrame
 from rcp_can.motor_messages import Mode
 
 if TYPE_CHECKING:
@@ -18,6 +19,8 @@ if TYPE_CHECKING:
 __all__ = ["MESSAGES", "PROFILE", "VescDrive", "VescOptions"]
 
 _FAST = 0.05  # s: a set-point that could not leave within this is not worth sending
+_PERIOD = 0.05  # s: the slowest status messages that are of use, 20 Hz
+_TIMEOUT = 1.0  # s: the application's timeout as it comes
 _STEPS = 6  # of the tachometer in one electrical turn
 
 MESSAGES: dict[str, tuple[int, Layout]] = {
@@ -62,7 +65,7 @@ class VescOptions(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
 class VescDrive(Drive):
     """A VESC, which has no switch of its own: enabled is that set-points are sent.
 
-    It releases the motor half a second after the last one.
+    It releases the motor a second after the last one, unless its tool has set another time.
     """
 
     holds = True
@@ -71,11 +74,20 @@ class VescDrive(Drive):
     def __init__(self, node: int, options: VescOptions, bus: Bus) -> None:
         super().__init__(node, options, bus)
         self._on = False
+        self.protection = Protection(
+            "the application's timeout, 1 s unless VESC Tool has set another: it releases the "
+            "motor, which runs out; not readable by these messages",
+            _TIMEOUT,
+        )
         self._read = {
             MESSAGES[name][0]: (MESSAGES[name][1], getattr(self, f"_on_{name}"))
             for name in ("status", "status_4", "status_5")
         }
         self._per_erpm = 2 * math.pi / 60 / options.pole_pairs
+
+    def period(self, signal: str) -> float:
+        """Return the period of its status messages."""
+        return _PERIOD
 
     def routes(self) -> tuple[Route, ...]:
         """Take all of its frames."""
@@ -131,7 +143,6 @@ class VescDrive(Drive):
 
     async def clear_faults(self) -> None:
         """Do nothing: a VESC leaves its faults by itself, and tells of none by these messages."""
-        await self.disable()
 
     def command(self, mode: Mode, value: float, velocity: float) -> None:
         """Send a set-point."""
@@ -143,6 +154,12 @@ class VescDrive(Drive):
     def stop(self) -> None:
         """Brake."""
         self._say("brake", urgent=True, current=self.options.brake_current)
+
+    def stop_frames(self) -> Sequence[StopFrame]:
+        """Brake: a braking current turns nothing that stands."""
+        command, layout = MESSAGES["brake"]
+        data = layout.encode(current=self.options.brake_current)
+        return (StopFrame(command << 8 | self.node, data, extended=True),)
 
 
 PROFILE = Profile(

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import canopen
 
 from rcp_can.profiles.cia402_objects import MODES, OBJECTS
-from rcp_can.sim.cia402_objects import make_dictionary
+from rcp_can.sim.cia402_objects import DEFAULTS, make_dictionary
 from rcp_can.sim.plant import Plant
 from rcp_can.sim.twin import Twin
 
@@ -26,6 +26,8 @@ _WORDS = {
     "quick_stop": 0x217,
     "fault": 0x218,
 }
+_PRE_OPERATIONAL = 0x7F
+_STANDSTILL = 0.02  # rad/s at which a quick stop ends
 _REACHED, _ACKNOWLEDGED, _HOMED = 1 << 10, 1 << 12, 1 << 12
 _DONE = 0.005  # rad
 _LEAST = {0x000: 2, 0x600: 8}
@@ -71,6 +73,8 @@ class Cia402Twin(Twin):
         self._homing = 0.0
         self._heard_master: float | None = None
         self._now = 0.0
+        self.keeps_mapping = False
+        """Accepts any PDO mapping, tells it back, and goes on with its own: statusword only."""
         self.line = _Line(self)
         eds: str = options.get("eds", "")
         dictionary: Any = canopen.import_od(eds, node) if eds else make_dictionary(node)
@@ -107,6 +111,13 @@ class Cia402Twin(Twin):
         self._heard_master = None
         self.local.nmt._state = 0x7F  # noqa: SLF001
         self._hello = True
+
+    def option(self, name: str) -> int:
+        """Return an option code, or what it is by default where the dictionary has none."""
+        index = OBJECTS[name][0]
+        if index not in self.local.object_dictionary:
+            return DEFAULTS[name]
+        return self.get(name)
 
     def break_down(self) -> None:
         """Go into fault by over-current, with an emergency."""
@@ -146,6 +157,8 @@ class Cia402Twin(Twin):
         return int.from_bytes(self.local.get_data(index, sub), "little")
 
     def _mapped(self, index: int) -> list[tuple[int, int, int]]:
+        if self.keeps_mapping and index >= 0x1800:
+            return [(*OBJECTS["statusword"][:2], 2)] if index == 0x1800 else []
         words = [
             self.get_raw(index + 0x200, n) for n in range(1, 1 + self.get_raw(index + 0x200, 0))
         ]
@@ -184,14 +197,17 @@ class Cia402Twin(Twin):
         return None
 
     def _send_pdos(self, due: Any) -> None:
-        if not self.operational:
+        if not self.operational or self.blind:
             return
         for index in self._transmits:
             cob = self.get_raw(index, 1)
             period = self.get_raw(index, 5) / 1000
             if cob >> 31 or not due(index, self.get_raw(index, 2), period):
                 continue
-            parts = (self.local.get_data(entry, sub) for entry, sub, _ in self._mapped(index))
+            mapped = self._mapped(index)
+            if not mapped:
+                continue
+            parts = (self.local.get_data(entry, sub) for entry, sub, _ in mapped)
             self.send(cob & 0x7FF, b"".join(parts))
 
     # CiA 402
@@ -230,8 +246,8 @@ class Cia402Twin(Twin):
         self.state = new
         self.enabled = new == "enabled"
         if new == "quick_stop":
-            self.plant.hold()
-            self.plant.ramp = None
+            if state != "quick_stop":
+                self._stop_quickly()
         elif new != "enabled":
             self.plant.off()
         elif state != "enabled":
@@ -239,6 +255,42 @@ class Cia402Twin(Twin):
             self.put_targets_to_rest()
         if new == "enabled":
             self._operate(old, word)
+
+    def _stop_quickly(self) -> None:
+        """Brake as 0x605A says; 0 is no braking at all."""
+        self.state, self.enabled = "quick_stop", False
+        if self.option("quick_stop_option") == 0:
+            self.state = "switch_on_disabled"
+            self.plant.off()
+        else:
+            self.plant.hold()
+            self.plant.ramp = None
+
+    def _end_quick_stop(self) -> None:
+        """Let go at rest, unless the option is to stay in quick stop active."""
+        resting = abs(self.plant.velocity) < _STANDSTILL
+        if self.state == "quick_stop" and resting and self.option("quick_stop_option") < 5:
+            self.state = "switch_on_disabled"
+            self.plant.off()
+
+    def _miss_master(self) -> None:
+        """React to a heartbeat that failed to come: by 0x6007, and out of operational (0x1029)."""
+        self.send(0x080 + self.node, struct.pack("<HB5x", 0x8130, 0x11))
+        if 0x1029 not in self.local.object_dictionary or self.get_raw(0x1029, 1) == 0:
+            self.local.nmt._state = _PRE_OPERATIONAL  # noqa: SLF001
+        if self.state not in ("enabled", "quick_stop"):
+            return
+        match self.option("abort_connection"):
+            case 1:
+                self.state, self.enabled, self.emergency = "fault", False, 0x8130
+                self.plant.off()
+            case 2:
+                self.state, self.enabled = "switch_on_disabled", False
+                self.plant.off()
+            case 3 if self.state == "enabled":
+                self._stop_quickly()
+            case _:
+                return
 
     def put_targets_to_rest(self) -> None:
         """Forget what was commanded before: the position stays, velocity and torque are zero."""
@@ -310,9 +362,9 @@ class Cia402Twin(Twin):
         self._send_pdos(lambda index, kind, t: kind >= 254 and t and self.every(f"{index}", t, now))
         timeout = (self.get_raw(0x1016, 1) & 0xFFFF) / 1000
         if timeout and self._heard_master is not None and now - self._heard_master > timeout:
-            self._heard_master = None
-            if self.enabled:
-                self._fault(0x8130)
+            self._heard_master = None  # until the next one, the master is not missed again
+            self._miss_master()
+        self._end_quick_stop()
         if self._homing > 0:
             self._homing -= 0.005
             if self._homing <= 0:

@@ -8,7 +8,7 @@ from canopen import objectdictionary as od
 
 from rcp_can.profiles.cia402_objects import OBJECTS, PDOS
 
-__all__ = ["make_dictionary"]
+__all__ = ["DEFAULTS", "make_dictionary"]
 
 _TYPES = {
     "b": od.INTEGER8,
@@ -18,6 +18,8 @@ _TYPES = {
     "H": od.UNSIGNED16,
     "I": od.UNSIGNED32,
 }
+DEFAULTS = {"abort_connection": 1, "quick_stop_option": 2}
+"""What a drive does as it comes (CiA 402-2): a fault on silence, no torque after a quick stop."""
 _READ_ONLY = frozenset(("error_code", "statusword", "mode_shown", "position", "velocity", "torque"))
 
 
@@ -39,7 +41,11 @@ def make_dictionary(node: int) -> od.ObjectDictionary:
         if sub == 0:
             access = "ro" if name in _READ_ONLY else "rw"
             text = name.replace("_", " ").capitalize()
-            _variable(made, text, index, code, 0, access=access)
+            _variable(made, text, index, code, DEFAULTS.get(name, 0), access=access)
+    behaviour = od.ODArray("Error behaviour", 0x1029)
+    behaviour.add_member(_entry("Entries", 0x1029, 0, "B", 1, access="ro"))
+    behaviour.add_member(_entry("Communication error", 0x1029, 1, "B", 0))
+    made.add_object(behaviour)
     for pdo in PDOS.values():
         _pdo(made, pdo.parameters, pdo.cob + node)
     return made

@@ -24,7 +24,6 @@ class CyberGearTwin(Twin):
         super().__init__(node, plant, **options)
         self.faults = 0
         self.parameters: dict[int, bytes] = {}
-        self._quiet = 0.0
         self._host = options.get("host", 0xFD)
 
     def boot(self) -> None:
@@ -45,7 +44,7 @@ class CyberGearTwin(Twin):
             return
         kind, word = identifier >> 24, identifier >> 8 & 0xFFFF
         host = word & 0xFF
-        self._quiet = 0.0
+        self.feed()
         if kind != 1:
             self._host = host
         match kind:
@@ -115,8 +114,7 @@ class CyberGearTwin(Twin):
 
     def tick(self, now: float) -> None:
         """Expire the watchdog."""
-        self._quiet += 0.005
         timeout = int.from_bytes(self.parameters.get(_TIMEOUT, b""), "little") * 50e-6
-        if self.enabled and timeout and self._quiet > timeout:
+        if self.enabled and timeout and self.is_quiet(timeout):
             self.enabled = False
             self.plant.off()

@@ -28,7 +28,6 @@ class MitTwin(Twin):
         span = Ranges(*ranges) if ranges else MODELS[options.get("model", self.model)]
         self._command, self._reply = command_codec(span), reply_codec(span, *self.extra)
         self.fault = 0
-        self._quiet = 0.0
 
     def boot(self) -> None:
         """Start anew."""
@@ -45,7 +44,7 @@ class MitTwin(Twin):
         if message.arbitration_id != self.node or message.is_extended_id or len(message.data) < 8:
             return
         data = bytes(message.data)
-        self._quiet = 0.0
+        self.feed()
         if data[:7] == b"\xff" * 7 and data[7] >= 0xFB:
             self._special(data[7])
         elif self.enabled:
@@ -149,8 +148,7 @@ class DamiaoTwin(MitTwin):
 
     def tick(self, now: float) -> None:
         """Expire the watchdog."""
-        self._quiet += 0.005
         timeout = int.from_bytes(self.registers[9], "little") * 50e-6
-        if self.enabled and timeout and self._quiet > timeout:
+        if self.enabled and timeout and self.is_quiet(timeout):
             self.enabled, self.fault = False, 0xD
             self.plant.off()

@@ -16,6 +16,8 @@ if TYPE_CHECKING:
 __all__ = ["MoteusTwin"]
 
 TURN = 2 * math.pi
+_TIMEOUT = 0.1  # s: servo.default_timeout_s as it comes
+_DAMPING = 0.05  # N·m·s/rad of servo.timeout_mode 12, as it comes
 _NAMES = {register.number: name for name, register in REGISTERS.items()}
 _COMMAND: dict[str, float] = {
     "command_position": 0.0,
@@ -40,7 +42,6 @@ class MoteusTwin(Twin):
         self.mode = int(Mode.STOPPED)
         self.fault = 0
         self._command = dict(_COMMAND)
-        self._quiet = 0.0
         self._booted = time.monotonic() - 10.0  # it was there before anybody looked
 
     def boot(self) -> None:
@@ -90,7 +91,7 @@ class MoteusTwin(Twin):
     def _obey(self) -> None:
         if not self.enabled:
             return
-        self._quiet = 0.0
+        self.feed()
         command, plant = self._command, self.plant
         velocity = command["command_velocity"]
         if self.mode != Mode.POSITION:
@@ -110,17 +111,21 @@ class MoteusTwin(Twin):
             self.took("position", plant.goal)
 
     def tick(self, now: float) -> None:
-        """Expire the watchdog."""
-        self._quiet += 0.005
+        """Expire the watchdog: damped to zero velocity, until it is told to stop."""
         timeout = self._command["watchdog"]
-        if self.enabled and self._quiet > timeout:
+        if math.isnan(timeout):
+            timeout = _TIMEOUT
+        if self.enabled and self.is_quiet(timeout):
             self.enabled, self.mode = False, int(Mode.TIMEOUT)
-            self.plant.off()
+            self.plant.impedance(0.0, 0.0, 0.0, _DAMPING, 0.0)
 
     def _read(self, name: str) -> float:
         plant = self.plant
         near = abs(plant.goal - plant.position) < 0.01 and abs(plant.velocity) < 0.1
+        if self.blind and name in ("position", "velocity"):
+            return math.nan
         values = {
+            "watchdog": self._command["watchdog"],
             "mode": float(self.mode),
             "position": plant.position / TURN,
             "velocity": plant.velocity / TURN,

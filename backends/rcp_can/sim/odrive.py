@@ -27,7 +27,6 @@ class OdriveTwin(Twin):
         self.state = 1
         self.control, self.input = 2, 1
         self.watchdog: float | None = options.get("watchdog")
-        self._fed = 0.0
         self._homing = 0.0
         self._heartbeat = options.get("heartbeat", 0.05)
         self._feedback = options.get("feedback", 0.01)
@@ -66,7 +65,7 @@ class OdriveTwin(Twin):
         if state in (8, 11) and not self.refuses and not self.error:
             self.enabled = True
             self.state = int(state)
-            self._fed = 0.0
+            self.feed()
             if state == 11:
                 self._homing = 0.3
             else:
@@ -80,7 +79,7 @@ class OdriveTwin(Twin):
         self.control, self.input = int(control), int(input)
 
     def _feed(self, name: str, control: int, value: float) -> bool:
-        self._fed = 0.0
+        self.feed()
         if not self.enabled or self.control != control or self.state != 8:
             return False
         self.took(name, value)
@@ -116,8 +115,7 @@ class OdriveTwin(Twin):
     def tick(self, now: float) -> None:
         """Send heartbeat and feedback; expire the watchdog."""
         step = 0.005
-        self._fed += step
-        if self.enabled and self.watchdog is not None and self._fed > self.watchdog:
+        if self.enabled and self.watchdog is not None and self.is_quiet(self.watchdog):
             super().break_down()
             self.error, self.state = 1 << _WATCHDOG, 1
         if self.state == 11:
@@ -127,7 +125,7 @@ class OdriveTwin(Twin):
                 self.plant.hold()
         if not self.heartless and self.every("heartbeat", self._heartbeat, now):
             self._say("heartbeat")
-        if self.every("feedback", self._feedback, now):
+        if not self.blind and self.every("feedback", self._feedback, now):
             self._say("encoder")
         if self.every("current", 0.05, now):
             self._say("current")

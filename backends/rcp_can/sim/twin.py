@@ -30,12 +30,23 @@ class Twin:
         """Says what it measures, and hears nothing."""
         self.heartless = False
         """Sends no heartbeats, where it has some; all else goes on."""
+        self.blind = False
+        """Tells no position and no velocity; heartbeats and all else go on."""
         self.refuses = False
         """Does not switch on."""
         self.send: Callable[..., None] = _nowhere
         self.commands: list[tuple[str, float]] = []
         """The last set-points that it took, as (mode, value); at most a hundred."""
         self._due: dict[str, float] = {}
+        self._commanded = time.monotonic()
+
+    def feed(self) -> None:
+        """Note that what its watchdog waits for has come."""
+        self._commanded = time.monotonic()
+
+    def is_quiet(self, seconds: float) -> bool:
+        """Tell whether its watchdog has waited for longer."""
+        return time.monotonic() - self._commanded > seconds
 
     def take(self, message: can.Message) -> None:
         """Hear a frame of the bus."""
@@ -83,6 +94,8 @@ class Bench:
         self._tick = tick
         self._stopping = False
         self._orders: list[Callable[[], object]] = []
+        self.loses: Callable[[], object] | None = None
+        """Asked for each frame either way: whether it is lost on the bus."""
         for twin in twins:
             twin.send = self._send
         self._thread = threading.Thread(target=self._run, name="can twins", daemon=True)
@@ -103,6 +116,8 @@ class Bench:
     def _send(self, identifier: int, data: bytes = b"", **more: Any) -> None:
         import can
 
+        if self.loses is not None and self.loses():
+            return
         more.setdefault("is_extended_id", False)
         self.bus.send(can.Message(arbitration_id=identifier, data=data, **more), timeout=0.1)
 
@@ -125,7 +140,7 @@ class Bench:
 
     def _hear(self, timeout: float) -> None:
         message = self.bus.recv(timeout)
-        if message is None or message.is_error_frame:
+        if message is None or message.is_error_frame or (self.loses is not None and self.loses()):
             return
         for twin in self.twins:
             if not twin.silent and not twin.deaf:

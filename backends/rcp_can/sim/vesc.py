@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 __all__ = ["VescTwin"]
 
-_SILENCE = 0.5  # s after which it releases the motor
+_SILENCE = 1.0  # s after which it releases the motor, as VESC Tool has it by default
 _NAMES = {command: name for name, (command, _) in MESSAGES.items()}
 
 
@@ -26,8 +26,6 @@ class VescTwin(Twin):
         self.poles: int = options.get("pole_pairs", 7)
         self.constant: float = options.get("torque_constant", 0.05)
         self._per_erpm = 2 * math.pi / 60 / self.poles
-        self._quiet = 0.0
-        self._braking = 0.0
 
     def take(self, message: can.Message) -> None:
         """Hear a set-point."""
@@ -42,7 +40,7 @@ class VescTwin(Twin):
             return
         value = next(iter(layout.decode(message.data).values()))
         plant = self.plant
-        self._quiet = 0.0
+        self.feed()
         self.enabled = True
         match name:
             case "rpm":
@@ -59,12 +57,11 @@ class VescTwin(Twin):
 
     def tick(self, now: float) -> None:
         """Send its state; release the motor when nothing is heard."""
-        self._quiet += 0.005
-        if self._quiet > _SILENCE:
+        if self.is_quiet(_SILENCE):
             self.enabled = False
             self.plant.off()
         plant = self.plant
-        if self.every("status", 0.02, now):
+        if not self.blind and self.every("status", 0.02, now):
             current = plant.torque / self.constant
             self._say("status", erpm=plant.velocity / self._per_erpm, current=current)
             turns = plant.position / (2 * math.pi)

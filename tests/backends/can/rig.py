@@ -16,7 +16,7 @@ import msgspec
 from rcp_can import CanConfig, open_can
 from rcp_can.sim import Bench, Twin, make_twin
 from rcp_kernel.model import Resource
-from rcp_kernel.spi import Publication
+from rcp_kernel.spi import Publication, StopPlan
 from rcp_kernel.values import to_plain, value_type
 
 _NUMBERS = itertools.count()
@@ -36,6 +36,10 @@ class RecordingHost:
         self.resources: dict[str, Resource] = {}
         self.samples: dict[str, list[Any]] = {}
         self.reports: list[str | None] = []
+        self.latched = False
+        self.restored: list[str | None] = []
+        self.on_restored: Callable[[], object] = lambda: None
+        self.plans: dict[str, StopPlan | None] = {}
         self.published = anyio.Event()
 
     def declare(self, *declared: Resource) -> None:
@@ -65,6 +69,16 @@ class RecordingHost:
     def report(self, detail: str | None, *, down: bool = False) -> None:
         self.reports.append(detail)
         self._tell()
+
+    def link_restored(self, robot: str | None = None) -> None:
+        self.restored.append(robot)
+        self.on_restored()
+
+    def is_latched(self, robot: str | None = None) -> bool:
+        return self.latched
+
+    def guard(self, name: str, plan: StopPlan | None) -> None:
+        self.plans[name] = plan
 
     def _tell(self) -> None:
         self.published.set()
@@ -233,7 +247,8 @@ async def motor(
 ) -> AsyncGenerator[Motor]:
     """Run the twin of a profile, and a backend that drives it."""
     name = channel()
-    table = {"bus": "can0", "profile": profile, "timeout": 1.0, **MOTORS[profile], **keys}
+    slow = {"timeout": 1.0, "feedback_timeout": 1.0}  # for machines that do much else
+    table = {"bus": "can0", "profile": profile, **slow, **MOTORS[profile], **keys}
     protocol = can.CanProtocol.CAN_FD if profile == "moteus" else can.CanProtocol.CAN_20
     line = can.Bus(name, "virtual", protocol=protocol, ignore_config=True)
     twin = make_twin(profile, table["node"], **table.get("options", {}))

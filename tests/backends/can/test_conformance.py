@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import asyncio
+import struct
 from collections.abc import AsyncGenerator, Mapping, Sequence
 from contextlib import asynccontextmanager
 from typing import Any, ClassVar
@@ -9,15 +11,15 @@ from typing import Any, ClassVar
 import can
 
 import rcp_can
-from backends.can.rig import MOTORS, channel
+from backends.can.rig import MOTORS, Node, channel
 from rcp_can.sim import Bench, make_twin
-from rcp_kernel.testing import BackendSuite, Goal, eventually
+from rcp_kernel.testing import BackendSuite, Goal, StopRig, StopSuite, eventually
 from rcp_kernel.testing.backend import Robot
 
 _ALIKE = 8  # set-points in a row; those that were on their way are fewer
 
 
-class CanSuite(BackendSuite):
+class CanRig(StopRig):
     kind = next(iter(rcp_can.rcp_backends()))
     profile: ClassVar[str]
     complete_within = 20.0
@@ -38,7 +40,7 @@ class CanSuite(BackendSuite):
         motor = {"bus": "can0", "profile": self.profile, "velocity": 4.0, **MOTORS[self.profile]}
         return {
             "buses": {"can0": bus},
-            "motors": {"m": {**motor, "timeout": 1.0, "valid_for": 5.0}},
+            "motors": {"m": {**motor, "timeout": 1.0, "feedback_timeout": 1.0, "valid_for": 5.0}},
         }
 
     @asynccontextmanager
@@ -96,10 +98,59 @@ class CanSuite(BackendSuite):
     async def mend_link(self) -> None:
         self.device.twins[0].silent = False
 
+    async def freeze_device(self) -> None:
+        self.device.twins[0].silent = True  # its motor goes on by what it was told last
 
-class TestOdrive(CanSuite):
+    async def thaw_device(self) -> None:
+        self.device.twins[0].silent = False
+
+    async def freeze_feedback(self) -> None:
+        self.device.twins[0].blind = True
+
+    async def thaw_feedback(self) -> None:
+        self.device.twins[0].blind = False
+
+    @asynccontextmanager
+    async def foreign_commander(self) -> AsyncGenerator[None]:
+        """Enable it and command a velocity from another node, ten times a second."""
+        with Node(self.channel) as node:
+
+            async def command() -> None:
+                while True:
+                    for frame, data in FOREIGN[self.profile]:
+                        node.send(frame, data)
+                        await asyncio.sleep(0.005)
+                    await asyncio.sleep(0.1)
+
+            task = asyncio.create_task(command())
+            try:
+                yield
+            finally:
+                task.cancel()
+                await asyncio.gather(task, return_exceptions=True)
+
+
+FOREIGN = {
+    "odrive": [(1 << 5 | 0x0D, struct.pack("<ff", 0.5, 0.0))],
+    "cia402": [
+        (0x305, struct.pack("<ih", 2000, 0)),
+        *((0x205, bytes((word, 0, 3)) + bytes(4)) for word in (0x06, 0x07, 0x0F)),
+    ],
+}
+"""What another master sends so that the drive of a profile turns."""
+
+
+class TestOdrive(CanRig, BackendSuite):
     profile = "odrive"
 
 
-class TestCia402(CanSuite):
+class TestCia402(CanRig, BackendSuite):
+    profile = "cia402"
+
+
+class TestOdriveStops(CanRig, StopSuite):
+    profile = "odrive"
+
+
+class TestCia402Stops(CanRig, StopSuite):
     profile = "cia402"

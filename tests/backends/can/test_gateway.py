@@ -188,24 +188,24 @@ async def test_an_e_stop_is_a_quick_stop_and_nothing_moves_until_it_is_reset() -
 
 
 async def test_a_canopen_drive_is_told_how_long_the_gateway_may_be_silent() -> None:
-    async with bed("cia402", options={"watchdog": 300, "master": 100}) as motor:
+    async with bed("cia402", watchdog=0.3, options={"master": 100}) as motor:
         await motor.until(lambda: motor.twin.get_raw(0x1016, 1) == 100 << 16 | 300)
 
 
 async def test_a_damiao_is_told_how_long_the_gateway_may_be_silent() -> None:
-    async with bed("damiao", options={"watchdog": 250}) as motor:
+    async with bed("damiao", watchdog=0.25) as motor:
         wanted = struct.pack("<I", 5000)  # of 50 µs
         await motor.until(lambda: motor.twin.registers[9] == wanted)
 
 
 async def test_a_cybergear_is_told_how_long_the_gateway_may_be_silent() -> None:
-    async with bed("cybergear", options={"watchdog": 250}) as motor:
+    async with bed("cybergear", watchdog=0.25) as motor:
         wanted = struct.pack("<I", 5000)  # of 50 µs
         await motor.until(lambda: motor.twin.parameters.get(0x7028) == wanted)
 
 
 async def test_a_moteus_is_told_with_every_set_point() -> None:
-    async with bed("moteus", options={"watchdog": 250}) as motor:
+    async with bed("moteus", watchdog=0.25) as motor:
         await motor.done("service/m/enable")
         await motor.until(lambda: motor.twin._command["watchdog"] == pytest.approx(0.25))
 

@@ -50,7 +50,8 @@ class Arm(Rig):
 
 
 def tables(name: str) -> dict[str, Any]:
-    motor = {"bus": "can0", "timeout": 1.0, "velocity": 2.0, "acceleration": 20.0, "rate": 100}
+    motor = {"bus": "can0", "timeout": 1.0, "feedback_timeout": 1.0, "rate": 100}
+    motor |= {"velocity": 2.0, "acceleration": 20.0}
     motors = {
         joint: {**motor, "profile": profile, "node": node, "position": [-6.0, 6.0]}
         for joint, (profile, node) in PROFILES.items()

@@ -1,0 +1,82 @@
+"""Whether motors are at rest, as their own fresh measurements say."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Iterable
+from typing import TYPE_CHECKING
+
+from rcp_can.guard import check_feedback, check_link
+from rcp_kernel.errors import DeviceTimeout
+from rcp_kernel.spi import MotionState
+
+if TYPE_CHECKING:
+    from rcp_can.axis import Axis
+
+__all__ = ["motion_of", "motion_of_all", "rested"]
+
+_REST = 4.0  # s that a joint may need to come to rest
+_LOOK = 0.01  # s
+_REPORTS = 3  # of velocity, in a row: one or two that are under way are of before
+
+
+def motion_of(axis: Axis) -> MotionState:
+    """Report whether one motor is at rest."""
+    energised = axis.status.energised if axis.online else None
+    if not axis.met:
+        return MotionState(None, f"motor '{axis.name}' has not been heard since the start", None)
+    if not axis.bus.up:
+        return MotionState(None, f"CAN bus '{axis.bus.name}' is {axis.bus.state}", None)
+    if not axis.online:
+        age = time.monotonic() - axis.heard
+        return MotionState(None, f"motor '{axis.name}': no message received for {age:.1f} s", None)
+    velocity = axis.velocity
+    if velocity is None or not axis.is_fresh("velocity"):
+        age = time.monotonic() - axis.status.at.get("velocity", axis.heard)
+        return MotionState(
+            None, f"motor '{axis.name}': no velocity received for {age:.1f} s", energised
+        )
+    if not axis.slow:
+        text = f"motor '{axis.name}' moves at {abs(velocity):.2g} rad/s"
+        return MotionState(False, text, energised)
+    return MotionState(True, "", energised)
+
+
+def motion_of_all(axes: Iterable[Axis]) -> MotionState | None:
+    """Sum up: moving outweighs unknown, and unknown outweighs rest; None if there is no motor."""
+    states = [motion_of(axis) for axis in axes if axis.met or not axis.config.optional]
+    if not states:
+        return None
+    at_rest: bool | None = True
+    if any(state.at_rest is False for state in states):
+        at_rest = False
+    elif any(state.at_rest is None for state in states):
+        at_rest = None
+    energised: bool | None = False
+    if any(state.energised for state in states):
+        energised = True
+    elif any(state.energised is None for state in states):
+        energised = None
+    return MotionState(at_rest, "; ".join(s.detail for s in states if s.detail), energised)
+
+
+async def rested(axis: Axis) -> None:
+    """Wait until several fresh reports in a row say that it rests.
+
+    :raises DeviceTimeout: they do not, or its feedback is lost.
+    :raises AdapterUnavailable: it is lost meanwhile.
+    """
+    begun = axis.status.counts["velocity"]
+    end = time.monotonic() + _REST
+    while time.monotonic() < end:
+        reports = axis.status.counts["velocity"] - begun
+        if axis.resting and min(axis.still, reports) >= _REPORTS:
+            return
+        check_link(axis)
+        check_feedback(axis)
+        await asyncio.sleep(_LOOK)
+    raise DeviceTimeout(
+        f"motor '{axis.name}' did not come to rest within {_REST:g} s",
+        details={"motor": axis.name, "detail": motion_of(axis).detail},
+    )

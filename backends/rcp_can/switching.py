@@ -1,0 +1,82 @@
+"""Switch a motor on, and see that it stays on."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from contextlib import suppress
+from typing import TYPE_CHECKING
+
+import anyio
+
+from rcp_can.guard import check_bus, check_feedback, check_link
+from rcp_kernel.errors import DeviceRejected, DeviceTimeout, RcpError
+from rcp_kernel.spi import check_fence, unfenced
+
+if TYPE_CHECKING:
+    from rcp_can.axis import Axis
+
+__all__ = ["enable"]
+
+_STAYS = 0.1  # s, and
+_WORDS = 3  # reports of its state, for which a drive must stay enabled
+_LOOK = 0.02  # s
+_OBSERVED = 1.0  # s within which those reports must come
+_WITHDRAW = 0.5  # s that switching off again may take
+
+
+async def enable(axis: Axis) -> None:
+    """Switch on, at rest; return when the drive has stayed on.
+
+    :raises DeviceRejected: it switches itself off again, with its reason.
+    :raises RcpError: as `check_bus` and `check_feedback`, and of the drive.
+    """
+    check_fence()
+    check_bus(axis)
+    check_feedback(axis)
+    axis.forget(None)
+    axis.end_stop()
+    was_on, axis.enabling = axis.status.energised, True
+    try:
+        await axis.drive.enable()
+        axis.wanted_on = axis.in_use = True
+        if axis.drive.holds:
+            axis.rest()
+        await _stays_on(axis)
+    except BaseException:
+        if not was_on:
+            await _withdraw(axis)
+        raise
+    finally:
+        axis.enabling = False
+        axis.show()
+
+
+async def _stays_on(axis: Axis) -> None:
+    status = axis.status
+    words, began = status.counts["enabled"], time.monotonic()
+    while True:
+        await asyncio.sleep(_LOOK)
+        check_link(axis)
+        check_feedback(axis)
+        if not status.enabled or not axis.wanted_on:
+            why = "; ".join(fault.text for fault in status.faults)
+            raise DeviceRejected(
+                f"motor '{axis.name}' was enabled and switched itself off again"
+                + (f": {why}" if why else "")
+            )
+        since = time.monotonic() - began
+        if since >= _STAYS and status.counts["enabled"] - words >= _WORDS:
+            return
+        if since > _OBSERVED:
+            raise DeviceTimeout(f"motor '{axis.name}' does not confirm that it stays enabled")
+
+
+async def _withdraw(axis: Axis) -> None:
+    """Switch off what was being switched on: what was sent may still take effect."""
+    axis.wanted_on = False
+    axis.forget(None)
+    if axis.stopping or (axis.status.faults and axis.status.energised is False):
+        return  # a stop has it in hand, or its fault has
+    with unfenced(), suppress(RcpError), anyio.move_on_after(_WITHDRAW, shield=True):
+        await axis.drive.disable()
