@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncGenerator
-from contextlib import AbstractAsyncContextManager, asynccontextmanager
+from collections.abc import AsyncGenerator, Awaitable, Callable, Sequence
+from contextlib import AbstractAsyncContextManager, asynccontextmanager, suppress
 from typing import Any
 
-from rcp_kernel.errors import AdapterUnavailable
-from rcp_kernel.spi import BaseBackend, Host, Progress
+from rcp_kernel.errors import AdapterUnavailable, DeviceTimeout, RcpError
+from rcp_kernel.spi import BaseBackend, Host, MotionState, Progress, Watchdog
 from rcp_mavlink.config import MavlinkConfig
 from rcp_mavlink.described import checked
 from rcp_mavlink.dialect import dialect
@@ -26,6 +26,7 @@ class MavlinkBackend(BaseBackend):
 
     def __init__(self, hub: Hub, host: Host) -> None:
         self.hub, self._host = hub, host
+        self.on_loss = hub.config.on_loss
         self.robots: dict[str, Robot] = {}
         """By the segment that their paths have; the empty one stands for a single vehicle."""
 
@@ -35,19 +36,25 @@ class MavlinkBackend(BaseBackend):
         if self.hub.config.discover:
             prefix = self.hub.config.names.get(str(vehicle.system), f"vehicle{vehicle.system}")
         robot = self.robots[prefix] = Robot(self.hub, vehicle, self._host, prefix)
+        robot.stop_if_latched()
+        robot.restore()
         robot.begin()
 
     def changed(self, vehicle: Vehicle) -> None:
         """Say who is lost and who is back."""
-        for robot in self.robots.values():
-            if robot.vehicle is vehicle and not vehicle.lost:
-                robot.back()
+        mine = [r for r in self.robots.values() if r.vehicle is vehicle and not vehicle.lost]
+        for robot in mine:  # ahead of the report, which may have others ask for messages
+            robot.stop.doubt()
+            robot.stop_if_latched()
+            robot.restore()
         lost = [v for v in self.hub.vehicles.values() if v.lost]
-        if not lost:
+        if lost:
+            detail = "; ".join(self.hub.silent(v) for v in lost)
+            self._host.report(detail, down=len(lost) == len(self.hub.vehicles))
+        else:
             self._host.report(None)
-            return
-        detail = "; ".join(self.hub.silent(v) for v in lost)
-        self._host.report(detail, down=len(lost) == len(self.hub.vehicles))
+        for robot in mine:
+            robot.back()
 
     async def look(self) -> None:
         """Look after the vehicles, until cancelled."""
@@ -87,16 +94,83 @@ class MavlinkBackend(BaseBackend):
         robot, own = self._robot(name)
         return robot.watch(own, rate)
 
+    # Stops
+
+    def _meant(self, robot: str | None) -> list[Robot]:
+        """List one vehicle by its name, or all of them.
+
+        :raises AdapterUnavailable: there is none: whoever is not heard was not stopped.
+        """
+        if robot is None or not self.hub.config.discover:
+            meant = list(self.robots.values())
+        else:
+            meant = [self.robots[robot]] if robot in self.robots else []
+        if not meant:
+            raise AdapterUnavailable(f"{robot or 'no vehicle'} is not heard")
+        return meant
+
+    async def _each(self, robot: str | None, do: Callable[[Robot], Awaitable[Any]]) -> list[Any]:
+        """Do something with every vehicle that is meant, whatever becomes of the others.
+
+        :raises RcpError: the gravest of what went wrong, which names all whom it concerns.
+        """
+        meant = self._meant(robot)
+        done = await asyncio.gather(*map(do, meant), return_exceptions=True)
+        wrong = [
+            (r, e) for r, e in zip(meant, done, strict=True) if isinstance(e, BaseException)
+        ]  # fmt: skip
+        for _, error in wrong:
+            if not isinstance(error, RcpError):
+                raise error
+        if len(wrong) == 1:
+            raise wrong[0][1]
+        if wrong:
+            text = "; ".join(f"{r.name_in_texts}: {e}" for r, e in wrong)
+            lost = any(isinstance(e, AdapterUnavailable) for _, e in wrong)
+            raise AdapterUnavailable(text) if lost else DeviceTimeout(text)
+        return done
+
     async def halt(self) -> None:
-        """Bring every vehicle to rest, by the configured policy."""
-        there = [robot for robot in self.robots.values() if not robot.vehicle.lost]
-        await asyncio.gather(*(robot.halt() for robot in there))
+        """Bring every vehicle to rest, by the configured ladder; the lost ones are told blindly."""
+        await self._each(None, lambda r: r.stop.halt())
 
     async def halt_robot(self, robot: str) -> None:
-        """Bring one vehicle to rest, by the configured policy."""
-        there = self.robots.get(robot)
-        if there is not None and not there.vehicle.lost:
-            await there.halt()
+        """Bring one vehicle to rest, by the configured ladder."""
+        await self._each(robot, lambda r: r.stop.halt())
+
+    def motion(self, robot: str | None) -> MotionState | None:
+        """Report whether a vehicle rests, by its telemetry; of several the worst."""
+        try:
+            meant = self._meant(robot)
+        except AdapterUnavailable as error:
+            return MotionState(None, str(error))
+        states = [(r, r.stop.state()) for r in meant]
+        order = (None, False, True)
+        worst, state = min(states, key=lambda pair: order.index(pair[1].at_rest))
+        if len(states) == 1:
+            return state
+        energised = [s.energised for _, s in states]
+        any_energised = True if True in energised else None if None in energised else False
+        return MotionState(state.at_rest, f"{worst.name_in_texts}: {state.detail}", any_energised)
+
+    def hold_stop(self, robot: str | None) -> None:
+        """Send again what keeps a vehicle stopped, where that is due."""
+        with suppress(AdapterUnavailable):  # it gets the stop as soon as it is heard
+            for each in self._meant(robot):
+                each.stop.hold_stop()
+
+    async def hold(self, robot: str | None) -> None:
+        """Have a vehicle hold its place, in the air; on the ground there is nothing to hold."""
+        await self._each(robot, lambda r: r.stop.hold())
+
+    async def recover(self, robot: str | None) -> str:
+        """Do what `on_loss` says with a vehicle that is heard again."""
+        done = await self._each(robot, lambda r: r.recovery.run(self.on_loss))
+        return "; ".join(done)
+
+    def watchdogs(self) -> Sequence[Watchdog]:
+        """List what stops each vehicle when the gateway falls silent."""
+        return [dog for r in self.robots.values() for dog in (*r.watchdogs.found, r.guard.watchdog)]
 
 
 @asynccontextmanager

@@ -11,12 +11,20 @@ from typing import Any
 
 import msgspec
 
-from rcp_kernel.errors import DeviceRejected, DeviceTimeout
+from rcp_kernel.errors import (
+    AdapterUnavailable,
+    DeviceRejected,
+    DeviceTimeout,
+    NotImplementedByRobot,
+)
+from rcp_kernel.spi import check_fence
+from rcp_mavlink.flightmodes import Family
 from rcp_mavlink.frames import Frame
 from rcp_mavlink.hub import Hub
+from rcp_mavlink.refusals import silent_reason
 from rcp_mavlink.vehicle import Vehicle
 
-__all__ = ["Command", "Commands"]
+__all__ = ["Command", "Commands", "mode_command"]
 
 _ACCEPTED, _BUSY, _UNSUPPORTED, _RUNNING = 0, 1, 3, 5
 _LONG_ONLY, _INT_ONLY = 7, 8
@@ -28,6 +36,13 @@ _WORDS = {
 _PATIENCE = 30.0  # s that a command may be in progress without news
 _LAST_WORDS = 0.15  # s in which the reason may come after the refusal
 _RELATIVE = 6
+_MEND = (
+    "Mend what the vehicle complains of and try again; sensor/prearm says whether it would be "
+    "armed."
+)
+_NO_REASON = "The vehicle gave no reason; see sensor/state, sensor/mode and event/statustext."
+_QUESTIONS = frozenset({401, 510, 511, 512})
+"""Commands that ask for messages or reasons, and move nothing."""
 
 
 class Command(msgspec.Struct, frozen=True):
@@ -48,6 +63,19 @@ class Command(msgspec.Struct, frozen=True):
     """Whom it is for; None is the autopilot."""
 
 
+def mode_command(family: Family, mode: str) -> Command:
+    """Return DO_SET_MODE for a mode of a family.
+
+    :raises NotImplementedByRobot: it has no such mode.
+    """
+    number = family.number(mode)
+    if number is None:
+        raise NotImplementedByRobot(f"a {family.kind} has no mode {mode or 'for that'}")
+    if family.px4:
+        return Command(176, (1.0, float(number >> 16 & 0xFF), float(number >> 24 & 0xFF), 0.0))
+    return Command(176, (1.0, float(number), 0.0, 0.0))
+
+
 class Commands:
     """Sends the commands of one vehicle; those of one number take turns."""
 
@@ -64,11 +92,15 @@ class Commands:
 
         :raises DeviceRejected: it is refused.
         :raises DeviceTimeout: there is no answer.
+        :raises EstopActive: the vehicle was stopped since the request that wants this.
         """
         self._vehicle.check()
         started = time.monotonic()
         async with self._turns[command.number]:
-            result = await self._ask(command, what, progress, whole=command.whole)
+            try:
+                result = await self._ask(command, what, progress, whole=command.whole)
+            except AdapterUnavailable as lost:  # it may have heard it, and do it
+                raise DeviceTimeout(f"{what}: {lost}, and it had not answered") from None
             other = not command.whole
             if result in (_UNSUPPORTED, _INT_ONLY) and other:
                 again = await self._ask(command, what, progress, whole=True)
@@ -76,10 +108,14 @@ class Commands:
             elif result == _LONG_ONLY and command.whole:
                 result = await self._ask(command, what, progress, whole=False)
         if result != _ACCEPTED:
-            await self._refuse(what, result, started)
+            await self._refuse(command, what, result, started)
 
     def tell(self, command: Command) -> None:
-        """Send a command once, and do not wait for an answer."""
+        """Send a command once, and do not wait for an answer.
+
+        :raises EstopActive: the vehicle was stopped since the request that wants this.
+        """
+        _check_fence(command)
         self._hub.send(self._vehicle, self._message(command, 0, whole=command.whole))
 
     async def _ask(
@@ -112,6 +148,7 @@ class Commands:
             self._orphans[command.number] = time.monotonic() + config.timeout
             for attempt in range(config.retries + 1):
                 self._vehicle.check()
+                _check_fence(command)
                 self._hub.send(self._vehicle, self._message(command, attempt, whole=whole))
                 wait = config.timeout
                 while True:
@@ -141,16 +178,23 @@ class Commands:
             *to, c.frame, c.number, 0, 0, *c.params, round(c.x * scale), round(c.y * scale), c.z
         )
 
-    async def _refuse(self, what: str, result: int, started: float) -> None:
+    async def _refuse(self, command: Command, what: str, result: int, started: float) -> None:
         words = _WORDS.get(result, f"result {result}")
         if not self._vehicle.texts_since(started):
             await asyncio.sleep(_LAST_WORDS)
         reasons = self._vehicle.texts_since(started)
-        said = f": {'; '.join(reasons)}" if reasons else ""
+        unsaid = silent_reason(self._vehicle, command.number, command.params[0])
+        why = [*reasons, *([] if unsaid is None else [unsaid.reason])]
+        said = f": {'; '.join(why)}" if why else ""
+        remedy = _MEND if reasons else _NO_REASON
         raise DeviceRejected(
             f"{what}: {words}{said}",
-            remedy="Mend what the vehicle complains of and try again; sensor/prearm says whether "
-            "it would be armed." if reasons else "The vehicle gave no reason; see sensor/state, sensor/mode and event/statustext.",
+            remedy=remedy if unsaid is None else unsaid.remedy,
             retry_after=1.0 if result == _BUSY else None,
             details={"result": words, "texts": reasons},
-        )  # fmt: skip
+        )
+
+
+def _check_fence(command: Command) -> None:
+    if command.number not in _QUESTIONS:
+        check_fence()

@@ -105,11 +105,29 @@ class MavlinkConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     connect: Seconds = 4.0
     """For the first heartbeat, when the gateway starts."""
     estop: Literal["hold", "land", "disarm"] = "hold"
-    """What an e-stop does in the air; `disarm` lets it fall."""
+    """What an e-stop does first in the air; `disarm` lets it fall."""
+    estop_fallback: tuple[Literal["hold", "level", "land"], ...] = ("hold", "level", "land")
+    """What is tried next, in this order, where the autopilot refuses, or it does not come to rest."""
+    estop_timeout: Seconds = 10.0
+    """In which one step of the stop has to bring it to rest before the next one is tried."""
+    estop_terminate: bool = False
+    """Terminate the flight (the motors stop) where nothing else has brought it to rest."""
+    on_loss: Literal["hold", "continue", "land", "return"] = "hold"
+    """What becomes of a vehicle whose command ended with its link, once it is heard again."""
+    watchdog: Literal["check", "set", "off"] = "check"
+    """The vehicle's own failsafes for a silent gateway: read and warn, or set them where there are none."""
+    feedback_timeout: Seconds | None = None
+    """Age of a position beyond which the vehicle is not moved; None: four of `rate`, 1 s at least."""
     twin: TwinConfig = TwinConfig()
     """Of the vehicles that `sim:` links simulate."""
     max_speed: Annotated[float, Meta(gt=0, le=100, extra_json_schema={"unit": "m/s"})] = 15.0
     """Bound of `actuator/velocity`."""
+
+    @property
+    def feedback_limit(self) -> float:
+        """The age of a position beyond which the vehicle is not moved, s."""
+        # Four in a row: one or two get lost on any radio, and at 4 Hz a second has passed then.
+        return self.feedback_timeout or max(1.0, 4 / self.rate)
 
     def __post_init__(self) -> None:
         for link in self.links:
@@ -119,5 +137,7 @@ class MavlinkConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
                 raise ValueError(f"`names`: {system!r} is no system id: 1 to 255")
             if not _SEGMENT.match(name):
                 raise ValueError(f"`names`: {name!r} is no segment of a path")
+        if self.feedback_limit * self.rate < 2:
+            raise ValueError("`feedback_timeout` is shorter than two positions at `rate`")
         if self.discover and self.system is not None:
             raise ValueError("`discover` and `system` exclude each other")

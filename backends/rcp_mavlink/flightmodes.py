@@ -69,6 +69,47 @@ class Family(NamedTuple):
         """Whether it stays on the ground or on the water, and height is nothing to it."""
         return self.kind in ("rover", "boat")
 
+    def holding(self, *, hovering: bool) -> tuple[str, ...]:
+        """List the modes that hold its place, the strongest first; all need a position."""
+        if self.px4:
+            return (self.hold,)
+        match self.kind:
+            case "copter" if self.hold:
+                return ("BRAKE", "LOITER", "POSHOLD")
+            case "vtol" if hovering:  # LOITER would make it fly off as a plane
+                return ("QLOITER",)
+            case _:
+                return (self.hold,) if self.hold else ()
+
+    def level(self, *, hovering: bool) -> tuple[str, ...]:
+        """List the modes that keep it level, or its motors at rest, without a position."""
+        if self.px4 or not self.hold:
+            return ()
+        match self.kind:
+            case "copter" | "sub":
+                return ("ALT_HOLD",)
+            case "vtol" if hovering:
+                return ("QHOVER",)
+            case "plane" | "vtol":
+                return ("CIRCLE",)
+            case "boat":
+                return ("HOLD",)
+            case _:
+                return ()
+
+    @property
+    def resting(self) -> frozenset[str]:
+        """The modes in which it stays where it is."""
+        both = (False, True)
+        held = (self.holding(hovering=h) + self.level(hovering=h) for h in both)
+        return frozenset(mode for modes in held for mode in modes)
+
+    def circling(self, *, hovering: bool) -> frozenset[str]:
+        """List the modes in which it stays at a place by circling round it, and is at rest so."""
+        if not self.circles or hovering:
+            return frozenset()
+        return frozenset(self.holding(hovering=False) + self.level(hovering=False))
+
     def number(self, name: str) -> int | None:
         """Return the number of a mode."""
         return next((n for n, word in self.modes.items() if word == name), None)

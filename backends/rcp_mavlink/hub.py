@@ -76,10 +76,10 @@ class Hub:
             if frame.component != vehicle.component:
                 vehicle.overhear(frame)
                 continue
-            if vehicle.lost:
+            vehicle.routes[link.number, address] = (link, address, now)
+            if vehicle.lost:  # before the frame is taken: nothing may be sent ahead of a stop
                 vehicle.lost = False
                 self.changed(vehicle)
-            vehicle.routes[link.number, address] = (link, address, now)
             if frame.definition.id == self._texts.id:
                 self._texts.take(vehicle, frame)
             vehicle.take(frame, now)

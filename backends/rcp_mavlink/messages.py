@@ -60,8 +60,10 @@ class MoveTo(Struct, frozen=True, forbid_unknown_fields=True):
     altitude: Over | None = None
     """Over home, m; as high as it is without it."""
     yaw: Angle | None = None
-    """Heading, clockwise from north; it looks where it likes without it."""
+    """Heading, clockwise from north; it looks where it likes without it. Not for what drives or
+    circles."""
     speed: Annotated[float, Meta(gt=0, le=50, extra_json_schema={"unit": "m/s"})] | None = None
+    """On the way, over ground; of a plane through the air. The autopilot's own without it."""
     tolerance: Annotated[float, Meta(ge=0.2, le=50, extra_json_schema={"unit": "m"})] = 1.0
 
 
@@ -83,6 +85,10 @@ class Arrived(Struct, frozen=True):
     """Over home, m."""
     error: Length
     """From where it should be, m."""
+    speed: Annotated[float, Meta(extra_json_schema={"unit": "m/s"})]
+    """The highest over ground on the way, m/s."""
+    yaw: Annotated[float, Meta(extra_json_schema={"unit": "rad"})] | None
+    """Heading, clockwise from north; null: it does not say."""
 
 
 class SetMode(Struct, frozen=True, forbid_unknown_fields=True):
@@ -178,8 +184,8 @@ class Attitude(Struct, frozen=True, forbid_unknown_fields=True):
     """Right side down is positive."""
     pitch: Annotated[float, Meta(ge=-0.7, le=0.7, extra_json_schema={"unit": "rad"})] = 0.0
     """Nose up is positive."""
-    yaw: Angle = 0.0
-    """Clockwise from north."""
+    yaw: Angle | None = None
+    """Heading, clockwise from north; without it the vehicle keeps the heading that it has."""
     thrust: Annotated[float, Meta(ge=0, le=1, extra_json_schema={"unit": "1"})] = 0.5
     """0.5 is hovering, or keeping the height."""
 

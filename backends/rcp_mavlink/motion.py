@@ -4,37 +4,42 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Awaitable, Callable
-from contextlib import suppress
+from collections.abc import Awaitable, Callable, Generator
+from contextlib import contextmanager, suppress
 from typing import Any
 
 from rcp_kernel.errors import (
     DeviceRejected,
     DeviceTimeout,
+    EstopActive,
     InvalidValue,
     NotImplementedByRobot,
     RcpError,
 )
 from rcp_kernel.spi import Progress
 from rcp_mavlink import messages as m
-from rcp_mavlink.commands import Command, Commands
+from rcp_mavlink.commands import Command, Commands, mode_command
+from rcp_mavlink.measurement import AT_REST, Measurement
+from rcp_mavlink.stop import PAUSE_PX4
 from rcp_mavlink.vehicle import Vehicle
 
-__all__ = ["Motion"]
+__all__ = ["Motion", "unanswered"]
 
 _FORCE = 21196.0
 _SETTLE = 3.0  # s for the telemetry to show what was accepted
 _FEEDBACK = 0.25  # s
-_AT_REST = 0.35  # m/s
-_STOPPING = 15.0  # s in which it has come to rest
+_UNANSWERED = 0.3  # s
 _HOLDING = 3.0  # s for a hold to be accepted after a cancel
+_WAY_DOWN = ("land", "return")
+"""What goes on without a position: holding would not be better."""
 
 
 class Motion:
     """What one vehicle is told to be: armed, in a mode, at rest."""
 
-    def __init__(self, vehicle: Vehicle, commands: Commands) -> None:
+    def __init__(self, vehicle: Vehicle, commands: Commands, measurement: Measurement) -> None:
         self._vehicle, self._commands = vehicle, commands
+        self.measurement = measurement
         self.parting: set[asyncio.Future[Any]] = set()
         """What cancelled commands still do."""
 
@@ -43,21 +48,23 @@ class Motion:
     async def arm(self, given: m.Arm | None, progress: Progress) -> m.Armed:
         """Start the motors."""
         try:
-            await self._arm(on=True, force=given is not None and given.force)
+            await self._arm(progress, on=True, force=given is not None and given.force)
         except asyncio.CancelledError:
-            await self.shielded(lambda: self._arm(on=False, force=False))
+            await self.shielded(lambda: self._arm(_untold, on=False, force=False))
             raise
         return m.Armed(self._vehicle.armed, self._vehicle.mode)
 
     async def disarm(self, given: m.Arm | None, progress: Progress) -> m.Armed:
         """Stop the motors."""
-        await self._arm(on=False, force=given is not None and given.force)
+        await self._arm(progress, on=False, force=given is not None and given.force)
         return m.Armed(self._vehicle.armed, self._vehicle.mode)
 
-    async def _arm(self, *, on: bool, force: bool) -> None:
+    async def _arm(self, progress: Progress, *, on: bool, force: bool) -> None:
         what = "arm" if on else "disarm"
         params = (float(on), _FORCE if force else 0.0, 0.0, 0.0)
-        await self._commands.send(Command(400, params), what)
+        with unanswered(progress):
+            await self._commands.send(Command(400, params), what)
+        progress()  # the motors may turn from now on: what happens to the link is no refusal
         await self.seen(lambda: self._vehicle.armed == on, what)
 
     async def set_mode(self, given: m.SetMode, progress: Progress) -> m.SetMode:
@@ -70,21 +77,21 @@ class Motion:
                 remedy=f"Its modes: {', '.join(modes)}.",
                 details={"pointer": "/mode"},
             )
-        await self.to_mode(name)
+        await self.to_mode(name, progress=progress)
         return m.SetMode(self._vehicle.mode)
 
-    async def to_mode(self, name: str, *, surely: bool = False) -> None:
+    async def to_mode(
+        self, name: str, *, surely: bool = False, progress: Progress | None = None
+    ) -> None:
         """Bring the vehicle into a mode of its family; `surely` also if it seems to be in it."""
         family = self._vehicle.family
-        number = family.number(name)
-        if number is None:
-            raise NotImplementedByRobot(f"a {family.kind} has no mode {name or 'for that'}")
+        command, number = mode_command(family, name), family.number(name)
         if self._vehicle.mode_number == number and not surely:
             return
-        params = (1.0, float(number), 0.0, 0.0)
-        if family.px4:
-            params = (1.0, float(number >> 16 & 0xFF), float(number >> 24 & 0xFF), 0.0)
-        await self._commands.send(Command(176, params), f"mode {name}")
+        told = _untold if progress is None else progress
+        with unanswered(told):
+            await self._commands.send(command, f"mode {name}")
+        told()
         await self.seen(lambda: self._vehicle.mode_number == number, f"mode {name}")
 
     async def seen(self, holds: Callable[[], bool], what: str) -> None:
@@ -102,6 +109,7 @@ class Motion:
         """Wait for `tell`, which reports, and see that the vehicle stays at it.
 
         :raises DeviceRejected: it does something else, with what it said meanwhile.
+        :raises DeviceTimeout: its position has not come for longer than is allowed.
         """
         began = time.monotonic()
         told, done = 0.0, False
@@ -115,7 +123,9 @@ class Motion:
                 done = False
             return done or not stays()
 
-        await self._vehicle.until(look)
+        while not await self._vehicle.until(look, _FEEDBACK):
+            if what not in _WAY_DOWN and self.measurement.blind:
+                await self._blind(what)
         if done or tell():
             return
         reasons = self._vehicle.texts_since(began, severity=4)
@@ -124,6 +134,15 @@ class Motion:
             f"{what}: the vehicle left it for mode {self._vehicle.mode}{said}",
             details={"mode": self._vehicle.mode, "texts": reasons},
         )
+
+    async def _blind(self, what: str) -> None:
+        """Stop what cannot be seen any more.
+
+        :raises DeviceTimeout: always.
+        """
+        why = self.measurement.unknown()
+        await self.shielded(self.hold)
+        raise DeviceTimeout(f"{what}: {why}; the vehicle was told to hold")
 
     # Coming to rest
 
@@ -135,34 +154,66 @@ class Motion:
             return True
         if vehicle.family.circles and vehicle.mode == vehicle.family.hold:
             return True
-        return fix is not None and fix.speed < _AT_REST
+        return fix is not None and fix.speed < AT_REST
 
     async def hold(self) -> None:
-        """Come to rest where it is and stay."""
+        """Have it stay where it is, in the first of its modes for that which it takes."""
         vehicle = self._vehicle
-        if vehicle.armed and vehicle.landed is not True:
-            await self.to_mode(vehicle.family.hold, surely=True)
+        if not vehicle.armed or vehicle.landed is True:
+            return
+        family, hovering = vehicle.family, vehicle.hovering
+        modes = family.holding(hovering=hovering) + family.level(hovering=hovering)
+        if not modes:
+            raise NotImplementedByRobot(f"a {family.kind} has no mode to hold in")
+        for mode in modes[:-1]:
+            try:
+                await self._hold_in(mode)
+            except DeviceRejected:  # without a position, for one
+                continue
+            return
+        await self._hold_in(modes[-1])
 
-    async def halt(self, policy: str) -> None:
-        """Bring it to rest, the way the e-stop's policy says; return when that is seen."""
-        vehicle = self._vehicle
-        if not vehicle.armed:
-            return
-        if policy == "disarm" or vehicle.landed is True:
-            await self._arm(on=False, force=policy == "disarm")
-            return
-        if policy == "land" and vehicle.family.land:
-            await self.to_mode(vehicle.family.land, surely=True)
-            return
-        await self.hold()
-        if not await vehicle.until(lambda: self.rests, _STOPPING):
-            raise DeviceTimeout("the vehicle was told to hold and still moves")
+    async def _hold_in(self, mode: str) -> None:
+        await self.to_mode(mode, surely=True)
+        if self._vehicle.family.px4:
+            self._commands.tell(PAUSE_PX4)
 
     async def shielded(self, do: Callable[[], Awaitable[Any]]) -> None:
-        """Do it although the command that asks is being cancelled."""
+        """Do it although the command that asks is being cancelled.
+
+        :raises RcpError: it could not be done: the cancel has not reached the vehicle.
+        """
         task = asyncio.ensure_future(do())
         self.parting.add(task)
         task.add_done_callback(self.parting.discard)
-        with suppress(RcpError, TimeoutError):
+        try:
             async with asyncio.timeout(_HOLDING):
                 await asyncio.shield(task)
+        except EstopActive:
+            return  # what stops it is under way already
+        except TimeoutError as error:
+            if isinstance(error, DeviceTimeout):
+                raise
+            raise DeviceTimeout("the vehicle did not confirm that it holds") from None
+
+
+def _untold(feedback: Any = None, *, fraction: float | None = None) -> None:
+    """Tell nobody: what a command does while it is being cancelled is no progress of it."""
+
+
+@contextmanager
+def unanswered(tell: Callable[[], object]) -> Generator[None]:
+    """Have `tell` report progress where the vehicle has not answered for a while.
+
+    It may have begun by then: without progress the loss of its link would count as a refusal.
+    """
+
+    def report() -> None:
+        with suppress(RcpError):
+            tell()
+
+    timer = asyncio.get_running_loop().call_later(_UNANSWERED, report)
+    try:
+        yield
+    finally:
+        timer.cancel()

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 from rcp_kernel.errors import DeviceRejected, DeviceTimeout, OutOfRange, RcpError, UnknownPath
 from rcp_mavlink.frames import Frame
 from rcp_mavlink.hub import Hub
-from rcp_mavlink.paramcoding import bounds, decoded, param_set
+from rcp_mavlink.paramcoding import REAL, bounds, decoded, param_set
 from rcp_mavlink.vehicle import Vehicle
 
 __all__ = ["Parameter", "Parameters"]
@@ -21,6 +21,8 @@ _QUIET = 0.7  # s without a value, after which those that are missing are asked 
 _ROUNDS = 8
 _AT_ONCE = 50
 _NOT_THERE = 1
+_UNLISTED = 0xFFFF
+"""The place of a value that is said by itself, and not in a list."""
 _ERRORS = {
     2: "out of its range", 3: "not permitted", 4: "no such component", 5: "read-only",
     6: "a type that it does not know", 7: "another type", 8: "cannot be read",
@@ -54,8 +56,8 @@ class Parameters:
         value = self._decoded(frame, type_)
         self._last = time.monotonic()
         before = self.known.get(name)
-        if place == 0xFFFF and before is not None:
-            place = before.place
+        if place == _UNLISTED and before is not None:
+            place, type_ = before.place, _kept_type(before.type, type_, value)
         self.known[name] = Parameter(value, type_, place)
         self.count = fields["param_count"] or self.count
         if self.count is not None and len(self.known) >= self.count:
@@ -172,3 +174,14 @@ class Parameters:
     def _decoded(self, frame: Frame, type_: int) -> float:
         raw = frame.payload[:4].ljust(4, b"\0")
         return decoded(raw, type_, bytewise=self._vehicle.bytewise)
+
+
+def _kept_type(listed: int, told: int, value: float) -> int:
+    """Return the type of a parameter, of what the list said and a single value says.
+
+    ArduPilot says REAL32 of an integer that was set to the default that it had already.
+    """
+    limits = bounds(listed)
+    if told != REAL or limits is None or not value.is_integer():
+        return told
+    return listed if limits[0] <= value <= limits[1] else told

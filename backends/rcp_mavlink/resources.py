@@ -142,7 +142,7 @@ def _action(name: str, description: str, timeout: float, **rest: Any) -> Resourc
 
 def _actions() -> list[Resource]:
     return [
-        _action("arm", "Start the motors, if the vehicle's own checks allow it.", 15, input=m.Arm | None, output=m.Armed, examples=(None, {})),
+        _action("arm", "Start the motors, if the vehicle's own checks allow it.", 15, input=m.Arm | None, output=m.Armed, examples=(None, {}), energises=True),
         _action("disarm", "Stop the motors; refused in the air unless forced.", 15, input=m.Arm | None, output=m.Armed, examples=(None, {})),
         _action("takeoff", "Rise to a height over home; it has to be armed.", 180, input=m.TakeOff | None, output=m.Height, feedback=m.Height, examples=({"altitude": 10.0},)),
         _action("land", "Come down where it is, and disarm.", 600, output=m.Height, feedback=m.OnItsWay),

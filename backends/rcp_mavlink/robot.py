@@ -33,20 +33,26 @@ from rcp_mavlink.gimbals import Gimbals
 from rcp_mavlink.hub import Hub
 from rcp_mavlink.intervals import FASTEST, Intervals
 from rcp_mavlink.logs import Logs
+from rcp_mavlink.measurement import Measurement
 from rcp_mavlink.missions import Missions
 from rcp_mavlink.motion import Motion
 from rcp_mavlink.paramcoding import REAL
 from rcp_mavlink.parameters import Parameters
 from rcp_mavlink.plans import FENCE, MISSION, RALLY, Plans
+from rcp_mavlink.recovery import Recovery
 from rcp_mavlink.resources import parameter, resources
-from rcp_mavlink.sensors import BASE, sensors
+from rcp_mavlink.sensors import BASE, ESTIMATOR, sensors
 from rcp_mavlink.setpoints import Setpoints
+from rcp_mavlink.stop import Stop
+from rcp_mavlink.stop_plan import GuardPlan
 from rcp_mavlink.telling import Telling
 from rcp_mavlink.vehicle import Vehicle
+from rcp_mavlink.watchdogs import Watchdogs
 
 __all__ = ["Robot"]
 
 _ASKED_AGAIN = 3.0  # s without a message that is wanted
+_GLOBAL = 33
 _REBOOTED = 10.0  # s by which the vehicle's clock has gone back
 _TIMES = (2, 111)
 """Messages that tell of its clock: SYSTEM_TIME, TIMESYNC."""
@@ -54,6 +60,8 @@ _TIMED_AT_FIRST, _TIMED = (
     5,
     10,
 )  # looks: its clock is asked for at each of the first, then of so many
+_FIRST_POSITION = 3.0  # s
+_ALLOWED_BLIND = ("action/land", "action/rtl")
 _COMING_BACK = 30.0  # s that a reboot may take
 
 Verb = Callable[[Any, Progress], Awaitable[Any]]
@@ -68,11 +76,21 @@ class Robot:
         config = hub.config
         self._commands = Commands(hub, vehicle)
         base = {name: config.rate if "POSITION" in name else min(2.0, config.rate) for name in BASE}
+        if ESTIMATOR in hub.dialect.by_name and not vehicle.family.px4:
+            base[ESTIMATOR] = min(2.0, config.rate)
         self.intervals = Intervals(vehicle, self._commands, base)
-        self.motion = Motion(vehicle, self._commands)
+        self.measurement = Measurement(vehicle, config)
+        self.motion = Motion(vehicle, self._commands, self.measurement)
         self.plans = Plans(hub, vehicle)
         self.parameters = Parameters(hub, vehicle, self._parameter_told)
-        self.setpoints = Setpoints(hub, vehicle, self.motion)
+        self.setpoints = Setpoints(hub, vehicle, self.motion, self.intervals.request)
+        self.stop = Stop(
+            hub, vehicle, self._commands, self.measurement,
+            end_setpoints=self.setpoints.end, latched=lambda: host.is_latched(self.scope),
+        )  # fmt: skip
+        self.recovery = Recovery(vehicle, self.motion, self.stop)
+        self.watchdogs = Watchdogs(vehicle, config, self.parameters, self.scope)
+        self.guard = GuardPlan(hub, vehicle, host, self.stop, self.scope)
         self._sensors = {
             sensor.name: sensor
             for sensor in sensors(hub.dialect, config.messages, px4=vehicle.family.px4)
@@ -89,12 +107,14 @@ class Robot:
         self._booted = 0  # ms that its clock said last
         self._clock = Clock()
         self._looks = 0
-        self.telling = Telling(hub, vehicle, self._publish)
+        self.telling = Telling(hub, vehicle, self._publish, self._run_prearm_checks)
         self._heeded: dict[int, Callable[[Frame], None]] = {
             **dict.fromkeys(Telling.heeded, self.telling.frame),
             **dict.fromkeys(_TIMES, self._timed),
+            0: self._heartbeat,
             22: self.parameters.take,  # PARAM_VALUE
-            33: self._see_reboot,  # GLOBAL_POSITION_INT
+            32: self._positioned,  # LOCAL_POSITION_NED
+            33: self._positioned,  # GLOBAL_POSITION_INT
         }
         flights = Flights(vehicle, self._commands, self.motion, self.parameters)
         missions = Missions(vehicle, self._commands, self.plans, self.motion)
@@ -105,8 +125,9 @@ class Robot:
             "action/arm": self.motion.arm,
             "action/disarm": self.motion.disarm,
             "action/set_mode": self._set_mode,
-            **{name: self._ending(verb) for name, verb in leading.items()},
+            **{name: self._ending(name, verb) for name, verb in leading.items()},
             **missions.verbs(),
+            "action/mission/resume": self._seen_to_move(missions.resume),
             "action/gimbal": Gimbals(hub, vehicle, self._commands, self.intervals).turn,
             "action/camera/photo": Cameras(hub, vehicle, self._commands).photo,
             "action/calibrate": Calibration(vehicle, self._commands).calibrate,
@@ -123,6 +144,16 @@ class Robot:
             "service/param/save": self._save,
             "service/reboot": self._reboot,
         }
+
+    @property
+    def scope(self) -> str | None:
+        """What the kernel calls it where there are several; None: it is all of the backend."""
+        return self._prefix or None
+
+    @property
+    def name_in_texts(self) -> str:
+        """What it is called in messages and in the log."""
+        return self._prefix or f"vehicle {self.vehicle.system}"
 
     def name(self, name: str) -> str:
         """Return a name of the tree for one of the vehicle's own."""
@@ -163,6 +194,8 @@ class Robot:
         """Let go of it."""
         self._closed = True
         self.setpoints.end()
+        self.guard.take_back()
+        await self.stop.close()
         for task in list(self._tasks):
             task.cancel()
         await asyncio.gather(*self._tasks, return_exceptions=True)
@@ -198,6 +231,10 @@ class Robot:
         if heed is not None:
             heed(frame)
 
+    def _heartbeat(self, frame: Frame) -> None:
+        self.telling.frame(frame)
+        self.guard.renew()
+
     def _timed(self, frame: Frame) -> None:
         f = frame.fields()
         if "tc1" in f:
@@ -209,6 +246,11 @@ class Robot:
         module = self._hub.dialect.module
         if "TIMESYNC" in self._hub.dialect.by_name and not self.vehicle.lost:
             self._hub.send(self.vehicle, module.MAVLink_timesync_message(0, self._clock.ask()))
+
+    def _positioned(self, frame: Frame) -> None:
+        self.measurement.take_position()
+        if frame.definition.id == _GLOBAL:
+            self._see_reboot(frame)
 
     def _see_reboot(self, frame: Frame) -> None:
         """See by its clock whether it has begun anew, and has forgotten what it was asked for."""
@@ -225,15 +267,22 @@ class Robot:
         came = self.vehicle.came.get("GLOBAL_POSITION_INT", self.vehicle.heard - 1)
         if not self.vehicle.lost and now - came > _ASKED_AGAIN:
             self.intervals.begin()
+        if self.vehicle.lost:  # the way to it may work although the way back does not
+            self.stop_if_latched()
         self.telling.links()
+        self.guard.renew()
         if self._looks < _TIMED_AT_FIRST or self._looks % _TIMED == 0:
             self._ask_time()
         self._looks += 1
+
+    def _run_prearm_checks(self) -> None:
+        self._commands.tell(Command(401))
 
     # Parameters
 
     async def _list_parameters(self) -> None:
         await self.parameters.list()
+        self._start(self.watchdogs.verify())
         published = await self._described.load()
         patterns = self._hub.config.params
         names = [n for n in self.parameters.known if any(fnmatchcase(n, p) for p in patterns)]
@@ -292,15 +341,29 @@ class Robot:
 
     async def _set_mode(self, given: m.SetMode, progress: Progress) -> m.SetMode:
         family = self.vehicle.family
+        if given.mode.upper() == family.auto:
+            self.measurement.check()
         if family.px4 and given.mode.upper() == family.led != self.vehicle.mode:
             await self.setpoints.offboard()
         return await self.motion.set_mode(given, progress)
 
-    def _ending(self, verb: Verb) -> Verb:
+    def _ending(self, name: str, verb: Verb) -> Verb:
         """Let a command of its own end the set-points that are in force."""
+        verb = verb if name in _ALLOWED_BLIND else self._seen_to_move(verb)
 
         async def run(given: Any, progress: Progress) -> Any:
             self.setpoints.end()
+            return await verb(given, progress)
+
+        return run
+
+    def _seen_to_move(self, verb: Verb) -> Verb:
+        """Refuse to move it while its position is too old to see it move."""
+
+        async def run(given: Any, progress: Progress) -> Any:
+            if math.isinf(self.measurement.position_age):  # it was asked for a moment ago
+                await self.vehicle.until(lambda: not self.measurement.stale(), _FIRST_POSITION)
+            self.measurement.check()
             return await verb(given, progress)
 
         return run
@@ -378,7 +441,11 @@ class Robot:
         with suppress(RcpError):
             await self.intervals.request(message)
 
-    async def halt(self) -> None:
-        """Bring it to rest by the configured policy."""
-        self.setpoints.end()
-        await self.motion.halt(self._hub.config.estop)
+    def stop_if_latched(self) -> None:
+        """Send the stop to one that is latched: before anything else, and blindly while it is lost."""
+        if self._host.is_latched(self.scope):
+            self.stop.hold_stop()
+
+    def restore(self) -> None:
+        """Have the kernel stop it, or settle what it was left with: it is heard now."""
+        self._host.link_restored(self.scope)

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from rcp_mavlink.dialect import Dialect
 
-__all__ = ["BASE", "Sensor", "sensors"]
+__all__ = ["BASE", "ESTIMATOR", "Sensor", "sensors"]
 
 
 class Sensor(NamedTuple):
@@ -53,6 +53,9 @@ _PX4 = (
 
 BASE = ("GLOBAL_POSITION_INT", "EXTENDED_SYS_STATE", "SYS_STATUS", "MISSION_CURRENT")
 """Messages that the gateway needs itself."""
+
+ESTIMATOR = "EKF_STATUS_REPORT"
+"""Of an ArduPilot, likewise: it sends positions also while it has none."""
 
 
 def sensors(dialect: Dialect, patterns: tuple[str, ...], *, px4: bool) -> list[Sensor]:

@@ -4,9 +4,13 @@ from __future__ import annotations
 
 import asyncio
 import math
+import time
+from collections.abc import Awaitable, Callable
+from contextlib import suppress
 from typing import Any
 
-from rcp_kernel.errors import ModeForbids, PreconditionFailed
+from rcp_kernel.errors import ModeForbids, PreconditionFailed, RcpError
+from rcp_kernel.spi import check_fence, fenced_off
 from rcp_mavlink import messages as m
 from rcp_mavlink.hub import Hub
 from rcp_mavlink.motion import Motion
@@ -20,13 +24,23 @@ _LEADING = 6  # times that PX4 wants one before it lets itself be led
 _BODY_FRAME = 8
 _VELOCITY_AND_YAW_RATE = 0b0101_1100_0111
 _ATTITUDE_ALONE = 0b0000_0111
+_FRESH = 0.1  # s for which a heading counts as the present one
+_ANSWER = 0.5  # s for one to come
+_NO_HEADING = 65535
 
 
 class Setpoints:
-    """What one vehicle is led by; a new one takes the place of the one before it."""
+    """What one vehicle is led by; a new one takes the place of the one before it.
 
-    def __init__(self, hub: Hub, vehicle: Vehicle, motion: Motion) -> None:
-        self._hub, self._vehicle, self._motion = hub, vehicle, motion
+    `ask` has the vehicle send one message.
+    """
+
+    def __init__(
+        self, hub: Hub, vehicle: Vehicle, motion: Motion, ask: Callable[[str], Awaitable[None]]
+    ) -> None:
+        self._hub, self._vehicle, self._motion, self._ask = hub, vehicle, motion, ask
+        self._kept: float | None = None
+        """The heading that is kept, rad, while nobody asks for another one."""
         self._task: asyncio.Task[None] | None = None
         self._entering: asyncio.Task[None] | None = None
         self._message: Any = None
@@ -40,6 +54,7 @@ class Setpoints:
             self.end()
             return
         self._check()
+        self._kept = None
         message = self._moving(x, y, z, value.yaw_rate)
         await self._lead(message, _PARTING if resting else None)
 
@@ -59,11 +74,42 @@ class Setpoints:
                 await self._motion.hold()
             return
         self._check()
-        q = _quaternion(value.roll, value.pitch, value.yaw)
+        heading = await self._heading(value.yaw)
+        self._check()  # another command may have come meanwhile
+        q = _quaternion(value.roll, value.pitch, heading)
         message = self._hub.dialect.module.MAVLink_set_attitude_target_message(
             0, vehicle.system, vehicle.component, _ATTITUDE_ALONE, q, 0.0, 0.0, 0.0, value.thrust
         )
         await self._lead(message, None)
+
+    async def _heading(self, asked: float | None) -> float:
+        """Return the heading to hold: an attitude always has one, and 0 would be north.
+
+        :raises PreconditionFailed: the present one is to be kept, and the vehicle does not say it.
+        """
+        if asked is not None:
+            self._kept = None
+            return asked
+        if self._kept is None:
+            self._kept = await self._present()
+        return self._kept
+
+    async def _present(self) -> float:
+        vehicle, since = self._vehicle, time.monotonic() - _FRESH
+        try:
+            if vehicle.came.get("ATTITUDE", 0.0) < since:
+                await self._ask("ATTITUDE")
+            if await vehicle.until(lambda: vehicle.came.get("ATTITUDE", 0.0) >= since, _ANSWER):
+                return vehicle.latest["ATTITUDE"].fields()["yaw"]
+        except RcpError:  # it has no such message, or does not answer
+            vehicle.check()
+        if vehicle.came.get("GLOBAL_POSITION_INT", 0.0) >= since - _ANSWER:
+            heading = vehicle.latest["GLOBAL_POSITION_INT"].fields()["hdg"]
+            if heading != _NO_HEADING:
+                return math.radians(heading / 100)
+        raise PreconditionFailed(
+            "the vehicle does not say which heading it has", remedy="Give `yaw` with the attitude."
+        )
 
     def _leads(self) -> bool:
         vehicle = self._vehicle
@@ -86,8 +132,10 @@ class Setpoints:
             )  # fmt: skip
         if vehicle.landed is True and family.flies:
             raise PreconditionFailed("the vehicle is on the ground", remedy="Take off first.")
+        self._motion.measurement.check(strict=False)
 
     async def _lead(self, message: Any, left: int | None) -> None:
+        check_fence()
         self._message, self._left = message, left
         self._hub.send(self._vehicle, message)
         if self._task is None:
@@ -122,17 +170,22 @@ class Setpoints:
         await self._lead(self._moving(0.0, 0.0, 0.0, 0.0), None)
 
     async def _repeat(self) -> None:
+        hold = self._vehicle.family.px4  # it would call their absence a failure
         while self._left is None or self._left > 0:
             await asyncio.sleep(1 / _RATE)
             entering = self._entering is not None and not self._entering.done()
-            if self._vehicle.lost or not (entering or self._leads()):
+            if fenced_off() or self._vehicle.lost or not (entering or self._leads()):
+                break
+            if self._motion.measurement.stale(strict=False):  # nobody sees where it is led
+                hold = True
                 break
             self._hub.send(self._vehicle, self._message)
             if self._left is not None:
                 self._left -= 1
-        self._task = None
-        if self._vehicle.family.px4 and self._leads():  # it would call their absence a failure
-            await self._motion.shielded(self._motion.hold)
+        self._task = self._kept = None
+        if hold and self._leads():
+            with suppress(RcpError):
+                await self._motion.shielded(self._motion.hold)
 
     def end(self) -> None:
         """Say nothing more."""
@@ -140,6 +193,7 @@ class Setpoints:
             if task is not None:
                 task.cancel()
         self._task = self._entering = None
+        self._kept = None
 
 
 def _quaternion(roll: float, pitch: float, yaw: float) -> list[float]:

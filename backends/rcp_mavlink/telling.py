@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
 from typing import Any
@@ -17,19 +18,31 @@ __all__ = ["Telling"]
 _FAILSAFES = ("failsafe", "breach", "crash", "ekf variance", "terminat")
 _PREARM = ("PreArm: ", "Arm: ", "Preflight Fail: ", "Arming denied: ", "Arming denied! ")
 _COMPLAINTS = 35.0  # s for which a complaint counts: the vehicle repeats them every 30 s
+_SETTLED = 1.5  # s after a complaint, in which SYS_STATUS may still be that of before it
+_ASKED_AGAIN = 10.0  # s
+_APART = 3.0  # s after which a complaint begins a new round of them
 _RECENT = 2.5  # s
 
 
 class Telling:
-    """Publishes what one vehicle's messages mean."""
+    """Publishes what one vehicle's messages mean; `check` has it say what speaks against arming."""
 
     heeded = frozenset({0, 1, 46})
     """Messages that change what is told here: HEARTBEAT, SYS_STATUS, MISSION_ITEM_REACHED."""
 
-    def __init__(self, hub: Hub, vehicle: Vehicle, publish: Callable[[str, Any], None]) -> None:
-        self._hub, self._vehicle, self._publish = hub, vehicle, publish
+    def __init__(
+        self,
+        hub: Hub,
+        vehicle: Vehicle,
+        publish: Callable[[str, Any], None],
+        check: Callable[[], None],
+    ) -> None:
+        self._hub, self._vehicle, self._publish, self._check = hub, vehicle, publish, check
         self._mode = vehicle.mode
         self._armed = vehicle.armed
+        self._complaints: list[str] = []
+        """Those of the latest round: the vehicle says all that hold, one after the other."""
+        self._complained = self._asked = -math.inf
 
     def begin(self) -> None:
         """Publish what is known at first."""
@@ -60,13 +73,27 @@ class Telling:
     def _prearm(self) -> m.Prearm:
         vehicle = self._vehicle
         ready = vehicle.armed or bool(vehicle.prearm)
-        since = time.monotonic() - _COMPLAINTS
-        reasons: dict[str, None] = {}
-        for text in vehicle.texts if not ready else ():
-            for start in _PREARM:
-                if text.at >= since and text.text.startswith(start):
-                    reasons[text.text.removeprefix(start)] = None
-        return m.Prearm(ready, list(reasons), vehicle.mode)
+        stale = time.monotonic() - self._complained > _COMPLAINTS
+        reasons = [] if ready or stale else list(self._complaints)
+        return m.Prearm(ready, reasons, vehicle.mode)
+
+    def _health(self) -> None:
+        """Forget complaints once it is ready; ask for them where it is not and none is known."""
+        told, now = self._prearm(), time.monotonic()
+        if told.ready and now - self._complained > _SETTLED:
+            self._complaints = []
+        unknown = not (told.ready or told.reasons or self._vehicle.family.px4)
+        if unknown and self._vehicle.prearm is False and now - self._asked > _ASKED_AGAIN:
+            self._asked = now
+            self._check()
+        self._publish("sensor/prearm", told)
+
+    def _complain(self, reason: str, now: float) -> None:
+        """Take a complaint; one that is repeated, or comes after a while, begins a new round."""
+        if reason in self._complaints or now - self._complained > _APART:
+            self._complaints = []
+        self._complaints.append(reason)
+        self._complained = now
 
     def _links(self) -> list[m.LinkState]:
         now, routes = time.monotonic(), self._vehicle.routes.values()
@@ -100,7 +127,7 @@ class Telling:
             case 0:
                 self._heartbeat()
             case 1:
-                self._publish("sensor/prearm", self._prearm())
+                self._health()
             case 46:
                 reached = frame.fields()["seq"]
                 self._publish("event/mission", m.Reached(reached))
@@ -125,9 +152,12 @@ class Telling:
         self._publish("event/statustext", told)
         if any(word in said.text.lower() for word in _FAILSAFES):
             self._publish("event/failsafe", told)
-        if said.text.startswith(_PREARM):
+        start = next((start for start in _PREARM if said.text.startswith(start)), None)
+        if start is not None:
+            self._complain(said.text.removeprefix(start), said.at)
             self._publish("sensor/prearm", self._prearm())
 
     def boot(self) -> None:
         """Publish that it has begun anew."""
+        self._complaints, self._asked = [], -math.inf
         self._publish("event/boot", m.Said("notice", "The vehicle has started anew."))

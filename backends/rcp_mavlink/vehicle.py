@@ -21,7 +21,10 @@ _PREARM = 1 << 28
 _BYTEWISE, _C_CAST = 1 << 4, 1 << 17
 _TEXTS = 50
 _PARTS = 32  # components of one system that are kept
+_STAMPED = frozenset({"GLOBAL_POSITION_INT", "LOCAL_POSITION_NED", "ATTITUDE"})
+"""Messages that begin with the time of their measurement."""
 _LANDED, _IN_AIR = 1, (2, 3, 4)
+_ON_ROTORS = (2, 3)  # MAV_VTOL_STATE: becoming a multicopter, being one
 
 
 class Text(NamedTuple):
@@ -52,6 +55,7 @@ class Vehicle:
         self.latest: dict[str, Frame] = {}
         self.came: dict[str, float] = {}
         """When the latest of each message came, on the monotonic clock."""
+        self._stamps: dict[str, bytes] = {}
         self.heard = time.monotonic()
         self.routes: dict[tuple[int, Any], tuple[Any, Any, float]] = {}
         """Links and addresses it was heard over, with the time."""
@@ -74,7 +78,9 @@ class Vehicle:
         definition = frame.definition
         name, number = definition.name, definition.id
         self.latest[name] = frame
-        self.came[name] = self.heard = now
+        self.heard = now
+        if not self._is_repeated(name, frame):
+            self.came[name] = now
         if number == 0:
             self._heartbeat(frame)
         listeners = self._listeners.get(number)
@@ -85,6 +91,18 @@ class Vehicle:
             tell(frame)
         if self._waiters:
             self._look()
+
+    def _is_repeated(self, name: str, frame: Frame) -> bool:
+        """Tell whether a position is the one of before, by the vehicle's own time stamp.
+
+        What a hung process says over and over is as old as when it was measured. Some leave the
+        stamp at 0.
+        """
+        if name not in _STAMPED:
+            return False
+        stamp, before = frame.payload[:4], self._stamps.get(name)
+        self._stamps[name] = stamp
+        return stamp == before and any(stamp)
 
     def overhear(self, frame: Frame) -> None:
         """Take a frame of another component on board: a camera, a gimbal."""
@@ -137,6 +155,12 @@ class Vehicle:
         frame = self.latest.get("EXTENDED_SYS_STATE")
         state = 0 if frame is None else frame.fields()["landed_state"]
         return True if state == _LANDED else False if state in _IN_AIR else None
+
+    @property
+    def hovering(self) -> bool:
+        """Whether a VTOL flies on its rotors now."""
+        frame = self.latest.get("EXTENDED_SYS_STATE")
+        return frame is not None and frame.fields()["vtol_state"] in _ON_ROTORS
 
     @property
     def prearm(self) -> bool | None:

@@ -6,8 +6,9 @@ event loop of one's own.
 
 from __future__ import annotations
 
+from rcp_mavlink.sim.faults import Faults
 from rcp_mavlink.sim.options import Options
 from rcp_mavlink.sim.ports import Twin, fly
 from rcp_mavlink.sim.vehicle import Vehicle
 
-__all__ = ["Options", "Twin", "Vehicle", "fly"]
+__all__ = ["Faults", "Options", "Twin", "Vehicle", "fly"]

@@ -25,7 +25,7 @@ def complaints(vehicle: Vehicle) -> list[str]:
         found.append("Gyros inconsistent")
     elif warm < _HOME:
         found.append("AHRS: waiting for home")
-    elif warm < 1 and needs_position(vehicle.flight.mode):
+    elif not vehicle.position_ok and needs_position(vehicle.flight.mode):
         found.append("Need Position Estimate")
     lowest = vehicle.params["BATT_ARM_VOLT"]
     if lowest and vehicle.battery.voltage < lowest:

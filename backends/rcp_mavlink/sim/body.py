@@ -37,6 +37,10 @@ class Body(ABC):
         """Return what its servos and motors are told, µs, in ArduPilot's order."""
 
     @abstractmethod
+    def cut_power(self) -> None:
+        """Have its motors give nothing for the next step."""
+
+    @abstractmethod
     def step(self, dt: float) -> None:
         """Let `dt` seconds pass."""
 

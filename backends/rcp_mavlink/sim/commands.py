@@ -31,6 +31,8 @@ _LAST_MESSAGE = 65535
 _CHANGE_MODE = 1
 _MYSELF = -2
 _NOT_AS_LONG = frozenset({mav.MAV_CMD_DO_REPOSITION})
+_TURNED = frozenset({Mode.GUIDED, Mode.AUTO, Mode.RTL, Mode.LAND})
+"""Modes that heed CONDITION_YAW; others accept it, and do nothing."""
 _GLOBAL_FRAMES = {0: False, 5: False, 3: True, 6: True}
 
 
@@ -99,52 +101,67 @@ def _set_mode(c: Asked) -> int:
 
 
 def _reposition(c: Asked) -> int:
+    """Go to a place: a copter reads neither the speed nor the yaw, a plane no speed."""
     vehicle = c.peer.vehicle
+    flight = vehicle.flight
     relative = _GLOBAL_FRAMES.get(c.frame)
     lat, lon = c.p[4], c.p[5]
+    change = bool(int(c.p[1]) & _CHANGE_MODE)
+    if flight.mode is not Mode.GUIDED and not change:
+        return _DENIED
     if relative is None:
         return _BAD_FRAME
     if not (-90 <= lat <= 90 and -180 <= lon <= 180) or (lat == 0 and lon == 0):
         return _DENIED
-    if vehicle.flight.mode is not Mode.GUIDED:
-        if not int(c.p[1]) & _CHANGE_MODE:
-            return _DENIED
-        if not vehicle.set_mode(Mode.GUIDED):
-            return _FAILED
     if not abs(c.p[6]) <= _HIGHEST:
         return _DENIED
     height = c.p[6] if relative else c.p[6] - vehicle.origin[2]
     if vehicle.params["FENCE_ENABLE"] and vehicle.fence.crossed((lat, lon), height):
-        return _DENIED
-    if 0 < c.p[0] <= _QUICKEST:
-        vehicle.pilot.limits.speed = c.p[0]
-    yaw = None if not math.isfinite(c.p[3]) or c.p[3] == 0 else c.p[3]
-    vehicle.flight.aim(vehicle.place_of(lat, lon), -height, yaw=yaw)
+        return _FAILED  # as the real one: without a word
+    if flight.mode is not Mode.GUIDED and not vehicle.set_mode(Mode.GUIDED):
+        return _FAILED
+    if vehicle.kind.drives and c.p[0] > 0 and not flight.change_speed(c.p[0]):
+        return _FAILED
+    flight.aim(vehicle.place_of(lat, lon), -height)
     vehicle.pilot.passes = False
     return _OK
 
 
 def _speed(c: Asked) -> int:
-    if not 0 < c.p[1] <= _QUICKEST:
-        return _DENIED
-    limits = c.peer.vehicle.pilot.limits
-    if c.p[0] == 2:
-        limits.up = c.p[1]
-    elif c.p[0] == 3:
-        limits.down = c.p[1]
-    else:
-        limits.speed = c.p[1]
-    return _OK
+    """Change a speed, where the mode and what it does in it let it."""
+    vehicle = c.peer.vehicle
+    kind, speed = c.p[0], c.p[1]
+    if vehicle.kind.name == "plane":
+        return _result(_airspeed(vehicle, kind, speed))
+    if not 0 < speed <= _QUICKEST:
+        return _FAILED if vehicle.kind.drives else _DENIED
+    which = "" if vehicle.kind.drives else {2: "up", 3: "down"}.get(int(kind), "")
+    return _result(vehicle.flight.change_speed(speed, which or "speed"))
+
+
+def _airspeed(vehicle: Any, kind: float, speed: float) -> bool:
+    if kind == 1:
+        vehicle.say(6, f"Set groundspeed {speed:.0f}")
+        return vehicle.flight.mode in (Mode.GUIDED, Mode.AUTO)
+    least, most = vehicle.params["AIRSPEED_MIN"], vehicle.params["AIRSPEED_MAX"]
+    if kind != 0 or not least <= speed <= most or not vehicle.flight.change_speed(speed):
+        return False
+    vehicle.say(6, f"Set airspeed {speed:.0f} m/s")
+    return True
 
 
 def _yaw(c: Asked) -> int:
-    pilot = c.peer.vehicle.pilot
-    if not math.isfinite(c.p[0]):
-        return _DENIED
-    angle = math.radians(c.p[0])
-    if c.p[3]:
-        angle = pilot.yaw + math.copysign(angle, c.p[2] or 1.0)
-    pilot.yaw, pilot.yaw_rate = angle, 0.0
+    """Turn a copter; it stands until the next place or set-point. Others do not know it."""
+    vehicle = c.peer.vehicle
+    if vehicle.kind.name != "copter":
+        return _UNSUPPORTED
+    if not (0 <= c.p[0] <= 360 and c.p[3] in (0, 1)):
+        return _FAILED
+    if vehicle.flight.mode in _TURNED:
+        pilot, angle = vehicle.pilot, math.radians(c.p[0])
+        if c.p[3]:
+            angle = pilot.yaw + math.copysign(angle, c.p[2] or 1.0)
+        pilot.yaw, pilot.yaw_rate, pilot.looks = angle, 0.0, False
     return _OK
 
 
@@ -183,11 +200,15 @@ def _current(c: Asked) -> int:
 
 
 def _terminate(c: Asked) -> int:
-    if c.p[0] < 0.5:
-        return _DENIED
+    """Stop the motors of a copter at once; others want AFS_ENABLE for it."""
     vehicle = c.peer.vehicle
-    vehicle.say(0, "Terminating due to GCS request")
-    return _result(vehicle.disarm(21196))
+    if vehicle.kind.name != "copter":
+        vehicle.say(6, "AFS not enabled, can't terminate the vehicle")
+        return _FAILED
+    if not c.p[0] > 0.5:
+        return _FAILED
+    vehicle.disarm(21196)
+    return _OK
 
 
 def _reboot(c: Asked) -> int:
@@ -237,8 +258,8 @@ def _which_interval(c: Asked) -> int:
 
 
 def _request(c: Asked) -> int:
-    maker = MAKERS.get(int(c.p[0]))
-    message = None if maker is None else maker(c.peer.vehicle)
+    number = int(c.p[0])
+    message = c.peer.vehicle.measure(number) if number in MAKERS else None
     if message is None:
         return _FAILED
     c.peer.send(message)

@@ -14,6 +14,9 @@ __all__ = ["Failsafes"]
 _RADIO_LATE = 1.5  # s without pulses of the receiver
 _BLIND = 1.0  # s without a position
 _LAND_ON_GCS, _LAND_ON_RADIO, _LAND_ON_LOW = 5, 3, 1
+_BRAKE_ON_GCS, _HOLD_ON_EKF = 7, 2
+_IN_AUTO, _IN_PILOTED = 1 << 1, 1 << 4  # of FS_OPTIONS
+_PILOTED = frozenset({Mode.STABILIZE, Mode.ALT_HOLD, Mode.LOITER, Mode.POSHOLD, Mode.BRAKE})
 
 
 class Failsafes:
@@ -76,12 +79,24 @@ class Failsafes:
         ):
             return
         self.station_lost = True
-        if vehicle.armed:
-            vehicle.failsafe(
-                "GCS", return_home=p[vehicle.kind.param("FS_GCS_ENABLE")] != _LAND_ON_GCS
-            )
-        else:
+        if not vehicle.armed:
             vehicle.say(4, "GCS Failsafe")
+        elif (going_on := self._goes_on()) is not None:
+            vehicle.say(4, f"GCS Failsafe - Continuing {going_on}")
+        elif (action := p[vehicle.kind.param("FS_GCS_ENABLE")]) == _BRAKE_ON_GCS:
+            vehicle.failsafe("GCS", return_home=False, to=Mode.BRAKE)
+        else:
+            vehicle.failsafe("GCS", return_home=action != _LAND_ON_GCS)
+
+    def _goes_on(self) -> str | None:
+        """Return what a copter goes on with although its ground station is lost."""
+        vehicle = self._vehicle
+        if vehicle.kind.name != "copter" or vehicle.body.landed or vehicle.flight.landing:
+            return None
+        options, mode = int(vehicle.params["FS_OPTIONS"]), vehicle.flight.mode
+        if mode is Mode.AUTO and options & _IN_AUTO:
+            return "Auto Mode"
+        return "Pilot Control" if mode in _PILOTED and options & _IN_PILOTED else None
 
     def _radio(self, seconds: float) -> None:
         vehicle, p = self._vehicle, self._vehicle.params
@@ -113,5 +128,7 @@ class Failsafes:
         elif not self.blind and self._blind_for > _BLIND and vehicle.armed:
             self.blind = True
             vehicle.say(2, "EKF variance: position horizontal")
-            if vehicle.flight.mode not in (Mode.STABILIZE, Mode.ALT_HOLD):
-                vehicle.failsafe("EKF", return_home=False)
+            action = vehicle.params["FS_EKF_ACTION"] if vehicle.kind.name == "copter" else 1
+            if vehicle.flight.mode not in (Mode.STABILIZE, Mode.ALT_HOLD) and action:
+                to = Mode.ALT_HOLD if action == _HOLD_ON_EKF else None
+                vehicle.failsafe("EKF", return_home=False, to=to)

@@ -6,6 +6,7 @@ import math
 from typing import TYPE_CHECKING
 
 from rcp_mavlink.geo import distance
+from rcp_mavlink.sim.modes import Mode
 from rcp_mavlink.sim.plans import Plan
 from rcp_mavlink.sim.wire import mav
 
@@ -15,6 +16,7 @@ if TYPE_CHECKING:
 __all__ = ["Fence"]
 
 _CEILING, _CIRCLE, _POLYGON, _FLOOR = 1, 2, 4, 8
+_LAND, _BRAKE = 2, 4  # of FENCE_ACTION
 _NAMES = {_CEILING: "Max Alt", _CIRCLE: "Circle", _POLYGON: "Polygon", _FLOOR: "Min Alt"}
 Point = tuple[float, float]
 
@@ -62,8 +64,18 @@ class Fence:
             self.count += 1
             names = " and ".join(name for bit, name in _NAMES.items() if new & bit)
             vehicle.say(4, f"{names} fence breached")
-            if vehicle.params["FENCE_ACTION"]:
-                vehicle.failsafe("Fence", return_home=vehicle.params["FENCE_ACTION"] != 2)
+            self._act(int(vehicle.params["FENCE_ACTION"]))
+
+    def _act(self, action: int) -> None:
+        """Do what FENCE_ACTION says: nothing, come home, land, or brake."""
+        vehicle = self._vehicle
+        if not action:
+            return
+        if vehicle.body.landed and vehicle.kind.flies:
+            vehicle.disarm()
+            return
+        brake = Mode.BRAKE if action == _BRAKE and vehicle.kind.name == "copter" else None
+        vehicle.retreat(return_home=action not in (_LAND, _BRAKE), to=brake)
 
     def _inside(self, place: Point) -> bool:
         items, at = self.plan.items, 0

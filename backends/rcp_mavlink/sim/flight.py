@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 from rcp_mavlink.sim.mission import Mission
 from rcp_mavlink.sim.modes import Mode, needs_position
@@ -11,7 +11,9 @@ from rcp_mavlink.sim.modes import Mode, needs_position
 if TYPE_CHECKING:
     from rcp_mavlink.sim.vehicle import Vehicle
 
-__all__ = ["Flight"]
+__all__ = ["Flight", "Submode"]
+
+Submode = Literal["", "takeoff", "place", "velocity", "attitude"]
 
 
 class Flight(ABC):
@@ -23,6 +25,8 @@ class Flight(ABC):
     """Whether a mission begins in AUTO as soon as it is armed."""
     patience = 3.0
     """Real seconds that a set-point stands."""
+    paced = frozenset({Mode.GUIDED, Mode.AUTO})
+    """Modes in which DO_CHANGE_SPEED is heeded; it fails in others."""
 
     def __init__(self, vehicle: Vehicle) -> None:
         self._vehicle = vehicle
@@ -33,6 +37,10 @@ class Flight(ABC):
         self.taking_off = False
         self.phase = ""
         """Of RTL and LAND."""
+        self.submode: Submode = ""
+        """What it does in GUIDED; a change of it has a copter forget the speed it was told."""
+        self._speeds: dict[str, float] = {}
+        """What DO_CHANGE_SPEED asked for, by the name of the limit."""
         self._setpoint_ends: float | None = None
 
     def refusal(self, mode: Mode) -> str | None:
@@ -52,7 +60,7 @@ class Flight(ABC):
         self.mode = mode
         self.phase, self.taking_off, self._setpoint_ends = "", False, None
         vehicle.pilot.hold()
-        self.limits()
+        self._become("")
         if before is Mode.AUTO and mode is not Mode.AUTO:
             self.mission.leave()
         if mode is Mode.AUTO and vehicle.armed and not vehicle.body.landed:
@@ -60,24 +68,70 @@ class Flight(ABC):
         if mode in (Mode.RTL, Mode.SMART_RTL):
             self.go_home()
 
-    def aim(
-        self, place: tuple[float, float] | None, depth: float | None, *, yaw: float | None = None
-    ) -> None:
-        """Go to a place in GUIDED."""
+    def _become(self, submode: Submode) -> None:
+        self.submode = submode
+        if self._vehicle.kind.name == "copter" or not submode:
+            self._speeds.clear()
+        self.tune()
+
+    def tune(self) -> None:
+        """Take the speeds from the parameters, but for those that a command asked for."""
+        self.limits()
+        for name, speed in self._speeds.items():
+            setattr(self._vehicle.pilot.limits, name, speed)
+
+    def change_speed(self, speed: float, which: str = "speed") -> bool:
+        """Take DO_CHANGE_SPEED (`speed`, `up` or `down`, m/s); tell whether that can be now."""
+        if self.mode not in self.paced:
+            return False
+        if self.mode is Mode.GUIDED and not self._paces:
+            return False
+        self._speeds[which] = speed
+        self.tune()
+        return True
+
+    @property
+    def _paces(self) -> bool:
+        """What drives has a speed in GUIDED only on its way to a place."""
+        return self._vehicle.kind.flies or self.submode == "place"
+
+    def aim(self, place: tuple[float, float] | None, depth: float | None) -> None:
+        """Go to a place in GUIDED; it looks where it goes to."""
         pilot = self._vehicle.pilot
+        if self.submode != "place":
+            self._become("place")
         self._setpoint_ends, self.taking_off = None, False
         pilot.attitude, pilot.velocity, pilot.sinking = None, (0.0, 0.0), 0.0
+        pilot.lean = None
+        pilot.yaw_rate = 0.0
+        pilot.looks = self.looks
         if place is not None:
             pilot.place = place
         if depth is not None:
             pilot.depth = depth
-        if yaw is not None:
-            pilot.yaw, pilot.yaw_rate = yaw, 0.0
 
-    def follow(self) -> None:
+    @property
+    def looks(self) -> bool:
+        """Whether it turns to where it goes to, unless it is told otherwise."""
+        return False
+
+    def follow(self, submode: Submode) -> None:
         """Let the set-point that the pilot was given stand for a while."""
+        if self.submode != submode:
+            self._become(submode)
         self._setpoint_ends = self._vehicle.wall + self.patience
         self.taking_off = False
+
+    def _expire(self) -> None:
+        """End a set-point that was not repeated: one of attitude leaves it level, and drifting."""
+        pilot = self._vehicle.pilot
+        self._setpoint_ends = None
+        if self.submode == "attitude":
+            pilot.attitude, pilot.lean = None, (0.0, 0.0)
+            pilot.depth, pilot.sinking = None, 0.0
+            pilot.yaw, pilot.yaw_rate = self._vehicle.body.yaw, 0.0
+        else:
+            pilot.hold()
 
     def step(self, dt: float) -> None:
         """Lead the pilot for `dt` simulated seconds."""
@@ -87,8 +141,7 @@ class Flight(ABC):
             vehicle.pilot.spinning = False
             return
         if self._setpoint_ends is not None and vehicle.wall > self._setpoint_ends:
-            self._setpoint_ends = None
-            vehicle.pilot.hold()
+            self._expire()
         if self.mode is Mode.AUTO:
             if self.starts_itself and not (self.mission.running or self.mission.complete):
                 self.mission.start()

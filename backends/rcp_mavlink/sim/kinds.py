@@ -41,6 +41,11 @@ class Kind(msgspec.Struct, frozen=True, kw_only=True):
     own: dict[str, str] = {}
     """Its names of parameters that a copter calls otherwise."""
 
+    @property
+    def drives(self) -> bool:
+        """Whether it stays on the ground or on the water."""
+        return not self.flies
+
     def number(self, mode: Mode) -> int:
         """Return the custom mode of its heartbeat."""
         return next(number for number, one in self.modes.items() if one is mode)

@@ -130,7 +130,7 @@ class Mission:
             case mav.MAV_CMD_NAV_RETURN_TO_LAUNCH:
                 vehicle.flight.begin_return()
             case mav.MAV_CMD_DO_CHANGE_SPEED if item.params[1] > 0:
-                pilot.limits.speed = item.params[1]
+                vehicle.flight.change_speed(item.params[1])
             case mav.MAV_CMD_CONDITION_YAW:
                 pilot.yaw = math.radians(item.params[0])
             case mav.MAV_CMD_DO_SET_HOME:

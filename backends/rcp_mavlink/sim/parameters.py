@@ -1,6 +1,7 @@
 """The parameters and their protocol: a value of any type is taken as the parameter's own.
 
-An unknown name gets no answer at all.
+An unknown name gets no answer at all. An integer that was never stored, set to the default that it
+has already, is told as a REAL32: nothing is stored then, and the real one forgets its type.
 """
 
 from __future__ import annotations
@@ -34,6 +35,8 @@ class Parameters:
             self._kinds[name], self._values[name] = kind, value
         for name, value in other.items():
             self.set(name, value)
+        self._defaults = dict(self._values)
+        self._stored: set[str] = set()
         self._names = list(self._values)
         self._places = {name: place for place, name in enumerate(self._names)}
 
@@ -56,11 +59,12 @@ class Parameters:
         self._values[name] = value
         return True
 
-    def message(self, name: str, place: int | None = None) -> Any:
+    def message(self, name: str, place: int | None = None, type_: int | None = None) -> Any:
         """Return the PARAM_VALUE of a name, at its place in the list."""
         at = self._places[name] if place is None else place
+        told = _CODES[self._kinds[name]] if type_ is None else type_
         return mav.MAVLink_param_value_message(
-            name.encode(), self._values[name], _CODES[self._kinds[name]], len(self._names), at
+            name.encode(), self._values[name], told, len(self._names), at
         )
 
     def listed(self) -> list[str]:
@@ -82,9 +86,15 @@ class Parameters:
         name = _text(message.param_id)
         if name not in self._values:
             return False
-        taken = self.set(name, message.param_value)
-        answer(self.message(name, 0xFFFF))
-        return taken
+        before = self._values[name]
+        if not self.set(name, message.param_value):
+            return False
+        if name in self._stored or not before == self._values[name] == self._defaults[name]:
+            self._stored.add(name)
+            answer(self.message(name, 0xFFFF))
+        else:
+            answer(self.message(name, 0xFFFF, mav.MAV_PARAM_TYPE_REAL32))
+        return True
 
 
 def _text(name: Any) -> str:

@@ -97,6 +97,9 @@ class Peer:
 
     def feed(self, data: bytes, *, datagram: bool = False) -> None:
         """Take bytes that came from it; what one datagram leaves unfinished ends with it."""
+        faults = self.vehicle.faults
+        if faults.uplink_cut or faults.frozen:
+            return
         if datagram:
             self._mav.buf, self._mav.buf_index = bytearray(), 0
         for message in self._mav.parse_buffer(data) or ():
@@ -106,6 +109,8 @@ class Peer:
 
     def turn(self, wall: float) -> None:
         """Send what is due."""
+        if self.vehicle.faults.frozen:
+            return
         for message in self.streams.due(wall):
             self.send(message)
         self._list_params()
@@ -118,7 +123,7 @@ class Peer:
     def flush(self) -> None:
         """Send what is waiting."""
         frames, self._sink.frames = self._sink.frames, []
-        for frame in frames:
+        for frame in frames if not self.vehicle.faults.downlink_cut else ():
             self._send_bytes(frame)
         tasks, self._tasks = self._tasks, []
         for task in tasks:
@@ -169,7 +174,7 @@ class Peer:
     def _param_set(self, message: Any) -> None:
         vehicle = self.vehicle
         if vehicle.params.write(message, vehicle.broadcast):
-            vehicle.flight.limits()
+            vehicle.flight.tune()
 
     def _param_list(self, _: Any) -> None:
         self.vehicle.greet(self.send)

@@ -101,7 +101,7 @@ class Transfer:
         if (wrong := _wrong(message)) is not None:
             self._end(send, wrong)
             return True
-        self._items.append(_item(message))
+        self._items.append(_item(message, self._plan.kind))
         self._tries = 0
         if len(self._items) < self._count:
             self.ask(send, now)
@@ -141,7 +141,7 @@ def _wrong(message: Any) -> int | None:
     return None
 
 
-def _item(message: Any) -> Item:
+def _item(message: Any, kind: int) -> Item:
     whole = message.get_type() == "MISSION_ITEM_INT"
     place = message.command in _LANDMARKS
     x, y = (message.x, message.y) if whole else (message.x * _SCALE, message.y * _SCALE)
@@ -150,4 +150,7 @@ def _item(message: Any) -> Item:
     frame: int = message.frame
     if frame in _NORMAL_FRAME:
         frame = _NORMAL_FRAME[frame]
-    return Item(message.command, frame, params, x / _SCALE, y / _SCALE, message.z, raw)
+    height = message.z
+    if kind == mav.MAV_MISSION_TYPE_FENCE:  # of a fence nothing else is kept
+        frame, height, params = mav.MAV_FRAME_GLOBAL, 0.0, (message.param1, 0.0, 0.0, 0.0)
+    return Item(message.command, frame, params, x / _SCALE, y / _SCALE, height, raw)

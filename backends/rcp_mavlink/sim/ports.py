@@ -8,6 +8,7 @@ from collections.abc import AsyncGenerator, Callable
 from contextlib import asynccontextmanager
 from typing import Any
 
+from rcp_mavlink.sim.faults import Faults
 from rcp_mavlink.sim.peer import Peer
 from rcp_mavlink.sim.vehicle import Vehicle
 
@@ -26,9 +27,21 @@ class Twin:
         self.ports: list[tuple[str, int]] = []
         """The addresses it is reached at, in the order they were asked for."""
         self.peers: list[Peer] = []
-        self.muted = False
-        """Nothing goes in or out: the radio is dead."""
         self.on_reboot: list[Callable[[], None]] = []
+
+    @property
+    def faults(self) -> Faults:
+        """What a test breaks of it."""
+        return self.vehicle.faults
+
+    @property
+    def muted(self) -> bool:
+        """Whether nothing goes in or out: the radio is dead."""
+        return self.faults.uplink_cut and self.faults.downlink_cut
+
+    @muted.setter
+    def muted(self, value: bool) -> None:
+        self.faults.uplink_cut = self.faults.downlink_cut = value
 
     def join(self, send_bytes: Callable[[bytes], None]) -> Peer:
         """Add one to talk to."""
@@ -36,11 +49,13 @@ class Twin:
         loop = asyncio.get_running_loop()
 
         def send(frame: bytes) -> None:
-            if self.muted:
-                return
-            if latency:
-                loop.call_later(latency, send_bytes, frame)
-            else:
+            if not latency:
+                send_bytes(frame)
+            elif not self.faults.downlink_cut:
+                loop.call_later(latency, arrive, frame)
+
+        def arrive(frame: bytes) -> None:
+            if not self.faults.downlink_cut:  # cut meanwhile
                 send_bytes(frame)
 
         peer = Peer(self.vehicle, send)
@@ -112,7 +127,7 @@ class _Udp(asyncio.DatagramProtocol):
             self._peer(self._calls)
 
     def datagram_received(self, data: bytes, addr: Any) -> None:
-        if not self._twin.muted:
+        if not self._twin.faults.uplink_cut:
             self._heard[addr] = time.monotonic()
             self._peer(addr).feed(data, datagram=True)
 
@@ -139,7 +154,7 @@ class _Tcp(asyncio.Protocol):
         self._transport.abort()
 
     def data_received(self, data: bytes) -> None:
-        if self._peer is not None and not self._twin.muted:
+        if self._peer is not None:
             self._peer.feed(data)
 
     def connection_lost(self, exc: Exception | None) -> None:

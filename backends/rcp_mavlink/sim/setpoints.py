@@ -14,6 +14,9 @@ __all__ = ["take"]
 _QUICKEST = 1e3  # m/s
 _NO_PLACE, _NO_VELOCITY = 0b111, 0b111000
 _NO_YAW, _NO_YAW_RATE = 1 << 10, 1 << 11
+_NO_RATES, _NO_THRUST, _NO_ATTITUDE = 0b111, 1 << 6, 1 << 7
+_UNIT = 1e-3  # by which the length of a quaternion may differ from 1
+_THRUST_AS_THRUST = 1 << 3  # of GUID_OPTIONS
 _BODY_FRAMES = frozenset({8, 9, 12})
 _OFFSET_FRAMES = frozenset({7, 9})
 
@@ -31,18 +34,29 @@ def take(vehicle: Vehicle, message: Any) -> None:
 
 
 def _attitude(vehicle: Vehicle, message: Any) -> None:
+    """Hold an attitude; the yaw in it is absolute, and thrust is a rate of climb."""
     w, x, y, z = message.q
-    thrust = message.thrust
-    if not all(map(math.isfinite, (w, x, y, z, thrust))) or not 0 <= thrust <= 1:
+    mask, thrust = message.type_mask, message.thrust
+    rates = mask & _NO_RATES
+    if mask & (_NO_THRUST | _NO_ATTITUDE) or rates not in (0, _NO_RATES):
+        return
+    if not math.isfinite(thrust) or not abs(math.hypot(w, x, y, z) - 1) <= _UNIT:
         return
     roll = math.atan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
     pitch = math.asin(max(-1.0, min(1.0, 2 * (w * y - z * x))))
     yaw = math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
     most = math.radians(vehicle.params["ANGLE_MAX"] / 100)
-    pilot = vehicle.pilot
-    pilot.attitude = (max(-most, min(most, roll)), max(-most, min(most, pitch)), thrust)
-    pilot.yaw, pilot.yaw_rate = yaw, 0.0
-    vehicle.flight.follow()
+    lean = (max(-most, min(most, roll)), max(-most, min(most, pitch)))
+    vehicle.flight.follow("attitude")
+    pilot, limits, thrust = vehicle.pilot, vehicle.pilot.limits, max(0.0, min(1.0, thrust))
+    pilot.yaw, pilot.yaw_rate, pilot.looks = yaw, 0.0, False
+    pilot.place = None
+    if int(vehicle.params["GUID_OPTIONS"]) & _THRUST_AS_THRUST:
+        pilot.attitude, pilot.lean = (*lean, thrust), None
+        return
+    climb = 2 * (thrust - 0.5) * (limits.up if thrust > 0.5 else limits.down)
+    pilot.attitude, pilot.lean = None, lean
+    pilot.depth, pilot.sinking = None, -climb
 
 
 def _place_or_velocity(vehicle: Vehicle, message: Any) -> None:
@@ -65,17 +79,18 @@ def _place_or_velocity(vehicle: Vehicle, message: Any) -> None:
         vd = message.vz
         if not all(abs(part) <= _QUICKEST for part in (vn, ve, vd)):
             return
-        pilot.attitude = None
+        pilot.attitude = pilot.lean = None
         pilot.velocity = (vn, ve)
         if not place:
+            vehicle.flight.follow("velocity")
             pilot.place, pilot.depth, pilot.sinking = None, None, vd
-            vehicle.flight.follow()
+            pilot.looks = vehicle.flight.looks
     if not (math.isfinite(message.yaw) and math.isfinite(message.yaw_rate)):
         return
     if not mask & _NO_YAW:
-        pilot.yaw, pilot.yaw_rate = message.yaw, 0.0
+        pilot.yaw, pilot.yaw_rate, pilot.looks = message.yaw, 0.0, False
     elif not mask & _NO_YAW_RATE:
-        pilot.yaw_rate = message.yaw_rate
+        pilot.yaw_rate, pilot.looks = message.yaw_rate, False
 
 
 def _turned(vehicle: Vehicle, frame: int, x: float, y: float) -> tuple[float, float]:

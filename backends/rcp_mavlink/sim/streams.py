@@ -78,7 +78,7 @@ class Streams:
             if wall < due:
                 continue
             self._due[number] = due + seconds if wall - due < seconds else wall + seconds
-            message = MAKERS[number](self._vehicle)
+            message = self._vehicle.measure(number)
             if message is not None:
                 found.append(message)
         return found

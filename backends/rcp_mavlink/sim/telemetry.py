@@ -119,6 +119,11 @@ def _local(v: Vehicle) -> Any:
 
 def _global(v: Vehicle) -> Any:
     n, e, d, *speeds = _estimate(v)
+    if v.position_ok:
+        v.seen_at = (n, e)
+    else:  # as the real one: where it was last, and at rest over ground, whatever it does
+        n, e = v.seen_at
+        speeds[:2] = (0.0, 0.0)
     lat, lon = shifted(n, e, v.origin[:2]) if v.home is not None else (0.0, 0.0)
     height = v.origin[2] - d
     over_home = height - (v.home or v.origin)[2]
@@ -131,7 +136,7 @@ def _global(v: Vehicle) -> Any:
 
 def _hud(v: Vehicle) -> Any:
     b = v.body
-    speed = math.hypot(b.vn, b.ve)
+    speed = math.hypot(b.vn, b.ve) if v.position_ok else 0.0
     air = math.hypot(b.vn - b.wind_n, b.ve - b.wind_e)
     heading = round(math.degrees(b.yaw)) % 360
     return mav.MAVLink_vfr_hud_message(

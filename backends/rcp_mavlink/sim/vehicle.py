@@ -10,6 +10,7 @@ from rcp_mavlink.geo import offset, shifted
 from rcp_mavlink.sim.arming import complaints, mode_complaint
 from rcp_mavlink.sim.crafts import body_of, flight_of, pilot_of
 from rcp_mavlink.sim.failsafes import Failsafes
+from rcp_mavlink.sim.faults import Faults
 from rcp_mavlink.sim.fence import Fence
 from rcp_mavlink.sim.files import Files
 from rcp_mavlink.sim.flightlog import FlightLog
@@ -30,6 +31,7 @@ __all__ = ["STEP", "Vehicle"]
 STEP = 0.005  # s, of the simulation
 _STORM = 60.0  # m/s
 _CHATTER = 30.0  # s between two complaints before arming
+_WHILE_LANDING = 1 << 3  # of FS_OPTIONS
 _FORCE = (21196.0, 2989.0)
 _BOOT = (
     (0.05, "EKF3 IMU0 initialised"),
@@ -56,6 +58,8 @@ class Vehicle:
         self.origin = options.home
         self.log = FlightLog()
         self.files = Files(self)
+        self.faults = Faults()
+        """What a test breaks; stays over a reboot."""
         self._boot(math.radians(options.heading))
 
     def _boot(self, heading: float) -> None:
@@ -68,6 +72,9 @@ class Vehicle:
         self.pilot.yaw = heading
         self.battery = Battery(self.options.capacity, self.options.charge)
         self.home: tuple[float, float, float] | None = None
+        self._said: dict[int, Any] = {}
+        self.seen_at = (0.0, 0.0)
+        """North and east, m, where its position was known last."""
         self.armed = False
         self.armed_for = 0.0
         self.failsafes = Failsafes(self)
@@ -142,6 +149,13 @@ class Vehicle:
         for tell in self.tell:
             tell(message)
 
+    def measure(self, number: int) -> Any:
+        """Make a message that tells how it is, by its id; None: there is none now."""
+        told = self.faults.telemetry
+        if told == "live" or number == mav.MAVLINK_MSG_ID_HEARTBEAT:
+            self._said[number] = MAKERS[number](self)
+        return None if told == "silent" and number else self._said.get(number)
+
     # What is done with it
 
     def set_custom_mode(self, number: int) -> bool:
@@ -206,20 +220,27 @@ class Vehicle:
         if number == mav.MAV_CMD_DO_SET_HOME:
             self.set_home(None if params[0] == 1 else place)
 
-    def failsafe(self, why: str, *, return_home: bool) -> None:
-        """Come back, or down where the way back is not known; the real one's words say what."""
-        if not self.kind.flies:
-            done = Mode.RTL if return_home and self.position_ok else self.kind.down
-        elif self.body.landed:
+    def failsafe(self, why: str, *, return_home: bool, to: Mode | None = None) -> None:
+        """Come back, or down where the way back is not known; the real one's words say what.
+
+        `to` is a mode for it, where that can be entered.
+        """
+        goes_on = self.kind.name != "copter" or int(self.params["FS_OPTIONS"]) & _WHILE_LANDING
+        if self.kind.flies and self.body.landed:
             self.say(4, f"{why} Failsafe - Disarming")
             self.disarm()
             return
-        elif self.flight.landing:
+        if self.kind.flies and self.flight.landing and goes_on:
             self.say(4, f"{why} Failsafe - Continuing Landing")
             return
-        else:
-            done = Mode.RTL if return_home and self.position_ok else self.kind.down
         self.say(4, f"{why} Failsafe")
+        self.retreat(return_home=return_home, to=to)
+
+    def retreat(self, *, return_home: bool, to: Mode | None = None) -> None:
+        """Enter the mode of a failsafe, or of a crossed fence."""
+        done = Mode.RTL if return_home and self.position_ok else self.kind.down
+        if to is not None and self.flight.refusal(to) is None:
+            done = to
         if self.flight.mode is not done:
             self.flight.enter(done)
 
@@ -232,14 +253,18 @@ class Vehicle:
         while self._left >= STEP:
             self._left -= STEP
             self._step(STEP)
-        self._watch_over(real * self.options.speed)
+        if not self.faults.frozen:
+            self._watch_over(real * self.options.speed)
 
     def _step(self, dt: float) -> None:
         self.time += dt
         if self.armed:
             self.armed_for += dt
-        self.flight.step(dt)
-        self.pilot.step(dt)
+        if not self.faults.frozen:
+            self.flight.step(dt)
+            self.pilot.step(dt)
+        if self.faults.powerless:
+            self.body.cut_power()
         self.body.step(dt)
         self.battery.step(dt, self.body.throttle, armed=self.armed)
         self.log.step(self, dt)

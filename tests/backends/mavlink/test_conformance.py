@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import math
 from collections.abc import AsyncGenerator, Mapping, Sequence
 from contextlib import asynccontextmanager, suppress
@@ -19,8 +20,9 @@ from backends.mavlink.flying import (
     speed,
     twin,
 )
+from backends.mavlink.relay import COMMAND_ACK, HEARTBEAT, Relay, commander, relay
 from rcp_kernel.errors import RcpError
-from rcp_kernel.testing import BackendSuite, Goal, eventually
+from rcp_kernel.testing import BackendSuite, Goal, StopRig, StopSuite, eventually
 from rcp_mavlink.files import FileWrite, Remove
 from rcp_mavlink.sim import Twin, Vehicle
 from rcp_mavlink.sim.modes import Mode
@@ -28,23 +30,29 @@ from rcp_mavlink.sim.plans import Item
 
 PARAMS = ("WPNAV_SPEED", "RTL_ALT", "GUID_TIMEOUT")
 LAT, LON = -35.3632621, 149.1652374
+HEADING, KEPT = 90.0, 0.05  # deg that it looks to at first, rad by which it may stray from it
+GUIDED = 4
 HERE = Item(16, 3, (0.0, 0.0, 0.0, 0.0), LAT, LON, 20.0, (round(LAT * 1e7), round(LON * 1e7)))
 FLOWN = msgspec.structs.replace(HERE, params=(2.0, 0.0, 0.0, 0.0))
 SCRIPT, MOVED, MADE = "/APM/scripts/a.lua", "/APM/scripts/b.lua", "/APM/made"
 LONG = msgspec.structs.replace(HERE, params=(900.0, 0.0, 0.0, 0.0))
 
 
-class TestMavlink(BackendSuite):
+class MavlinkRig(StopRig):
     kind = next(iter(rcp_mavlink.rcp_backends()))
     complete_within = 20.0
     cancel_within = 5.0
     device: Twin
+    relay: Relay
 
     @asynccontextmanager
     async def twin(self) -> AsyncGenerator[Twin]:
-        async with twin(latency=0.06) as running:
+        async with (
+            twin(latency=0.06, heading=HEADING) as running,
+            relay(running.ports[0]) as self.relay,
+        ):
             airborne(running.vehicle)
-            self.link = f"udpout:127.0.0.1:{running.ports[0][1]}"
+            self.link = f"udpout:127.0.0.1:{self.relay.port}"
             yield running
 
     def table(self) -> Mapping[str, Any]:
@@ -73,10 +81,14 @@ class TestMavlink(BackendSuite):
                 ve * math.cos(yaw) - vn * math.sin(yaw),
             )
             return _rounded(x=x, y=-right, z=-pilot.sinking, yaw_rate=-pilot.yaw_rate)
-        if pilot.attitude is None:
+        if pilot.lean is None:
             return {}
-        roll, pitch, thrust = pilot.attitude
-        return _rounded(roll=roll, pitch=pitch, yaw=pilot.yaw, thrust=thrust)
+        (roll, pitch), limits = pilot.lean, pilot.limits
+        thrust = 0.5 - pilot.sinking / 2 / (limits.down if pilot.sinking > 0 else limits.up)
+        kept = abs(pilot.yaw - math.radians(HEADING)) < KEPT
+        return _rounded(roll=roll, pitch=pitch, thrust=thrust) | {
+            "yaw": None if kept else pilot.yaw
+        }
 
     def values(self, name: str) -> Sequence[Any]:
         return {
@@ -186,6 +198,50 @@ class TestMavlink(BackendSuite):
 
     async def mend_link(self) -> None:
         self.device.muted = False
+
+    async def freeze_device(self) -> None:
+        self.device.muted = True
+        self.vehicle.advance = _stand_still  # type: ignore[method-assign]
+
+    async def thaw_device(self) -> None:
+        del self.vehicle.advance
+        self.device.muted = False
+
+    async def freeze_feedback(self) -> None:
+        self.relay.down = lambda number: number in (HEARTBEAT, COMMAND_ACK)
+
+    async def thaw_feedback(self) -> None:
+        self.relay.down = lambda _: True
+
+    @asynccontextmanager
+    async def foreign_commander(self) -> AsyncGenerator[None]:
+        async with commander(self.device.ports[0]) as other:
+
+            async def command() -> None:
+                while True:  # who takes it away again and again, and leads it all the time
+                    other.mode(GUIDED)
+                    for _ in range(30):
+                        other.go(2000.0, 20.0)
+                        await asyncio.sleep(0.1)
+
+            task = asyncio.create_task(command())
+            try:
+                yield
+            finally:
+                task.cancel()
+                await asyncio.gather(task, return_exceptions=True)
+
+
+class TestMavlink(MavlinkRig, BackendSuite):
+    """What any backend owes."""
+
+
+class TestMavlinkStops(MavlinkRig, StopSuite):
+    """What any stop owes."""
+
+
+def _stand_still(_: float, __: float) -> None:
+    """Let no time pass."""
 
 
 def _silent(_: Any = None, *, fraction: float | None = None) -> None:

@@ -67,7 +67,10 @@ class Px4(Puppet):
         return 0
 
     def _reposition(self, command: Any) -> int:
-        assert command.get_type() == "COMMAND_INT"
+        if command.get_type() == "COMMAND_LONG":  # to nowhere: it pauses where it is
+            assert all(math.isnan(p) for p in (command.param5, command.param6, command.param7))
+            self.mode, self.goal = HOLD, None
+            return 0
         assert command.frame == 5
         self.mode = HOLD
         self.goal = ((command.x / 1e7 - LAT) * 111_319.49, 0.0, command.z - self.sea)
@@ -205,8 +208,10 @@ async def test_an_estop_makes_it_hold() -> None:
         await airborne(found, puppet)
         puppet.mode = MISSION
         async with asyncio.timeout(30):
-            await found.client.request("execute", "/system/estop", within=10.0)
+            stop = await found.client.request("execute", "/system/estop", within=10.0)
+        assert stop["status"] == "completed", stop
         assert puppet.mode == HOLD
+        assert puppet.commands(192), "HOLD alone does not end what goes to a place in HOLD"
 
 
 @given(

@@ -85,6 +85,29 @@ async def test_a_link_that_is_cut_ends_it_with_a_typed_error(action: str) -> Non
         await eventually(lambda: _is(not found.robot.vehicle.lost), "it is back by itself")
 
 
+@pytest.mark.parametrize(
+    ("action", "body"), [("arm", None), ("disarm", None), ("set_mode", {"mode": "LOITER"})]
+)
+async def test_a_link_that_is_lost_after_the_vehicle_has_said_yes_is_no_refusal(
+    action: str, body: Any
+) -> None:
+    """The motors may turn."""
+    puppet = Idle()
+    puppet.armed, puppet.landed = action == "disarm", 1
+    puppet.results = {176: lambda _: 0, 400: lambda _: 0}
+    async with station(puppet, silence=1.0) as found:
+        await eventually(lambda: _is(found.robot.vehicle.landed is True), "seen")
+        path = f"/tenant/t/action/{action}"
+        id_ = await found.client.send(type="execute", path=path, body=body)
+        while (await found.client.reply(id_, 5.0))["status"] != "in_progress":
+            continue
+        puppet.quiet = True
+        final = await found.client.final(id_, 6.0)
+        assert final["status"] == "failed", final
+        assert final["error"]["code"] == "adapter_unavailable", final
+        assert final["error"]["details"]["on_loss"] == "hold"
+
+
 @pytest.mark.parametrize("action", FLIGHTS)
 async def test_one_that_never_gets_there_ends_with_its_deadline_and_holds(action: str) -> None:
     puppet = Idle()

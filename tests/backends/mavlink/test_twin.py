@@ -222,7 +222,7 @@ def test_outside_the_fence_it_comes_back_and_a_target_there_is_refused() -> None
     station = Station(parameters={"FENCE_RADIUS": 30, "FENCE_ENABLE": 1})
     station.fly()
     lat, lon, _ = station.vehicle.origin
-    assert station.reposition(lat + 1e-3, lon, 10) == DENIED
+    assert station.reposition(lat + 1e-3, lon, 10) == FAILED
     station.vehicle.flight.aim((80.0, 0.0), -10.0)
     station.until(lambda: station.vehicle.flight.mode is Mode.RTL)
     assert "Circle fence breached" in station.texts
@@ -239,7 +239,7 @@ def test_an_uploaded_polygon_fences_in() -> None:
     assert upload(station, items, 1) == 0
     station.fly()
     assert station.reposition(lat + 1e-4, lon, 10) == OK
-    assert station.reposition(lat + 3e-4, lon, 10) == DENIED
+    assert station.reposition(lat + 3e-4, lon, 10) == FAILED
 
 
 def test_without_its_station_it_comes_home_only_if_it_is_told_to() -> None:

@@ -48,6 +48,10 @@ class Quad(Body):
         """Return what the motors are told, µs."""
         return [round(1000 + 1000 * max(m, 0.1)) if armed else 1000 for m in self.motors()]
 
+    def cut_power(self) -> None:
+        """Have its motors give nothing for the next step."""
+        self.want_thrust = 0.0
+
     def step(self, dt: float) -> None:
         """Let `dt` seconds pass; 5 ms at most, or the attitude loop rings."""
         self._turn(dt)

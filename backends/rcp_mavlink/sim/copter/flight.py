@@ -21,6 +21,8 @@ _BY_STICK = (Mode.STABILIZE, Mode.ALT_HOLD, Mode.LOITER, Mode.POSHOLD)
 class CopterFlight(Flight):
     """The flight of a copter."""
 
+    paced = frozenset({Mode.GUIDED, Mode.AUTO, Mode.RTL})
+
     def __init__(self, vehicle: Vehicle) -> None:
         super().__init__(vehicle)
         self._waited = 0.0
@@ -36,6 +38,11 @@ class CopterFlight(Flight):
         self.radius = max(0.5, p["WPNAV_RADIUS"] / 100)
         self.patience = p["GUID_TIMEOUT"]
 
+    @property
+    def looks(self) -> bool:
+        """Whether it turns to where it goes to, unless it is told otherwise."""
+        return bool(self._vehicle.params["WP_YAW_BEHAVIOR"])
+
     def refusal(self, mode: Mode) -> str | None:
         """Say why a mode cannot be entered now; None: it can."""
         vehicle = self._vehicle
@@ -50,6 +57,7 @@ class CopterFlight(Flight):
         ready = vehicle.armed and vehicle.body.landed and self.mode is Mode.GUIDED
         if not ready or not math.isfinite(height) or height <= 0:
             return False
+        self._become("takeoff")
         self.lift(height)
         return True
 

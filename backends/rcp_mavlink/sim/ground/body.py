@@ -44,6 +44,10 @@ class Hull(Body):
         drive = max(-1.0, min(1.0, self.want_speed / _FASTEST))
         return [round(1500 + 400 * turn), 0, round(1500 + 400 * drive)]
 
+    def cut_power(self) -> None:
+        """Have its motors give nothing for the next step."""
+        self.want_speed = 0.0
+
     def step(self, dt: float) -> None:
         """Let `dt` seconds pass."""
         motor, rudder = (_BOAT_LAG, _BOAT_TURN_LAG) if self._floats else (_MOTOR_LAG, _TURN_LAG)

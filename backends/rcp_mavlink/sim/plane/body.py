@@ -53,6 +53,10 @@ class Wing(Body):
         bank, path = self.want_bank - self.roll, self.want_path - self._path
         return [round(1500 + 400 * clip(bank, 1)), round(1500 + 400 * clip(path, 1)), power, 1500]
 
+    def cut_power(self) -> None:
+        """Have its motors give nothing for the next step."""
+        self.want_power = 0.0
+
     def step(self, dt: float) -> None:
         """Let `dt` seconds pass."""
         wanted = min(1.0, max(0.0, self.want_power))

@@ -1,0 +1,52 @@
+"""The fence on board, for errors: an autopilot refuses what lies outside it without a word."""
+
+from __future__ import annotations
+
+from rcp_mavlink.geo import distance
+from rcp_mavlink.parameters import Parameters
+from rcp_mavlink.vehicle import Vehicle
+
+__all__ = ["crossing", "is_breached", "is_enabled"]
+
+_GEOFENCE = 1 << 20  # of SYS_STATUS
+_CEILING, _CIRCLE, _POLYGON, _FLOOR = 1, 2, 4, 8  # of FENCE_TYPE
+
+
+def is_enabled(vehicle: Vehicle) -> bool:
+    """Tell whether the vehicle says that its fence is on."""
+    return bool(_bits(vehicle, "enabled"))
+
+
+def is_breached(vehicle: Vehicle) -> bool:
+    """Tell whether the vehicle says that it is outside its fence."""
+    return is_enabled(vehicle) and not _bits(vehicle, "health")
+
+
+def _bits(vehicle: Vehicle, which: str) -> int:
+    frame = vehicle.latest.get("SYS_STATUS")
+    fields = {} if frame is None else frame.fields()
+    return fields.get(f"onboard_control_sensors_{which}", 0) & _GEOFENCE
+
+
+def crossing(
+    vehicle: Vehicle, parameters: Parameters, place: tuple[float, float], height: float
+) -> str | None:
+    """Say which fence a place (deg) at a height over home (m) is outside of; None: of none known."""
+
+    def value(name: str) -> float | None:
+        known = parameters.known.get(name)
+        return None if known is None else known.value
+
+    if not is_enabled(vehicle):
+        return None
+    given, home = value("FENCE_TYPE"), vehicle.home
+    kinds = _CEILING | _CIRCLE | _POLYGON if given is None else int(given)
+    ceiling, floor = value("FENCE_ALT_MAX"), value("FENCE_ALT_MIN")
+    radius, away = value("FENCE_RADIUS"), 0.0 if home is None else distance(place, home[:2])
+    if kinds & _CEILING and ceiling is not None and height > ceiling:
+        return f"{height:g} m over home is above the fence, FENCE_ALT_MAX {ceiling:g} m"
+    if kinds & _FLOOR and floor is not None and height < floor:
+        return f"{height:g} m over home is below the fence, FENCE_ALT_MIN {floor:g} m"
+    if kinds & _CIRCLE and radius is not None and away > radius:
+        return f"{away:.0f} m from home is outside the fence, FENCE_RADIUS {radius:g} m"
+    return "its fence is enabled, and the place probably outside it" if kinds & _POLYGON else None

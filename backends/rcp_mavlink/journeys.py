@@ -1,0 +1,253 @@
+"""Going to a place at a speed and with a heading: each verified by what the telemetry shows."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import time
+from collections.abc import AsyncGenerator, Callable, Generator
+from contextlib import asynccontextmanager, contextmanager, suppress
+
+from rcp_kernel.errors import (
+    DeviceRejected,
+    DeviceTimeout,
+    InvalidValue,
+    OutOfRange,
+    PreconditionFailed,
+    RcpError,
+)
+from rcp_kernel.spi import Progress
+from rcp_mavlink import messages as m
+from rcp_mavlink.commands import Command, Commands
+from rcp_mavlink.fences import crossing, is_breached
+from rcp_mavlink.geo import distance
+from rcp_mavlink.motion import Motion, unanswered
+from rcp_mavlink.pace import Pace
+from rcp_mavlink.parameters import Parameters
+from rcp_mavlink.places import away, fix_of, located, part, place_of, reach
+from rcp_mavlink.vehicle import Fix, Vehicle
+
+__all__ = ["Journeys", "holding"]
+
+_CHANGE_MODE = 1.0
+_RELATIVE, _ABSOLUTE = 6, 5
+_REPOSITION, _CHANGE_SPEED, _CONDITION_YAW = 192, 178, 115
+_AIRSPEED, _GROUNDSPEED = 0.0, 1.0
+_LEVEL = 10.0  # m over or under it, for a plane
+_USUAL = {
+    "rover": (("WP_SPEED", 1.0), ("CRUISE_SPEED", 1.0)),
+    "boat": (("WP_SPEED", 1.0), ("CRUISE_SPEED", 1.0)),
+    "plane": (("AIRSPEED_CRUISE", 1.0), ("TRIM_ARSPD_CM", 0.01)),
+    "vtol": (("AIRSPEED_CRUISE", 1.0), ("TRIM_ARSPD_CM", 0.01)),
+}
+_USUAL_HOVERING = (("WPNAV_SPEED", 0.01), ("WP_SPD", 1.0))
+"""Parameters with the speed on the way, and what makes m/s of them."""
+_LEAST = ("AIRSPEED_MIN", "ARSPD_FBW_MIN")
+_MOST = ("AIRSPEED_MAX", "ARSPD_FBW_MAX")
+
+
+class Journeys:
+    """Where one vehicle goes to in the mode in which it is told."""
+
+    def __init__(
+        self, vehicle: Vehicle, commands: Commands, motion: Motion, parameters: Parameters
+    ) -> None:
+        self._vehicle, self._commands = vehicle, commands
+        self._motion, self._parameters = motion, parameters
+        self._paced = False
+        """Whether a speed of a journey before may still be in force."""
+
+    async def move_to(self, goal: m.MoveTo, progress: Progress) -> m.Arrived:
+        """Go to a place and stay there; a plane circles round it."""
+        vehicle, fix, family = self._vehicle, await located(self._vehicle), self._vehicle.family
+        if family.flies and vehicle.landed is not False:
+            raise PreconditionFailed(
+                "move_to: the vehicle is not in the air", remedy="Arm it and take off first."
+            )
+        if family.drives and not vehicle.armed:
+            raise PreconditionFailed("move_to: the vehicle is not armed", remedy="Arm it first.")
+        self._check(goal)
+        lat, lon = place_of(vehicle, goal, fix)
+        altitude = fix.height if goal.altitude is None or family.drives else goal.altitude
+        way = max(away(vehicle, fix, lat, lon, altitude), 0.1)
+        pace = Pace(vehicle, goal.speed, goal.yaw)
+
+        def tell() -> bool:
+            now = fix_of(vehicle)
+            left = away(vehicle, now, lat, lon, altitude)
+            progress(m.OnItsWay(left, now.height, vehicle.mode), fraction=part(way - left, way))
+            fresh = vehicle.came["GLOBAL_POSITION_INT"] > since
+            there = fresh and self._arrived(now, lat, lon, altitude, goal.tolerance)
+            return pace.look(there=there)
+
+        async with holding(self._motion):
+            await self._prepare(goal, fix)
+            since = time.monotonic()
+            async with self._stopping(DeviceTimeout):  # it may have taken it all the same
+                with self._explained((lat, lon), altitude), unanswered(tell):
+                    await self._go(goal, fix, lat, lon, altitude)
+            async with self._stopping(RcpError):
+                await self._follow(goal, pace, tell)
+        now = fix_of(vehicle)
+        error = away(vehicle, now, lat, lon, altitude)
+        return m.Arrived(now.lat, now.lon, now.height, error, pace.fastest, pace.heading)
+
+    async def _follow(self, goal: m.MoveTo, pace: Pace, tell: Callable[[], bool]) -> None:
+        """Wait until it is there; end it where it is not as it was asked for."""
+        vehicle, guided = self._vehicle, self._vehicle.family.guided
+        if goal.yaw is not None and not vehicle.family.px4:
+            await self._turn(goal.yaw)  # a new place has it look where it goes to
+        await self._motion.seen(lambda: vehicle.mode == guided, "move_to")
+
+        def stays() -> bool:
+            return vehicle.mode == guided and pace.fault is None
+
+        try:
+            await self._motion.follow(tell, "move_to", stays=stays)
+        except DeviceRejected as error:
+            raise self._failure(pace, error) from None
+
+    def _check(self, goal: m.MoveTo) -> None:
+        """Refuse what the vehicle could not do, before anything moves.
+
+        :raises InvalidValue: it has no heading of its own, or does not fly that fast or slow.
+        """
+        family = self._vehicle.family
+        if goal.yaw is not None and (family.drives or family.circles):
+            raise InvalidValue(
+                f"move_to: a {family.kind} looks where it goes to, and takes no yaw",
+                remedy="Leave `yaw` out.",
+                details={"pointer": "/yaw"},
+            )
+        if goal.speed is not None and family.circles and not family.px4:
+            least, most = self._value(_LEAST) or 0.0, self._value(_MOST) or math.inf
+            if not least <= goal.speed <= most:
+                raise OutOfRange(
+                    f"move_to: its airspeed is {least:g} to {most:g} m/s, not {goal.speed:g}",
+                    details={"pointer": "/speed"},
+                )
+
+    def _value(self, names: tuple[str, ...]) -> float | None:
+        known = (self._parameters.known.get(name) for name in names)
+        return next((parameter.value for parameter in known if parameter is not None), None)
+
+    # The commands
+
+    async def _prepare(self, goal: m.MoveTo, fix: Fix) -> None:
+        """Have ArduPilot take speed and heading while it stays where it is.
+
+        It reads neither of DO_REPOSITION, and forgets both when it begins to go to places. So it
+        is brought to that first, at the place where it is; what it refuses, it refuses at rest.
+        """
+        vehicle, family = self._vehicle, self._vehicle.family
+        if family.px4:
+            return
+        self._paced = self._paced and vehicle.mode == family.guided
+        speed = self._usual() if goal.speed is None and self._paced else goal.speed
+        if speed is None and goal.yaw is None:
+            return
+        if family.circles:
+            await self._motion.to_mode(family.guided, surely=True)
+        else:
+            with self._explained((fix.lat, fix.lon), fix.height):
+                await self._reposition(fix.lat, fix.lon, fix.height)
+            await self._motion.seen(lambda: vehicle.mode == family.guided, "move_to")
+        if speed is not None:
+            kind = _AIRSPEED if family.circles else _GROUNDSPEED
+            command = Command(_CHANGE_SPEED, (kind, speed, -1.0, 0.0))
+            await self._commands.send(command, f"move_to: speed {speed:g} m/s")
+            self._paced = goal.speed is not None
+        if goal.yaw is not None:
+            await self._turn(goal.yaw)
+
+    def _usual(self) -> float | None:
+        """Return the speed that its parameters say, m/s; None: they are not known."""
+        for name, factor in _USUAL.get(self._vehicle.family.kind, _USUAL_HOVERING):
+            if value := self._value((name,)):
+                return value * factor
+        return None
+
+    async def _turn(self, yaw: float) -> None:
+        """Turn to a heading, rad clockwise from north; the command takes 0 to 360 deg."""
+        degrees = math.degrees(yaw) % 360
+        await self._commands.send(Command(_CONDITION_YAW, (degrees, 0.0, 0.0, 0.0)), "move_to: yaw")
+
+    async def _go(self, goal: m.MoveTo, fix: Fix, lat: float, lon: float, altitude: float) -> None:
+        if not self._vehicle.family.px4:
+            await self._reposition(lat, lon, altitude)
+            return
+        speed = -1.0 if goal.speed is None else goal.speed
+        yaw = math.nan if goal.yaw is None else goal.yaw  # NaN: the heading that it has
+        height = altitude + fix.above_sea - fix.height
+        await self._reposition(lat, lon, height, speed, yaw, _ABSOLUTE)
+
+    async def _reposition(
+        self, lat: float, lon: float, height: float, speed: float = -1.0, yaw: float = 0.0, frame: int = _RELATIVE
+    ) -> None:  # fmt: skip
+        params = (speed, _CHANGE_MODE, 0.0, yaw)
+        command = Command(_REPOSITION, params, lat, lon, height, frame, place=True, whole=True)
+        await self._commands.send(command, "move_to")
+
+    def _arrived(self, fix: Fix, lat: float, lon: float, altitude: float, near: float) -> bool:
+        vehicle = self._vehicle
+        if not vehicle.family.circles:
+            return away(vehicle, fix, lat, lon, altitude) <= near
+        level = abs(fix.height - altitude) <= max(near, _LEVEL)
+        flat = distance((fix.lat, fix.lon), (lat, lon))
+        return level and flat <= reach(vehicle, self._parameters, near)
+
+    # What goes wrong
+
+    @asynccontextmanager
+    async def _stopping(self, of: type[RcpError]) -> AsyncGenerator[None]:
+        """Have it hold where it is when the journey fails so while it may go there.
+
+        Not where something else has taken it away: a failsafe, somebody at the sticks.
+        """
+        try:
+            yield
+        except of:
+            if self._vehicle.mode == self._vehicle.family.guided and not self._vehicle.lost:
+                with suppress(RcpError, TimeoutError):
+                    await self._motion.shielded(self._motion.hold)
+            raise
+
+    @contextmanager
+    def _explained(self, place: tuple[float, float], height: float) -> Generator[None]:
+        """Say of a refusal without words which fence stands in the way."""
+        try:
+            yield
+        except DeviceRejected as error:
+            known = error.details or {}
+            silent = not known.get("texts")
+            why = crossing(self._vehicle, self._parameters, place, height) if silent else None
+            if why is None:
+                raise
+            raise DeviceRejected(
+                f"{error}: {why}",
+                remedy="Choose a place inside the fence; service/fence/download and param/FENCE_* "
+                "say where it is.",
+                details={**known, "fence": why},
+            ) from None
+
+    def _failure(self, pace: Pace, error: DeviceRejected) -> DeviceRejected:
+        """Return what a journey fails with that ended on its way."""
+        if pace.fault is not None:
+            return DeviceRejected(
+                f"move_to: {pace.fault}; the vehicle was told to hold", details=error.details
+            )
+        if is_breached(self._vehicle) and "fence" not in str(error).lower():
+            return DeviceRejected(
+                f"{error}: the vehicle is outside its fence", details=error.details
+            )
+        return error
+
+
+@asynccontextmanager
+async def holding(motion: Motion) -> AsyncGenerator[None]:
+    """Have it hold where it is when the command is cancelled."""
+    try:
+        yield
+    except asyncio.CancelledError:
+        await motion.shielded(motion.hold)
+        raise

@@ -1,0 +1,54 @@
+"""The steps of a stop, the strongest first: what is tried when the autopilot refuses the one before."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Literal, NamedTuple
+
+from rcp_mavlink.flightmodes import Family
+
+__all__ = ["LOITER", "Group", "Rung", "ladder"]
+
+Group = Literal["hold", "level", "land", "disarm", "terminate"]
+
+
+class Rung(NamedTuple):
+    """One step of a stop."""
+
+    group: Group
+    mode: str
+    """The flight mode it commands; empty for those that stop the motors."""
+    rests: Literal["still", "landed", "disarmed"]
+    """What telemetry has to show."""
+
+    @property
+    def word(self) -> str:
+        """What it is called in messages and in the log."""
+        return self.mode or _WORDS[self.group]
+
+
+_WORDS = {
+    "hold": "NAV_LOITER_UNLIM", "disarm": "forced disarm", "terminate": "flight termination"
+}  # fmt: skip
+LOITER = Rung("hold", "", "still")
+"""For an autopilot whose modes are not known: no mode ever proves that it holds."""
+
+
+def ladder(groups: Sequence[str], family: Family, *, hovering: bool) -> list[Rung]:
+    """List the steps of some groups for one kind of vehicle; those it has not are left out."""
+    rungs: list[Rung] = []
+    for group in dict.fromkeys(groups):
+        match group:
+            case "hold":
+                modes = family.holding(hovering=hovering)
+                rungs += [Rung("hold", mode, "still") for mode in modes]
+            case "level":
+                modes = family.level(hovering=hovering)
+                rungs += [Rung("level", mode, "still") for mode in modes]
+            case "land":
+                rungs += [Rung("land", family.land, "landed")] if family.land else []
+            case "disarm":
+                rungs.append(Rung("disarm", "", "disarmed"))
+            case _:
+                rungs.append(Rung("terminate", "", "disarmed"))
+    return rungs

@@ -1,0 +1,188 @@
+"""What the telemetry of one vehicle proves about its motion, and how old each proof is."""
+
+from __future__ import annotations
+
+import math
+import time
+
+from rcp_kernel.errors import PreconditionFailed
+from rcp_kernel.spi import MotionState
+from rcp_mavlink.config import MavlinkConfig
+from rcp_mavlink.ladder import Rung
+from rcp_mavlink.vehicle import Vehicle
+
+__all__ = ["AT_REST", "Measurement"]
+
+AT_REST = 0.35  # m/s; a copter that holds its place in wind stays below it
+_MOVES = 0.5  # m/s from which one that rested moves again: a gust is no movement
+_SETTLED = 1.0  # s that it has to be still: a copter that brakes swings back once
+_POSITIONS = ("GLOBAL_POSITION_INT", "LOCAL_POSITION_NED")
+_HEARTBEAT_LATE = 2.5  # s: two of those that come once a second
+_LANDED_LATE = 2.0  # s: four of those that are asked for twice a second
+_ESTIMATOR_LATE = 5.0  # s, after which its last report says nothing any more
+_VELOCITY_HORIZONTAL, _CONSTANT_POSITION = 2, 128
+"""EKF_STATUS_FLAGS: ArduPilot sends zeros, or its last estimate, as a position it does not have."""
+
+
+class Measurement:
+    """The motion of one vehicle, by messages that are young enough to be believed."""
+
+    def __init__(self, vehicle: Vehicle, config: MavlinkConfig) -> None:
+        self._vehicle = vehicle
+        self._silence = max(config.silence, _HEARTBEAT_LATE)
+        self.limit = config.feedback_limit
+        """Seconds after which a position proves nothing any more."""
+        self.doubtful_since = -math.inf
+        """What came before is not believed: nobody knows what happened to it meanwhile."""
+        self._still_since: float | None = None
+        self._looked = -math.inf
+
+    def age(self, message: str) -> float:
+        """Return how long ago a message came, s."""
+        came = self._vehicle.came.get(message, -math.inf)
+        return math.inf if came < self.doubtful_since else time.monotonic() - came
+
+    # Its state, by heartbeats
+
+    @property
+    def heard(self) -> bool:
+        """Whether its mode and its armed bit are known."""
+        return not self._vehicle.lost and self.age("HEARTBEAT") <= self._silence
+
+    @property
+    def disarmed(self) -> bool:
+        """Whether it is known to be disarmed."""
+        return self.heard and not self._vehicle.armed
+
+    @property
+    def standing(self) -> bool:
+        """Whether it is known to stand on the ground."""
+        return self._vehicle.landed is True and self.age("EXTENDED_SYS_STATE") <= _LANDED_LATE
+
+    # Its motion
+
+    def take_position(self) -> None:
+        """See with each position whether it is still, and since when."""
+        now, speed, since = time.monotonic(), self.speed, self._still_since
+        gap = now - self._looked > self.limit or (since is not None and since < self.doubtful_since)
+        settled = since is not None and now - since >= _SETTLED
+        self._looked = now
+        if speed is None or speed >= (_MOVES if settled else AT_REST):
+            self._still_since = None
+        elif since is None or gap:
+            self._still_since = now
+
+    @property
+    def still_for(self) -> float:
+        """Seconds for which it has been still, by every position that came."""
+        since = self._still_since
+        if since is None or since < self.doubtful_since or self.speed is None:
+            return 0.0
+        return time.monotonic() - since
+
+    @property
+    def position_age(self) -> float:
+        """Seconds since the last position came."""
+        return min(map(self.age, _POSITIONS))
+
+    @property
+    def estimated(self) -> bool:
+        """Whether the autopilot knows its own velocity, as far as it says."""
+        frame = self._vehicle.latest.get("EKF_STATUS_REPORT")
+        if frame is None or self.age("EKF_STATUS_REPORT") > _ESTIMATOR_LATE:
+            return True
+        flags = frame.fields()["flags"]
+        return bool(flags & _VELOCITY_HORIZONTAL) and not flags & _CONSTANT_POSITION
+
+    @property
+    def speed(self) -> float | None:
+        """Over ground and up together, m/s; None: it is not known."""
+        if not self.estimated:
+            return None
+        vehicle = self._vehicle
+        if self.age("GLOBAL_POSITION_INT") <= self.limit and (fix := vehicle.fix) is not None:
+            return fix.speed
+        if self.age("LOCAL_POSITION_NED") <= self.limit:
+            f = vehicle.latest["LOCAL_POSITION_NED"].fields()
+            return math.hypot(f["vx"], f["vy"], f["vz"])
+        return None
+
+    def unknown(self) -> str:
+        """Say why its speed is not known."""
+        if not self.estimated:
+            return "the autopilot has no estimate of its velocity"
+        age = self.position_age
+        return "no position received" if math.isinf(age) else f"no position for {age:.1f} s"
+
+    def measured_since(self, moment: float) -> bool:
+        """Tell whether a position came after a moment of the monotonic clock."""
+        return any(self._vehicle.came.get(name, -math.inf) > moment for name in _POSITIONS)
+
+    def stale(self, *, strict: bool = True) -> bool:
+        """Tell whether its position is too old to steer by; `strict` also if none ever came."""
+        age = self.position_age
+        return age > self.limit and (strict or not math.isinf(age))
+
+    @property
+    def blind(self) -> bool:
+        """Whether it is heard, but for longer than the limit without a position.
+
+        Where nothing is heard at all, it is the link that is lost, and that ends what runs.
+        """
+        last = max(self._vehicle.came.get(name, -math.inf) for name in _POSITIONS)
+        return self.stale() and self._vehicle.heard - last >= self.limit
+
+    def check(self, *, strict: bool = True) -> None:
+        """Refuse to move what cannot be seen to move.
+
+        :raises PreconditionFailed: its position is older than the limit.
+        """
+        if self.stale(strict=strict):
+            raise PreconditionFailed(
+                f"{self.unknown()}, and at most {self.limit:g} s are allowed",
+                remedy="The vehicle is heard, but its position is not: look at sensor/links and "
+                "sensor/ekf. action/land, action/rtl and service/hold are accepted meanwhile.",
+            )
+
+    # Rest
+
+    def rest(self, rung: Rung) -> MotionState:
+        """Report whether it is where a step of the stop is to bring it."""
+        vehicle = self._vehicle
+        if vehicle.lost:
+            return MotionState(None, f"vehicle {vehicle.system} is not heard")
+        if not self.heard:
+            age = self.age("HEARTBEAT")
+            since = "since it returned" if math.isinf(age) else f"for {age:.1f} s"
+            return MotionState(None, f"no heartbeat {since}")
+        if not vehicle.armed:
+            return MotionState(at_rest=True, detail="disarmed", energised=False)
+        if self.standing:
+            return MotionState(at_rest=True, detail="on the ground, armed", energised=True)
+        if rung.rests == "disarmed":
+            return MotionState(at_rest=False, detail="armed", energised=True)
+        if rung.rests == "landed":
+            return MotionState(at_rest=False, detail=self._descent(), energised=True)
+        return self._still()
+
+    def _descent(self) -> str:
+        fix = self._vehicle.fix
+        known = fix is not None and self.age("GLOBAL_POSITION_INT") <= self.limit
+        where = f" at {fix.height:.1f} m" if fix is not None and known else ""
+        return f"in the air{where} in {self._vehicle.mode}"
+
+    def _still(self) -> MotionState:
+        vehicle = self._vehicle
+        family, mode, speed = vehicle.family, vehicle.mode, self.speed
+        if speed is None:
+            return MotionState(None, self.unknown(), energised=True)
+        if mode in family.circling(hovering=vehicle.hovering):
+            return MotionState(at_rest=True, detail=f"circles in {mode}", energised=True)
+        still = self.still_for
+        if still < _SETTLED:
+            moves = "comes to rest" if still else f"moves at {speed:.1f} m/s"
+            detail = f"{moves} in {mode}"
+            return MotionState(at_rest=False, detail=detail, energised=True)
+        if mode not in family.resting:
+            return MotionState(at_rest=False, detail=f"free to move in {mode}", energised=True)
+        return MotionState(at_rest=True, detail=f"holds in {mode}", energised=True)

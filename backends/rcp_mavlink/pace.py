@@ -1,0 +1,82 @@
+"""Whether a vehicle flies as fast as it was asked to, and looks where it should."""
+
+from __future__ import annotations
+
+import math
+import time
+
+from rcp_mavlink.vehicle import Vehicle
+
+__all__ = ["Pace"]
+
+_OVER, _MARGIN = 1.25, 0.7  # times what was asked, and m/s over it, that are still that speed
+_SLOWING, _FIRST = 1.0, 2.0  # m/s2 in which it slows down at least, and s that it has in any case
+_TOO_LONG = 1.5  # s that it may be too fast, as in a gust
+_ALIGNED = math.radians(6)
+_TURNING = 20.0  # s that it may turn at the place
+_NO_HEADING = 65535
+
+
+class Pace:
+    """The speed and heading of one journey, by GLOBAL_POSITION_INT."""
+
+    def __init__(self, vehicle: Vehicle, speed: float | None, yaw: float | None) -> None:
+        self._vehicle, self._yaw = vehicle, yaw
+        # With a plane it is its speed through the air, to which the wind is added.
+        self._speed = None if vehicle.family.circles else speed
+        now = time.monotonic()
+        self._settled = now + _FIRST + self._measured()[0] / _SLOWING
+        self._fast_since: float | None = None
+        self._there_since: float | None = None
+        self.fastest = 0.0
+        """Over ground, m/s."""
+        self.heading: float | None = None
+        """The present one, rad."""
+        self.fault: str | None = None
+        """What is not as it was asked for."""
+
+    def look(self, *, there: bool) -> bool:
+        """Take the latest measurement; tell whether it is there and looks where it should."""
+        now = time.monotonic()
+        speed, self.heading = self._measured()
+        self.fastest = max(self.fastest, speed)
+        self._watch_speed(speed, now)
+        if not there:
+            self._there_since = None
+            return False
+        if self._there_since is None:
+            self._there_since = now
+        return self._aligned(now) and self.fault is None
+
+    def _measured(self) -> tuple[float, float | None]:
+        frame = self._vehicle.latest.get("GLOBAL_POSITION_INT")
+        if frame is None:
+            return 0.0, None
+        f = frame.fields()
+        heading = None if f["hdg"] == _NO_HEADING else math.radians(f["hdg"] / 100)
+        return math.hypot(f["vx"], f["vy"]) / 100, heading
+
+    def _watch_speed(self, speed: float, now: float) -> None:
+        asked = self._speed
+        if asked is None or now < self._settled or speed <= max(asked * _OVER, asked + _MARGIN):
+            self._fast_since = None
+            return
+        if self._fast_since is None:
+            self._fast_since = now
+        if now - self._fast_since > _TOO_LONG:
+            self.fault = f"{asked:g} m/s was asked for, and it moves at {speed:.1f} m/s"
+
+    def _aligned(self, now: float) -> bool:
+        """Tell whether it looks where it should, or whether nobody cares."""
+        if self._yaw is None:
+            return True
+        if self.heading is not None:
+            off = math.remainder(self.heading - self._yaw, math.tau)
+            if abs(off) <= _ALIGNED:
+                return True
+        if self._there_since is not None and now - self._there_since > _TURNING:
+            looks = (
+                "says no heading" if self.heading is None else f"looks to {self.heading:.2f} rad"
+            )
+            self.fault = f"it is there, but {looks}, not to {self._yaw:.2f} rad"
+        return False

@@ -1,0 +1,462 @@
+"""The stop of one vehicle: a ladder of steps, each commanded until telemetry shows what it is for."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import time
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import structlog
+
+from rcp_kernel.errors import DeviceTimeout, EstopActive, NotImplementedByRobot
+from rcp_kernel.spi import MotionState, check_fence, unfenced
+from rcp_mavlink.commands import Command, Commands, mode_command
+from rcp_mavlink.frames import Frame
+from rcp_mavlink.hub import Hub
+from rcp_mavlink.ladder import LOITER, Group, Rung, ladder
+from rcp_mavlink.measurement import Measurement
+from rcp_mavlink.vehicle import Vehicle
+
+__all__ = ["PAUSE_PX4", "Stop"]
+
+log = structlog.get_logger("rcp.mavlink")
+_FORCE = 21196.0
+_NAN = math.nan
+PAUSE_PX4 = Command(192, (-1.0, 1.0, 0.0, _NAN), _NAN, _NAN, _NAN)
+"""DO_REPOSITION to nowhere: PX4 goes to a place in HOLD, and HOLD alone would not end that."""
+
+_AGAIN = 0.2  # s between two transmissions that are not answered
+_QUICKEST = 0.05  # s between two at all
+_REMIND = 0.25  # s between two looks at its mode while it rests, for a foreign commander
+_BLINDLY = 1.0  # s between two to a vehicle that is not heard
+_FRESH = 0.2  # s for which a heartbeat tells the mode it is in now
+_ANSWER = 0.4  # s that a heartbeat may take that was asked for
+_RESTART = 1.0  # s after a failed run, before `hold_stop` begins another
+_TAKEN = 2.0  # s in which telemetry has to show the mode
+_REFUSALS = 2  # a single one may be the late answer to the step before
+_LATE_ANSWERS = 0.1  # s in which those come, and the reasons in words
+_LEVEL = 3.0  # s for a mode without a position to prove that it holds
+_LANDING = 600.0  # s
+_DISARMING = 2.0  # s for a vehicle on the ground to disarm when told to
+_FORGOTTEN = 2.0  # s without a call, after which the next stop begins with the first step
+_LOOK = 0.05  # s
+_ARM, _TERMINATE, _LOITER, _REQUEST = 400, 185, 17, 512
+_POSITION, _HEARTBEAT = 33.0, 0.0
+_ACCEPTED, _IN_PROGRESS = 0, 5
+_STAND = Command(_ARM)
+_FALL = Command(_ARM, (0.0, _FORCE, 0.0, 0.0))
+
+
+class _Attempt:
+    """How far one step of a stop has come."""
+
+    def __init__(self, rung: Rung, *, pause: bool) -> None:
+        self.rung, self.pause = rung, pause
+        self.began = self.waits = time.monotonic()
+        """Since when it is tried, and since when its mode is not in force."""
+        self.taken: float | None = None
+        """Since when telemetry shows its mode."""
+        self.stands: float | None = None
+        """Since when the vehicle stands on the ground."""
+        self.refusals = 0
+
+
+class Stop:
+    """Brings one vehicle to rest and keeps it there."""
+
+    def __init__(
+        self,
+        hub: Hub,
+        vehicle: Vehicle,
+        commands: Commands,
+        measurement: Measurement,
+        *,
+        end_setpoints: Callable[[], None],
+        latched: Callable[[], bool],
+    ) -> None:
+        self._hub, self._vehicle, self._commands = hub, vehicle, commands
+        self._measurement = measurement
+        self._end_setpoints, self._latched = end_setpoints, latched
+        self._task: asyncio.Task[None] | None = None
+        self._at = 0
+        """The step that has been reached: those before it were refused or did not do."""
+        self._tried: list[str] = []
+        self._called = self._sent = self._asked = self._failed = -math.inf
+        self._shown = -math.inf
+        """A heartbeat from before it proves nothing."""
+        self._was_latched = False
+        self._taken = False
+        """Whether a step was in force since the stop began."""
+        self._complained = ""
+        self._unsure: float | None = None
+
+    # What is known
+
+    @property
+    def running(self) -> bool:
+        """Whether a stop is being carried out."""
+        return self._task is not None and not self._task.done()
+
+    @property
+    def rung(self) -> Rung:
+        """The step that is in force, or would be the first."""
+        rungs = self._rungs()
+        return rungs[min(self._at, len(rungs) - 1)] if self.in_force else rungs[0]
+
+    @property
+    def in_force(self) -> bool:
+        """Whether a stop is being carried out or kept up."""
+        return self.running or time.monotonic() - self._called <= _FORGOTTEN
+
+    def state(self) -> MotionState:
+        """Report whether it is at rest: as the stop means it, or without one, whether it is still."""
+        if not self.in_force:
+            return self._measurement.rest(LOITER)
+        found = self._measurement.rest(self.rung)
+        if not self._tried:
+            return found
+        detail = f"{found.detail} ({'; '.join(self._tried)})"
+        return MotionState(found.at_rest, detail, found.energised)
+
+    def _rungs(self) -> list[Rung]:
+        config = self._hub.config
+        groups: list[Group] = [config.estop, *config.estop_fallback]
+        if config.estop_terminate:
+            groups.append("terminate")
+        vehicle = self._vehicle
+        # An autopilot without modes that are known is told what the standard has for all.
+        return ladder(groups, vehicle.family, hovering=vehicle.hovering) or [LOITER]
+
+    # The e-stop
+
+    async def halt(self) -> None:
+        """Bring it to rest; return when that is measured.
+
+        :raises AdapterUnavailable: it is not heard; the stop is sent all the same.
+        :raises DeviceTimeout: it was told and is not at rest, or its motion cannot be measured.
+        """
+        await asyncio.shield(self.begin())
+
+    def begin(self) -> asyncio.Task[None]:
+        """Send the stop at once, and return what sees to it that the vehicle comes to rest."""
+        now = time.monotonic()
+        self._note_call(now)
+        with unfenced():
+            self._end_setpoints()
+            if not self.running:
+                self._shown = now
+                self._was_latched = False
+                self._send(self.rung)
+                self._task = asyncio.get_running_loop().create_task(self._run())
+                self._task.add_done_callback(self._ended)
+            elif now - self._sent >= _QUICKEST and not self._rests():
+                self._send(self.rung)
+        assert self._task is not None
+        return self._task
+
+    def hold_stop(self) -> None:
+        """Send what keeps it stopped, if that is due: called ten times a second."""
+        now = time.monotonic()
+        self._note_call(now)
+        if self.running and not self._doubtful():
+            return
+        with unfenced():
+            if self._vehicle.lost:
+                # The way to it may work although the way back does not.
+                if now - self._sent >= _BLINDLY and self._vehicle.armed:
+                    self._send(self.rung)
+            elif self._doubtful() or self.state().at_rest is not True:
+                if now - self._failed >= _RESTART or self._doubtful():
+                    self.begin()
+            elif self._vehicle.armed and self._measurement.standing:
+                if now - self._sent >= _AGAIN:
+                    self._send(self.rung)
+            elif self._vehicle.armed and now - self._asked >= _REMIND:
+                self._ask(_HEARTBEAT)
+
+    def doubt(self) -> None:
+        """Believe nothing that was known of it: it was not heard for a while."""
+        self._measurement.doubtful_since = time.monotonic()
+        self._sent = -math.inf
+
+    def _doubtful(self) -> bool:
+        """Tell whether it has returned, and has not been sent the stop since."""
+        return not self._vehicle.lost and self._sent < self._measurement.doubtful_since
+
+    def _note_call(self, now: float) -> None:
+        if now - self._called > _FORGOTTEN and not self.running:
+            self._at = 0
+            self._tried.clear()
+            self._taken = False
+        self._called = now
+
+    async def close(self) -> None:
+        """End what is under way; what was sent stays in force on the vehicle."""
+        if self._task is not None:
+            self._task.cancel()
+            await asyncio.gather(self._task, return_exceptions=True)
+
+    def _ended(self, task: asyncio.Task[None]) -> None:
+        error = None if task.cancelled() else task.exception()
+        if error is not None:
+            self._failed = time.monotonic()
+            if str(error) != self._complained:
+                log.warning("vehicle_not_stopped", vehicle=self._vehicle.system, error=str(error))
+        self._complained = "" if error is None else str(error)
+
+    async def _run(self) -> None:
+        rungs = self._rungs()
+        at, tried = await self._climb(rungs, min(self._at, len(rungs) - 1), self._reached)
+        if at is None:
+            self._at = 0  # all over again: what was refused a minute ago may be taken now
+            raise DeviceTimeout(f"vehicle {self._vehicle.system}: {'; '.join(tried)}")
+        if tried:
+            log.warning(
+                "vehicle_stopped_by_fallback",
+                vehicle=self._vehicle.system, step=rungs[at].word, tried=tried,
+            )  # fmt: skip
+        else:
+            log.info("vehicle_stopped", vehicle=self._vehicle.system, step=rungs[at].word)
+
+    def _reached(self, at: int, tried: Sequence[str]) -> None:
+        self._at = at
+        self._tried = list(tried)
+
+    # A pause
+
+    async def hold(self) -> None:
+        """Bring it to rest without an e-stop, in the air and never on the ground; as `halt` raises."""
+        if self._latched() or self.running:
+            await self.halt()
+            return
+        check_fence()
+        self._vehicle.check()
+        self._end_setpoints()
+        if self._measurement.disarmed or (self._measurement.heard and self._measurement.standing):
+            return
+        family = self._vehicle.family
+        rungs = ladder(("hold", "level"), family, hovering=self._vehicle.hovering)
+        if not rungs:
+            raise NotImplementedByRobot(f"a {family.kind} has no mode to hold in")
+        self._shown = time.monotonic()
+        at, tried = await self._climb(rungs, 0, lambda *_: None, pause=True)
+        if at is None:
+            raise DeviceTimeout(f"vehicle {self._vehicle.system}: {'; '.join(tried)}")
+
+    # The ladder
+
+    async def _climb(
+        self,
+        rungs: Sequence[Rung],
+        at: int,
+        reached: Callable[[int, Sequence[str]], None],
+        *,
+        pause: bool = False,
+    ) -> tuple[int | None, list[str]]:
+        """Try one step after the other; return the one that did it (None: none), and the others."""
+        tried = list(self._tried) if at else []
+        while at < len(rungs):
+            reached(at, tried)
+            rung = rungs[at]
+            attempt = _Attempt(rung, pause=pause)
+            why = await self._try(attempt)
+            if not why:
+                return at, tried
+            tried.append(f"{rung.word}: {why}")
+            log.warning("stop_step_failed", vehicle=self._vehicle.system, step=rung.word, why=why)
+            at += 1
+            if attempt.refusals >= _REFUSALS:
+                continue
+            # It was taken and did not do: another mode of its group does no better, and without
+            # its position it would only drift.
+            useless = {rung.group}
+            if rung.group == "hold" and self._measurement.estimated:
+                useless.add("level")
+            while at < len(rungs) and rungs[at].group in useless:
+                at += 1
+        return None, tried
+
+    async def _try(self, attempt: _Attempt) -> str:
+        """Command a step until telemetry shows rest; else say why it failed.
+
+        :raises AdapterUnavailable: the vehicle is not heard.
+        :raises DeviceTimeout: it does not do it, or nobody can see whether it does.
+        """
+        vehicle, number = self._vehicle, _command(attempt.rung, self._vehicle).number
+
+        def take(frame: Frame) -> None:
+            ack = frame.fields()
+            own = ack.get("target_system", 0) in (0, self._hub.config.source_system)
+            if own and ack["command"] == number and ack["result"] not in (_ACCEPTED, _IN_PROGRESS):
+                attempt.refusals += 1
+
+        with vehicle.listening("COMMAND_ACK", take):
+            while True:
+                vehicle.check()
+                self._check_wanted(pause=attempt.pause)
+                if (why := self._look(attempt, time.monotonic())) is not None:
+                    return why
+                if attempt.refusals >= _REFUSALS:
+                    return await self._reasons(attempt.began)
+                before = self._signature(attempt)
+                await vehicle.until(lambda b=before: self._signature(attempt) != b, _LOOK)
+
+    def _look(self, attempt: _Attempt, now: float) -> str | None:
+        """Go on with a step by what is known; return the empty text at rest, or why it failed."""
+        rung = attempt.rung
+        if self._shown_disarmed():
+            return ""
+        if self._standing():
+            attempt.stands = attempt.stands or now
+            if attempt.pause or now - attempt.stands > _DISARMING:
+                return ""
+            self._send_due(now, rung)
+            return None
+        attempt.stands = None
+        if self._lands_itself(rung):
+            attempt.waits, attempt.taken = now, None
+            return None
+        if self._in_force(rung):
+            attempt.refusals = 0
+            if attempt.taken is None:
+                attempt.taken, self._taken = now, self._taken or not attempt.pause
+                self._ask(_POSITION)
+            if self._rests(rung, since=attempt.taken):
+                return ""
+            return self._too_long(rung, now - attempt.taken)
+        if attempt.taken is not None:
+            attempt.waits, attempt.taken = now, None
+        if now - attempt.waits > _TAKEN:
+            raise DeviceTimeout(f"{rung.word}: not confirmed by the vehicle")
+        self._send_due(now, rung, at_once=attempt.refusals > 0)
+        return None
+
+    def _check_wanted(self, *, pause: bool) -> None:
+        """End a stop whose latch was reset, and a pause that a stop has overtaken."""
+        if pause:
+            check_fence()
+            if self.running:
+                raise EstopActive("the vehicle was stopped meanwhile")
+            return
+        latched = self._latched()
+        if self._was_latched and not latched:
+            raise DeviceTimeout("the e-stop was reset before the vehicle was at rest")
+        self._was_latched = latched
+
+    def _signature(self, attempt: _Attempt) -> tuple[Any, ...]:
+        """Return what is worth a look when it changes."""
+        v = self._vehicle
+        return v.armed, v.mode_number, v.landed, attempt.refusals, v.came.get("HEARTBEAT")
+
+    async def _reasons(self, since: float) -> str:
+        await asyncio.sleep(_LATE_ANSWERS)
+        said = self._vehicle.texts_since(since)
+        return f"refused ({said[-1]})" if said else "refused"
+
+    def _too_long(self, rung: Rung, seconds: float) -> str | None:
+        """Say why a step that is in force does not do; None: it may yet.
+
+        :raises DeviceTimeout: it may do, but nobody can see it: another step would not be better.
+        """
+        measurement = self._measurement
+        if rung.rests == "landed":
+            most = _LANDING
+        elif rung.group == "level":
+            most = _LEVEL if measurement.speed is None else self._hub.config.estop_timeout
+        else:
+            most = self._hub.config.estop_timeout
+            if not measurement.estimated:  # it holds nothing without one
+                most = min(most, _LEVEL)
+        if seconds <= most:
+            return None
+        detail = measurement.rest(rung).detail
+        if rung.group == "hold" and measurement.estimated and measurement.speed is None:
+            raise DeviceTimeout(f"{rung.word} is in force, but {detail}")
+        return f"after {seconds:.0f} s: {detail}"
+
+    # Evidence
+
+    def _shown_disarmed(self) -> bool:
+        return self._measurement.disarmed and self._heartbeat_counts()
+
+    def _standing(self) -> bool:
+        return self._measurement.standing and self._heartbeat_counts()
+
+    def _heartbeat_counts(self) -> bool:
+        return self._vehicle.came.get("HEARTBEAT", -math.inf) > self._shown
+
+    def _in_force(self, rung: Rung) -> bool:
+        shown = self._measurement.heard and self._heartbeat_counts()
+        return shown and bool(rung.mode) and self._vehicle.mode == rung.mode
+
+    def _lands_itself(self, rung: Rung) -> bool:
+        """Tell whether it began to land after it had been stopped: an empty battery, for one.
+
+        Held in the air by the stop it would fall in the end.
+        """
+        held = self._taken and rung.group in ("hold", "level")
+        land = self._vehicle.family.land
+        return held and bool(land) and self._vehicle.mode == land and self._measurement.heard
+
+    def _rests(self, rung: Rung | None = None, since: float = -math.inf) -> bool:
+        rung = rung or self.rung
+        state = self._measurement.rest(rung)
+        measured = rung.rests != "still" or self._measurement.measured_since(since)
+        return state.at_rest is True and measured
+
+    # What is sent
+
+    def _send_due(self, now: float, rung: Rung, *, at_once: bool = False) -> None:
+        if now - self._sent >= (_QUICKEST if at_once else _AGAIN):
+            self._send(rung)
+
+    def _send(self, rung: Rung) -> None:
+        """Send a step once, and have the vehicle tell its state.
+
+        One that is disarmed, as far as is known, is asked only: a mode would outlast the stop.
+        """
+        vehicle, now = self._vehicle, time.monotonic()
+        if vehicle.armed and self._asks_first(now):
+            self._ask(_HEARTBEAT)
+            return
+        self._sent = now
+        if vehicle.armed and not self._lands_itself(rung):
+            standing = self._measurement.standing
+            self._commands.tell(_STAND if standing else _command(rung, vehicle))
+            if not standing and vehicle.family.px4 and rung.group == "hold":
+                self._commands.tell(PAUSE_PX4)
+            if rung.group == "terminate":
+                self._commands.tell(_FALL)
+        self._ask(_HEARTBEAT)
+
+    def _asks_first(self, now: float) -> bool:
+        """Tell whether its mode has to be known first: it may have begun to land by itself.
+
+        Only once the stop was in force, and not for long: it may not answer.
+        """
+        if not self._taken or self._vehicle.lost or self._doubtful():
+            return False
+        if self._measurement.age("HEARTBEAT") < _FRESH:
+            self._unsure = None
+            return False
+        if self._unsure is None:
+            self._unsure = now
+        return now - self._unsure < _ANSWER
+
+    def _ask(self, message: float) -> None:
+        self._asked = time.monotonic()
+        self._commands.tell(Command(_REQUEST, (message, 0.0, 0.0, 0.0)))
+
+
+def _command(rung: Rung, vehicle: Vehicle) -> Command:
+    match rung.group:
+        case "disarm":
+            return _FALL
+        case "terminate":
+            return Command(_TERMINATE, (1.0, 0.0, 0.0, 0.0))
+        case _ if not rung.mode:
+            return Command(_LOITER)
+        case _:
+            return mode_command(vehicle.family, rung.mode)
