@@ -31,6 +31,7 @@ _LATE = 2.0  # s that a cancel waits for the acceptance of its goal
 _MATCH = 2.0  # s for a client to find a server that the graph lists
 _RACE = 0.1  # s for the result of a goal that has ended just before its cancel came
 _PAUSE = 0.02  # s between looks whether it has
+_FEEDBACK = 0.05  # s between looks whether a running goal is measured
 _UNKNOWN, _SUCCEEDED, _CANCELED, _ABORTED = 0, 4, 5, 6  # action_msgs/msg/GoalStatus
 _ACCEPTED, _REFUSED = 0, 1  # action_msgs/srv/CancelGoal
 
@@ -106,6 +107,24 @@ class Run(Binding):
                 raise AdapterUnavailable(f"no server of {self.mapping.target} can be reached")
             await asyncio.sleep(_PAUSE)
 
+    async def need_feedback(self) -> None:
+        """Return once what measures the motion is heard.
+
+        :raises AdapterUnavailable: it is not, or too old.
+        """
+        if self.mapping.feedback is None:
+            return
+
+        def heard() -> bool:
+            return self.feedback is not None and self.feedback.is_fresh()
+
+        if not await self.shared.until(heard, self.shared.settling):
+            why = self.feedback.missing() if self.feedback is not None else "no feedback yet"
+            raise AdapterUnavailable(
+                f"{why}: {self.mapping.target} gets no goal without it",
+                remedy="Check the node that publishes it.",
+            )
+
     def is_ready(self) -> bool:
         """Tell whether a server is there, in the ROS thread."""
         if self.client is None:
@@ -175,11 +194,13 @@ class Goal:
         self._asked = False
         self._abandoned = False
         self._stopping = False
+        self._id = uuid.uuid4().bytes
 
     async def run(self) -> Any:
         """See the goal through; a cancellation reaches the server before this returns."""
         try:
             await self._run.reach()
+            await self._run.need_feedback()
             if self._stopping:
                 raise Cancelled(f"{self._name} was stopped before the goal was sent")
             self._sent = True
@@ -194,7 +215,8 @@ class Goal:
             return result[0]
         except (AdapterUnavailable, DeviceTimeout):
             # Should the server live after all, its goal must not go on with nobody watching.
-            self._abandon()
+            if self._run.shared.config.on_loss != "continue":
+                self._abandon()
             raise
 
     # -- event loop ------------------------------------------------------------------------------
@@ -213,11 +235,30 @@ class Goal:
 
     async def _follow(self) -> Any:
         pause = _FIRST_LOOK
-        while not await self._result.wait(pause):
-            await self._look()
-            pause = _LOOK
+        next_ = time.monotonic() + pause
+        while not await self._result.wait(min(pause, _FEEDBACK) if self._run.feedback else pause):
+            await self._need_feedback()
+            if time.monotonic() >= next_:
+                await self._look()
+                pause = _LOOK
+                next_ = time.monotonic() + pause
         status, value = self._result.result()
         return self._outcome(status, value)
+
+    async def _need_feedback(self) -> None:
+        """Cancel the goal once its motion is not measured any more.
+
+        :raises DeviceTimeout: it is not.
+        """
+        feedback = self._run.feedback
+        if feedback is None or feedback.is_fresh():
+            return
+        why = feedback.missing()
+        await self.stop()
+        raise DeviceTimeout(
+            f"{why}: the goal of {self._name} was cancelled",
+            remedy="Check the node that publishes the feedback.",
+        )
 
     async def _look(self) -> None:
         """Look after the server; a goal must not wait for one that is dead."""
@@ -290,6 +331,7 @@ class Goal:
         if answer.done and _is_refused(answer.result()) and not await self._result.wait(_RACE):
             raise DeviceRejected(f"the server of {self._name} refuses to cancel; the goal goes on")
         if not await self._result.wait(max(0.0, end - time.monotonic())):
+            self._abandon()
             raise DeviceTimeout(
                 f"the cancel of {self._name} was sent and is not confirmed",
                 remedy="Look at the robot: it may still be moving. Use the e-stop if in doubt.",
@@ -304,7 +346,8 @@ class Goal:
     def _send_goal(self) -> None:
         from unique_identifier_msgs.msg import UUID
 
-        id_ = uuid.uuid4().bytes
+        self._run.admit()
+        id_ = self._id
         self._run.shared.sent(id_)
         future = self._run.client.send_goal_async(
             self._message,
@@ -321,8 +364,11 @@ class Goal:
             self._cancel_unseen()
 
     def _cancel_unseen(self) -> None:
-        """Cancel a goal that nobody waits for any more, now or when it is accepted at last."""
+        """Cancel a goal that nobody waits for any more, now or when its server is heard again."""
         self._abandoned = True
+        server = self._run.shared.keeper.servers.get(self._name)
+        if server is not None:
+            server.abandon(self._id)
         handle = self._seen
         if handle is not None and handle.accepted and self._run.client is not None:
             handle.cancel_goal_async()

@@ -6,18 +6,19 @@ import asyncio
 import contextlib
 import math
 import time
-from collections.abc import AsyncGenerator
+from collections.abc import AsyncGenerator, Sequence
 from contextlib import AbstractAsyncContextManager, asynccontextmanager
 from typing import Any
 
 from rcp_kernel.errors import AdapterUnavailable
-from rcp_kernel.spi import BaseBackend, Host, Progress
+from rcp_kernel.spi import BaseBackend, Host, MotionState, Progress, Watchdog, unfenced
 from rcp_ros2.binding import Binding, Shared
 from rcp_ros2.catalog import Catalog
 from rcp_ros2.config import Ros2Config
 from rcp_ros2.definitions import define_text
-from rcp_ros2.graph import GraphWatch
+from rcp_ros2.graph import Graph, GraphWatch
 from rcp_ros2.ros import guarded, open_ros
+from rcp_ros2.stops import Stops
 
 __all__ = ["Ros2Backend", "open_ros2"]
 
@@ -27,8 +28,10 @@ _SETTLE = 0.6  # s from the beginning; a gateway waits 1 s for its backends
 class Ros2Backend(BaseBackend):
     """One ROS 2 domain."""
 
-    def __init__(self, catalog: Catalog) -> None:
+    def __init__(self, catalog: Catalog, stops: Stops, on_loss: str) -> None:
         self._catalog = catalog
+        self._stops = stops
+        self.on_loss = on_loss
 
     def _binding(self, name: str) -> Binding:
         binding = self._catalog.bindings.get(name)
@@ -76,16 +79,36 @@ class Ros2Backend(BaseBackend):
             binding.unwatched()
 
     async def halt(self) -> None:
-        """Publish what is safe on all that was commanded, and cancel every goal."""
-        await asyncio.gather(*(binding.halt() for binding in self._bindings()))
+        """Publish what is safe on all actuators, cancel every goal, use every means configured.
+
+        :raises AdapterUnavailable: it is not known whether everything is at rest.
+        :raises DeviceTimeout: something is not.
+        """
+        await self._stops.halt(None)
 
     async def halt_robot(self, robot: str) -> None:
         """Do so for one of the robots."""
-        own = [binding for binding in self._bindings() if binding.resource.robot == robot]
-        await asyncio.gather(*(binding.halt() for binding in own))
+        await self._stops.halt(robot)
 
-    def _bindings(self) -> list[Binding]:
-        return list(self._catalog.bindings.values())
+    def motion(self, robot: str | None) -> MotionState:
+        """Report whether a robot is at rest: by its odometry, or else by what it was sent."""
+        return self._stops.motion(robot)
+
+    def hold_stop(self, robot: str | None) -> None:
+        """Keep a robot stopped; the ROS thread repeats what does."""
+        self._stops.hold_stop(robot)
+
+    async def hold(self, robot: str | None) -> None:
+        """Publish what is safe and cancel every goal, without the configured means of stopping."""
+        await self._stops.halt(robot)
+
+    async def recover(self, robot: str | None) -> str:
+        """Cancel the goals that were lost with their server, or with an earlier gateway."""
+        return await self._stops.recover(robot)
+
+    def watchdogs(self) -> Sequence[Watchdog]:
+        """List that none is known."""
+        return self._stops.watchdogs()
 
 
 @asynccontextmanager
@@ -101,13 +124,23 @@ async def open_ros2(config: Ros2Config, host: Host) -> AsyncGenerator[Ros2Backen
     async with open_ros(config, host) as ros:
         shared = Shared(ros, config, host)
         catalog = Catalog(shared)
-        watch = GraphWatch(ros, catalog.matters, catalog.update)
+        stops = Stops(shared, catalog)
+
+        def update(graph: Graph) -> None:
+            catalog.update(graph)
+            stops.update(graph)
+
+        watch = GraphWatch(ros, catalog.matters, update)
         watch.on_look.extend((shared.feeds.refresh, shared.pulses.look, lambda: _look(shared)))
         await ros.call(watch.start)
+        with unfenced():
+            following = asyncio.create_task(stops.follow(), name="ros2 stops")
         try:
             await _settle(catalog, min(config.grace, _SETTLE - (time.monotonic() - began)))
-            yield Ros2Backend(catalog)
+            yield Ros2Backend(catalog, stops, config.on_loss)
         finally:
+            following.cancel()
+            await stops.close()
             await catalog.close()
 
 

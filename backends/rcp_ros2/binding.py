@@ -5,11 +5,11 @@ from __future__ import annotations
 import asyncio
 import time
 from collections.abc import Callable
-from typing import Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 from rcp_kernel.errors import AdapterUnavailable, DeviceTimeout, UnsupportedOperation
-from rcp_kernel.model import Resource
-from rcp_kernel.spi import Host, Progress
+from rcp_kernel.model import MOVING, Resource, kind_of
+from rcp_kernel.spi import Host, Progress, check_fence
 from rcp_ros2.cdr import Codec
 from rcp_ros2.config import Mapping, Qos, Ros2Config
 from rcp_ros2.graph import Graph
@@ -20,6 +20,10 @@ from rcp_ros2.pulse import Pulses
 from rcp_ros2.ros import Ros
 from rcp_ros2.topics import Feeds, Tap
 
+if TYPE_CHECKING:
+    from rcp_ros2.feedback import Feedback, Feedbacks
+    from rcp_ros2.keeper import Keeper
+
 __all__ = ["Absent", "Binding", "Construct", "Offer", "Shared", "common"]
 
 _DEPTH = 200  # messages of a construct that may wait: they come in bursts
@@ -29,6 +33,9 @@ _PAUSE = 0.05  # s between looks at something that is about to come
 
 class Shared:
     """What all bindings of a backend work with."""
+
+    keeper: Keeper
+    feedbacks: Feedbacks
 
     def __init__(self, ros: Ros, config: Ros2Config, host: Host) -> None:
         self.ros = ros
@@ -47,6 +54,8 @@ class Shared:
         """Called in the ROS thread at each look at the graph."""
         self.look_again: Callable[[], None] = lambda: None
         """Has the paths made that a construct has found since the last look; on the event loop."""
+        self.needed: set[str] = set()
+        """Names that matter though no path stands on them."""
         self.sent_goals: dict[bytes, None] = {}
         """The ids of goals that the gateway sent, the newest last."""
         self._settled = time.monotonic() + config.grace
@@ -133,6 +142,25 @@ class Binding:
         self.shared = shared
         self.resource = resource
         self.mapping = mapping
+        self.feedback: Feedback | None = None
+        """What measures the motion that it causes, where the mapping says so."""
+
+    @property
+    def is_barred(self) -> bool:
+        """Whether it moves or energises the robot, and is refused under an e-stop."""
+        resource = self.resource
+        moves = kind_of(resource.name) in MOVING if resource.moves is None else resource.moves
+        return moves or resource.energises
+
+    def admit(self) -> None:
+        """Let a command pass that moves or energises; in the ROS thread, just before it is sent.
+
+        :raises EstopActive: the robot was stopped since.
+        """
+        if not self.is_barred:
+            return
+        check_fence()
+        self.shared.keeper.admit(self.resource.robot)
 
     @property
     def timeout(self) -> float:
@@ -222,7 +250,7 @@ def common(name: str, mapping: Mapping, description: str, **facts: Any) -> dict[
         "description": text if text.endswith(".") else text + ".",
         "meta": {key: value for key, value in facts.items() if value is not None},
     }
-    for key in ("deadline", "timeout", "policy", "max_age", "history"):
+    for key in ("deadline", "timeout", "policy", "max_age", "history", "moves", "energises"):
         if (value := getattr(mapping, key)) is not None:
             out[key] = value
     return out

@@ -56,7 +56,7 @@ class Catalog:
         self.bindings: dict[str, Binding] = {}
         self.rates: dict[str, list[float]] = {}
         """What is watched: each name with the rates that its watchers want."""
-        self._wanted = wanted = Wanted(config, shared.naming)
+        self._wanted = wanted = Wanted(config, shared.naming, shared.needed)
         self.matters = wanted.matters
         self._mapped = wanted.mapped
         self._nodes: dict[str, NodeParameters] = {}
@@ -123,8 +123,13 @@ class Catalog:
         if self._is_complete():
             self.complete.set()
 
+    @property
+    def is_mapped(self) -> bool:
+        """Whether every mapping has its binding."""
+        return all(name in self.bindings for name in self._mapped)
+
     def _is_complete(self) -> bool:
-        if self._building or not all(name in self.bindings for name in self._mapped):
+        if self._building or not self.is_mapped:
             return False
         quiet = time.monotonic() - self._placed > _QUIET
         config = self._shared.config

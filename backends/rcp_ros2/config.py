@@ -4,13 +4,25 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
-from msgspec import Meta, Struct
+from msgspec import Meta, Struct, field
 
 from rcp_kernel.errors import RcpError
 from rcp_kernel.model import Kind, Policy, kind_of
 from rcp_ros2.definitions import parse
 
-__all__ = ["Assets", "Diagnostics", "Jpeg", "Log", "Mapping", "Qos", "Ros2Config", "Transforms"]
+__all__ = [
+    "Assets",
+    "Diagnostics",
+    "Jpeg",
+    "Log",
+    "Mapping",
+    "Qos",
+    "Ros2Config",
+    "Stop",
+    "StopService",
+    "StopTopic",
+    "Transforms",
+]
 
 RosName = Annotated[str, Meta(pattern=r"^~?/?[A-Za-z0-9_~/]+$", max_length=256)]
 RosPattern = Annotated[str, Meta(pattern=r"^[A-Za-z0-9_*/]+$", max_length=256)]
@@ -75,8 +87,19 @@ class Mapping(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """What the dead-man and `halt` write; all zeros without it."""
     require_subscriber: bool = True
     """Refuse a write that no node would hear."""
+    moves: bool | None = None
+    """Whether it may move the robot: refused under an e-stop. None: every actuator and action does,
+    and every service but those of types that are known to ask only."""
+    energises: bool | None = None
+    """Whether it arms the robot or gives its motors torque: refused under an e-stop."""
+    feedback: RosName | None = None
+    """Topic of an actuator's or action's measured velocity: without it nothing is moved."""
+    feedback_timeout: Seconds | None = None
+    """Age above which that feedback does not count; None takes `stop.max_age`."""
 
     def __post_init__(self) -> None:
+        if self.feedback_timeout is not None and self.feedback is None:
+            raise ValueError("`feedback_timeout` goes together with `feedback`")
         words = ("topic", "service", "action", "parameter", "parameters")
         if len([word for word in words if getattr(self, word)]) != 1:
             raise ValueError(
@@ -148,6 +171,50 @@ class Transforms(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
                 raise ValueError(f"{path!r} is no sensor, and a transform is")
 
 
+class StopService(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """A service that stops the robot: called at each stop, before it is confirmed."""
+
+    name: RosName
+    type: TypeName | None = None
+    """`std_srvs/srv/SetBool`; without it the graph tells."""
+    request: dict[str, Any] = {}
+    released: dict[str, Any] | None = None
+    """What it is called with when the e-stop is reset; None calls nothing."""
+
+
+class StopTopic(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """A topic that stops the robot: published for as long as the e-stop is latched."""
+
+    name: RosName
+    type: TypeName = "std_msgs/msg/Bool"
+    value: dict[str, Any] = field(default_factory=lambda: {"data": True})
+    released: dict[str, Any] | None = field(default_factory=lambda: {"data": False})
+    """What is published when the e-stop is reset; None publishes nothing."""
+
+
+class Stop(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """How a robot is stopped, and how its rest is measured. Relative names are each robot's own."""
+
+    feedback: RosName | bool = True
+    """Topic of the measured velocity, without which a stop is not confirmed; true takes the
+    odometry that `map` or `expose` names, if there is one; false measures nothing."""
+    speed: Annotated[float, Meta(gt=0, extra_json_schema={"unit": "m/s"})] = 0.05
+    """At or below which the robot counts as at rest."""
+    turn: Annotated[float, Meta(gt=0, extra_json_schema={"unit": "rad/s"})] = 0.1
+    """The same for its rotation, and for the velocities of joints."""
+    max_age: Seconds = 0.5
+    """Age above which a measurement does not count."""
+    rate: Annotated[float, Meta(ge=10, le=100, extra_json_schema={"unit": "Hz"})] = 20.0
+    """At which the safe values are repeated, at least; three times as fast as whoever else
+    publishes, up to 100 Hz."""
+    actions: tuple[RosPattern, ...] = ("**",)
+    """Action servers whose goals are cancelled, besides those of `map` and `expose`."""
+    service: StopService | None = None
+    topic: StopTopic | None = None
+    twist_mux_lock: RosName | None = None
+    """Lock of a twist_mux: true while stopped, false after the reset."""
+
+
 _FITS = {
     Kind.SENSOR: ("topic", "action"),
     Kind.EVENT: ("topic", "service"),
@@ -185,6 +252,9 @@ class Ros2Config(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     jpeg: Jpeg = Jpeg()
     tf: Transforms = Transforms()
     assets: Assets = Assets()
+    stop: Stop = Stop()
+    on_loss: Literal["hold", "continue"] = "hold"
+    """What becomes of a goal or command that was lost with its node, once that is back."""
     graph: bool = False
     """Offer the graph itself as `sensor/ros/graph`."""
     use_sim_time: bool = False
@@ -213,5 +283,7 @@ class Ros2Config(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
             together = kind is Kind.SERVICE and bool(mapping.parameters)
             if not together and (mapping.parameters or mapping.noun not in _FITS[kind]):
                 raise ValueError(f"{path!r} is a {kind} and cannot be a {mapping.noun}")
+            if mapping.feedback is not None and kind not in (Kind.ACTUATOR, Kind.ACTION):
+                raise ValueError(f"{path!r}: `feedback` is for actuators and actions")
             if mapping.field is not None and kind not in (Kind.SENSOR, Kind.EVENT):
                 raise ValueError(f"{path!r}: `field` is for sensors and events")

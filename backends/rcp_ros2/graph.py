@@ -36,6 +36,8 @@ class Graph:
     services: dict[str, str] = field(default_factory=dict[str, str])
     """The services that matter here, with a server each."""
     actions: dict[str, str] = field(default_factory=dict[str, str])
+    servers: frozenset[str] = frozenset()
+    """Every action that has a server, whether it matters here or not: a stop cancels its goals."""
     nodes: frozenset[str] = frozenset()
     """Nodes that have parameters."""
     lifecycle: frozenset[str] = frozenset()
@@ -107,9 +109,15 @@ class GraphWatch:
         for name, types in found.items():
             if len(types) > 1 and self._matters(name):
                 topics[name] = self._choose(name, types, disputed)
+        offered = node.get_service_names_and_types()
+        servers = frozenset(
+            name.removesuffix(_SEND_GOAL)
+            for name, _ in offered
+            if name.endswith(_SEND_GOAL) and node.count_services(name)
+        )
         services = {
             name: types[0]
-            for name, types in node.get_service_names_and_types()
+            for name, types in offered
             if (self._matters(name) or self._matters(_owner(name)))
             and node.count_services(name)  # clients list it too
         }
@@ -121,6 +129,10 @@ class GraphWatch:
             if self._matters(name) or self._matters(_owner(name)):
                 publishers[name] = node.count_publishers(name) - (name in own_publishers)
                 subscribers[name] = node.count_subscribers(name) - (name in own_subscriptions)
+                # One of the gateway's own that was just made anew is listed twice for a moment.
+                own = name in own_subscriptions
+                if subscribers[name] and (own or not publishers[name]):
+                    subscribers[name] = self._strangers(name)
         actions = {
             name.removesuffix(_SEND_GOAL): type_.removesuffix("_SendGoal")
             for name, type_ in services.items()
@@ -130,7 +142,16 @@ class GraphWatch:
         lifecycle = frozenset(
             name.removesuffix(_CHANGE) for name, type_ in services.items() if type_ == _CHANGES
         )
-        return Graph(topics, services, actions, nodes, lifecycle, publishers, subscribers, disputed)
+        return Graph(
+            topics, services, actions, servers, nodes, lifecycle, publishers, subscribers, disputed
+        )
+
+    def _strangers(self, topic: str) -> int:
+        """Count the subscribers but for gateways: one that follows a topic does not obey it."""
+        node: Any = self._ros.node
+        own = node.get_fully_qualified_name()
+        found = node.get_subscriptions_info_by_topic(topic)
+        return sum(node_of(info) != own for info in found)
 
     def _choose(self, name: str, types: list[str], disputed: dict[str, str]) -> str:
         """Return the type that a topic has for whoever publishes it: the gateway lists its own."""

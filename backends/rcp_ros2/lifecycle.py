@@ -11,9 +11,15 @@ from typing import Any, Literal
 
 import msgspec
 
-from rcp_kernel.errors import AdapterUnavailable, DeviceRejected, DeviceTimeout, RcpError
+from rcp_kernel.errors import (
+    AdapterUnavailable,
+    DeviceRejected,
+    DeviceTimeout,
+    EstopActive,
+    RcpError,
+)
 from rcp_kernel.model import Resource
-from rcp_kernel.spi import Progress
+from rcp_kernel.spi import Progress, check_fence
 from rcp_ros2.binding import Binding, Offer, Shared, common
 from rcp_ros2.cdr import Codec, Value
 from rcp_ros2.config import Mapping, Qos
@@ -49,6 +55,8 @@ _POSSIBLE: dict[str, dict[Transition, int]] = {
     "inactive": {"cleanup": 2, "activate": 3, "shutdown": 6},
     "active": {"deactivate": 4, "shutdown": 7},
 }
+_ENERGISING = ("configure", "activate")
+"""Transitions that may give motors torque, or begin to move them."""
 _GOALS: dict[Transition, State] = {
     "configure": "inactive",
     "cleanup": "unconfigured",
@@ -186,7 +194,11 @@ class ChangeOf(Binding):
         self._question = _Question(shared, node)
         self._srv = load("lifecycle_msgs/srv/ChangeState")
         self._transition = load("lifecycle_msgs/msg/Transition")
-        self._caller = Caller(shared, self._srv, mapping.target, presence=("lifecycle node", node))
+        presence = ("lifecycle node", node)
+        self._caller = Caller(shared, self._srv, mapping.target, presence=presence)
+        self._energising = Caller(
+            shared, self._srv, mapping.target, presence=presence, admit=self._admit
+        )
         facts = common(
             name,
             mapping,
@@ -203,18 +215,31 @@ class ChangeOf(Binding):
         )
         super().__init__(shared, resource, mapping)
 
+    def _admit(self) -> None:
+        """Let a transition pass that energises; the others do not, so that the path is not barred."""
+        check_fence()
+        self.shared.keeper.admit(self.resource.robot)
+
     async def execute(self, value: Any, progress: Progress) -> LifecycleState:
         """Lead the node through a transition.
 
+        :raises EstopActive: it would energise a robot that is stopped; it can be led down always.
         :raises DeviceRejected: it is not possible from the present state, or the node failed at it.
         """
         transition: Transition = value.transition
+        energises = transition in _ENERGISING
+        if energises and self.shared.host.is_latched(self.resource.robot):
+            raise EstopActive(
+                f"an e-stop is latched: {self._node} cannot be told to {transition}",
+                remedy="Reset the e-stop first; `deactivate`, `cleanup` and `shutdown` are allowed.",
+            )
         before = (await self._question.ask(self.timeout)).state
         possible = _POSSIBLE.get(before, {})
         if transition not in possible:
             raise self._impossible(transition, before)
         request = self._srv.Request(transition=self._transition(id=possible[transition]))
-        response = await self._caller.call(request, self.shared.config.transition_timeout)
+        caller = self._energising if energises else self._caller
+        response = await caller.call(request, self.shared.config.transition_timeout)
         after = await self._after(transition, succeeded=response.success)
         if not response.success:
             raise DeviceRejected(
@@ -246,3 +271,4 @@ class ChangeOf(Binding):
         """Let go of the clients."""
         self._question.close()
         self._caller.close()
+        self._energising.close()

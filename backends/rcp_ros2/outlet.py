@@ -45,7 +45,8 @@ class Outlet:
 
         node = self._node()
         endpoints = node.get_subscriptions_info_by_topic(self._topic)
-        self._nodes = frozenset(name for name in map(node_of, endpoints) if name is not None)
+        named = {name for name in map(node_of, endpoints) if name is not None}
+        self._nodes = frozenset(named - {node.get_fully_qualified_name()})  # it may listen itself
         self._pulses.want(f"topic {self._topic}", self._nodes)
         profile = for_publisher(endpoints, self._wanted)
         self._complain(f"publisher {self._topic}", deaf(self._topic, profile, endpoints))
@@ -76,8 +77,36 @@ class Outlet:
             self._publisher.publish(message)
         return hearing
 
+    @property
+    def nodes(self) -> frozenset[str]:
+        """The nodes that subscribed at the last look."""
+        return self._nodes
+
+    @property
+    def reliable(self) -> bool:
+        """Whether it is published reliably."""
+        return self._profile is None or self._profile.reliable
+
+    def acked(self) -> bool:
+        """Tell whether all reliable subscribers have acknowledged what was published until now."""
+        from rclpy.duration import Duration
+
+        if self._publisher is None:
+            return False
+        try:
+            return self._publisher.wait_for_all_acked(Duration(nanoseconds=0))
+        except Exception:  # a middleware that cannot tell
+            return True
+
+    def count(self) -> int:
+        """Return how many subscribers of others are matched."""
+        if self._publisher is None:
+            return 0
+        own = sum(one.topic_name == self._topic for one in self._node().subscriptions)
+        return max(0, self._publisher.get_subscription_count() - own)
+
     def _hearing(self) -> Hearing:
-        if self._publisher is None or not self._publisher.get_subscription_count():
+        if not self.count():
             return "nobody"
         if self._nodes and all(map(self._pulses.is_silent, self._nodes)):
             return "silent"

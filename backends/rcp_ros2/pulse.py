@@ -18,6 +18,7 @@ from rcp_ros2.ros import Ros
 __all__ = ["Pulse", "Pulses", "node_of"]
 
 _EVERY = 0.9  # s between two questions
+_DUE = 0.4  # s for an answer, before another question makes sense
 
 
 def node_of(endpoint: Any) -> str | None:
@@ -36,15 +37,20 @@ class Pulse:
         self._ros = ros
         self._client: Any = ros.node.create_client(GetParameters, f"{node}/get_parameters")
         self._pending: Any = None
+        self._asked = 0.0
         self.answers = 0
         """How often the node has answered."""
         self.heard = 0.0
         """When it last did, in monotonic time."""
 
     def ask(self) -> None:
-        """Send a question; an older one is forgotten."""
+        """Send a question; an older one is forgotten, unless it may still be answered."""
+        now = time.monotonic()
         if not self._client.service_is_ready():
             return
+        if self._pending is not None and now - self._asked < _DUE:
+            return
+        self._asked = now
         if self._pending is not None:
             self._client.remove_pending_request(self._pending)
         self._pending = self._client.call_async(self._client.srv_type.Request())
@@ -97,6 +103,12 @@ class Pulses:
     def of(self, node: str) -> Pulse | None:
         """Return the pulse of a node that is wanted."""
         return self._pulses.get(node)
+
+    def ask(self, nodes: Iterable[str]) -> None:
+        """Ask some nodes now: whoever answers is alive."""
+        for node in nodes:
+            if (pulse := self._pulses.get(node)) is not None:
+                pulse.ask()
 
     def look(self) -> None:
         """Ask every node, and say which have stopped answering."""

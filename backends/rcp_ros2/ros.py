@@ -11,13 +11,15 @@ import contextlib
 import threading
 from collections.abc import AsyncGenerator, Callable
 from contextlib import asynccontextmanager
+from contextvars import copy_context
 from typing import Any
 
 import structlog
 
-from rcp_kernel.errors import AdapterUnavailable, ConfigError, DeviceTimeout, NotReady
+from rcp_kernel.errors import AdapterUnavailable, ConfigError, DeviceTimeout, NotReady, StartupError
 from rcp_kernel.spi import Host
 from rcp_ros2.config import Ros2Config
+from rcp_ros2.middleware import check_middleware
 
 __all__ = ["Ros", "Ticket", "guarded", "hearing", "open_ros"]
 
@@ -155,7 +157,8 @@ class Ros:
         """
         if self.died is not None or self._executor is None:
             raise AdapterUnavailable(self.died or "ROS 2 is not started")
-        self._executor.create_task(run, *args)
+        # The permit of the request goes along, for `check_fence` just before something is sent.
+        self._executor.create_task(copy_context().run, run, *args)
 
     # -- the thread ------------------------------------------------------------------------------
 
@@ -184,6 +187,7 @@ class Ros:
             self.host.call_soon(self.ended.set)
 
     def _open(self) -> None:
+        check_middleware()
         import rclpy
         from rclpy.context import Context
         from rclpy.task import Future
@@ -234,6 +238,8 @@ def _executor(context: Any) -> Any:
 
 def _explained(error: BaseException) -> BaseException:
     name = type(error).__name__
+    if isinstance(error, StartupError):
+        return error
     if isinstance(error, ImportError):
         return ConfigError(
             f"ROS 2 is not here ({error}): pip install 'rcp-gateway[ros2]', or source a ROS 2 "

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import math
+import time
 from typing import Any
 
 import msgspec
@@ -18,6 +19,7 @@ from rcp_ros2.definitions import is_made
 from rcp_ros2.filler import filler
 from rcp_ros2.idl import full_name
 from rcp_ros2.outlet import Hearing, Outlet
+from rcp_ros2.rest import Rest
 from rcp_ros2.ros import Ticket
 from rcp_ros2.topics import Tap
 from rcp_ros2.types import example_of, framed, inward, part_of
@@ -34,6 +36,9 @@ _VELOCITY = {
     "geometry_msgs/msg/AccelStamped",
     "geometry_msgs/msg/Wrench",
     "geometry_msgs/msg/WrenchStamped",
+    "ackermann_msgs/msg/AckermannDrive",
+    "ackermann_msgs/msg/AckermannDriveStamped",
+    "control_msgs/msg/JointJog",
 }
 _DEADMAN = 0.5  # s that a velocity stands, where the mapping does not say
 _MATCH = 1.0  # s for a publisher to find a subscriber that the graph lists
@@ -156,7 +161,6 @@ class Commanded(Binding):
         self._type = inward(cls, mapping.unit)
         self._fill = writer(cls) if is_made(cls) else filler(cls)
         self._outlet = Outlet(shared, self.topic, cls, mapping.qos)
-        self._moved = False
         self._written: Any = None
         type_name = full_name(cls)
         velocity = type_name in _VELOCITY
@@ -177,8 +181,19 @@ class Commanded(Binding):
             ),
         )
         super().__init__(shared, resource, mapping)
+        self.rest: Rest | None = None
+        if self._safe is not None and self.is_barred:
+            message = self._fill(self._safe)
+            self.rest = Rest(shared, self.topic, cls, self._outlet, message)
+            self.rest.needed = mapping.require_subscriber
         shared.ros.post(self._outlet.look)
         shared.on_look.append(self._outlet.look)
+
+    def placed(self) -> None:
+        """Have it stopped with its robot, from now on."""
+        if self.rest is not None:
+            self.rest.robot = self.resource.robot
+            self.shared.ros.post(self.shared.keeper.add, self.rest)
 
     def _rest(self, mapping: Mapping) -> Any:
         return self._type() if mapping.safe is None else msgspec.convert(mapping.safe, self._type)
@@ -190,17 +205,49 @@ class Commanded(Binding):
         """
         shared, need = self.shared, self.mapping.require_subscriber
         message = self._fill(value)
-        rests = value == self._safe
-        self._moved = self._moved or not rests  # before it is sent: a cancel may come in between
+        rests = self._safe is not None and value == self._safe
         if need:
             await shared.until(self._listened_to, shared.settling)
-        hearing = await shared.ros.call(self._send, message, rests or not need)
+        if not rests:
+            await self._need_feedback()
+        hearing = await shared.ros.call(self._send, message, rests, rests or not need)
         if hearing == "nobody" and need and self._listened_to():
-            hearing = await self._until_matched(message)
+            hearing = await self._until_matched(message, rests=rests)
         if hearing != "heard" and need:
             raise self._unheard(hearing)
-        self._moved = not rests
         self._written = value
+
+    async def _need_feedback(self) -> None:
+        """Return once what measures the motion is heard.
+
+        :raises AdapterUnavailable: it is not, or too old: the robot cannot be controlled.
+        """
+        if self.mapping.feedback is None:
+            return
+
+        def heard() -> bool:
+            return self.feedback is not None and self.feedback.is_fresh()
+
+        if not await self.shared.until(heard, self.shared.settling):
+            why = self.feedback.missing() if self.feedback is not None else "no feedback yet"
+            raise AdapterUnavailable(
+                f"{why}: {self.topic} is not commanded without it",
+                remedy="Check the node that publishes it.",
+            )
+
+    def check_feedback_while_moving(self) -> None:
+        """Stop what was commanded once it is not measured any more."""
+        feedback, rest = self.feedback, self.rest
+        if feedback is None or rest is None:
+            return
+        lost = not feedback.is_fresh()
+        if lost and rest.commanded:
+            self.shared.ros.post(lambda: rest.begin(time.monotonic()))
+            text = f"{feedback.missing()}: {self.topic} was stopped"
+            self.shared.trouble(f"feedback of {self.topic}", text)
+            self.shared.report()
+        elif not lost:
+            self.shared.trouble(f"feedback of {self.topic}", None)
 
     def _unheard(self, hearing: Hearing) -> AdapterUnavailable:
         if hearing == "silent":
@@ -228,31 +275,28 @@ class Commanded(Binding):
     def _listened_to(self) -> bool:
         return bool(self.shared.graph.subscribers.get(self.topic))
 
-    def _send(self, message: Any, anyhow: bool) -> Hearing:  # noqa: FBT001 - called by the thread
-        return self._outlet.send(message, anyhow=anyhow)
+    def _send(self, message: Any, rests: bool, anyhow: bool) -> Hearing:  # noqa: FBT001 - called by the thread
+        if not rests:
+            self.admit()
+        hearing = self._outlet.send(message, anyhow=anyhow)
+        if self.rest is not None:
+            unheard = hearing != "heard" and not anyhow
+            self.rest.sent(rests=rests, published=not unheard, heard=hearing != "nobody")
+        return hearing
 
-    async def _until_matched(self, message: Any) -> Hearing:
+    async def _until_matched(self, message: Any, *, rests: bool) -> Hearing:
         """Try again for as long as a subscriber that the graph lists may need to be matched."""
         for _ in range(int(_MATCH / _PAUSE)):
-            hearing: Hearing = await self.shared.ros.call(self._send, message, False)
+            hearing: Hearing = await self.shared.ros.call(self._send, message, rests, False)
             if hearing != "nobody":
                 return hearing
             await asyncio.sleep(_PAUSE)
         return "nobody"
 
-    async def halt(self) -> None:
-        """Publish the safe value, if anything else was published last.
-
-        :raises DeviceTimeout: whoever moves by it does not answer.
-        """
-        if not self._moved or self._safe is None:
-            return
-        if await self.shared.ros.call(self._send, self._fill(self._safe), True) == "silent":
-            raise DeviceTimeout(f"the node that subscribes to {self.topic} does not answer")
-        self._moved = False
-
     def close(self) -> None:
         """Let go of the publisher."""
         if self._outlet.look in self.shared.on_look:
             self.shared.on_look.remove(self._outlet.look)
+        if self.rest is not None:
+            self.shared.ros.post(self.shared.keeper.remove, self.rest)
         self.shared.ros.post(self._outlet.close)

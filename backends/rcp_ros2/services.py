@@ -27,6 +27,26 @@ _MATCH = 1.0  # s for a client to find a server that the graph lists
 _PAUSE = 0.02  # s between looks whether it has
 _MARGIN = 1.0  # s that the gateway waits longer than the service has
 _UNMATCHED = object()
+_HARMLESS = {
+    "composition_interfaces/srv/ListNodes",
+    "lifecycle_msgs/srv/GetAvailableStates",
+    "lifecycle_msgs/srv/GetAvailableTransitions",
+    "lifecycle_msgs/srv/GetState",
+    "map_msgs/srv/GetMapROI",
+    "map_msgs/srv/GetPointMap",
+    "nav_msgs/srv/GetMap",
+    "nav_msgs/srv/GetPlan",
+    "rcl_interfaces/srv/DescribeParameters",
+    "rcl_interfaces/srv/GetLoggerLevels",
+    "rcl_interfaces/srv/GetParameterTypes",
+    "rcl_interfaces/srv/GetParameters",
+    "rcl_interfaces/srv/ListParameters",
+    "rcl_interfaces/srv/SetLoggerLevels",
+    "sensor_msgs/srv/SetCameraInfo",
+    "tf2_msgs/srv/FrameGraph",
+    "type_description_interfaces/srv/GetTypeDescription",
+}
+"""Types of services that only tell; any other may move the robot."""
 
 
 class Caller:
@@ -40,6 +60,7 @@ class Caller:
         *,
         presence: tuple[str, str] | None = None,
         convert: Callable[[Any], Any] | None = None,
+        admit: Callable[[], None] | None = None,
     ) -> None:
         self._shared = shared
         self._srv = srv
@@ -48,6 +69,8 @@ class Caller:
         """What must be in the graph: the service, or the kind of node that serves it."""
         self._convert = convert
         """Run on the response, in the ROS thread."""
+        self._admit = admit
+        """Run before a request is sent, in the ROS thread: raises if it must not be."""
         self._client: Any = None
 
     async def call(self, request: Any, limit: float) -> Any:
@@ -86,8 +109,9 @@ class Caller:
 
     def _send(self, request: Any, ticket: Ticket, sent: list[Any]) -> None:
         try:
-            if self._client is None:
-                self._client = self._shared.ros.node.create_client(self._srv, self._name)
+            self.prepare()
+            if self._admit is not None:
+                self._admit()
             if not self._client.service_is_ready():
                 ticket.give(_UNMATCHED)
                 return
@@ -96,6 +120,11 @@ class Caller:
             ticket.follow(future, self._convert)
         except Exception as error:
             ticket.fail(error)
+
+    def prepare(self) -> None:
+        """Have a client, so that the server is discovered; in the ROS thread."""
+        if self._client is None:
+            self._client = self._shared.ros.node.create_client(self._srv, self._name)
 
     def _forget(self, sent: list[Any]) -> None:
         if self._client is not None and sent:
@@ -128,8 +157,9 @@ class Called(Binding):
         self._request = request
         empty = not fields_of(response)
         convert = (lambda _response: None) if empty else reader(Codec(response, unit=mapping.unit))
-        self._caller = Caller(shared, srv, mapping.target, convert=convert)
         type_name = f"{srv.__module__.split('.')[0]}/srv/{srv.__name__}"
+        moves = type_name not in _HARMLESS if mapping.moves is None else mapping.moves
+        self._caller = Caller(shared, srv, mapping.target, convert=convert, admit=self.admit)
         facts = common(
             name,
             mapping,
@@ -138,6 +168,7 @@ class Called(Binding):
             type=type_name,
         )
         facts["timeout"] = (mapping.timeout or shared.config.timeout) + _MARGIN
+        facts["moves"] = moves
         resource = Resource(
             input=self._input,
             output=None if empty else Codec(response, unit=mapping.unit).type,

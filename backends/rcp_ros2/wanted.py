@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from collections.abc import Set as AbstractSet
 from typing import NamedTuple
 
 import msgspec
@@ -29,8 +30,10 @@ class _Found(NamedTuple):
 class Wanted:
     """What a configuration wants."""
 
-    def __init__(self, config: Ros2Config, naming: Naming) -> None:
+    def __init__(self, config: Ros2Config, naming: Naming, needed: AbstractSet[str]) -> None:
         self._naming = naming
+        self._needed = needed
+        """Names that matter for another reason."""
         self._nice = config.nice_names
         below = [*config.robots] or [config.namespace]
         each = tuple(absolute(p, space) for p in config.expose for space in below)
@@ -62,7 +65,7 @@ class Wanted:
 
     def matters(self, name: str) -> bool:
         """Tell whether a name is mapped or exposed; asked in the ROS thread."""
-        if name in self._targets or name in _NEEDED or self.exposes(name):
+        if name in self._targets or name in _NEEDED or name in self._needed or self.exposes(name):
             return True
         return bool(self._rests) and self._naming.split(name)[2] in self._rests
 
@@ -89,7 +92,8 @@ class Wanted:
     def _of_robots(self, graph: Graph) -> dict[str, Mapping]:
         if not self._each:
             return {}
-        names = (*graph.topics, *graph.services, *graph.nodes)
+        topics = (t for t in graph.topics if t not in graph.publishers or graph.has("topic", t))
+        names = (*topics, *graph.services, *graph.nodes)  # not what the gateway alone is left on
         robots = {robot: space for robot, space, _ in map(self._naming.split, names) if robot}
         return {
             self._naming.below(path, robot): _within(mapping, space)

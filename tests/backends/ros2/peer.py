@@ -123,7 +123,8 @@ class Peer(Node):
         odom.pose.pose.position.x = float(self.count)
         odom.pose.pose.orientation.w = 1.0
         odom.pose.covariance[0] = math.inf
-        odom.twist.twist.linear.x = 0.5
+        odom.twist.twist = self.twist
+        odom.twist.covariance[0] = 0.5
         self.odom.publish(odom)
         imu = Imu()
         imu.header.stamp = now

@@ -17,7 +17,7 @@ from typing import Any
 import msgspec
 
 from rcp_kernel.model import Resource
-from rcp_kernel.spi import Native, Publication
+from rcp_kernel.spi import Native, Publication, StopPlan
 from rcp_ros2 import Ros2Config, open_ros2
 from rcp_ros2.backend import Ros2Backend
 
@@ -55,6 +55,9 @@ class Robot:
         self.resources: dict[str, Resource] = {}
         self.samples: list[tuple[str, Any, int | None]] = []
         self.reports: list[str | None] = []
+        self.latched: set[str | None] = set()
+        self.restored: list[str | None] = []
+        self.plans: dict[str, StopPlan] = {}
         self.backend: Ros2Backend
         self._changed = asyncio.Event()
 
@@ -82,6 +85,18 @@ class Robot:
     def report(self, detail: str | None, *, down: bool = False) -> None:
         self.reports.append(detail)
         self._changed.set()
+
+    def link_restored(self, robot: str | None = None) -> None:
+        self.restored.append(robot)
+        self._changed.set()
+
+    def is_latched(self, robot: str | None = None) -> bool:
+        return robot in self.latched
+
+    def guard(self, name: str, plan: StopPlan | None) -> None:
+        self.plans.pop(name, None)
+        if plan is not None:
+            self.plans[name] = plan
 
     async def until(self, holds: Callable[[], Any], seconds: float = BOUND) -> Any:
         """Wait until something holds of what the host was told."""
@@ -189,6 +204,16 @@ class Peer:
         self._process.send_signal(signal.SIGKILL)
         self._reap()
 
+    def freeze(self) -> None:
+        """Stop its process, as a machine does that hangs."""
+        assert self._process is not None
+        self._process.send_signal(signal.SIGSTOP)
+
+    def thaw(self) -> None:
+        """Let its process go on."""
+        assert self._process is not None
+        self._process.send_signal(signal.SIGCONT)
+
     def stop(self) -> None:
         """Have it leave the graph in good order."""
         if self._process is not None and self._process.poll() is None:
@@ -229,3 +254,15 @@ class Eyes(Crew):
     """A rover with all that a dashboard draws."""
 
     script = "seen.py"
+
+
+class Base(Crew):
+    """A driving base with a navigator."""
+
+    script = "base.py"
+
+
+class Commander(Crew):
+    """Somebody else who commands the base."""
+
+    script = "commander.py"

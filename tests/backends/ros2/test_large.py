@@ -5,10 +5,12 @@ from __future__ import annotations
 import xml.etree.ElementTree as ET
 
 import pytest
+import structlog
 from sensor_msgs.msg import Image
 from structlog.testing import capture_logs
 
 import rcp_ros2
+from rcp_ros2 import topics
 from rcp_ros2.config import Qos
 from rcp_ros2.qos import Profile
 from rcp_ros2.topics import Feed, Feeds
@@ -21,6 +23,14 @@ def logged(
     monkeypatch.delenv("FASTDDS_DEFAULT_PROFILES_FILE", raising=False)
     if prepared:
         monkeypatch.setenv("FASTDDS_DEFAULT_PROFILES_FILE", str(rcp_ros2.PROFILE))
+    # Whatever level a gateway of an earlier test was told to log from.
+    monkeypatch.setattr(
+        topics,
+        "log",
+        structlog.wrap_logger(
+            structlog.PrintLogger(), wrapper_class=structlog.make_filtering_bound_logger(0)
+        ),
+    )
     feed = Feed("/camera", Image, Qos(), profile=Profile(reliable, False, 5))
     with capture_logs() as found:
         hear = Feeds(None, None, lambda _key, _detail: None)._hearer(feed)

@@ -8,7 +8,13 @@ from collections.abc import AsyncIterator, Iterator
 import pytest
 
 from backends.ros2.robot import BOUND, Crew, Robot, fresh_domain, robot_of
-from rcp_kernel.errors import AdapterUnavailable, DeviceRejected, DeviceTimeout, RcpError
+from rcp_kernel.errors import (
+    AdapterUnavailable,
+    DeviceRejected,
+    DeviceTimeout,
+    EstopActive,
+    RcpError,
+)
 
 pytestmark = pytest.mark.anyio
 
@@ -86,6 +92,21 @@ async def test_a_change_by_somebody_else_is_told_at_once(unconfigured: Robot, cr
         await unconfigured.until(lambda: unconfigured.of(SENSOR)[-1].state == "inactive")
     left = await ros.call(lambda: [s.topic_name for s in ros.node.subscriptions])
     assert left == ["/parameter_events"]
+
+
+async def test_under_an_estop_a_node_is_led_down_and_not_up(unconfigured: Robot) -> None:
+    await lead(unconfigured, "configure")
+    await lead(unconfigured, "activate")
+    unconfigured.latched.add(None)
+    try:
+        assert await lead(unconfigured, "deactivate") == "inactive"
+        with pytest.raises(EstopActive, match="cannot be told to activate"):
+            await lead(unconfigured, "activate")
+        assert await lead(unconfigured, "cleanup") == "unconfigured"
+        with pytest.raises(EstopActive, match="cannot be told to configure"):
+            await lead(unconfigured, "configure")
+    finally:
+        unconfigured.latched.clear()
 
 
 @pytest.fixture

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import time
+from typing import Any
 
 import pytest
 
@@ -13,8 +14,9 @@ from rcp_kernel.values import Encoding, value_type
 
 pytestmark = pytest.mark.anyio
 
-UNASKED = {"/faults", "/parameter_events"}
-"""What is subscribed to with nobody watching: an event, and what parameters there are."""
+UNASKED = {"/faults", "/parameter_events", "/odom", "/fibonacci/_action/status"}
+"""What is subscribed to with nobody watching: an event, what parameters there are, and by what a
+stop is confirmed: the odometry, and the goals of each action."""
 
 
 async def test_a_watched_topic_is_published_with_the_time_of_its_header(robot: Robot) -> None:
@@ -47,6 +49,13 @@ async def test_a_projection_is_the_part_and_keeps_the_time(robot: Robot) -> None
     assert schema["$defs"]["Point"]["properties"]["x"]["unit"] == "m"
 
 
+STOP = "feedback /odom None"
+
+
+def _taps(feeds: Any) -> set[str]:
+    return set(feeds._feeds["/odom"].taps)
+
+
 async def test_two_paths_on_one_topic_share_a_subscription_that_ends_with_the_last(
     robot: Robot,
 ) -> None:
@@ -56,10 +65,10 @@ async def test_two_paths_on_one_topic_share_a_subscription_that_ends_with_the_la
         async with robot.backend.watch("sensor/pose", None):
             await robot.first("sensor/odom")
             await robot.first("sensor/pose")
-            assert await ros.call(lambda: len(feeds._feeds)) == 2  # the event's and this one
+            assert await ros.call(_taps, feeds) == {"sensor/odom", "sensor/pose", STOP}
             assert await ros.call(lambda: ros.node.count_subscribers("/odom")) == 1
-        assert await ros.call(lambda: "/odom" in feeds._feeds)
-    assert not await ros.call(lambda: "/odom" in feeds._feeds)
+        assert await ros.call(_taps, feeds) == {"sensor/odom", STOP}
+    assert await ros.call(_taps, feeds) == {STOP}
     assert await ros.call(lambda: {s.topic_name for s in ros.node.subscriptions}) == UNASKED
 
 

@@ -1,0 +1,202 @@
+"""The measured velocity of a robot: whether it is at rest, and how old that knowledge is.
+
+Samples are taken in the ROS thread; any thread may ask what they say.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any
+
+from rcp_kernel.spi import MotionState
+from rcp_ros2.binding import Shared
+from rcp_ros2.cdr import Codec, Malformed, Value
+from rcp_ros2.config import Qos
+from rcp_ros2.idl import MissingType, load
+from rcp_ros2.topics import Tap
+
+__all__ = ["ODOMETRY", "Feedback", "Feedbacks"]
+
+ODOMETRY = "nav_msgs/msg/Odometry"
+_SETTLE = 0.1  # s that it must have been measured at rest: a velocity may only pass through zero
+Measured = tuple[float, float]
+"""Speed in m/s, and rate of turn in rad/s."""
+
+
+def _twist(value: Any) -> Measured:
+    linear, angular = value.linear, value.angular
+    return (
+        math.hypot(linear.x, linear.y, linear.z),
+        math.hypot(angular.x, angular.y, angular.z),
+    )
+
+
+def _joints(velocities: Sequence[float]) -> Measured | None:
+    if not len(velocities):
+        return None
+    # NaN is no velocity, and `max` would pass over it.
+    return 0.0, math.nan if any(map(math.isnan, velocities)) else max(map(abs, velocities))
+
+
+_MEASURES: dict[str, tuple[str | None, Callable[[Any], Measured | None]]] = {
+    ODOMETRY: ("twist.twist", _twist),
+    "geometry_msgs/msg/Twist": (None, _twist),
+    "geometry_msgs/msg/TwistStamped": ("twist", _twist),
+    "geometry_msgs/msg/TwistWithCovariance": ("twist", _twist),
+    "geometry_msgs/msg/TwistWithCovarianceStamped": ("twist.twist", _twist),
+    "sensor_msgs/msg/JointState": ("velocity", _joints),
+}
+"""The part of each type that tells a velocity, and what reads it."""
+
+
+class Feedback:
+    """The velocity that one topic tells."""
+
+    def __init__(
+        self,
+        topic: str,
+        robot: str | None,
+        limits: Measured,
+        max_age: float,
+        restored: Callable[[], None],
+    ) -> None:
+        self.topic = topic
+        self.robot = robot
+        self.demanded = False
+        """Whether the configuration says that nothing is confirmed without it."""
+        self.max_age = max_age
+        self._limits = limits
+        self._restored = restored
+        self._measure: Callable[[Any], Measured | None] = _twist
+        self._at: float | None = None
+        self._stamp: int | None = None
+        self._speed: Measured = (0.0, 0.0)
+        self._rest: float | None = None
+        """Since when it has been measured at rest."""
+        self.type: str | None = None
+
+    def tap(self, type_: str) -> tuple[Any, Tap]:
+        """Return the class and the tap that a subscription to it takes.
+
+        :raises MissingType: the type is not installed.
+        :raises ValueError: it tells no velocity.
+        """
+        if type_ not in _MEASURES:
+            known = ", ".join(sorted(_MEASURES))
+            raise ValueError(f"{type_} tells no velocity; feedback is one of {known}")
+        field, self._measure = _MEASURES[type_]
+        cls = load(type_)
+        codec = Codec(cls, field)
+        self.type = type_
+
+        def take(value: Value) -> None:
+            self._take(value, codec)
+
+        return cls, Tap(f"feedback {self.topic} {self.robot}", codec, taker=take)
+
+    def _take(self, value: Value, codec: Codec) -> None:
+        stamp = codec.stamp(value.data)
+        if stamp is not None and stamp == self._stamp:
+            return  # a driver that repeats its last measurement measures nothing
+        try:
+            found = self._measure(value.decode())
+        except Malformed:
+            return
+        if found is None:
+            return
+        now = time.monotonic()
+        lost = self._at is not None and now - self._at > self.max_age
+        still = all(
+            one <= limit for one, limit in zip(found, self._limits, strict=True)
+        )  # false for NaN
+        self._stamp, self._speed = stamp, found
+        if not still:
+            self._rest = None
+        elif self._rest is None or lost:
+            self._rest = now
+        self._at = now
+        if lost:
+            self._restored()
+
+    def age(self) -> float | None:
+        """Return the age of the newest sample in seconds; None before the first."""
+        return None if self._at is None else time.monotonic() - self._at
+
+    def is_fresh(self, max_age: float | None = None) -> bool:
+        """Tell whether the newest sample is young enough to go by."""
+        age = self.age()
+        return age is not None and age <= (max_age or self.max_age)
+
+    def missing(self) -> str:
+        """Say what is missing."""
+        age = self.age()
+        return f"no feedback on {self.topic} " + ("yet" if age is None else f"for {age:.1f} s")
+
+    def state(self, since: float | None = None) -> MotionState:
+        """Report what is measured; with `since`, only what was measured after it counts."""
+        at, rest, (speed, turn) = self._at, self._rest, self._speed
+        if at is None or not self.is_fresh():
+            return MotionState(None, self.missing())
+        if rest is None:
+            moving = f"{speed:.2f} m/s" if speed > self._limits[0] else f"{turn:.2f} rad/s"
+            return MotionState(False, f"moves at {moving} ({self.topic})")
+        if at - max(rest, since or rest) < _SETTLE:
+            return MotionState(False, f"comes to rest ({self.topic})")
+        return MotionState(True)
+
+
+class Feedbacks:
+    """Every topic that a velocity is measured by."""
+
+    def __init__(self, shared: Shared, restored: Callable[[str | None], None]) -> None:
+        self._shared = shared
+        self._restored = restored
+        """Called on the event loop with the robot whose feedback returned."""
+        self._all: dict[tuple[str, str | None], Feedback] = {}
+
+    def follow(self, topic: str, robot: str | None, type_: str | None) -> Feedback:
+        """Follow a topic for a robot, as soon as its type is known; on the event loop."""
+        stop = self._shared.config.stop
+        key = (topic, robot)
+        found = self._all.get(key)
+        if found is None:
+            host = self._shared.host
+            found = self._all[key] = Feedback(
+                topic,
+                robot,
+                (stop.speed, stop.turn),
+                stop.max_age,
+                lambda: host.call_soon(self._restored, robot),
+            )
+        if type_ is not None and found.type != type_:
+            try:
+                cls, tap = found.tap(type_)
+            except (MissingType, ValueError) as error:
+                self._shared.trouble(f"feedback {topic}", f"{topic}: {error}")
+                return found
+            ros, feeds = self._shared.ros, self._shared.feeds
+            ros.post(feeds.untap, topic, tap.name)
+            ros.post(feeds.tap, topic, cls, Qos(), tap)
+        return found
+
+    def drop(self, robots: Iterable[str | None]) -> None:
+        """Forget robots that have left for good."""
+        gone = set(robots)
+        for key in [key for key in self._all if key[1] in gone]:
+            self._shared.ros.post(self._shared.feeds.untap, key[0], f"feedback {key[0]} {key[1]}")
+            del self._all[key]
+
+    def of(self, robot: str | None) -> list[Feedback]:
+        """Return what measures a robot."""
+        return [one for one in list(self._all.values()) if one.robot == robot]
+
+    @property
+    def robots(self) -> set[str | None]:
+        """The robots that are measured."""
+        return {robot for _, robot in self._all}
+
+    def find(self, topic: str, robot: str | None) -> Feedback | None:
+        """Return the feedback of a topic."""
+        return self._all.get((topic, robot))

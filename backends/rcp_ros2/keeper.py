@@ -1,0 +1,203 @@
+"""What keeps a stopped robot stopped: repeated in the ROS thread, whatever the event loop does.
+
+A hold begins with a stop. One of an e-stop lasts until the event loop has seen the latch reset: an
+event loop that has frozen cannot reset it. One without a latch ends by itself.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from typing import Any
+
+import structlog
+
+from rcp_kernel.errors import EstopActive
+from rcp_ros2.binding import Shared
+from rcp_ros2.means import StopSignal
+from rcp_ros2.rest import Rest
+from rcp_ros2.ros import guarded
+from rcp_ros2.servers import ActionServer
+
+__all__ = ["Hold", "Keeper"]
+
+log = structlog.get_logger("rcp.ros2")
+_TICK = 0.01  # s
+_LOOK = 0.25  # s between looks at who else publishes
+
+
+@dataclass(slots=True)
+class Hold:
+    """A robot that is stopped."""
+
+    began: float
+    """Monotonic."""
+    until: float
+    """When it ends, unless it is latched."""
+    latched: bool
+    """Whether an e-stop holds it: the configured means of stopping are used too, until its reset."""
+    begun: bool = False
+    """Whether the ROS thread has begun it."""
+
+
+class Keeper:
+    """The holds of a backend, and what they hold."""
+
+    def __init__(self, shared: Shared) -> None:
+        self._shared = shared
+        self.rests: list[Rest] = []
+        self.servers: dict[str, ActionServer] = {}
+        self.signals: list[StopSignal] = []
+        self.holds: dict[str | None, Hold] = {}
+        """By robot; None is what belongs to none of several."""
+        self._timer: Any = None
+        self._look = 0.0
+        self._told: dict[str, tuple[str, ...]] = {}
+
+    # -- from the event loop ---------------------------------------------------------------------
+
+    def hold(self, robot: str | None, seconds: float, *, latched: bool) -> Hold:
+        """Hold a robot, or go on holding it; a new hold begins with all that stops it."""
+        now = time.monotonic()
+        found = self.holds.get(robot)
+        if found is None:
+            found = self.holds[robot] = Hold(now, now + seconds, latched)
+        found.until = max(found.until, now + seconds)
+        found.latched = latched
+        if not found.begun:
+            found.begun = True
+            self._shared.ros.submit(guarded(self._begin, robot))
+        return found
+
+    def again(self, robot: str | None) -> None:
+        """Send everything that stops a robot once more."""
+        self._shared.ros.submit(guarded(self._begin, robot))
+
+    def release(self, robot: str | None) -> None:
+        """End a hold: the e-stop was reset."""
+        self._shared.ros.post(self._release, robot)
+
+    # -- ROS thread ------------------------------------------------------------------------------
+
+    def admit(self, robot: str | None) -> None:
+        """Let a command to a robot pass, which ends a hold without a latch.
+
+        :raises EstopActive: an e-stop holds the robot.
+        """
+        found = self.holds.get(robot)
+        if found is None:
+            return
+        if found.latched:
+            raise EstopActive("the robot was stopped before this reached it")
+        del self.holds[robot]
+
+    def told(self, server: ActionServer) -> None:
+        """Cancel the goals of a stopped robot as soon as they appear."""
+        if server.robot in self.holds:
+            server.cancel()
+
+    def add(self, rest: Rest) -> None:
+        """Keep an actuator of a robot."""
+        self.rests.append(rest)
+        if rest.robot in self.holds:
+            rest.begin(time.monotonic())
+
+    def remove(self, rest: Rest) -> None:
+        """Let go of an actuator."""
+        if rest in self.rests:
+            self.rests.remove(rest)
+            rest.leave()
+
+    def follow(self, names: dict[str, str | None]) -> None:
+        """Know the action servers of the robots: each with the robot whose it is."""
+        for name in self.servers.keys() - names.keys():
+            self.servers.pop(name).close()
+        for name in names.keys() - self.servers.keys():
+            server = ActionServer(self._shared, name, names[name])
+            self.servers[name] = server
+            if server.robot in self.holds:
+                server.cancel()
+
+    def look(self) -> None:
+        """Follow who else publishes, and which servers have come or gone; at each look."""
+        for server in list(self.servers.values()):
+            server.look()
+        for rest in self.rests:
+            rest.look()
+            if rest.others != self._told.get(rest.topic, ()):
+                self._told[rest.topic] = rest.others
+                log.info("ros_other_publishers", topic=rest.topic, nodes=list(rest.others))
+
+    def _begin(self, robot: str | None) -> None:
+        now = time.monotonic()
+        for rest in self.rests:
+            if rest.robot == robot:
+                rest.begin(now)
+                self._shared.pulses.ask(rest.outlet.nodes)
+        for server in self.servers.values():
+            if server.robot == robot:
+                server.cancel()
+        hold = self.holds.get(robot)
+        for signal in self.signals:
+            if signal.robot == robot and hold is not None and hold.latched:
+                signal.engage(now)
+        for rest in self.rests:
+            if rest.robot == robot:
+                rest.look()
+                rest.listen()
+        self.wake()
+
+    def wake(self) -> None:
+        """Have what is held repeated."""
+        if self._timer is None:
+            self._timer = self._shared.ros.node.create_timer(_TICK, guarded(self._tick))
+        elif self._timer.is_canceled():
+            self._timer.reset()
+
+    def _tick(self) -> None:
+        now = time.monotonic()
+        for robot, hold in list(self.holds.items()):
+            if not hold.latched and now > hold.until:
+                self.holds.pop(robot, None)
+        due = now >= self._look
+        if due:
+            self._look = now + _LOOK
+        for rest in self.rests:
+            if rest.robot in self.holds:
+                rest.hold(now)
+                if due:
+                    rest.look()
+                    rest.listen()
+                    self._shared.pulses.ask(rest.outlet.nodes)
+            else:
+                rest.leave()
+                if rest.is_bursting:
+                    rest.hold(now)
+        for server in self.servers.values():
+            if (hold := self.holds.get(server.robot)) is not None:
+                server.press(now, hold.began)
+        for signal in self.signals:
+            held = self.holds.get(signal.robot)
+            if held is not None and held.latched:
+                signal.hold(now)
+        if not self.holds and not any(rest.is_bursting for rest in self.rests):
+            self._timer.cancel()
+
+    def _release(self, robot: str | None) -> None:
+        self.holds.pop(robot, None)
+        for rest in self.rests:
+            if rest.robot == robot:
+                rest.leave()
+        for signal in self.signals:
+            if signal.robot == robot:
+                signal.release()
+
+    def close(self) -> None:
+        """Let go of everything, in the ROS thread."""
+        self.holds.clear()
+        for server in self.servers.values():
+            server.close()
+        self.servers.clear()
+        for signal in self.signals:
+            signal.close()
+        self.signals.clear()

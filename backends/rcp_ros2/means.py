@@ -1,0 +1,177 @@
+"""Optional means of stopping a robot: an e-stop topic, the lock of a twist_mux, a service."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import Any
+
+import msgspec
+
+from rcp_kernel.errors import AdapterUnavailable, DeviceRejected
+from rcp_ros2.binding import Shared
+from rcp_ros2.config import Qos, StopService, StopTopic
+from rcp_ros2.filler import filler
+from rcp_ros2.idl import MissingType, fields_of, load
+from rcp_ros2.outlet import Outlet
+from rcp_ros2.services import Caller
+from rcp_ros2.types import inward
+
+__all__ = ["StopCall", "StopSignal"]
+
+_PERIOD = 0.1  # s between two transmissions of a signal
+_QOS = Qos(reliability="reliable", durability="transient_local", depth=1)
+
+
+class StopSignal:
+    """A topic that says that a robot is stopped; in the ROS thread."""
+
+    def __init__(self, shared: Shared, config: StopTopic, robot: str | None) -> None:
+        cls = load(config.type)
+        fill, type_ = filler(cls), inward(cls)
+        self.topic = config.name
+        self.type = config.type
+        self.robot = robot
+        self.stopped = fill(msgspec.convert(config.value, type_))
+        self.data = serialised(self.stopped)
+        """What says that it is stopped, in CDR."""
+        self.engaged = False
+        self._heard = True
+        released = config.released
+        self._released = None if released is None else fill(msgspec.convert(released, type_))
+        self._outlet = Outlet(shared, self.topic, cls, _QOS)
+        self._outlet.look()
+        self._due = 0.0
+
+    def engage(self, now: float) -> None:
+        """Say that the robot is stopped."""
+        self.engaged = True
+        self._due = now + _PERIOD
+        self._send(self.stopped)
+
+    def hold(self, now: float) -> None:
+        """Say it again when it is time."""
+        if now >= self._due:
+            self.engage(now)
+
+    def release(self) -> None:
+        """Say that it is free, if it was said to be stopped."""
+        if self.engaged and self._released is not None:
+            self._send(self._released)
+        self.engaged = False
+
+    def trouble(self) -> str | None:
+        """Say that nobody heard that the robot is stopped, or None."""
+        return None if self._heard or not self.engaged else f"no node subscribes to {self.topic}"
+
+    def look(self) -> None:
+        """Suit those who listen now."""
+        self._outlet.look()
+
+    def _send(self, message: Any) -> None:
+        try:
+            self._heard = self._outlet.send(message, anyhow=True) != "nobody"
+        except AdapterUnavailable:  # told as a complaint of the outlet
+            self._heard = False
+
+    def close(self) -> None:
+        """Let go of the publisher."""
+        self._outlet.close()
+
+
+class StopCall:
+    """A service that stops a robot; on the event loop."""
+
+    def __init__(self, shared: Shared, config: StopService, robot: str | None) -> None:
+        self.name = config.name
+        self.robot = robot
+        self.engaged = False
+        self.done = False
+        """Whether the service has answered that it succeeded, since the stop began."""
+        self.error: str | None = None
+        self.plan: dict[str, Any] | None = None
+        """What the guard process calls, as soon as the type is known."""
+        self._shared = shared
+        self._config = config
+        self._caller: Caller | None = None
+        self._srv: Any = None
+        self._running: asyncio.Task[None] | None = None
+
+    @property
+    def type(self) -> str | None:
+        """The service's type, as soon as it is known."""
+        return self._config.type or self._shared.graph.services.get(self.name)
+
+    async def engage(self) -> None:
+        """Call it; calls that come while it is called wait for the same answer.
+
+        :raises RcpError: it cannot be reached, does not answer, or says that it failed.
+        """
+        self.engaged = True
+        if self._running is None:
+            self._running = asyncio.ensure_future(self._call(self._config.request))
+            self._running.add_done_callback(self._end)
+        await asyncio.shield(self._running)
+
+    def _end(self, task: asyncio.Task[None]) -> None:
+        self._running = None
+        error = None if task.cancelled() else task.exception()
+        self.done = error is None and not task.cancelled()
+        self.error = None if error is None else f"{self.name} failed: {error}"
+        self._shared.trouble(f"stop service {self.name}", self.error)
+
+    def release(self) -> None:
+        """Call it with what releases the robot, if the configuration has it."""
+        engaged, self.engaged, self.done = self.engaged, False, False
+        if engaged and self._config.released is not None:
+            task = asyncio.ensure_future(self._call(self._config.released))
+            task.add_done_callback(self._released)
+
+    def _released(self, task: asyncio.Task[None]) -> None:
+        error = None if task.cancelled() else task.exception()
+        text = None if error is None else f"{self.name} did not release the robot: {error}"
+        self._shared.trouble(f"stop service {self.name}", text)
+
+    def prepare(self) -> None:
+        """Find the service, so that it is discovered by the time it is needed; in the ROS thread."""
+        if self._caller is not None or self.type is None:
+            return
+        try:
+            self._srv = srv = load(self.type, "srv")
+            request = _filled(srv.Request, self._config.request)
+        except (MissingType, ValueError) as error:
+            self._shared.complain(f"stop service {self.name}", f"{self.name}: {error}")
+            return
+        self._caller = Caller(self._shared, srv, self.name)
+        self._caller.prepare()
+        self.plan = {"name": self.name, "type": self.type, "data": serialised(request).hex()}
+
+    async def _call(self, plain: dict[str, Any]) -> None:
+        shared = self._shared
+        await shared.ros.call(self.prepare)
+        if self._caller is None:
+            raise AdapterUnavailable(f"no node offers service {self.name}")
+        request = _filled(self._srv.Request, plain)
+        response = await self._caller.call(request, shared.config.timeout)
+        if getattr(response, "success", True) is False:
+            said = getattr(response, "message", "") or "success: false"
+            raise DeviceRejected(f"{self.name} answered {said!r}")
+
+    def close(self) -> None:
+        """Let go of the client."""
+        if self._running is not None:
+            self._running.cancel()
+        if self._caller is not None:
+            self._caller.close()
+
+
+def serialised(message: Any) -> bytes:
+    """Return a message in CDR."""
+    from rclpy.serialization import serialize_message
+
+    return serialize_message(message)
+
+
+def _filled(cls: Any, plain: dict[str, Any]) -> Any:
+    if not fields_of(cls):
+        return cls()
+    return filler(cls)(msgspec.convert(plain, inward(cls)))

@@ -1,0 +1,46 @@
+"""Whether the middleware that the environment asks for can be loaded, found out in another process.
+
+rcl looks at it when its library is loaded and ends the process with code 102 if it is another one
+than `RMW_IMPLEMENTATION` says: in C, so that no exception handler is asked.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+
+from rcp_kernel.errors import ConfigError, NotReady
+
+__all__ = ["check_middleware"]
+
+_NAMES = ("RMW_IMPLEMENTATION", "RCL_ASSERT_RMW_ID_MATCHES")
+_LOADS = 10.0  # s to import rclpy on a slow machine
+
+
+def check_middleware() -> None:
+    """Import rclpy elsewhere before it is imported here; called in a thread that may wait.
+
+    :raises ConfigError: the environment asks for a middleware that is not there.
+    :raises NotReady: that could not be found out in time.
+    """
+    asked = " ".join(f"{name}={os.environ[name]}" for name in _NAMES if os.environ.get(name))
+    if not asked or "rclpy" in sys.modules:
+        return
+    try:
+        found = subprocess.run(
+            [sys.executable, "-c", "import rclpy"],
+            capture_output=True,
+            text=True,
+            timeout=_LOADS,
+            check=False,
+        )
+    except (OSError, subprocess.TimeoutExpired) as error:
+        raise NotReady(f"whether {asked} can be loaded was not found out: {error}") from None
+    if found.returncode:
+        said = [line for line in found.stderr.splitlines() if line.strip()]
+        why = said[-1].strip() if said else f"exit code {found.returncode}"
+        raise ConfigError(
+            f"the ROS 2 middleware that the environment asks for ({asked}) cannot be loaded: {why}; "
+            "install it, or unset the variable"
+        )

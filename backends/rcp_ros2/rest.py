@@ -1,0 +1,187 @@
+"""A topic that a robot moves by, with the value that brings it to rest, and who else publishes it.
+
+A subscriber obeys whoever published last, so that a stop must keep publishing for as long as
+others do. Everything here runs in the ROS thread, but for what only tells.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import Counter, deque
+from typing import Any
+
+import msgspec
+
+from rcp_kernel.errors import AdapterUnavailable
+from rcp_ros2.binding import Shared
+from rcp_ros2.cdr import Codec, Malformed, Value
+from rcp_ros2.config import Qos
+from rcp_ros2.idl import full_name
+from rcp_ros2.outlet import Outlet
+from rcp_ros2.pulse import node_of
+from rcp_ros2.topics import Tap
+
+__all__ = ["Rest"]
+
+_QUIET = 0.5  # s without a command of others, after which they count as silent
+_FASTEST = 100.0  # Hz
+_AHEAD = 3.0  # times as fast as others publish
+_BURST = 5  # times that it is sent in quick succession at first: some may be lost
+_QUICK = 0.015  # s between two of those
+_ANSWER = 0.002  # s between two answers to others' commands, at least
+_KNOWN = 20  # commands of others that their rate is taken from
+
+
+class Rest:
+    """The safe value of one actuator: repeated while its robot is stopped."""
+
+    def __init__(self, shared: Shared, topic: str, cls: Any, outlet: Outlet, message: Any) -> None:
+        self.topic = topic
+        self.type = full_name(cls)
+        self.robot: str | None = None
+        self.needed = True
+        """Whether a stop that no node hears is not confirmed."""
+        self.measured = False
+        """Whether the configuration names what measures it."""
+        self.others: tuple[str, ...] = ()
+        """The nodes that publish the topic too."""
+        self.commanded = False
+        """Whether the last that the gateway published was not the safe value."""
+        self.heard_at: float | None = None
+        """When the safe value was last published with a node to hear it, monotonic."""
+        self.data = message if isinstance(message, bytes) else _serialised(message)
+        """It in CDR."""
+        self.outlet = outlet
+        self._shared = shared
+        self._cls = cls
+        self._message = message
+        self._codec = Codec(cls)
+        self._plain = _plain(self._codec.decode(self.data))
+        self._tap: Tap | None = None
+        self._due = 0.0
+        self._burst = 0
+        """How often it is still to be sent in quick succession."""
+        self._answered = 0.0
+        self._foreign: deque[float] = deque(maxlen=_KNOWN)
+        """When others' commands came."""
+        self.acked = False
+        """Whether every reliable subscriber has acknowledged what was published before."""
+
+    # -- what it tells, to any thread ------------------------------------------------------------
+
+    def contested(self) -> float:
+        """Return the rate in Hz at which others command something else; 0 if they do not."""
+        times = list(self._foreign)
+        if not times or time.monotonic() - times[-1] > _QUIET:
+            return 0.0
+        span = times[-1] - times[0]
+        return (len(times) - 1) / span if span > 0 else 1 / _QUIET
+
+    def about_others(self) -> str | None:
+        """Say who else publishes, or None."""
+        if not self.others:
+            return None
+        rate = self.contested()
+        names = ", ".join(self.others)
+        if rate:
+            return f"{names} commands {self.topic} at {rate:.0f} Hz"
+        return f"{names} may publish on {self.topic} too"
+
+    # -- ROS thread ------------------------------------------------------------------------------
+
+    def sent(self, *, rests: bool, published: bool, heard: bool) -> None:
+        """Note what the gateway has published of its own accord."""
+        if not published:
+            return
+        now = time.monotonic()
+        if rests and heard:
+            self.heard_at = now
+        if rests and self.commanded:  # the dead-man, or a client that lets go
+            self._burst, self._due = _BURST - 1, now + _QUICK
+            self._shared.keeper.wake()
+        elif not rests:
+            self._burst = 0
+        self.commanded = not rests
+
+    def begin(self, now: float) -> None:
+        """Publish the safe value, and again soon."""
+        self._burst = _BURST
+        self.publish(now)
+
+    @property
+    def is_bursting(self) -> bool:
+        """Whether it is to be sent again, held or not."""
+        return self._burst > 0
+
+    def publish(self, now: float) -> None:
+        """Publish the safe value."""
+        if self._burst > 0:
+            self._burst -= 1
+        rate = min(_FASTEST, max(self._shared.config.stop.rate, _AHEAD * self.contested()))
+        self._due = now + (_QUICK if self._burst else 1 / rate)
+        try:
+            self.acked = self.outlet.acked()
+            heard = self.outlet.send(self._message, anyhow=True)
+        except AdapterUnavailable:  # told as a complaint of the outlet
+            return
+        self.commanded = False
+        if heard != "nobody":
+            self.heard_at = now
+
+    def hold(self, now: float) -> None:
+        """Publish it again when it is time."""
+        if now >= self._due:
+            self.publish(now)
+
+    def look(self) -> None:
+        """Find out who else publishes, and listen to them."""
+        node = self._shared.ros.node
+        found = Counter(
+            node_of(endpoint) or "a node without a name"
+            for endpoint in node.get_publishers_info_by_topic(self.topic)
+        )
+        own = node.get_fully_qualified_name()
+        found[own] -= sum(publisher.topic_name == self.topic for publisher in node.publishers)
+        self.others = tuple(sorted(name for name, count in found.items() if count > 0))
+
+    def listen(self) -> None:
+        """Listen to others while the robot is stopped, to answer each of their commands."""
+        if self.others and self._tap is None:
+            self._foreign.clear()
+            self._tap = Tap(f"stop {self.topic} {id(self)}", self._codec, taker=self._hear)
+            self._shared.feeds.tap(self.topic, self._cls, Qos(), self._tap)
+
+    def leave(self) -> None:
+        """Listen no more."""
+        if self._tap is not None:
+            self._shared.feeds.untap(self.topic, self._tap.name)
+            self._tap = None
+            self._foreign.clear()
+
+    def _hear(self, value: Value) -> None:
+        if value.data == self.data or self.is_rest(value.data):
+            return
+        now = time.monotonic()
+        self._foreign.append(now)
+        if now - self._answered >= _ANSWER:  # the robot obeys whoever spoke last
+            self._answered = now
+            self.publish(now)
+
+    def is_rest(self, data: bytes) -> bool:
+        """Tell whether a message says the same, whenever and whoever from."""
+        try:
+            return _plain(self._codec.decode(data)) == self._plain
+        except Malformed:
+            return False
+
+
+def _plain(value: Any) -> Any:
+    plain = msgspec.to_builtins(value)
+    plain.pop("header", None)
+    return plain
+
+
+def _serialised(message: Any) -> bytes:
+    from rclpy.serialization import serialize_message
+
+    return serialize_message(message)

@@ -1,0 +1,151 @@
+"""The action servers of a robot: the goals they run, whoever sent them, and how all are cancelled.
+
+Everything here runs in the ROS thread, but for what only tells.
+"""
+
+from __future__ import annotations
+
+import time
+from functools import partial
+from typing import Any
+
+from rcp_ros2.binding import Shared
+from rcp_ros2.cdr import Codec, Malformed, Value
+from rcp_ros2.config import Qos
+from rcp_ros2.graph import GOALS
+from rcp_ros2.idl import load
+from rcp_ros2.ros import hearing
+from rcp_ros2.topics import Tap
+
+__all__ = ["ActionServer"]
+
+_STATUSES = "action_msgs/msg/GoalStatusArray"
+_ACTIVE = (1, 2, 3)  # action_msgs/msg/GoalStatus: accepted, executing, canceling
+_CANCELING = 3
+_UNKNOWN, _TERMINATED = 2, 3  # action_msgs/srv/CancelGoal
+_GIVEN_UP = 100  # goals whose servers may come back
+_AGAIN = 0.2  # s between two cancels of what goes on
+_NONE = bytes(16)
+"""The id that stands for every goal."""
+
+
+class ActionServer:
+    """One action, seen from outside."""
+
+    def __init__(self, shared: Shared, name: str, robot: str | None) -> None:
+        from action_msgs.srv import CancelGoal
+
+        self.name = name
+        self.robot = robot
+        self.goals: dict[bytes, int] = {}
+        """The goals that have not ended, with their status."""
+        self.answered_at = 0.0
+        """When it last answered to a cancel, monotonic."""
+        self.refused = False
+        """Whether it lately let a goal go on that it was told to cancel."""
+        self._shared = shared
+        self._srv = CancelGoal
+        self._client: Any = shared.ros.node.create_client(CancelGoal, f"{name}/_action/cancel_goal")
+        self._pending: dict[bytes, Any] = {}
+        self._asked = 0.0
+        self._abandoned: set[bytes] = set()
+        """Goals of the gateway that it has given up: they must not go on."""
+        self._servers: frozenset[bytes] = frozenset()
+        """Who published the statuses that are known."""
+        codec = Codec(load(_STATUSES))
+        self._tap = Tap(f"stop {name}", codec, taker=self._told)
+        shared.feeds.tap(f"{name}{GOALS}", load(_STATUSES), Qos(), self._tap)
+
+    # -- what it tells, to any thread ------------------------------------------------------------
+
+    def active(self) -> int:
+        """Return how many goals have not ended."""
+        return len(self.goals)
+
+    def trouble(self) -> str:
+        """Say what keeps its goals from ending."""
+        count = len(self.goals)
+        goals = "1 goal" if count == 1 else f"{count} goals"
+        if self.refused:
+            return f"{self.name} refuses to cancel {goals}"
+        return f"{goals} of {self.name} not ended yet"
+
+    # -- ROS thread ------------------------------------------------------------------------------
+
+    def cancel(self, goal: bytes = _NONE) -> None:
+        """Cancel one goal, or every goal; it is sent again by `press` if that has no effect."""
+        self._asked = time.monotonic()
+        if not self._client.service_is_ready():
+            return
+        if (old := self._pending.pop(goal, None)) is not None:
+            self._client.remove_pending_request(old)
+        request = self._srv.Request()
+        request.goal_info.goal_id.uuid = list(goal)
+        self._pending[goal] = future = self._client.call_async(request)
+        future.add_done_callback(hearing(partial(self._answered, goal)))
+
+    def press(self, now: float, since: float) -> None:
+        """Cancel again whatever goes on; ask again a server that has not answered since a stop."""
+        if now - self._asked < _AGAIN:
+            return
+        running = [goal for goal, status in self.goals.items() if status != _CANCELING]
+        if running:  # each by itself: rclpy's server passes over some when it refuses others
+            for goal in running:
+                self.cancel(goal)
+        elif self.answered_at < since:
+            self.cancel()
+
+    def abandon(self, goal: bytes) -> None:
+        """Cancel a goal now, or as soon as its server is heard again and runs it."""
+        if len(self._abandoned) < _GIVEN_UP:
+            self._abandoned.add(goal)
+        self.cancel(goal)
+
+    def look(self) -> None:
+        """Forget what a server told that has gone; cancel what was given up and goes on."""
+        servers = self._publishers()
+        if self._servers and self._servers.isdisjoint(servers):
+            self.goals = {}
+            self._servers = frozenset()
+        self._end_abandoned()
+
+    def _end_abandoned(self) -> None:
+        for goal in self._abandoned & self.goals.keys():
+            if self.goals[goal] != _CANCELING:
+                self.cancel(goal)
+
+    def _answered(self, goal: bytes, future: Any) -> None:
+        if self._pending.get(goal) is future:
+            del self._pending[goal]
+        response = future.result()
+        self.answered_at = time.monotonic()
+        if goal not in self.goals:
+            return
+        if response.return_code in (_UNKNOWN, _TERMINATED):
+            del self.goals[goal]  # a server that was restarted does not know it any more
+        elif goal not in {bytes(info.goal_id.uuid) for info in response.goals_canceling}:
+            self.refused = self.goals[goal] != _CANCELING
+
+    def _told(self, value: Value) -> None:
+        try:
+            statuses = value.decode().status_list
+        except Malformed:
+            return
+        found = {bytes(one.goal_info.goal_id.uuid): one.status for one in statuses}
+        self.goals = {goal: status for goal, status in found.items() if status in _ACTIVE}
+        self._abandoned -= found.keys() - self.goals.keys()
+        self._servers = self._publishers()
+        if not self.goals:
+            self.refused = False
+        self._end_abandoned()
+        if any(status != _CANCELING for status in self.goals.values()):
+            self._shared.keeper.told(self)
+
+    def _publishers(self) -> frozenset[bytes]:
+        infos = self._shared.ros.node.get_publishers_info_by_topic(f"{self.name}{GOALS}")
+        return frozenset(bytes(info.endpoint_gid) for info in infos)
+
+    def close(self) -> None:
+        """Let go of what it holds of ROS."""
+        self._shared.feeds.untap(f"{self.name}{GOALS}", self._tap.name)
+        self._shared.ros.node.destroy_client(self._client)

@@ -1,0 +1,498 @@
+"""Stops of the robots: commanded through the ROS thread, confirmed by what is measured there."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import time
+from collections.abc import Iterable
+from typing import Any
+
+import structlog
+from msgspec.structs import replace
+
+from rcp_kernel.errors import AdapterUnavailable, ConfigError, DeviceTimeout
+from rcp_kernel.model import Kind, kind_of
+from rcp_kernel.spi import MotionState, StopPlan, Watchdog
+from rcp_ros2.binding import Absent, Binding, Shared
+from rcp_ros2.catalog import Catalog
+from rcp_ros2.config import StopTopic
+from rcp_ros2.feedback import ODOMETRY, Feedbacks
+from rcp_ros2.graph import Graph
+from rcp_ros2.idl import MissingType
+from rcp_ros2.keeper import Keeper
+from rcp_ros2.means import StopCall, StopSignal
+from rcp_ros2.names import absolute, allows
+from rcp_ros2.rest import Rest
+from rcp_ros2.sensors import Commanded
+
+__all__ = ["Stops"]
+
+log = structlog.get_logger("rcp.ros2")
+_WITHIN = 2.0  # s in which a robot that was told should have come to rest
+_LOOK = 0.02  # s between looks whether it has
+_FOLLOW = 0.1  # s between looks at the latches
+_LINGER = 0.5  # s for which a stop without a latch goes on
+_PERIOD = 0.05  # s between two transmissions of the guard
+_RIDDEN = {
+    "geometry_msgs/msg/Twist",
+    "geometry_msgs/msg/TwistStamped",
+    "ackermann_msgs/msg/AckermannDrive",
+    "ackermann_msgs/msg/AckermannDriveStamped",
+}
+"""Types that drive a base, whose odometry measures what they do."""
+_NO_WATCHDOG = "none that can be read: whether the robot's nodes stop by themselves is not known"
+
+
+class Stops:
+    """What stops the robots of a backend, and what is known of their motion."""
+
+    def __init__(self, shared: Shared, catalog: Catalog) -> None:
+        self._shared = shared
+        self._catalog = catalog
+        self.keeper = shared.keeper = Keeper(shared)
+        self.feedbacks = shared.feedbacks = Feedbacks(shared, self._restored)
+        self._calls: dict[str, StopCall] = {}
+        self._signals: set[str] = set()
+        self._lost: dict[str | None, set[str]] = {}
+        """By robot: what of it is out of reach."""
+        self._met: dict[str | None, set[str]] = {}
+        """By robot: what of it has been there."""
+        self._recovered: set[str | None] = set()
+        self._contested: set[str] = set()
+        """Topics by which others command a robot that is stopped."""
+        self._plan: dict[str, Any] = {}
+        spaces = [*shared.config.robots] or [shared.config.namespace]
+        patterns = shared.config.stop.actions
+        self._is_own = allows(absolute(p, space) for p in patterns for space in spaces)
+
+    # -- who there is ----------------------------------------------------------------------------
+
+    def _bindings(self) -> list[Binding]:
+        return list(self._catalog.bindings.values())
+
+    def robots(self) -> set[str | None]:
+        """Return the robots, and None for what belongs to none of several."""
+        return {
+            binding.resource.robot
+            for binding in self._bindings()
+            if binding.mapping.noun in ("topic", "action")
+        } | {None}
+
+    def _meant(self, robot: str | None) -> set[str | None]:
+        return self.robots() if robot is None else {robot}
+
+    def _is_latched(self, robot: str | None) -> bool:
+        return self._shared.host.is_latched(robot)
+
+    # -- stopping --------------------------------------------------------------------------------
+
+    async def halt(self, robot: str | None) -> None:
+        """Bring a robot (None: all) to rest; return when that is confirmed.
+
+        :raises AdapterUnavailable: one cannot be reached, or what it does is not known.
+        :raises DeviceTimeout: one was told, and has not come to rest.
+        """
+        meant = self._meant(robot)
+        now = time.monotonic()
+        for one in meant:
+            self._hold(one, again=True)
+        own = [b for b in self._bindings() if b.resource.robot in meant]
+        goals = [binding.halt() for binding in own if binding.is_barred]
+        # Without a latch there would be nobody to release what these do.
+        latched = {one for one in meant if self._is_latched(one)}
+        calls = [c.engage() for c in self._calls.values() if c.robot in latched]
+        rest = self._until_rest(meant, now)
+        results = await asyncio.gather(*goals, rest, *calls, return_exceptions=True)
+        if all(map(self._is_measured, meant)):
+            # A robot that is measured at rest is at rest: the failed service is told as trouble.
+            results = results[: len(goals) + 1]
+        for result in results:
+            if isinstance(result, BaseException):
+                raise result
+
+    def hold_stop(self, robot: str | None) -> None:
+        """Keep a robot (None: all) stopped; the ROS thread repeats what does it."""
+        with contextlib.suppress(AdapterUnavailable):  # ROS has ended: the backend opens again
+            for one in self._meant(robot):
+                self._hold(one)
+
+    def _hold(self, robot: str | None, *, again: bool = False) -> None:
+        known = self.keeper.holds.get(robot)
+        latched = self._is_latched(robot)
+        self.keeper.hold(robot, _LINGER, latched=latched)
+        if again and known is not None:
+            self.keeper.again(robot)
+
+    async def _until_rest(self, robots: set[str | None], since: float) -> None:
+        end = since + _WITHIN
+        while True:
+            states = [self._state(robot, since) for robot in robots]
+            if all(state.at_rest for state in states):
+                return
+            if time.monotonic() >= end:
+                break
+            for robot in robots:
+                self._hold(robot)
+            await asyncio.sleep(_LOOK)
+        worst = _worst(states)
+        if worst.at_rest is None:
+            raise AdapterUnavailable(
+                f"told to stop, but not known to be at rest: {worst.detail}",
+                remedy="Look at the robot; use its own emergency stop if in doubt.",
+            )
+        raise DeviceTimeout(
+            f"told to stop, but not at rest: {worst.detail}",
+            remedy="Use the robot's own emergency stop.",
+        )
+
+    async def recover(self, robot: str | None) -> str:
+        """Do what `on_loss` says, now that a robot is back."""
+        if self._shared.config.on_loss == "continue":
+            return "continued"
+        meant = self._meant(robot)
+        first = self._recovered.isdisjoint(meant) and not self._shared.sent_goals
+        if first:  # what an earlier gateway sent is not known: nothing of it may go on
+            await self.halt(robot)
+            self._recovered |= meant
+            return "held: all goals cancelled, safe values published"
+        await self._shared.ros.call(self._rest, meant)
+        return "held: the gateway's own goals cancelled, safe values published"
+
+    def _rest(self, robots: set[str | None]) -> None:
+        now = time.monotonic()
+        for rest in self.keeper.rests:
+            if rest.robot in robots and rest.commanded:
+                rest.begin(now)
+        self.keeper.wake()
+
+    # -- what is known ---------------------------------------------------------------------------
+
+    def motion(self, robot: str | None) -> MotionState:
+        """Report whether a robot (None: the worst of all) is at rest."""
+        return _worst([self._state(one) for one in self._meant(robot)])
+
+    def _is_measured(self, robot: str | None) -> bool:
+        return any(one.is_fresh() for one in self.feedbacks.of(robot))
+
+    def _state(self, robot: str | None, since: float | None = None) -> MotionState:
+        """Report on one robot; while it is stopped, by what was learnt since."""
+        hold = self.keeper.holds.get(robot)
+        if since is None and hold is not None:
+            since = hold.began
+        rests = [rest for rest in self.keeper.rests if rest.robot == robot]
+        others = [text for rest in rests if (text := rest.about_others()) is not None]
+        measured = self._measured(robot, since)
+        if measured is None:
+            states = [self._sent(rest, since) for rest in rests]
+            states += self._goals(robot, since)
+            states += self._absent(robot) if since is not None else []
+            if not states and (missing := self._missing(robot)) is not None:
+                states = [MotionState(None, missing)]
+        elif measured.at_rest is None:  # what was sent, and what goals say, is no measurement
+            states = [measured]
+        else:
+            unmeasured = [r for r in rests if r.type not in _RIDDEN and not r.measured]
+            states = [measured, *(self._sent(rest, since) for rest in unmeasured)]
+            states += [self._sent(r, since) for r in rests if r.commanded]  # it may not move yet
+            states += self._goals(robot, None)
+        found = _worst(states)
+        detail = "; ".join(filter(None, [found.detail, *others, *self._about_means(robot)]))
+        return MotionState(found.at_rest, detail)
+
+    def _about_means(self, robot: str | None) -> list[str]:
+        calls = [c.error for c in self._calls.values() if c.robot == robot]
+        signals = [s.trouble() for s in list(self.keeper.signals) if s.robot == robot]
+        return [text for text in (*calls, *signals) if text is not None]
+
+    def _measured(self, robot: str | None, since: float | None) -> MotionState | None:
+        """Return what feedback says, None without any."""
+        found = self.feedbacks.of(robot)
+        if not found:
+            topic = self._shared.config.stop.feedback
+            own = isinstance(topic, str) and any(robot == one for _, one in self._each(topic))
+            return MotionState(None, f"no feedback on {topic} yet") if own else None
+        demanded = [one.state(since) for one in found if one.demanded]
+        if demanded:
+            return _worst(demanded)
+        fresh = [one for one in found if one.is_fresh()]
+        return _worst([one.state(since) for one in (fresh or found[:1])])
+
+    def _sent(self, rest: Rest, since: float | None) -> MotionState:
+        """Report what is known of an actuator that nothing measures."""
+        if rest.commanded:
+            return MotionState(False, f"{rest.topic} was commanded to move")
+        if rate := rest.contested():
+            return MotionState(None, f"others command {rest.topic} at {rate:.0f} Hz")
+        nodes, pulses = rest.outlet.nodes, self._shared.pulses
+        if not rest.needed and not nodes:
+            return MotionState(True)
+        if not nodes:
+            return MotionState(None, f"no node subscribes to {rest.topic}")
+        if since is None:
+            if all(map(pulses.is_silent, nodes)):
+                return MotionState(None, f"the node that subscribes to {rest.topic} is silent")
+            if rest.others:
+                return MotionState(None, f"nothing measures what others do by {rest.topic}")
+            return MotionState(True)
+        if rest.heard_at is None or rest.heard_at < since:
+            return MotionState(None, f"no node has heard the safe value of {rest.topic} yet")
+        known = [p for node in nodes if (p := pulses.of(node)) is not None and p.answers]
+        silent = [p for p in known if p.heard < since or p.silence > self._shared.config.silence]
+        if silent or (len(known) < len(nodes) and not rest.acked):
+            return MotionState(None, f"the node that subscribes to {rest.topic} does not answer")
+        if rest.others and time.monotonic() - since < _LINGER:
+            return MotionState(None, f"others may publish on {rest.topic}")
+        return MotionState(True)
+
+    def _goals(self, robot: str | None, since: float | None) -> list[MotionState]:
+        found: list[MotionState] = []
+        for server in list(self.keeper.servers.values()):
+            if server.robot != robot:
+                continue
+            if server.active():
+                found.append(MotionState(False, server.trouble()))
+            elif since is not None and server.answered_at < since:
+                found.append(MotionState(None, f"the server of {server.name} does not answer"))
+        return found
+
+    def _missing(self, robot: str | None) -> str | None:
+        """Say that nothing of a robot is there; None for one that has nothing that moves."""
+        shared = self._shared
+        own = [b for b in self._bindings() if b.resource.robot == robot]
+        if robot is None and shared.config.robots and not own and len(self.robots()) > 1:
+            return None  # they are stopped one by one
+        if not self._catalog.is_mapped or (not own and shared.settling):
+            return "the robot is still being discovered"
+        if robot is None and shared.config.robots and not own:
+            return None  # none of them is there
+        if not any(shared.graph.has(b.mapping.noun, b.mapping.target) for b in own):
+            return "no node of the robot is there"
+        return None
+
+    def _absent(self, robot: str | None) -> list[MotionState]:
+        """Report what is mapped and not there: a robot out of reach is not known to be at rest."""
+        found: list[MotionState] = []
+        for binding in self._bindings():
+            mapping = binding.mapping
+            if binding.resource.robot != robot or not mapping.require_subscriber:
+                continue
+            if not binding.is_barred:
+                continue
+            kind = kind_of(binding.resource.name)
+            if kind is Kind.ACTUATOR and isinstance(binding, Absent):
+                found.append(MotionState(None, f"no node subscribes to {mapping.target}"))
+            elif kind is Kind.ACTION and mapping.target not in self.keeper.servers:
+                found.append(MotionState(None, f"no node serves {mapping.target}"))
+        return found
+
+    def watchdogs(self) -> list[Watchdog]:
+        """List that there is none, for each robot that moves."""
+        robots = {rest.robot for rest in self.keeper.rests}
+        robots |= {server.robot for server in self.keeper.servers.values()}
+        return [Watchdog(_NO_WATCHDOG, None, robot=robot) for robot in sorted(robots, key=str)]
+
+    # -- following -------------------------------------------------------------------------------
+
+    def update(self, graph: Graph) -> None:
+        """Follow a new look at the graph."""
+        config, naming = self._shared.config, self._shared.naming
+        harmless = {
+            b.mapping.target for b in self._bindings() if b.mapping.action and not b.is_barred
+        }
+        servers = {
+            name: naming.split(name)[0]
+            for name in graph.servers - harmless
+            if self._is_own(name) or name in graph.actions
+        }
+        self._shared.ros.post(self.keeper.follow, servers)
+        self._shared.ros.post(self.keeper.look)
+        robots = self.robots()
+        self.feedbacks.drop(self.feedbacks.robots - robots)
+        feedback = config.stop.feedback
+        if feedback is True:
+            for topic, type_ in graph.topics.items():
+                if type_ == ODOMETRY and graph.publishers.get(topic):
+                    self.feedbacks.follow(topic, naming.split(topic)[0], type_)
+        elif isinstance(feedback, str):
+            for topic, robot in self._each(feedback):
+                one = self.feedbacks.follow(topic, robot, graph.topics.get(topic))
+                one.demanded = True
+        for binding in self._bindings():
+            if (topic := binding.mapping.feedback) is not None:
+                topic = self._absolute(topic, binding.resource.robot)
+                binding.feedback = one = self.feedbacks.follow(
+                    topic, binding.resource.robot, graph.topics.get(topic)
+                )
+                one.demanded = True
+                if isinstance(binding, Commanded) and binding.rest is not None:
+                    binding.rest.measured = True
+                one.max_age = binding.mapping.feedback_timeout or one.max_age
+        self._make_means()
+        self._tell_guard()
+
+    def _each(self, name: str) -> list[tuple[str, str | None]]:
+        """Return a configured name in full, for each robot if it is relative."""
+        if not self._shared.config.robots or name.startswith("/"):
+            return [(absolute(name, self._shared.config.namespace), None)]
+        return [(self._absolute(name, robot), robot) for robot in self.robots() if robot]
+
+    def _absolute(self, name: str, robot: str | None) -> str:
+        space = self._shared.config.namespace
+        if robot is not None:
+            targets = (b.mapping.target for b in self._bindings() if b.resource.robot == robot)
+            space = next((self._shared.naming.split(t)[1] for t in targets), space)
+        return absolute(name, space)
+
+    def _make_means(self) -> None:
+        stop = self._shared.config.stop
+        if stop.service is not None:
+            for name, robot in self._each(stop.service.name):
+                if name not in self._calls:
+                    self._shared.needed.add(name)
+                    config = replace(stop.service, name=name)
+                    self._calls[name] = StopCall(self._shared, config, robot)
+                self._shared.ros.post(self._calls[name].prepare)
+        topics = [stop.topic] if stop.topic is not None else []
+        if stop.twist_mux_lock is not None:
+            topics.append(StopTopic(name=stop.twist_mux_lock))
+        for topic in topics:
+            for name, robot in self._each(topic.name):
+                if name not in self._signals:
+                    self._signals.add(name)
+                    self._shared.ros.post(self._signal, replace(topic, name=name), robot)
+
+    def _signal(self, config: StopTopic, robot: str | None) -> None:
+        try:
+            signal = StopSignal(self._shared, config, robot)
+        except (MissingType, ConfigError, ValueError) as error:
+            self._shared.complain(f"stop topic {config.name}", f"{config.name}: {error}")
+            return
+        self.keeper.signals.append(signal)
+        self._shared.on_look.append(signal.look)
+
+    async def follow(self) -> None:
+        """Follow the latches, and what is out of reach, for as long as the backend is open."""
+        while True:
+            await asyncio.sleep(_FOLLOW)
+            try:
+                self._follow()
+            except AdapterUnavailable:  # ROS has ended
+                return
+            except Exception as error:
+                log.error("ros_stop_failed", exc_info=error)
+
+    def _follow(self) -> None:
+        for robot in self.robots() | self.keeper.holds.keys():
+            hold = self.keeper.holds.get(robot)
+            if self._is_latched(robot):
+                self._hold(robot)
+            elif hold is not None and hold.latched:
+                self.release(robot)
+            self._watch(robot)
+        for binding in self._bindings():
+            if isinstance(binding, Commanded):
+                binding.check_feedback_while_moving()
+        self._tell_contest()
+
+    def release(self, robot: str | None) -> None:
+        """Let a robot move again: its e-stop was reset."""
+        self.keeper.release(robot)
+        for call in self._calls.values():
+            if call.robot == robot:
+                call.release()
+
+    def _tell_contest(self) -> None:
+        """Say who commands a robot that is stopped."""
+        for rest in self.keeper.rests:
+            contested = rest.robot in self.keeper.holds and rest.contested() > 0
+            if contested == (rest.topic in self._contested):
+                continue
+            if contested:
+                self._contested.add(rest.topic)
+                log.warning("ros_stop_contested", topic=rest.topic, nodes=list(rest.others))
+            else:
+                self._contested.discard(rest.topic)
+            text = f"stopped, but {rest.about_others()}" if contested else None
+            self._shared.trouble(f"others {rest.topic}", text)
+            self._shared.report()
+
+    # -- links -----------------------------------------------------------------------------------
+
+    def _watch(self, robot: str | None) -> None:
+        """Notice what of a robot has gone, and that it is back."""
+        there = self._there(robot)
+        met = self._met.setdefault(robot, set())
+        first = bool(there) and not met
+        met |= there
+        lost = met - there
+        back = self._lost.get(robot, set()) - lost
+        self._lost[robot] = lost
+        if first or back:
+            self._restored(robot)
+
+    def _there(self, robot: str | None) -> set[str]:
+        pulses, found = self._shared.pulses, set[str]()
+        for rest in self.keeper.rests:
+            nodes = rest.outlet.nodes
+            if rest.robot == robot and nodes and not all(map(pulses.is_silent, nodes)):
+                found.add(rest.topic)
+        for server in list(self.keeper.servers.values()):
+            if server.robot == robot:
+                found.add(server.name)
+        return found
+
+    def _restored(self, robot: str | None) -> None:
+        if not self._is_latched(robot):
+            self._shared.host.link_restored(robot)
+            return
+        self.hold_stop(robot)  # before anything else reaches it
+        self._shared.host.link_restored(robot)
+
+    # -- the guard -------------------------------------------------------------------------------
+
+    def _tell_guard(self) -> None:
+        """Renew what the guard process sends when the gateway's loop has stopped."""
+        latched = {robot for robot, hold in self.keeper.holds.items() if hold.latched}
+        publishers = [
+            {
+                "topic": rest.topic,
+                "type": rest.type,
+                "data": rest.data.hex(),
+                "reliable": rest.outlet.reliable,
+            }
+            for rest in self.keeper.rests
+        ]
+        publishers += [
+            {"topic": s.topic, "type": s.type, "data": s.data.hex(), "reliable": True}
+            for s in self.keeper.signals
+            if s.robot in latched
+        ]
+        services = [call.plan for call in self._calls.values() if call.plan is not None]
+        data = {
+            "domain_id": self._shared.config.domain_id,
+            "publishers": publishers,
+            "cancel": sorted(self.keeper.servers),
+            "services": services,
+        }
+        if data != self._plan:
+            self._plan = data
+            useful = publishers or data["cancel"] or services
+            plan = StopPlan("ros2", data, _PERIOD) if useful else None
+            self._shared.host.guard("ros2", plan)
+
+    async def close(self) -> None:
+        """Let go of everything."""
+        for call in self._calls.values():
+            call.close()
+        self._shared.ros.post(self.keeper.close)
+
+
+def _worst(states: Iterable[MotionState]) -> MotionState:
+    """Return the worst: moving beats unknown, which beats at rest."""
+    found = list(states)
+    for wanted in (False, None):
+        worse = [state for state in found if state.at_rest is wanted]
+        if worse:
+            return MotionState(wanted, "; ".join(state.detail for state in worse if state.detail))
+    return MotionState(True, "; ".join(state.detail for state in found if state.detail))
