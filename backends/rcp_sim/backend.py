@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import AsyncGenerator, Awaitable, Callable
+from collections.abc import AsyncGenerator, Awaitable, Callable, Sequence
 from contextlib import AbstractAsyncContextManager, asynccontextmanager, suppress
 from typing import Any
 
@@ -17,7 +17,7 @@ from rcp_kernel.errors import (
     InvalidValue,
     UnsupportedOperation,
 )
-from rcp_kernel.spi import BaseBackend, Host, Progress
+from rcp_kernel.spi import BaseBackend, Host, MotionState, Progress, Watchdog, check_fence
 from rcp_kernel.types import Point
 from rcp_sim import messages as m
 from rcp_sim.config import SimConfig
@@ -81,7 +81,11 @@ class SimBackend(BaseBackend):
         """Take a velocity or the speed limit into force; return what stands now."""
         if name == "actuator/cmd_vel":
             v, w = value.linear.x, value.angular.z
-            await self.device.reach(name, stop=v == 0.0 and w == 0.0)
+            stop = v == 0.0 and w == 0.0
+            await self.device.reach(name, stop=stop)
+            if not stop:
+                check_fence()
+                self.device.need_feedback()
             self._sim.drive(v, w)
         elif name == "param/speed_limit":
             await self.device.reach(name)
@@ -101,6 +105,9 @@ class SimBackend(BaseBackend):
         if verb is None:
             raise UnsupportedOperation(f"'{name}' cannot be executed")
         await self.device.reach(name)
+        if name.startswith("action/"):
+            check_fence()
+            self.device.need_feedback()
         return await verb(value, progress)
 
     def watch(self, name: str, rate: float | None) -> AbstractAsyncContextManager[object]:
@@ -112,10 +119,39 @@ class SimBackend(BaseBackend):
         with self.device.publisher.watched(name, rate):
             yield
 
+    def watchdogs(self) -> Sequence[Watchdog]:
+        """Tell what stops it: it is in the gateway's own process, and stands still with it."""
+        return [Watchdog("the simulation runs inside the gateway's process", 0.0, verified=True)]
+
     async def halt(self) -> None:
         """Brake hard, end what is running, and return once at rest."""
         await self.device.reach("halt", stop=True)
         self._sim.stop("the rover was halted", hard=True)
+        await self.device.waiting.until(lambda: self._sim.rover.at_rest)
+
+    def motion(self, robot: str | None) -> MotionState:
+        """Report what the rover's odometry says."""
+        if self.device.faults.link_lost:
+            return MotionState(None, "the link to the rover is lost")
+        if self.device.blind:
+            return MotionState(None, "the rover sends no odometry")
+        rover = self._sim.rover
+        if rover.at_rest and self._sim.trip is None:
+            return MotionState(at_rest=True)
+        return MotionState(False, f"it moves at {rover.v:.2f} m/s and turns at {rover.w:.2f} rad/s")
+
+    def hold_stop(self, robot: str | None) -> None:
+        """Brake again if the rover moves, or has been told to."""
+        faults, sim = self.device.faults, self._sim
+        idle = sim.rover.at_rest and sim.trip is None and sim.velocity == (0.0, 0.0)
+        if idle or not self.device.hears or faults.lose_stop():
+            return
+        sim.stop("an e-stop is latched", hard=True)
+
+    async def hold(self, robot: str | None) -> None:
+        """Brake as for any stop, end what is running, and return once at rest."""
+        await self.device.reach("hold", stop=True)
+        self._sim.stop("the rover was told to hold")
         await self.device.waiting.until(lambda: self._sim.rover.at_rest)
 
     # Actions
@@ -156,6 +192,10 @@ class SimBackend(BaseBackend):
             raise
         if trip.failure is not None:
             device.told(trip, "failed", f"Failed: {trip.failure}.")
+            if device.blind:
+                raise DeviceTimeout(
+                    "the rover sends no odometry; it was stopped", remedy="See event/fault."
+                )
             if device.faults.link_lost:
                 raise AdapterUnavailable("the link to the rover was lost; it stopped by itself")
             raise DeviceRejected(trip.failure)

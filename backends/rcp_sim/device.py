@@ -10,6 +10,7 @@ from rcp_kernel.errors import (
     ConfigError,
     DeviceRejected,
     DeviceTimeout,
+    PreconditionFailed,
 )
 from rcp_kernel.spi import Host
 from rcp_kernel.types import Point
@@ -69,6 +70,12 @@ class Device:
             self._strike(self._awaiting.pop(0)[1])
         for spec in self.faults.expire(self.uptime):
             self._over(spec)
+        if (
+            self.blind
+            and self.hears
+            and (self.sim.trip is not None or self.sim.velocity != (0.0, 0.0))
+        ):
+            self.sim.stop("no odometry comes from the rover", hard=True)
         self.publisher.tick(self.uptime, stamp)
         for fault, active, message in self.sim.happenings:
             self._event(FaultEvent(fault, active, message, None, iso(stamp)))
@@ -111,6 +118,27 @@ class Device:
                 remedy="Execute service/clear_faults to end the injected fault.",
             )
 
+    @property
+    def hears(self) -> bool:
+        """Whether a stop that is sent now is carried out now."""
+        return not self.faults.link_lost and not self.faults.delay("halt")
+
+    @property
+    def blind(self) -> bool:
+        """Whether what control rests on does not come: the odometry."""
+        return self.faults.stopped("sensor/odometry")
+
+    def need_feedback(self) -> None:
+        """Refuse to move a rover that nobody can see moving.
+
+        :raises PreconditionFailed: its odometry has fallen silent.
+        """
+        if self.blind:
+            raise PreconditionFailed(
+                "the rover sends no odometry, so that nothing shows how it moves",
+                remedy="Execute service/clear_faults, or wait until sensor/odometry comes again.",
+            )
+
     def _need_link(self) -> None:
         if self.faults.link_lost:
             raise AdapterUnavailable("the link to the rover is lost")
@@ -148,6 +176,8 @@ class Device:
         lost = self.faults.link_lost
         report = ("the link to the rover is lost" if lost else self.faults.troubles(), lost)
         if report != self._reported:
+            if self._reported[1] and not lost:
+                self._host.link_restored()
             self._reported = report
             self._host.report(report[0], down=lost)
 

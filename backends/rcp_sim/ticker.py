@@ -9,7 +9,7 @@ import anyio
 
 __all__ = ["run_ticks"]
 
-_LATE = 0.25  # s that are caught up; what is later than that never was
+_LATE = 0.25  # s that are caught up
 _NAP = 0.001  # s: timers of the event loop are no finer, and asking for less would spin
 
 
@@ -24,6 +24,7 @@ async def run_ticks(
     """Call `tick(timestamp)` `rate` times a second until cancelled; timestamps are ns of UTC.
 
     A rate above what timers can do is kept by several ticks at a wake-up, each with its own time.
+    So is a delay made up for, unless it is so long that the process must have stood still.
     """
     period = 1 / rate
     most = max(1, int(_LATE * rate))
@@ -33,8 +34,10 @@ async def run_ticks(
         moment, stamp = clock(), wall()
         due = int((moment - start) * rate + 1e-6) - count
         if due > most:
-            start += (due - most) * period
-            due = most
+            # The process stood still, and the world with it: nothing of that is made up for, or the
+            # rover would drive on blindly before the dead-man, due long ago, has its turn.
+            start += (due - 1) * period
+            due = 1
         for _ in range(due):
             count += 1
             late = moment - (start + count * period)

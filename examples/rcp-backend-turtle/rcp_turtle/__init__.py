@@ -12,7 +12,7 @@ from msgspec import Meta, Struct
 from rcp_kernel.errors import DeviceRejected
 from rcp_kernel.hookspecs import hookimpl
 from rcp_kernel.model import Resource
-from rcp_kernel.spi import BackendKind, BaseBackend, Host, Progress
+from rcp_kernel.spi import BackendKind, BaseBackend, Host, MotionState, Progress, check_fence
 from rcp_kernel.types import Metres, Radians, quantity
 
 TICK = 0.02  # s
@@ -96,6 +96,7 @@ class Turtle(BaseBackend):
         return getattr(self, name.partition("/")[2])
 
     async def write(self, name: str, value: Any) -> None:
+        check_fence()
         setattr(self, name.partition("/")[2], value)
 
     async def execute(self, name: str, value: Any, progress: Progress) -> Pose | None:
@@ -104,6 +105,7 @@ class Turtle(BaseBackend):
             return None
         if not self.inside(self.ahead(value.distance)):
             raise DeviceRejected("the sheet ends before that")
+        check_fence()
         start, whole = self.pose, abs(value.distance) or 1.0
         self.velocity = Velocity(math.copysign(0.5, value.distance))
         try:
@@ -116,6 +118,9 @@ class Turtle(BaseBackend):
 
     async def halt(self) -> None:
         self.velocity = Velocity()
+
+    def motion(self, robot: str | None) -> MotionState:
+        return MotionState(at_rest=self.velocity == Velocity())
 
 
 @asynccontextmanager

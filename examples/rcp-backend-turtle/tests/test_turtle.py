@@ -10,12 +10,12 @@ from typing import Any
 import msgspec
 import pytest
 from rcp_kernel.config.file import parse
-from rcp_kernel.testing import BackendSuite, Goal, serve
+from rcp_kernel.testing import BackendSuite, Goal, StopRig, StopSuite, serve
 
 import rcp_turtle
 
 
-class TestTurtle(BackendSuite):
+class TurtleRig(StopRig):
     kind = rcp_turtle.TURTLE
 
     async def truth(self, name: str) -> Any:
@@ -28,6 +28,14 @@ class TestTurtle(BackendSuite):
     def goals(self) -> Mapping[str, Goal]:
         walk = Goal(good={"distance": 0.02}, bad={"distance": 20.0}, long={"distance": 3.0})
         return {"action/walk": walk}
+
+
+class TestTurtle(TurtleRig, BackendSuite):
+    """What any backend owes."""
+
+
+class TestTurtleStops(TurtleRig, StopSuite):
+    """What any stop owes."""
 
 
 @pytest.mark.anyio

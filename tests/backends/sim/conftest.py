@@ -10,7 +10,7 @@ import anyio
 import pytest
 
 from rcp_kernel.model import Resource
-from rcp_kernel.spi import Publication
+from rcp_kernel.spi import Publication, StopPlan
 from rcp_kernel.values import value_type
 from rcp_sim import SimBackend, SimConfig
 from rcp_sim.device import Device
@@ -32,6 +32,7 @@ class RecordingHost:
         self.samples: dict[str, list[Any]] = {}
         self.stamps: dict[str, list[int | None]] = {}
         self.reports: list[tuple[str | None, bool]] = []
+        self.restored = 0
         self.published = anyio.Event()
 
     def declare(self, *declared: Resource) -> None:
@@ -57,6 +58,15 @@ class RecordingHost:
 
     def report(self, detail: str | None, *, down: bool = False) -> None:
         self.reports.append((detail, down))
+
+    def link_restored(self, robot: str | None = None) -> None:
+        self.restored += 1
+
+    def is_latched(self, robot: str | None = None) -> bool:
+        return False
+
+    def guard(self, name: str, plan: StopPlan | None) -> None:
+        """There is no guard process here."""
 
     def last(self, name: str) -> Any:
         return self.samples[name][-1]
