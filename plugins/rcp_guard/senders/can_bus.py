@@ -1,0 +1,96 @@
+"""Frames on a CAN bus, by python-can."""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+from typing import Any
+
+from rcp_guard.senders import MissingLibraryError
+
+__all__ = ["open_sender"]
+
+_UNSHARED = {
+    "virtual": "is inside the gateway's process",
+    "serial": "cannot be opened by two processes",
+    "slcan": "cannot be opened by two processes",
+}
+"""Interfaces that a second process cannot send on beside the gateway."""
+_STREAMED = frozenset(("socketcand", "remote"))
+"""Interfaces over a connection that fills up, and stalls its server, unless somebody reads it."""
+_DRAIN = 1.0  # s
+
+
+class CanSender:
+    """Sends the frames of a plan, in their order."""
+
+    unusable = ""
+
+    def __init__(self, bus: Any, frames: list[Any], *, drained: bool) -> None:
+        self._bus = bus
+        self._frames = frames
+        self._closed = False
+        if drained:
+            threading.Thread(target=self._drain, name="can drain", daemon=True).start()
+
+    def send(self) -> None:
+        """Send all frames; one that cannot be sent does not keep the others."""
+        failure: Exception | None = None
+        for frame in self._frames:
+            try:
+                self._bus.send(frame, timeout=0.01)
+            except Exception as error:
+                failure = error
+        if failure is not None:
+            raise failure
+
+    def _drain(self) -> None:
+        with contextlib.suppress(Exception):
+            while not self._closed:
+                self._bus.recv(_DRAIN)
+
+    def lacks(self) -> str:
+        """Nobody answers here: it cannot be known."""
+        return ""
+
+    def close(self) -> None:
+        """Close the bus."""
+        self._closed = True
+        self._bus.shutdown()
+
+
+def open_sender(data: dict[str, Any]) -> CanSender:
+    """Open the bus and make the frames."""
+    try:
+        import can
+    except ImportError as error:
+        raise MissingLibraryError(f"{error}; try: pip install 'rcp-gateway[can]'") from error
+    try:
+        settings = dict(data["bus"])
+        frames = [_frame(can, frame) for frame in data["frames"]]
+    except (KeyError, TypeError, ValueError) as error:
+        raise MissingLibraryError(
+            f"the plan's data do not fit the sender 'can': {error!r}"
+        ) from error
+    interface = str(settings.get("interface"))
+    if (why := _UNSHARED.get(interface)) is not None:
+        raise MissingLibraryError(f"the CAN interface '{interface}' {why}")
+    if interface == "socketcand":  # or the second frame waits for the first one's acknowledgement
+        settings.setdefault("tcp_tune", True)
+    bus = can.Bus(**settings)
+    if (
+        interface == "socketcan"
+    ):  # nothing is read here: a filter that lets error frames of nobody in
+        bus.set_filters([{"can_id": 0x1FFFFFFF, "can_mask": 0x1FFFFFFF, "extended": True}])
+    return CanSender(bus, frames, drained=interface in _STREAMED)
+
+
+def _frame(can: Any, frame: dict[str, Any]) -> Any:
+    return can.Message(
+        arbitration_id=frame["id"],
+        data=bytes.fromhex(frame["data"]),
+        is_extended_id=bool(frame.get("extended", False)),
+        is_fd=bool(frame.get("fd", False)),
+        bitrate_switch=bool(frame.get("brs", False)),
+        check=True,
+    )

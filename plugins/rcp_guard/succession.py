@@ -1,0 +1,68 @@
+"""Hand a plan over to the guard of the next gateway, so that an old one does not stop its robots.
+
+A guard whose gateway is gone listens on one socket for each plan; the name says what the plan sends,
+so only a guard with that very plan finds it. Linux only (abstract sockets): elsewhere an old guard
+goes on to the end of its bound.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import json
+import os
+import socket
+import struct
+from typing import Any
+
+__all__ = ["Heirs", "claim"]
+
+_CREDENTIALS = struct.Struct("3i")  # pid, uid, gid: unix(7)
+
+
+class Heirs:
+    """Waits for guards that have the same plans, and a gateway that lives."""
+
+    def __init__(self, plans: dict[str, dict[str, Any]]) -> None:
+        self._sockets: dict[str, socket.socket] = {}
+        for name, plan in plans.items():
+            with contextlib.suppress(OSError, AttributeError):
+                heard = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+                heard.setblocking(False)
+                heard.setsockopt(socket.SOL_SOCKET, socket.SO_PASSCRED, 1)
+                heard.bind(_address(plan))
+                self._sockets[name] = heard
+
+    def taken(self) -> list[str]:
+        """Return the plans that another guard of the same user has taken over since."""
+        found = [name for name, heard in self._sockets.items() if _claimed(heard)]
+        for name in found:
+            self._sockets.pop(name).close()
+        return found
+
+
+def claim(plan: dict[str, Any]) -> None:
+    """Tell an old guard, if there is one, that this one looks after a plan now."""
+    with (
+        contextlib.suppress(OSError, AttributeError),
+        socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as told,
+    ):
+        told.setblocking(False)
+        told.sendto(b"mine", _address(plan))
+
+
+def _claimed(heard: socket.socket) -> bool:
+    claimed = False
+    with contextlib.suppress(OSError):
+        while True:
+            _, ancillary, _, _ = heard.recvmsg(16, socket.CMSG_SPACE(_CREDENTIALS.size))
+            for _, kind, data in ancillary:
+                if kind == socket.SCM_CREDENTIALS and len(data) == _CREDENTIALS.size:
+                    _, user, _ = _CREDENTIALS.unpack(data)
+                    claimed = claimed or user in (os.getuid(), 0)
+    return claimed
+
+
+def _address(plan: dict[str, Any]) -> bytes:
+    told = json.dumps([plan.get("sender"), plan.get("data")], sort_keys=True)
+    return b"\0rcp_guard/" + hashlib.sha256(told.encode()).hexdigest().encode()
