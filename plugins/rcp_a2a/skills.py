@@ -1,4 +1,4 @@
-"""Skills of the agent's card: one for plans, and one for each action and service of a tenant."""
+"""Skills of the agent's card: plans, the emergency stop, and each action and service of a tenant."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from rcp_kernel.clients.session import Session
 from rcp_kernel.door import Door
 from rcp_kernel.operations.discovery import Query
 
-__all__ = ["PLAN", "skills_of"]
+__all__ = ["PLAN", "STOP", "skills_of"]
 
 Node = dict[str, Any]
 _PAGE = 1000
@@ -33,6 +33,26 @@ PLAN = AgentSkill(
         'execute /action/move_to {"position": {"x": 1, "y": 2}}',
     ],
 )
+STOP = AgentSkill(
+    id="stop",
+    name="Emergency stop",
+    description=(
+        "Stops robots at once and latches them, past every queue, until a person with the right "
+        "resets it. `scope` is a robot (its backend's name, or /tenant/<tenant>/<robot>), a group "
+        "by its name, or a tenant (/tenant/<tenant>); without it every robot that you may stop. "
+        "The task is completed only when each of them is measured to be at rest. Otherwise it has "
+        "failed with device_timeout, and `details.robots` of the error says of each how far its "
+        "stop has come: tell a person to use the robot's own emergency stop. To pause a robot "
+        "without a latch execute its /service/hold."
+    ),
+    tags=["stop", "safety"],
+    examples=[
+        'execute /system/estop {"scope": "rover-1", "reason": "person in the cell"}',
+        '{"steps": [{"do": "execute", "path": "/system/estop", "value": {}}]}',
+    ],
+)
+_STOPPING = ("/system/plans", "/system/estop")  # who stops by a task runs a plan
+_MAY = Query(op="execute", limit=1)
 
 
 def skills_of(door: Door, session: Session | None) -> list[AgentSkill]:
@@ -41,6 +61,8 @@ def skills_of(door: Door, session: Session | None) -> list[AgentSkill]:
         return [PLAN]
     root = f"/tenant/{session.tenant}"
     found: list[AgentSkill] = [PLAN]
+    if all(door.discover(session, path, _MAY)["resources"] for path in _STOPPING):
+        found.append(STOP)
     cursor: str | None = None
     while True:
         query = Query(op="execute", limit=_PAGE, cursor=cursor)

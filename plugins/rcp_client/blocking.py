@@ -77,6 +77,10 @@ class Robot:
         """See `Client.read`."""
         return self._do(self._client.read, path, **options)
 
+    def pages(self, pattern: str, **options: Any) -> Generator[list[dict[str, Any]]]:
+        """See `Client.pages`."""
+        return _blocking(self._do, lambda: self._client.pages(pattern, **options))
+
     def sample(self, path: str, **options: Any) -> Reply:
         """See `Client.sample`."""
         return self._do(self._client.sample, path, **options)
@@ -118,6 +122,10 @@ class Robot:
     def estop(self, **options: Any) -> dict[str, Any]:
         """See `Client.estop`."""
         return self._do(self._client.estop, **options)
+
+    def hold(self, robot: str | None = None, **options: Any) -> dict[str, Any]:
+        """See `Client.hold`."""
+        return self._do(self._client.hold, robot, **options)
 
     def lease(self, scope: str, **options: Any) -> BlockingLease:
         """See `Client.lease`; use it by `with`."""

@@ -86,8 +86,8 @@ def rcpctl() -> None:
     is one segment and ** any number. A VALUE or INPUT is JSON, or plain text where the path takes
     text; - reads it from standard input, @FILE from a file.
 
-    Exit status: 0 completed, 1 failed, 2 usage, 3 rejected or denied, 4 unreachable, 130
-    interrupted.
+    Exit status: 0 completed, 1 failed (or a robot is not at rest), 2 usage, 3 rejected or denied,
+    4 gateway unreachable, 130 interrupted.
     """
 
 
@@ -113,7 +113,7 @@ def discover(ctx: click.Context, **arguments: Any) -> int:
 @click.option("--fresh", is_flag=True, help="Ask the robot, even where a value is at hand.")
 @click.pass_context
 def read(ctx: click.Context, **arguments: Any) -> int:
-    """Show the present value of each PATH (or PATTERN)."""
+    """Show the present value of each PATH, or of everything that a PATTERN matches."""
     return _run(ctx, "read", **arguments)
 
 
@@ -225,13 +225,39 @@ def cancel(ctx: click.Context, **arguments: Any) -> int:
 
 @rcpctl.command(context_settings=_CONTEXT)
 @_common
-@click.option("--reset", is_flag=True, help="Release the stop; takes a role that may.")
-@click.option("--scope", metavar="SCOPE", help="A tenant, a robot, or a backend [all you may see].")
-@click.option("--reason", metavar="TEXT", help="Why, for the record and for others.")
+@click.argument("scope", required=False)
+@click.option("--scope", "named", metavar="SCOPE", hidden=True)
+@click.option("--reset", is_flag=True,
+              help="Release the stop. Your role must have `reset = true`.")  # fmt: skip
+@click.option("--reason", metavar="TEXT", help="Reason, for the record and for other operators.")
 @click.pass_context
-def estop(ctx: click.Context, **arguments: Any) -> int:
-    """Stop every robot now; commands are refused until somebody resets the stop."""
-    return _run(ctx, "estop", **arguments)
+def estop(ctx: click.Context, scope: str | None, named: str | None, **arguments: Any) -> int:
+    """Stop robots now, and latch the stop until somebody resets it.
+
+    SCOPE is a robot (/tenant/alpha/rover, or the name of its backend), a group of the gateway's
+    configuration, or a tenant (/tenant/alpha). Without it every robot that you may see is stopped.
+
+    For each robot the output shows when the stop was requested, when the robot was commanded to stop,
+    and when it was confirmed at rest by measurement. The exit status is 1 if a robot is not confirmed
+    within --timeout: it stays latched and the gateway repeats the stop, but do not approach it.
+    """
+    if scope is not None and named is not None:
+        raise click.UsageError("SCOPE is given twice")
+    return _run(ctx, "estop", scope=scope or named, **arguments)
+
+
+@rcpctl.command(context_settings=_CONTEXT)
+@_common
+@click.argument("robot", required=False)
+@click.pass_context
+def hold(ctx: click.Context, **arguments: Any) -> int:
+    """Bring ROBOT to rest and end its commands, without an emergency stop.
+
+    Nothing is latched: the next command moves the robot again. ROBOT is a name as in `rcpctl status` or in
+    the paths of the robot. Without it every robot of your tenant is brought to rest. The exit status
+    is 1 if a robot is not at rest; then use `rcpctl estop`.
+    """
+    return _run(ctx, "hold", **arguments)
 
 
 @rcpctl.command(context_settings=_CONTEXT)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import AsyncGenerator, Callable, Iterable, Mapping, Sequence
 from typing import Any, Literal, Self
 
 import msgspec
@@ -14,8 +14,9 @@ from rcp_client.channel import Channel
 from rcp_client.command import CommandHandle, Feedback
 from rcp_client.lease import Lease
 from rcp_client.messages import Notice, Reply, ResourceInfo
+from rcp_client.pages import joined, pages
 from rcp_client.plans import plan_of
-from rcp_client.requests import kept, keyed, new_key, plain, repeat_of
+from rcp_client.requests import hold_path, kept, keyed, new_key, plain, repeat_of
 from rcp_client.settings import MARGIN, Settings
 from rcp_client.subscription import Subscription
 from rcp_kernel.values import value_type
@@ -23,6 +24,16 @@ from rcp_kernel.values import value_type
 __all__ = ["Client"]
 
 _PAGE = 500  # resources asked for at once
+
+
+def _reading(
+    path: str,
+    fields: Sequence[str] | None,
+    fresh: bool,  # noqa: FBT001 - as its callers call it
+    limit: int | None = None,
+) -> dict[str, Any]:
+    options = {"fields": list(fields) if fields else None, "fresh": fresh or None, "limit": limit}
+    return kept({"type": "read", "path": path, "body": kept(options) or None})
 
 
 class Client:
@@ -66,7 +77,7 @@ class Client:
         type: Any = None,  # noqa: A002 - the natural word
         deadline: float | None = None,
     ) -> Any:
-        """Return the present value of a path, or a list of items for a pattern.
+        """Return the present value of a path, or the list of all items of a pattern.
 
         `fields` keeps only some of its fields (`position.x`), `fresh` asks the robot itself, and
         `type` decodes the value into a msgspec type.
@@ -82,10 +93,28 @@ class Client:
         fresh: bool = False,
         deadline: float | None = None,
     ) -> Reply:
-        """Read a path and return the whole reply: value, number, source time, freshness."""
-        body = kept({"fields": list(fields) if fields else None, "fresh": fresh or None})
-        envelope = kept({"type": "read", "path": path, "deadline": deadline, "body": body or None})
-        return await self.channel.ask(envelope)
+        """Read a path and return the whole reply: value, number, source time, freshness.
+
+        Of a pattern every page is fetched; `pages` gives them one by one.
+        """
+        return await joined(self.channel.ask, _reading(path, fields, fresh), deadline)
+
+    async def pages(
+        self,
+        pattern: str,
+        *,
+        fields: Sequence[str] | None = None,
+        fresh: bool = False,
+        limit: int | None = None,
+        deadline: float | None = None,
+    ) -> AsyncGenerator[list[dict[str, Any]]]:
+        """Read a pattern page by page, each with at most `limit` items (1000).
+
+        `deadline` is for all of them together.
+        """
+        envelope = _reading(pattern, fields, fresh, limit)
+        async for reply in pages(self.channel.ask, envelope, deadline):
+            yield reply.body
 
     async def write(
         self,
@@ -246,17 +275,41 @@ class Client:
         return await self.read("/system/commands")
 
     async def estop(
-        self, *, reset: bool = False, scope: str | None = None, reason: str | None = None
+        self,
+        *,
+        reset: bool = False,
+        scope: str | None = None,
+        reason: str | None = None,
+        deadline: float | None = None,
     ) -> dict[str, Any]:
         """Stop every robot that this principal may see, or those in `scope`; or reset the stop.
 
-        Returns when every robot has confirmed. A reset that a cut interrupts is not tried again.
+        `scope` is a robot, a group, a backend or a tenant (docs/protocol.md, E-stop). Returns
+        the state of the e-stop when every robot in scope is confirmed at rest, by measurement;
+        `deadline` is how many seconds that may take (the client's own; the gateway waits 60 at
+        most). A reset that a cut interrupts is not tried again.
 
-        :raises DeviceTimeout: a robot has not confirmed yet; it stays latched.
+        :raises DeviceTimeout: a robot is not confirmed at rest; `details["robots"]` says which, how far
+            its stop has come and why. It stays latched, and the gateway repeats the stop.
         """
         body = kept({"reset": reset or None, "scope": scope, "reason": reason})
         envelope: dict[str, Any] = {"type": "execute", "path": "/system/estop", "body": body}
+        if deadline is not None:
+            envelope["deadline"] = deadline
         return (await self.channel.ask(envelope, repeat_of(envelope))).body
+
+    async def hold(
+        self, robot: str | None = None, *, deadline: float | None = None
+    ) -> dict[str, Any]:
+        """Bring a robot to rest and end its commands, without an e-stop: the next command moves it.
+
+        `robot` is its name in the session's tenant, or `/tenant/<tenant>/<robot>`; it may be left
+        out where the tenant has one robot without a name. Returns `at_rest` and `detail`.
+
+        :raises DeviceTimeout: it was told to, and still moves: use the e-stop.
+        :raises UnknownPath: there is no such robot, or it has nothing that moves.
+        """
+        return await self.execute(hold_path(robot), deadline=deadline)
 
     def lease(
         self,
@@ -342,15 +395,11 @@ class Client:
     ) -> list[ResourceInfo]:
         """List the resources that match: by path, `kind`, operation, and words in `q`."""
         found: list[ResourceInfo] = []
-        body = kept({"kind": kind, "op": op, "q": q, "limit": _PAGE})
-        body["schemas"] = schemas
-        while True:
-            envelope = kept({"type": "discover", "path": pattern, "body": body})
-            reply = await self.channel.ask(envelope)
+        body = {**kept({"kind": kind, "op": op, "q": q, "limit": _PAGE}), "schemas": schemas}
+        envelope = kept({"type": "discover", "path": pattern, "body": body})
+        async for reply in pages(self.channel.ask, envelope):
             found += msgspec.convert(reply.body["resources"], list[ResourceInfo])
-            if not (cursor := reply.body.get("cursor")):
-                return found
-            body["cursor"] = cursor
+        return found
 
     async def status(self) -> dict[str, Any]:
         """Return the gateway's health report."""

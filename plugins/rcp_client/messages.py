@@ -32,6 +32,9 @@ class Reply(msgspec.Struct, kw_only=True, omit_defaults=True):
     """When the source measured the value of a read."""
     state: str | None = None
     """`fresh` or `stale`, of the value of a read."""
+    truncated: bool = False
+    """Whether `body` is not the whole answer; `cursor` leads to the rest."""
+    cursor: str | None = None
     dry_run: bool = False
 
 

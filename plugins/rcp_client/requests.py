@@ -9,12 +9,22 @@ import msgspec
 
 from rcp_client.calls import Repeat
 
-__all__ = ["kept", "keyed", "new_key", "plain", "repeat_of"]
+__all__ = ["hold_path", "kept", "keyed", "new_key", "plain", "repeat_of"]
 
 
 def kept(fields: dict[str, Any]) -> dict[str, Any]:
     """Leave out what was not given."""
     return {key: item for key, item in fields.items() if item is not None}
+
+
+def hold_path(robot: str | None) -> str:
+    """Return the path of a robot's `service/hold`: of a name, or of `/tenant/<tenant>[/<robot>]`."""
+    if robot is None:
+        return "/service/hold"
+    if not robot.startswith("/"):
+        return f"/service/{robot}/hold"
+    parts = robot.split("/")  # "", "tenant", the tenant's name, and the robot's
+    return "/".join((*parts[:3], "service", *parts[3:], "hold"))
 
 
 def plain(value: Any) -> Any:

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, Self
 
 from rcp_client.errors import safely
 from rcp_client.messages import Message, Notice, Reply, Update
+from rcp_client.pages import pages
 from rcp_kernel.errors import (
     BY_CODE,
     AdapterUnavailable,
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
 __all__ = ["Subscription"]
 
 _FILTERS = ("rate", "deadband", "where")
+_PAGE = 1000  # paths asked for at once
 _LONGEST_PAUSE = 5.0  # s between tries to subscribe afresh
 
 
@@ -106,6 +108,18 @@ class Subscription:
         if self._duration is not None:
             self._timer = asyncio.get_running_loop().call_later(self._duration, self.close)
         self.paths = (reply.body or {}).get("paths", [])
+        if reply.cursor is not None:
+            self.paths = sorted({*self.paths, *await self._rest(reply.cursor)})
+
+    async def _rest(self, cursor: str) -> list[str]:
+        """List the paths that the reply had no room for."""
+        found: list[str] = []
+        body = {"op": "subscribe", "limit": _PAGE, "schemas": False, "cursor": cursor}
+        for pattern in self.patterns:
+            envelope = {"type": "discover", "path": pattern, "body": body}
+            async for reply in pages(self._channel.ask, envelope):
+                found += [resource["path"] for resource in reply.body["resources"]]
+        return found
 
     async def _subscribe(self) -> Reply | None:
         """Ask for it; None says that the gateway has it already, from before a cut."""

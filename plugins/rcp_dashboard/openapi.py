@@ -56,6 +56,8 @@ _LATEST: Node = {
                 },
             },
         },
+        "truncated": {"type": "boolean", "description": "There is more: send the `cursor`."},
+        "cursor": {"type": "string"},
     },
 }
 _PATH = ("path", "string", "A resource.")
@@ -92,6 +94,7 @@ def described(_: Session) -> Node:
                     _json(_LATEST),
                     ("path", "string", "A path or pattern."),
                     ("max_bytes", "integer", "Longer values are left out; without it 4096."),
+                    ("cursor", "string", "Of the last answer, if that was `truncated`."),
                 )
             },
             "/dashboard/api/camera": {"get": _call("The newest picture.", image, _PATH, _QUALITY)},

@@ -70,17 +70,24 @@ class Telemetry:
     async def latest(self, asked: Asked) -> bytes:
         """Return the present value of every resource that matches, long ones left out.
 
+        What does not fit in one page is `truncated`, and the `cursor` leads to the rest.
+
         :raises RcpError: the caller may not have it.
         """
-        asked.allow("path", "max_bytes")
+        asked.allow("path", "max_bytes", "cursor")
         longest = asked.whole("max_bytes", 1, 1 << 24, 4096)
         request = Request(type="read", path=asked.path(pattern=True))
+        if (cursor := asked.text("cursor")) is not None:
+            request.body = msgspec.Raw(msgspec.json.encode({"cursor": cursor}))
         reply = checked(await self._door.ask(asked.session, request))
         present = now()
         read = msgspec.json.decode(encode_reply(reply, Encoding.JSON))
         several = read["body"] if "*" in (request.path or "") else [read]
         values = [_told(one, present, longest) for one in several]
-        return msgspec.json.encode({"timestamp": iso(present), "values": values})
+        told: dict[str, Any] = {"timestamp": iso(present), "values": values}
+        if reply.truncated:
+            told |= {"truncated": True, "cursor": reply.cursor}
+        return msgspec.json.encode(told)
 
     def close(self) -> None:
         """Let go of everything that is watched."""

@@ -12,6 +12,7 @@ from rcp_kernel.values import Encoding
 from rcp_kernel.wire import NO_BODY, Reply, encode_body, error_body
 from rcp_mcp.config import McpConfig
 from rcp_mcp.content import UNTRUSTED, Block, marked, show
+from rcp_mcp.stops import ESTOP, Report
 
 __all__ = ["answered", "body_of", "failed", "plain_of", "refused", "replied"]
 
@@ -63,6 +64,8 @@ def failed(error: dict[str, Any], status: str, **facts: Any) -> types.CallToolRe
 
 def replied(reply: Reply, config: McpConfig) -> types.CallToolResult:
     """Answer with the final reply of a write or a command."""
+    if reply.path == ESTOP and not reply.dry_run:
+        return _stopped(reply)
     if reply.error is not None:
         return failed(reply.error, reply.status, path=reply.path, command=reply.command)
     facts: dict[str, Any] = {"status": reply.status, "path": reply.path, "command": reply.command}
@@ -82,3 +85,26 @@ def replied(reply: Reply, config: McpConfig) -> types.CallToolResult:
     if body is not None and reply.dry_run:
         head += " Nothing was done: " + msgspec.json.encode(body).decode()
     return answered(facts, types.TextContent(type="text", text=head), *blocks)
+
+
+def _stopped(reply: Reply) -> types.CallToolResult:
+    """Answer with the final reply of an emergency stop: who is at rest, and who is not."""
+    error = reply.error
+    if error is None:
+        report = Report.of(body_of(reply))
+    elif "robots" in (error.get("details") or {}):
+        report = Report.of(error["details"])
+    else:
+        return failed(error, reply.status, path=reply.path)
+    facts: dict[str, Any] = {"status": reply.status, "path": reply.path, **report.facts}
+    if any("detail" in one for one in report.not_confirmed):
+        facts["untrusted"] = True
+    said = [reply.message or f"{reply.path}: {reply.status}."]
+    if error is not None:
+        facts["error"] = {key: error[key] for key in ("code", "message", "remedy") if key in error}
+        said = [f"{reply.status}: {error['code']}."]
+    words = "\n".join([*said, report.words()]).strip()
+    block = types.TextContent(type="text", text=words)
+    return types.CallToolResult(
+        content=[block], structured_content=facts, is_error=error is not None
+    )

@@ -24,6 +24,7 @@ from rcp_mcp.content import marked, speaks
 from rcp_mcp.fixed import Cancel, Execute, Write
 from rcp_mcp.following import Following
 from rcp_mcp.offers import Context, Outcome
+from rcp_mcp.stops import is_hold
 from rcp_mcp.tasks import Tasks
 
 __all__ = ["Commanding"]
@@ -140,7 +141,9 @@ class Commanding:
 
     def stops(self, session: Session, path: str | None) -> bool:
         """Tell whether the robot stops when the call of a path is cancelled."""
-        return not matches(self.config.keeps_going, _whole(session, path))
+        whole = _whole(session, path)
+        # A hold that is cancelled would leave the robot moving.
+        return not is_hold(whole) and not matches(self.config.keeps_going, whole)
 
     async def cancel(self, ctx: Context, session: Session, asked: Cancel) -> Outcome:
         """Stop a command, or what runs on a path."""

@@ -47,6 +47,10 @@ class Read(_Call, frozen=True):
         Annotated[tuple[str, ...], Meta(description="Only these, such as `position.x`.")] | None
     ) = None
     fresh: Annotated[bool, Meta(description="Ask the robot, whatever is known already.")] = False
+    cursor: (
+        Annotated[str, Meta(description="`cursor` of the last answer, for the rest of a pattern.")]
+        | None
+    ) = None
 
 
 class Write(_Call, frozen=True):
@@ -199,7 +203,12 @@ FIXED: dict[str, Fixed] = {
             "Read the present value of a sensor, actuator, parameter or event; cameras come as "
             "pictures. Units are in the schema that `discover` tells.",
             [{"path": "/sensor/pose"}, {"path": "/sensor/*", "fields": ["timestamp"]}],
-            _answer(values={**_LIST, "items": _SAMPLE}, note=_TEXT),
+            _answer(
+                values={**_LIST, "items": _SAMPLE},
+                truncated={"type": "boolean"},
+                cursor=_TEXT,
+                note=_TEXT,
+            ),
             needs="read",
         ),
         _fixed(

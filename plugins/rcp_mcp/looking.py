@@ -13,6 +13,7 @@ from rcp_kernel.clients.session import Session
 from rcp_kernel.door import Door
 from rcp_kernel.model import Kind
 from rcp_kernel.operations.discovery import Query
+from rcp_kernel.operations.pages import cursor_of
 from rcp_kernel.wire import Request
 from rcp_mcp.answers import answered, body_of, failed
 from rcp_mcp.catalogue import Catalogue, Facts
@@ -75,7 +76,7 @@ class Looking:
 
     async def read(self, ctx: Context, session: Session, asked: Read) -> Outcome:
         """Read one value, or those of a pattern."""
-        options = {"fields": asked.fields, "fresh": asked.fresh}
+        options = {"fields": asked.fields, "fresh": asked.fresh, "cursor": asked.cursor}
         body = Raw(msgspec.json.encode({k: v for k, v in options.items() if v}))
         reply = await self._door.ask(session, Request(type="read", path=asked.path, body=body))
         if reply.error is not None:
@@ -93,9 +94,12 @@ class Looking:
                     "state": reply.state,
                 }
             ]
+        many = "*" in asked.path
         if size(samples) < _HEAVY:
-            return sampled("values", samples, self._config)
-        return await asyncio.to_thread(sampled, "values", samples, self._config)
+            return sampled("values", samples, self._config, pages=many, more=reply.truncated)
+        return await asyncio.to_thread(
+            sampled, "values", samples, self._config, pages=many, more=reply.truncated
+        )
 
     async def status(self, ctx: Context, session: Session, asked: Status) -> Outcome:
         """Tell how the gateway is, or one command."""
@@ -129,13 +133,23 @@ class Looking:
 
 
 def sampled(
-    key: str, samples: list[dict[str, Any]], config: McpConfig, **facts: Any
+    key: str,
+    samples: list[dict[str, Any]],
+    config: McpConfig,
+    *,
+    pages: bool = False,
+    more: bool = False,
+    **facts: Any,
 ) -> types.CallToolResult:
-    """Answer with samples, each of them with its part of the room there is."""
+    """Answer with samples, each of them with its part of the room there is.
+
+    Those of `pages` come in the order of their paths, so that a cursor leads to what is left out
+    here, and to what follows if there is `more`.
+    """
     share = max(config.budget // max(len(samples), 1), 40)
     told: list[dict[str, Any]] = []
     blocks: list[Block] = []
-    more: list[Block] = []
+    shown_as: list[Block] = []
     left = config.budget * PER_TOKEN
     for sample in samples:
         one = {name: item for name, item in sample.items() if item is not None}
@@ -144,18 +158,24 @@ def sampled(
             one["value" if shown.whole else "summary"] = shown.plain
             if shown.untrusted:
                 one["untrusted"] = True
-            more += shown.blocks[1:]
+            shown_as += shown.blocks[1:]
         left -= size(one)
         if left < 0 and told:
             facts["note"] = (
                 f"{len(samples) - len(told)} more are left out: name fewer paths, or `fields`."
             )
+            more = True
             break
         told.append(one)
         blocks.append(text(one, one["path"], untrusted=bool(one.get("untrusted"))))
+    if more:
+        facts["truncated"] = True
+    if more and pages:
+        facts["cursor"] = cursor_of(told[-1]["path"])
+        facts["note"] = "There is more: name fewer paths, or `fields`, or go on with `cursor`."
     head = facts.get("note")
     said = [types.TextContent(type="text", text=head)] if head else []
-    result = answered({key: told, **facts}, *blocks, *more, *said)
+    result = answered({key: told, **facts}, *blocks, *shown_as, *said)
     if not samples:
         return answered({key: [], "note": "Nothing that you may read matches."})
     return result

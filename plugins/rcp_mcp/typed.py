@@ -9,6 +9,7 @@ from mcp import types
 from rcp_mcp.config import McpConfig
 from rcp_mcp.naming import tool_name
 from rcp_mcp.schemas import Arguments, arguments, result
+from rcp_mcp.stops import ESTOP, is_hold, stop_arguments, stop_result, stop_words
 
 __all__ = ["OPTIONS", "typed_tool"]
 
@@ -55,13 +56,17 @@ def typed_tool(
         facts.get("command_schema") or schemas.get("input"), facts["examples"], options
     )
     path: str = facts["path"]
+    answer = result(schemas.get("output"), schemas.get("feedback"), long=long)
+    if path == ESTOP:
+        taken = taken._replace(schema=stop_arguments(taken.schema))
+        answer = stop_result(answer)
     return (
         types.Tool(
             name=tool_name(path, tenant),
             title=path,
             description=_words(facts, config, stops=stops),
             input_schema=taken.schema,
-            output_schema=result(schemas.get("output"), schemas.get("feedback"), long=long),
+            output_schema=answer,
             annotations=_hints(facts),
             _meta={"rcp/path": path},
         ),
@@ -71,6 +76,12 @@ def typed_tool(
 
 def _words(facts: dict[str, Any], config: McpConfig, *, stops: bool) -> str:
     said = [" ".join(str(facts["description"]).split())[:_DESCRIPTION]]
+    if facts["path"] == ESTOP:
+        said.append(stop_words())
+    elif is_hold(facts["path"]):
+        said.append(
+            "No latch: the next command moves the robot again. In an emergency use `system-estop`."
+        )
     if facts["kind"] == "action":
         said.append(
             f"It takes a while: after {config.wait:g} s (or `wait`) the answer is `in_progress` "
@@ -92,7 +103,7 @@ def _hints(facts: dict[str, Any]) -> types.ToolAnnotations:
     """Say what a call does to the world, as far as the resource tells."""
     meta = facts.get("meta", {})
     hints: dict[str, Any] = meta.get("hints", {}) if isinstance(meta, dict) else {}
-    stop = facts["path"] == "/system/estop"
+    stop = facts["path"] == ESTOP or is_hold(facts["path"])
     return types.ToolAnnotations(
         read_only_hint=bool(hints.get("read_only", False)),
         destructive_hint=bool(hints.get("destructive", not stop)),

@@ -198,3 +198,24 @@ async def test_the_button_stops_everything_too(
     answer = await robot.post("/rcp/v1/messages", json=body, headers=admin)
     assert answer.json()["status"] == "completed"
     await expect(tab.page.get_by_test_id("estop-active")).to_have_count(0)
+
+
+async def test_a_rover_out_of_reach_is_named_until_it_is_at_rest(
+    tab: Watched, robot: httpx.AsyncClient, running: Demo
+) -> None:
+    page = tab.page
+    fault = {"fault": "link_lost", "seconds": 8}
+    path = "/rcp/v1/context/tenant/beta/service/inject_fault"
+    assert (await robot.post(path, json=fault)).is_success
+    await page.get_by_test_id("estop").click()
+    await expect(page.get_by_test_id("stop-missing")).to_contain_text("Not confirmed: rover-beta")
+    await expect(page.get_by_test_id("stop-progress")).to_have_text("3 of 4 robots at rest.")
+    await expect(page.locator('[data-robot="rover-beta"]')).not_to_contain_text("stopped")
+    await tab.shoot("estop-unreachable")
+    await expect(page.get_by_test_id("stop-progress")).to_have_text("All 4 robots are at rest.")
+    await expect(page.locator('[data-robot="rover-beta"]')).to_contain_text("stopped, at rest")
+    admin = {"authorization": f"Bearer {running.admin}"}
+    body = {"type": "execute", "path": "/system/estop", "body": {"reset": True}}
+    answer = await robot.post("/rcp/v1/messages", json=body, headers=admin)
+    assert answer.json()["status"] == "completed"
+    await expect(page.get_by_test_id("estop-active")).to_have_count(0)

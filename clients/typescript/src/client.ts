@@ -5,7 +5,7 @@ import { Lease } from "./lease.ts";
 import { Session, type SessionOptions, type State } from "./session.ts";
 import { type Handlers, Subscription } from "./subscription.ts";
 import type {
-  Catalogue, Discovered, DiscoverOptions, EstopState, Hello, LeaseState, Notice, Reply, Request, Resource,
+  Catalogue, Discovered, DiscoverOptions, EstopState, Held, Hello, Item, LeaseState, Notice, Reply, Request, Resource,
   SubscribeOptions, Untyped, Update,
 } from "./wire.ts";
 
@@ -42,8 +42,16 @@ type Paths<T> = Extract<keyof T, string>;
 type Of<T, P> = P extends keyof T ? T[P] : never;
 type Part<T, P, K extends string> = Of<T, P> extends Record<K, infer V> ? V : never;
 
+/** The path of a robot's `service/hold`. */
+function holdOf(robot: string | undefined): string {
+  if (robot === undefined) return "/service/hold";
+  if (!robot.startsWith("/")) return `/service/${robot}/hold`;
+  const parts = robot.split("/"); // "", "tenant", the tenant's name, and the robot's
+  return [...parts.slice(0, 3), "service", ...parts.slice(3), "hold"].join("/");
+}
+
 const LEASE = 10; // s, the gateway's own default
-const ESTOP = 10; // s: robots have 5 to confirm
+const ESTOP = 10; // s for robots to be confirmed at rest
 
 /**
  * A gateway, over one WebSocket that is opened again whenever it is cut.
@@ -121,10 +129,34 @@ export class Client<T extends Catalogue = Untyped> {
     return new Date(this.clock.now()).toISOString();
   }
 
+  /** Read a value; of a pattern the list of all items, however many pages they fill. */
   async read<P extends Paths<T["values"]>>(path: P, options: ReadOptions = {}): Promise<Reading<Of<T["values"], P>>> {
-    const { deadline, ...body } = options;
-    const reply = await this.#ask({ type: "read", path, body, ...(deadline !== undefined && { deadline }) });
-    return { value: reply.body, seq: reply.seq, timestamp: reply.source_timestamp, state: reply.state };
+    let whole: Reply | undefined;
+    for await (const reply of this.#pages(path, options)) {
+      if (whole) whole.body = [...whole.body, ...reply.body];
+      else whole = reply;
+    }
+    const { body, seq, source_timestamp, state } = whole as Reply;
+    return { value: body, seq, timestamp: source_timestamp, state };
+  }
+
+  /** Read a pattern page by page, each of at most `limit` items (1000). */
+  async *pages(pattern: string, options: ReadOptions & { limit?: number } = {}): AsyncGenerator<Item[]> {
+    for await (const reply of this.#pages(pattern, options)) yield reply.body as Item[];
+  }
+
+  /** Ask for one page after the other; `deadline` is for all of them together. */
+  async *#pages(path: string, options: ReadOptions & { limit?: number }): AsyncGenerator<Reply> {
+    const { deadline, ...asked } = options;
+    const end = deadline === undefined ? undefined : Date.now() + deadline * 1000;
+    let cursor: string | undefined;
+    do {
+      const left = end === undefined ? {} : { deadline: Math.max((end - Date.now()) / 1000, 0.001) };
+      const body = { ...asked, ...(cursor !== undefined && { cursor }) };
+      const reply = await this.#ask({ type: "read", path, body, ...left });
+      yield reply;
+      cursor = reply.cursor;
+    } while (cursor !== undefined);
   }
 
   /** Write a value; returns the one now in force. */
@@ -259,9 +291,26 @@ export class Client<T extends Catalogue = Untyped> {
     }
   }
 
-  /** Stop every robot in scope, or all that may be seen. */
-  async estop(options: { scope?: string; reason?: string } = {}): Promise<EstopState> {
-    return (await this.#ask({ type: "execute", path: "/system/estop", body: options, deadline: ESTOP })).body;
+  /**
+   * Stop every robot in scope (a robot, a group, a backend or a tenant), or all that may be seen.
+   *
+   * Resolves when all of them are confirmed at rest. Rejects with `device_timeout` when one is not within `deadline`
+   * seconds; `details.robots` says which and why. They stay latched all the same, and the stop is repeated.
+   */
+  async estop(options: { scope?: string; reason?: string; deadline?: number } = {}): Promise<EstopState> {
+    const { deadline = ESTOP, ...body } = options;
+    return (await this.#ask({ type: "execute", path: "/system/estop", body, deadline })).body;
+  }
+
+  /**
+   * Bring a robot to rest and end its commands, without an e-stop: the next command moves it again.
+   *
+   * `robot` is its name in the own tenant, or `/tenant/<tenant>/<robot>`; not needed where the tenant has one robot
+   * without a name. Rejects with `device_timeout` when it still moves.
+   */
+  async hold(robot?: string, options: { deadline?: number } = {}): Promise<Held> {
+    const path = holdOf(robot) as Paths<T["commands"]>;
+    return (await this.execute(path, undefined, options).result) as Held;
   }
 
   /** Let commands through again; nothing moves until a new one. */

@@ -3,7 +3,7 @@ import type { Command } from "./command.ts";
 import { ConnectionLost, RcpError } from "./errors.ts";
 import { Backoff, Link, type Incoming } from "./link.ts";
 import type { Subscription } from "./subscription.ts";
-import { type Codec, FINAL, type Hello, type Notice, type Reply, type Request, type Update } from "./wire.ts";
+import { type Codec, type Discovered, FINAL, type Hello, type Notice, type Reply, type Request, type Update } from "./wire.ts";
 
 export type State = "connecting" | "open" | "waiting" | "refused" | "closed";
 
@@ -335,7 +335,10 @@ export class Session {
       if (reply.error?.code === "duplicate_request") subscription.made = true; // it had arrived before the cut
       if (reply.error && !subscription.made) throw new RcpError(reply.error);
       subscription.made = true;
-      if (!reply.error) subscription.reaches = (reply.body as { paths: string[] }).paths;
+      if (!reply.error) {
+        subscription.reaches = (reply.body as { paths: string[] }).paths;
+        if (reply.cursor !== undefined) this.#reachRest(subscription, reply.cursor).catch(() => undefined);
+      }
       return reply;
     } catch (error) {
       // Without a connection it is asked for again with the next one.
@@ -345,6 +348,22 @@ export class Session {
       }
       throw error;
     }
+  }
+
+  /** List the paths that the reply to a subscription had no room for. */
+  async #reachRest(subscription: Subscription, cursor: string): Promise<void> {
+    const found = new Set(subscription.reaches);
+    for (const path of subscription.paths) {
+      let next: string | undefined = cursor;
+      while (next !== undefined) {
+        const body = { op: "subscribe", schemas: false, limit: 1000, cursor: next };
+        const reply: Reply = await this.ask({ type: "discover", path, body });
+        if (reply.error) return;
+        for (const resource of (reply.body as Discovered).resources) found.add(resource.path);
+        next = reply.cursor;
+      }
+    }
+    subscription.reaches = [...found].sort();
   }
 
   /** End a subscription, now or as soon as there is a connection. */

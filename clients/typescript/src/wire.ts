@@ -59,6 +59,9 @@ export interface Reply<T = any> {
   seq?: number;
   source_timestamp?: string;
   state?: "fresh" | "stale";
+  /** The body is one page of the answer; `cursor` leads to the next. */
+  truncated?: boolean;
+  cursor?: string;
   timestamp?: string;
   dry_run?: boolean;
 }
@@ -173,10 +176,43 @@ export interface LeaseState {
   reason?: string | null;
 }
 
+/** A latched robot, and how far its stop has come. */
+export interface EstopRobot {
+  state?: "requested" | "commanded" | "confirmed";
+  requested?: string;
+  commanded?: string | null;
+  /** When it was measured to be at rest. */
+  confirmed?: string | null;
+  /** Why it is not confirmed. */
+  detail?: string | null;
+  /** It has moved again under the latch. */
+  alarm?: boolean;
+  [field: string]: unknown;
+}
+
 export interface EstopState {
   active: boolean;
-  robots: Record<string, Record<string, unknown>>;
+  robots: Record<string, EstopRobot>;
   scopes: Record<string, Record<string, unknown>>;
+  /** Groups of robots that can be named as a scope. */
+  groups?: string[];
+}
+
+/** How a robot was found after a hold. */
+export interface Held {
+  at_rest: boolean;
+  detail: string;
+}
+
+/** One item of a read of a pattern. */
+export interface Item<T = any> {
+  path: string;
+  status: Final;
+  body?: T;
+  seq?: number;
+  timestamp?: string;
+  state?: "fresh" | "stale";
+  error?: WireError;
 }
 
 /** Types of the resources by path, as `rcpctl codegen --lang typescript` writes them. */

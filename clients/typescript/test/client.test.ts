@@ -208,9 +208,32 @@ test("a lease that its own session gave away is lost at the next renewal", async
   await until(() => lost === 1, "the loss");
 });
 
+test("a pattern is read whole, and page by page", async () => {
+  const client = await connected();
+  const { value } = await client.read("/tenant/*/sensor/**");
+  const paths = value.map((item: { path: string }) => item.path);
+  assert.ok(paths.length > 3);
+  const pages: string[][] = [];
+  for await (const items of client.pages("/tenant/*/sensor/**", { limit: 3 })) pages.push(items.map((item) => item.path));
+  assert.ok(pages.every((page) => page.length <= 3));
+  assert.ok(pages.length >= paths.length / 3); // a picture may end a page before its limit
+  assert.deepEqual(pages.flat(), paths);
+});
+
+test("a hold brings a robot to rest and latches nothing", async () => {
+  const client = await connected();
+  assert.equal((await client.hold("/tenant/alpha")).at_rest, true);
+  assert.equal((await client.hold()).at_rest, true);
+  assert.equal((await client.read("/system/estop")).value.active, false);
+  assert.equal((await refusal(client.hold("nobody"))).code, "unknown_path");
+});
+
 test("an e-stop holds until it is reset by who may", async () => {
   const [operator, boss] = [await connected(), await connected({ token: admin, tenant: "alpha" })];
-  assert.equal((await operator.estop({ scope: "/tenant/alpha" })).active, true);
+  const stopped = await operator.estop({ scope: "/tenant/alpha" });
+  assert.equal(stopped.active, true);
+  const states = Object.values(stopped.robots);
+  assert.ok(states.length > 0 && states.every((robot) => robot.state === "confirmed" && robot.confirmed));
   const drive = { linear: { x: 0.1 }, angular: { z: 0 } };
   assert.equal((await refusal(operator.write("/actuator/cmd_vel", drive))).code, "estop_active");
   assert.equal((await refusal(operator.resetEstop({ dryRun: true }))).code, "forbidden");

@@ -20,9 +20,10 @@ from rcp_kernel.wire import error_body
 __all__ = ["Output", "compact", "exit_code", "pretty"]
 
 _COLORS = {
-    "32": "ok ready fresh completed",  # green
-    "33": "degraded starting opening stale pending accepted in_progress cancelled never closing",
-    "31": "down failed rejected unavailable error critical latched",
+    "32": "ok ready fresh completed confirmed",  # green
+    "33": "degraded starting opening stale pending accepted in_progress cancelled never closing "
+    "requested commanded",
+    "31": "down failed rejected unavailable error critical latched alarm",
 }
 _COLOR_OF = {word: code for code, words in _COLORS.items() for word in words.split()}
 _CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f]")

@@ -14,14 +14,17 @@ from rcp_client.console import show, whole
 from rcp_client.console.execute import execute
 from rcp_client.console.output import Output, exit_code
 from rcp_client.console.plan import plan
+from rcp_client.console.stops import estop, estop_without_session, hold
 from rcp_client.console.value import fetch, meant
+from rcp_client.errors import ConnectionLost
 from rcp_client.messages import Notice, Update
-from rcp_kernel.errors import RcpError
+from rcp_kernel.errors import QueueFull, RcpError
 
 __all__ = ["run"]
 
 _PATIENCE = 30.0  # s without a connection before a command gives up
 _FAILED = 1
+_HUNG = 2.0  # s for the connection of an e-stop, before it is sent by HTTP
 Arguments = dict[str, Any]
 
 
@@ -42,14 +45,20 @@ def run(name: str, options: dict[str, Any], arguments: Arguments) -> int:
             key=options.get("client_key"),
             plaintext=bool(options.get("plaintext")),
             deadline=timeout,
-            connect_timeout=min(5.0, timeout),
+            connect_timeout=min(_HUNG if name == "estop" else 5.0, timeout),
             patience=_PATIENCE,
             client="rcpctl",
         )
     except ValueError as error:
         raise click.UsageError(str(error)) from error
     try:
-        return asyncio.run(_run(client, out, _COMMANDS[name], arguments))
+        try:
+            return asyncio.run(_run(client, out, _COMMANDS[name], arguments))
+        except (ConnectionLost, QueueFull):
+            if name != "estop" or arguments["reset"]:
+                raise
+            # To stop twice is to stop, and plain HTTP needs no session of the gateway.
+            return asyncio.run(estop_without_session(client, out, arguments))
     except RcpError as error:
         out.error(error)
         return exit_code(error)
@@ -84,16 +93,18 @@ async def _discover(client: Client, out: Output, args: Arguments) -> int:
 async def _read(client: Client, out: Output, args: Arguments) -> int:
     code = 0
     for path in args["paths"]:
+        options = {"fields": args["fields"], "fresh": args["fresh"]}
         try:
-            reply = await client.sample(path, fields=args["fields"], fresh=args["fresh"])
+            if "*" in path:
+                async for items in client.pages(path, **options):
+                    code = max([code, *(show.item(out, item) for item in items)])
+                continue
+            reply = await client.sample(path, **options)
         except RcpError as error:
             out.error(error)
             code = max(code, exit_code(error))
             continue
-        if "*" in path:
-            for item in reply.body:
-                code = max(code, show.item(out, item))
-        elif out.json:
+        if out.json:
             out.document(show.value_facts(reply))
         else:
             show.value(out, reply, several=len(args["paths"]) > 1)
@@ -175,15 +186,6 @@ async def _commands(client: Client, out: Output, args: Arguments) -> int:
 async def _cancel(client: Client, out: Output, args: Arguments) -> int:
     named = "path" if args["command"].startswith("/") else "command"
     show.reply(out, await client.request({"type": "cancel", named: args["command"]}))
-    return 0
-
-
-async def _estop(client: Client, out: Output, args: Arguments) -> int:
-    state = await client.estop(reset=args["reset"], scope=args["scope"], reason=args["reason"])
-    if out.json:
-        out.document(state)
-    else:
-        show.estop(out, state)
     return 0
 
 
@@ -274,7 +276,8 @@ _COMMANDS: dict[str, Callable[[Client, Output, Arguments], Awaitable[int]]] = {
     "status": _status,
     "commands": _commands,
     "cancel": _cancel,
-    "estop": _estop,
+    "estop": estop,
+    "hold": hold,
     "approvals": _approvals,
     "approve": _approve,
     "lease list": _lease_list,

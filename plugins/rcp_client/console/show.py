@@ -188,12 +188,50 @@ def lease(out: Output, facts: dict[str, Any]) -> None:
 
 
 def estop(out: Output, state: dict[str, Any]) -> None:
-    """Show which robots are stopped."""
-    robots = state.get("robots") or {}
-    if not robots:
+    """Show which robots are stopped, and how far the stop of each has come."""
+    robots: dict[str, dict[str, Any]] = state.get("robots") or {}
+    scopes = state.get("scopes") or {}
+    if not robots and not scopes:
         out.line("E-stop released; nothing moves until a new command.")
         return
-    out.line(f"E-stop {out.paint('latched')}: {', '.join(sorted(robots))}.")
+    names = sorted(robots) or sorted(scopes)
+    out.line(f"E-stop {out.paint('latched')}: {', '.join(names)}.")
+    rows = [
+        (
+            name,
+            "alarm" if robot.get("alarm") else robot["state"],
+            *(_clock(robot.get(step)) for step in ("requested", "commanded", "confirmed")),
+            _why(robot),
+        )
+        for name, robot in sorted(robots.items())
+        if "state" in robot  # gateways before that told only who is latched
+    ]
+    if rows:
+        head = ("ROBOT", "STATE", "REQUESTED", "COMMANDED", "CONFIRMED", "DETAIL")
+        out.table(head, rows)
+
+
+def confirmed(robot: dict[str, Any]) -> bool:
+    """Tell whether a latched robot is confirmed at rest, and has not moved since."""
+    return robot.get("state", "confirmed") == "confirmed" and not robot.get("alarm")
+
+
+def _why(robot: dict[str, Any]) -> str:
+    moved = "moves again under the latch" if robot.get("alarm") else ""
+    return ": ".join(part for part in (moved, robot.get("detail")) if part)
+
+
+def _clock(moment: str | None) -> str:
+    return "-" if moment is None else moment[11:23]
+
+
+def holds(out: Output, outcomes: list[dict[str, Any]]) -> None:
+    """Show which robots are at rest after a hold."""
+    rows = [
+        (one["robot"], "at rest" if one["at_rest"] else "not at rest", one.get("detail") or "")
+        for one in outcomes
+    ]
+    out.table(("ROBOT", "STATE", "DETAIL"), rows)
 
 
 def _span(seconds: float) -> str:

@@ -13,6 +13,7 @@ import msgspec
 from rcp_client.client import Client
 from rcp_client.errors import ConnectionLost, error_of
 from rcp_client.messages import Reply
+from rcp_client.settings import MARGIN
 
 __all__ = ["request"]
 
@@ -34,11 +35,13 @@ def _post(client: Client, envelope: dict[str, Any]) -> Reply:
     headers = {"Content-Type": "application/json", "Accept": "application/json"}
     if settings.token is not None:
         headers["Authorization"] = f"Bearer {settings.token}"
+    # The gateway's own answer says more than that none came in time.
+    deadline = envelope.setdefault("deadline", settings.deadline)
     url = settings.address.url.rstrip("/") + "/rcp/v1/messages"
     asked = urllib.request.Request(url, json.dumps(envelope).encode(), headers)  # noqa: S310
     try:
         with urllib.request.urlopen(  # noqa: S310 - the address of the client's own connection
-            asked, timeout=settings.deadline, context=settings.ssl
+            asked, timeout=deadline + MARGIN, context=settings.ssl
         ) as answer:
             data = answer.read()
     except urllib.error.HTTPError as refusal:

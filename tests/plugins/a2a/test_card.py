@@ -29,7 +29,7 @@ def skills(card: dict[str, Any]) -> list[str]:
 async def test_the_public_card_has_what_anonymous_may_execute() -> None:
     async with agent(more=MOVERS) as site, caller(site, None) as client:
         card = (await client.get(CARD)).json()
-        assert skills(card) == ["plan", "action.go", "service.add"]
+        assert skills(card) == ["plan", "stop", "action.go", "service.add", "service.hold"]
         go = card["skills"][1]
         assert "m" in go["description"]
         assert go["examples"]
@@ -97,7 +97,7 @@ async def test_the_card_follows_the_tree() -> None:
 
 async def test_the_extended_card_has_what_the_caller_may_execute(client: httpx.AsyncClient) -> None:
     card = (await client.get("/a2a/extendedAgentCard")).json()
-    assert skills(card) == ["plan", "action.go", "service.add"]
+    assert skills(card) == ["plan", "stop", "action.go", "service.add", "service.hold"]
     answer = await rpc(client, "GetExtendedAgentCard", tenant="beta")
     assert answer["result"]["name"].endswith("(beta)")
 

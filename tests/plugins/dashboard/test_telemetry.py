@@ -12,7 +12,7 @@ import pytest
 
 from rcp_kernel.clock import now
 from rcp_kernel.config.file import parse
-from rcp_kernel.model import Pattern
+from rcp_kernel.model import Pattern, Resource
 from rcp_kernel.testing import serve
 from transports.robot import KEY, Site, site, until
 
@@ -62,7 +62,8 @@ async def test_a_window_ends_with_the_newest_sample(http: httpx.AsyncClient, gat
     await drawn(http, lambda one: one["samples"] == 501)
     found = await drawn(http, lambda _: True, window=0.99)
     assert found["values"] == [float(number) for number in range(450, 500)]
-    earlier = await drawn(http, lambda _: True, window=0.99, until=found["times"][0] - 0.01)
+    # Between two samples, so that no rounding decides which ones are inside.
+    earlier = await drawn(http, lambda _: True, window=1.0, until=found["times"][0] - 0.01)
     assert earlier["values"] == [float(number) for number in range(400, 450)]
 
 
@@ -177,6 +178,23 @@ async def test_a_wrong_question_is_told_what_is_wrong(
     error = answer.json()["error"]
     assert word in error["message"]
     assert error["remedy"]
+
+
+async def test_present_values_come_page_by_page(http: httpx.AsyncClient, gateway: Site) -> None:
+    names = [f"param/many/p{number:04}" for number in range(1348)]
+    host = gateway.robot.host
+    host.declare(
+        *(Resource(name=n, description="One of many.", value=float, live=True) for n in names)
+    )
+    for name in names:
+        host.publish(name, 0.5)
+    query = {"path": "/tenant/alpha/param/many/*"}
+    first = (await http.get(f"{API}/latest", params=query)).json()
+    assert (len(first["values"]), first["truncated"]) == (1000, True)
+    last = (await http.get(f"{API}/latest", params=query | {"cursor": first["cursor"]})).json()
+    assert "truncated" not in last
+    found = [one["path"].removeprefix("/tenant/alpha/") for one in first["values"] + last["values"]]
+    assert found == names
 
 
 async def test_the_present_values_come_in_one_answer(

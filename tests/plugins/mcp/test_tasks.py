@@ -104,7 +104,7 @@ async def test_a_restart_leaves_a_task_failed_with_the_reason(tmp_path: Path) ->
         second = Client(made.url, **TASKS)
         found = await second.state(id_)
         assert found["status"] == "failed"
-        assert found["error"]["message"] == "the gateway stopped while the command was running"
+        assert "the gateway stopped while the command was running" in found["error"]["message"]
         told = await second.call("status", command=id_)
         assert told["structuredContent"]["command"]["status"] == "failed"
         await second.http.aclose()

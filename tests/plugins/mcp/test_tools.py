@@ -11,6 +11,7 @@ import pytest
 from jsonschema import Draft202012Validator
 
 from plugins.mcp.rig import BOUND, Caller, Site, caller
+from rcp_kernel.model import Resource
 
 FIXED = ["discover", "read", "write", "execute", "cancel", "status", "watch"]
 
@@ -197,6 +198,30 @@ async def test_discovery_is_cut_to_the_budget_and_goes_on_where_it_was_cut(
     assert (only["path"], only["unit"]) == ("/tenant/alpha/sensor/level", "m")
     go = (await operator.call("discover", path="/action/go"))["structuredContent"]["resources"]
     assert go[0]["tool"] == "action-go"
+
+
+async def test_a_pattern_is_read_to_the_budget_and_goes_on_where_it_was_cut(
+    operator: Caller, gateway: Site
+) -> None:
+    names = [f"param/many/p{number:04}" for number in range(1348)]
+    host = gateway.robot.host
+    host.declare(
+        *(Resource(name=n, description="One of many.", value=float, live=True) for n in names)
+    )
+    for name in names:
+        host.publish(name, 0.5)
+    found: list[str] = []
+    cursor: dict[str, Any] = {}
+    for _ in range(len(names)):
+        page = await operator.call("read", path="/param/many/*", **cursor)
+        facts = page["structuredContent"]
+        found += [one["path"].removeprefix("/tenant/alpha/") for one in facts["values"]]
+        assert facts.get("truncated", False) is ("cursor" in facts)
+        if "cursor" not in facts:
+            break
+        assert "go on with `cursor`" in words(page)
+        cursor = {"cursor": facts["cursor"]}
+    assert found == names
 
 
 async def test_watching_ends_after_samples_or_seconds(operator: Caller, gateway: Site) -> None:

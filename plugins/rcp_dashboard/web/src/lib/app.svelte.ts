@@ -5,6 +5,7 @@ import { msgpack } from "rcp-client/msgpack";
 
 import { forget, keep, kept } from "./kept.ts";
 import { robotsOf } from "./robots.ts";
+import { latchedOf } from "./stops.ts";
 import { onWake } from "./wake.ts";
 
 const TOKEN = "rcp.token";
@@ -12,7 +13,17 @@ const REFRESH = 5000; // ms between looks at whether the tree has changed
 const SLACK = 5000; // ms that two tellings of when the gateway began may differ by
 const HUNG = 1000; // ms that an emergency stop has by the WebSocket alone
 const LATER = 3000; // ms after which it is sent by HTTP once more
+const ALARMS = 50; // that are kept
+const TENANTS = 50; // that are asked for one by one, where not all may be reset at once
+const CONFIRM = 2; // s that an answer by HTTP waits for robots to come to rest: less than `LATER`
 const PATIENCE = 12_000; // ms that an answer by HTTP may take
+
+/** A robot that moved again under an emergency stop. */
+export interface Alarm {
+  name: string;
+  detail: string;
+  timestamp: string;
+}
 
 type Taken = "status" | "estop" | "leases" | "approvals";
 
@@ -34,13 +45,28 @@ class App {
   leases = $state.raw<LeaseState[]>([]);
   /** What waits for a person, or did: what this role may decide on, and its own. */
   approvals = $state.raw<Approval[]>([]);
+  /** Every robot under an emergency stop, with how far it has come. */
+  latched = $derived(latchedOf(this.estop));
+  /** Robots that moved again under a stop, since this page is open. */
+  alarms = $state.raw<Alarm[]>([]);
+  #alarmed = new Set<string>();
+  /** Whether this role may reset every stop it can see. */
   mayReset = $state(false);
+  /** Tenants in which it may, where it may not in all. */
+  #resets = $state.raw<ReadonlySet<string>>(new Set());
+  /** The robots that a stop without a scope stops; null where this role has to name one, undefined while that is not known. */
+  reach = $state.raw<string[] | null>();
+  /** Stops and holds that are on their way: nobody drives meanwhile. */
+  stopping = $state(0);
+  holding = $state(0);
+  /** Why a stop did not go through. */
+  stopProblem = $state.raw<RcpError>();
   /** Rises with each login, so that what was made for the old one is made anew. */
   epoch = $state(0);
   byPath = $derived(new Map(this.resources.map((one) => [one.path, one])));
   /** How each robot's backend is, by name; it changes every second, and `robots` only with the tree. */
   health = $derived(new Map<string, any>((this.status?.backends ?? []).map((one: any) => [one.name, one])));
-  #backends = $derived(JSON.stringify((this.status?.backends ?? []).map((one: any) => [one.name, one.tenant])));
+  #backends = $derived(JSON.stringify((this.status?.backends ?? []).map((one: any) => [one.name, one.tenant, one.robot])));
   robots = $derived(robotsOf(this.resources, JSON.parse(this.#backends)));
   /** When the gateway was last heard, in ms since the epoch, where the connection is lost. */
   heard = $state<number>();
@@ -85,6 +111,7 @@ class App {
       update: ({ body, timestamp }) => {
         if (client !== this.client) return;
         this[part] = body;
+        if (part === "estop") this.#noteAlarms(timestamp);
         if (part === "status") this.#checkRun(Date.parse(timestamp) - body.uptime * 1000);
       },
       ended: () => {
@@ -93,6 +120,13 @@ class App {
         this.#empty(part);
       },
     });
+  }
+
+  #noteAlarms(timestamp: string): void {
+    const now = this.latched.filter((one) => one.phase === "alarm");
+    const fresh = now.filter((one) => !this.#alarmed.has(one.name)).map(({ name, detail }) => ({ name, detail, timestamp }));
+    this.#alarmed = new Set(now.map((one) => one.name));
+    if (fresh.length) this.alarms = [...this.alarms, ...fresh].slice(-ALARMS);
   }
 
   #empty(part: Taken): void {
@@ -123,6 +157,7 @@ class App {
     if (now.session === before.session) return;
     this.#generation = -1;
     this.mayReset = false;
+    this.#resets = new Set();
     for (const part of ["leases", "approvals"] as const) this.#empty(part);
     const rights = ({ principal, roles, tenants }: Hello): string => JSON.stringify([principal, roles, tenants]);
     if (this.#began === undefined || rights(now) !== rights(before)) this.epoch += 1;
@@ -143,14 +178,38 @@ class App {
         const greeted = (await client.session.ask({ type: "hello" })).body as Partial<Hello> | undefined;
         if (greeted?.roles && this.hello) this.hello = { ...this.hello, ...greeted, resume_token: this.hello.resume_token };
         anew = true; // who may do something else may reset something else
+        await this.#lookAtReach(client);
       }
       for (const part of this.#refused) if (this.may(`/system/${part}`, "subscribe") && this.#refused.delete(part)) this.#follow(client, part);
-      if (anew) {
-        this.mayReset = await client.resetEstop({ dryRun: true }).then(() => true, () => false);
-      }
+      if (anew) await this.#lookAtRights(client);
     } catch {
       // The connection was cut meanwhile: it is looked at again with the next one.
     }
+  }
+
+  async #lookAtRights(client: Client): Promise<void> {
+    const may = (scope?: string): Promise<boolean> => client.resetEstop({ dryRun: true, ...(scope && { scope }) }).then(() => true, () => false);
+    const all = await may();
+    const resets = new Set<string>();
+    if (!all) for (const tenant of (this.hello?.tenants ?? []).slice(0, TENANTS)) if (await may(`/tenant/${tenant}`)) resets.add(tenant);
+    if (client !== this.client) return;
+    this.mayReset = all;
+    this.#resets = resets;
+  }
+
+  /** Ask what a stop without a scope would stop, for the button to say so. */
+  async #lookAtReach(client: Client): Promise<void> {
+    const ask = client.session.ask({ type: "execute", path: "/system/estop", body: {}, dry_run: true });
+    const reach = await ask.then(
+      ({ body }) => (body as { robots?: string[] }).robots,
+      (error: RcpError) => (error.code === "forbidden" ? null : undefined),
+    );
+    if (client === this.client) this.reach = reach;
+  }
+
+  /** Whether this role may reset a stop of a tenant's robots. */
+  mayResetIn(tenant: string | undefined): boolean {
+    return this.mayReset || (tenant !== undefined && this.#resets.has(tenant));
   }
 
   /** Log in with a token, or out without one; `remember` keeps it on this computer. */
@@ -163,6 +222,10 @@ class App {
     this.leases = [];
     this.approvals = [];
     this.known = this.mayReset = false;
+    this.#resets = new Set();
+    this.stopProblem = this.reach = undefined;
+    this.alarms = [];
+    this.#alarmed.clear();
     this.#generation = -1;
     this.#began = undefined;
     this.client = this.#make();
@@ -170,16 +233,41 @@ class App {
     this.start();
   }
 
-  /** Stop everything in scope; by HTTP, too, where the WebSocket is not there to do it or hangs. */
+  /** Stop everything in scope, or all there is; what keeps it from going through is shown above every page. */
   async stop(scope?: string): Promise<void> {
+    this.stopping += 1;
+    this.stopProblem = undefined;
+    try {
+      await this.#sendStop(scope);
+    } catch (problem) {
+      const error = problem as RcpError;
+      // Latched, and not confirmed by all: the banner says by whom not, for as long as that is so.
+      if (error.code !== "device_timeout" || !this.estop?.active) this.stopProblem = error;
+    } finally {
+      this.stopping -= 1;
+    }
+  }
+
+  /** By HTTP, too, where the WebSocket is not there to do it or hangs. */
+  async #sendStop(scope?: string): Promise<void> {
     const input = { reason: "stopped on the dashboard", ...(scope && { scope }) };
     const { client } = this;
     if (client.state !== "open") return this.#stopByHttp(input);
     const told = client.estop(input);
+    // What comes back of a ping behind it tells that it got there: robots may take longer to come to rest.
+    let arrived = false;
+    const ping = client.session.ask({ type: "ping" });
+    ping.then(
+      () => (arrived = true),
+      (error: RcpError) => (arrived = error.code !== "connection_lost"),
+    );
     let timer: ReturnType<typeof setTimeout> | undefined;
-    const hung = new Promise((resolve) => (timer = setTimeout(resolve, HUNG)));
+    const hung = new Promise<void>((resolve) => {
+      timer = setTimeout(resolve, HUNG);
+      told.catch((error: RcpError) => error.code === "connection_lost" && resolve());
+    });
     try {
-      await Promise.any([told, hung.then(() => this.#stopByHttp(input))]);
+      await Promise.any<unknown>([told, hung.then<unknown>(() => (arrived ? told : this.#stopByHttp(input)))]);
     } catch {
       await told; // what it was refused with is said
     } finally {
@@ -190,7 +278,7 @@ class App {
   async #stopByHttp(input: Record<string, unknown>): Promise<void> {
     const headers: Record<string, string> = { "content-type": "application/json" };
     if (this.token) headers["authorization"] = `Bearer ${this.token}`;
-    const body = JSON.stringify({ type: "execute", path: "/system/estop", body: input });
+    const body = JSON.stringify({ type: "execute", path: "/system/estop", body: input, deadline: CONFIRM });
     const lost = (): never => {
       throw new ConnectionLost("the gateway does not answer: nothing may have stopped", "Use the stop on the robot.");
     };

@@ -1,6 +1,7 @@
 import type { Resource, Schema } from "rcp-client";
 
 import { main, resolve } from "./schema.ts";
+import { isHold } from "./stops.ts";
 
 /** What robots commonly can do at the press of a button, by the last part of its path; in the order of the buttons. */
 const KNOWN: [name: RegExp, label: string][] = [
@@ -58,7 +59,10 @@ function fieldOf(resource: Resource): Field | undefined {
 
 /** The buttons of a robot: those of a group of joints in place of those of each of its joints. */
 export function buttonsOf(resources: Resource[], groups: string[]): Button[] {
-  const able = resources.filter((one) => one.operations.includes("execute") && (one.kind === "action" || one.kind === "service"));
+  const holds = resources.some(isHold); // that one has a button of its own, beside the stop
+  const able = resources.filter(
+    (one) => one.operations.includes("execute") && (one.kind === "action" || one.kind === "service") && !(holds && /\/hold$/.test(one.path)),
+  );
   return KNOWN.flatMap(([name, label]) => {
     const found = able.filter((one) => name.test(one.path.split("/").at(-1) ?? ""));
     const of = (one: Resource): string => one.path.split("/").slice(4, -1).join(" ");

@@ -1,4 +1,4 @@
-import type { EstopState, Resource } from "rcp-client";
+import type { Resource } from "rcp-client";
 
 import { jointsOf } from "./joints.ts";
 import { properties } from "./schema.ts";
@@ -9,13 +9,15 @@ import { steering } from "./twist.ts";
 export interface Robot {
   name: string;
   tenant: string;
+  /** The segment after the branch in all of its paths, where its configuration gives it one. */
+  place?: string | undefined;
   resources: Resource[];
 }
 
 /** Group what there is by robot, in the order of their names. */
-export function robotsOf(resources: Resource[], backends: [name: string, tenant: string][]): Robot[] {
+export function robotsOf(resources: Resource[], backends: [name: string, tenant: string, place?: string | null][]): Robot[] {
   const robots = new Map<string, Robot>();
-  for (const [name, tenant] of backends) robots.set(name, { name, tenant, resources: [] });
+  for (const [name, tenant, place] of backends) robots.set(name, { name, tenant, place: place ?? undefined, resources: [] });
   for (const resource of resources) {
     if (!resource.path.startsWith("/tenant/")) continue;
     const tenant = resource.path.split("/")[2] as string;
@@ -24,11 +26,6 @@ export function robotsOf(resources: Resource[], backends: [name: string, tenant:
     robot.resources.push(resource);
   }
   return [...robots.values()].sort((a, b) => a.name.localeCompare(b.name));
-}
-
-/** Whether an emergency stop holds a robot. */
-export function stopped(estop: EstopState | undefined, name: string): boolean {
-  return Object.hasOwn(estop?.robots ?? {}, name);
 }
 
 /** The path below its tenant and branch: what tells resources of one robot apart. */

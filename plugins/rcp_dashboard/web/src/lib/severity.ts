@@ -22,6 +22,11 @@ const ERRORS = new Set(["emergency", "alert", "critical", "error", "fatal", "fai
 const DONE = new Set(["ok", "accepted", "completed"]);
 const HIDDEN = new Set(["what", "principal", "outcome", "latches", "seq", "time", "path", "session", "roles", "proof"]);
 
+/** What is said of a robot that moves again although it is stopped. */
+export function alarmText(robot: string, detail: string | undefined): string {
+  return `ALARM: ${robot} moves again under the emergency stop${detail ? `: ${detail}` : ""}`;
+}
+
 function levelOf(source: Source, path: string, body: any): Level {
   if (source === "log") return body.level === "warning" ? "warning" : "error";
   if (source === "audit") return DONE.has(body.outcome) ? "info" : "warning";
@@ -36,6 +41,7 @@ function levelOf(source: Source, path: string, body: any): Level {
 function textOf(source: Source, body: any): string {
   if (source === "log") {
     const { backend, state, detail, ...rest } = body.facts ?? {};
+    if (body.message === "moves_under_estop") return alarmText(backend, detail);
     if (backend && state) return `${backend} is ${state}${detail ? `: ${detail}` : ""}`;
     return `${String(body.message).replaceAll("_", " ")} ${brief(backend ? { backend, ...rest } : (body.facts ?? {}), 120)}`.trim();
   }

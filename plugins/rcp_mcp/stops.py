@@ -1,0 +1,129 @@
+"""The emergency stop as a model is told of it: what it can stop, and which robots are at rest."""
+
+from __future__ import annotations
+
+import re
+from typing import Any, NamedTuple
+
+from rcp_kernel._plain import is_list, is_map
+from rcp_mcp.content import marked
+
+__all__ = ["ESTOP", "Report", "is_hold", "stop_arguments", "stop_result", "stop_words"]
+
+ESTOP = "/system/estop"
+_HOLD = re.compile(r"/tenant/[^/]+/service/([^/]+/)?hold\Z")
+_SHOWN = 50  # robots that are named in words
+_SCOPE = (
+    "What to stop: a robot by its backend's name (`rover-alpha`; one of several: "
+    "`<backend>/<robot>`) or by its place (`/tenant/alpha/<robot>`), a group by its name, a tenant "
+    "(`/tenant/alpha`). Without it every robot that you may stop."
+)
+_RESET = "Release instead of stopping; only for a role with that right. Nothing moves by it."
+_REASON = "Told to everybody who looks at the stop."
+_NAMES = {"type": "array", "items": {"type": "string"}}
+
+
+def is_hold(path: str) -> bool:
+    """Tell whether a path is a robot's pause: rest without a latch."""
+    return _HOLD.match(path) is not None
+
+
+def stop_words() -> str:
+    """Say what the tool of the emergency stop does."""
+    return (
+        "It acts at once and stays latched until a person with the right resets it. `completed` "
+        "means that every robot in scope is confirmed at rest (`at_rest`). `failed` with "
+        "`device_timeout` means that some are not: `not_confirmed` names them, the stop is "
+        "repeated, and a person has to use the robot's own emergency stop: say so at once. Never "
+        "tell anybody that a robot has stopped before it stands in `at_rest`. To pause one robot "
+        "without a latch use its `hold` tool."
+    )
+
+
+def stop_arguments(schema: dict[str, Any]) -> dict[str, Any]:
+    """Say in the tool's input schema what each argument means."""
+    words = {"scope": _SCOPE, "reset": _RESET, "reason": _REASON}
+    properties = {
+        name: one | {"description": words[name]} if name in words else one
+        for name, one in schema["properties"].items()
+        if name != "deadline"  # a stop is never given up
+    }
+    return schema | {"properties": properties}
+
+
+def stop_result(schema: dict[str, Any]) -> dict[str, Any]:
+    """Add what a report says to the tool's output schema."""
+    unconfirmed = {
+        "type": "object",
+        "properties": {
+            "robot": {"type": "string"},
+            "state": {"enum": ["requested", "commanded", "moves again"]},
+            "detail": {"type": "string"},
+        },
+        "required": ["robot", "state"],
+    }
+    added = {
+        "at_rest": _NAMES | {"description": "Stopped robots that are confirmed at rest."},
+        "not_confirmed": {
+            "type": "array",
+            "items": unconfirmed,
+            "description": "Stopped robots that are not known to be at rest.",
+        },
+    }
+    return schema | {"properties": schema["properties"] | added}
+
+
+class Report(NamedTuple):
+    """Which of the latched robots are at rest."""
+
+    at_rest: list[str]
+    not_confirmed: list[dict[str, Any]]
+
+    @classmethod
+    def of(cls, state: Any) -> Report:
+        """Read it off the e-stop's state, or off the `details` of its error."""
+        robots = state.get("robots") if is_map(state) else None
+        rest: list[str] = []
+        others: list[dict[str, Any]] = []
+        if is_list(robots):
+            others = [{"robot": str(name), "state": "requested"} for name in robots]
+        for name, told in robots.items() if is_map(robots) else ():
+            known: dict[str, Any] = told if is_map(told) else {"state": told}
+            phase, alarm = known.get("state"), known.get("alarm") is True
+            if phase == "confirmed":
+                rest.append(str(name))
+                continue
+            # What does not say that it is at rest is not at rest.
+            sent = "commanded" if phase == "commanded" else "requested"
+            facts: dict[str, Any] = {"robot": str(name), "state": "moves again" if alarm else sent}
+            if known.get("detail"):
+                facts["detail"] = str(known["detail"])
+            others.append(facts)
+        return cls(rest, others)
+
+    @property
+    def facts(self) -> dict[str, Any]:
+        """What the structured answer says."""
+        return {"at_rest": self.at_rest, "not_confirmed": self.not_confirmed}
+
+    def words(self) -> str:
+        """Say it to a model; what a robot's backend gives as a reason stands between marks."""
+        said: list[str] = []
+        if self.at_rest:
+            said.append(f"Confirmed at rest: {_named(self.at_rest)}.")
+        if self.not_confirmed:
+            names = _named([one["robot"] for one in self.not_confirmed])
+            said.append(
+                f"NOT confirmed at rest: {names}. The stop is repeated; tell a person to use "
+                "the robot's own emergency stop."
+            )
+            known = [one for one in self.not_confirmed if "detail" in one]
+            reasons = [f"{one['robot']} ({one['state']}): {one['detail']}" for one in known]
+            if reasons:
+                said.append(marked("\n".join(reasons[:_SHOWN]), ESTOP))
+        return "\n".join(said)
+
+
+def _named(names: list[str]) -> str:
+    more = len(names) - _SHOWN
+    return ", ".join(names[:_SHOWN]) + (f" and {more} more" if more > 0 else "")
