@@ -18,6 +18,7 @@ ALL = (
     "startup",
     "tls",
     "estop",
+    "deadman",
     "guarded",
     "mavlink",
     "can_axes",
