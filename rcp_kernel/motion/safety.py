@@ -7,8 +7,7 @@ Whatever moves is an actuator or an action. The e-stop has a lane of its own: it
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Generator
-from contextlib import contextmanager
+from collections.abc import Callable
 from typing import Any
 
 from rcp_kernel.clock import iso, now, parse_time
@@ -74,6 +73,29 @@ def check_age(entry: Entry, timestamp: str | float | None) -> None:
         )
 
 
+class _Flight:
+    """A write under way, while entered."""
+
+    __slots__ = ("_flights", "_path", "_task")
+
+    def __init__(self, flights: dict[str, set[asyncio.Task[Any]]], path: str) -> None:
+        self._flights, self._path = flights, path
+        self._task = asyncio.current_task()
+
+    def __enter__(self) -> None:
+        if self._task is not None:
+            self._flights.setdefault(self._path, set()).add(self._task)
+
+    def __exit__(self, *_: object) -> None:
+        if self._task is None:
+            return
+        flights = self._flights.get(self._path)
+        if flights is not None:
+            flights.discard(self._task)
+            if not flights:
+                del self._flights[self._path]
+
+
 class Deadman:
     """Writes the safe value when an actuator's last command lapses, until the device takes it."""
 
@@ -113,22 +135,10 @@ class Deadman:
             )
         return request.valid_for
 
-    @contextmanager
-    def flight(self, entry: Entry) -> Generator[None]:
+    def flight(self, entry: Entry) -> _Flight:
         """Have the present task known as one that writes to an entry, for `ground` to cancel."""
         self.began(entry)
-        task = asyncio.current_task()
-        if task is None:
-            yield
-            return
-        flights = self._flights.setdefault(entry.path, set())
-        flights.add(task)
-        try:
-            yield
-        finally:
-            flights.discard(task)
-            if not flights and self._flights.get(entry.path) is flights:
-                del self._flights[entry.path]
+        return _Flight(self._flights, entry.path)
 
     def ground(self, entry: Entry) -> list[asyncio.Task[Any]]:
         """Cut what commands an entry whose robot is brought to rest as a whole.

@@ -32,17 +32,22 @@ class Fenced(Protocol):
 _permit: ContextVar[tuple[Fenced, int] | None] = ContextVar("rcp_permit", default=None)
 
 
-@contextmanager
-def permitted(unit: Fenced, stops: int) -> Generator[None]:
+class permitted:  # noqa: N801 - used as a function is, and on every write
     """Run what is inside under a permit that the next stop of `unit` revokes.
 
     `stops` is the unit's count when the request was admitted.
     """
-    token = _permit.set((unit, stops))
-    try:
-        yield
-    finally:
-        _permit.reset(token)
+
+    __slots__ = ("_permitted", "_token")
+
+    def __init__(self, unit: Fenced, stops: int) -> None:
+        self._permitted = (unit, stops)
+
+    def __enter__(self) -> None:
+        self._token = _permit.set(self._permitted)
+
+    def __exit__(self, *_: object) -> None:
+        _permit.reset(self._token)
 
 
 @contextmanager
