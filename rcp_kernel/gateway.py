@@ -21,6 +21,7 @@ from rcp_kernel.access.identity import Principal
 from rcp_kernel.access.meter import free
 from rcp_kernel.access.quotas import Accounts
 from rcp_kernel.access.resolving import Resolver
+from rcp_kernel.access.visibility import Visibility
 from rcp_kernel.clients.returning import Returning
 from rcp_kernel.clients.session import Answer, Handler, Session
 from rcp_kernel.clients.sessions import Sessions
@@ -52,6 +53,7 @@ from rcp_kernel.operations.writing import Writing
 from rcp_kernel.plans.resource import Plans
 from rcp_kernel.process.metrics import Histogram
 from rcp_kernel.record.audit import Audit
+from rcp_kernel.record.disclosure import Disclosure
 from rcp_kernel.record.history import History
 from rcp_kernel.record.keeping import Keeping
 from rcp_kernel.record.recording import ACTS, DENIALS, Recorded, Recording
@@ -89,11 +91,12 @@ class Gateway:
         self.loop = loop
         self.registry = Registry()
         self.hub = Hub(self.registry, loop)
-        self.conditions = Conditions(self.hub)
+        self.conditions, self.visibility = Conditions(self.hub), Visibility(self.registry)
         self.admission = Admission(self)
         self.store = store or Store()
         """What survives the process."""
-        self.audit = Audit(self.store, loop, config.audit, lambda: self.rules.roles)
+        self.audit = Audit(self.store, loop, config.audit)
+        self.disclosure = Disclosure(self.visibility, lambda: self.rules.roles)
         self.keeping = Keeping(self.audit, self.store, loop, config.audit)
         self.recording = Recording(self)
         history = self.history = History(self.store)
@@ -119,17 +122,17 @@ class Gateway:
         self.returning = Returning(self)
         self.views: dict[str, Callable[[Session], Any]] = {}
         """Resources whose value depends on who asks, by path."""
-        self.sieves: dict[str, Callable[[Session, Any], bool]] = {}
-        """Resources of whose samples everybody sees their own only, by path."""
+        self.sieves: dict[str, Callable[[Session, Any], Any]] = {}
+        """Resources of whose samples everybody sees their own only, and what they see of them: by
+        path, what returns None for a sample that is hidden."""
         self.estop: EstopLane | None = None
         self.services: dict[str, Service] = {}
         """What else of the gateway's own branch can be executed, by path."""
         self.latches, self.leases = Latches(self.store), Leases(self)
         self.stops = StopController(loop, self.recording.stop_step)
         self.approvals, self.plans = Approvals(self), Plans(self)
-        self.executing = Executing(self)
+        self.executing, self._subscribing = Executing(self), Subscribing(self)
         self._reading, self._writing = Reading(self), Writing(self)
-        self._subscribing = Subscribing(self)
         self._table: dict[str, Callable[[Session, Request, Answer], Reply | None]] = {
             "read": self._read,
             "write": self._writing.write,

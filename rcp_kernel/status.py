@@ -13,6 +13,7 @@ import psutil
 from prometheus_client.core import Metric
 
 from rcp_kernel.access.acl import Rights
+from rcp_kernel.access.visibility import names_in
 from rcp_kernel.clients.session import Session
 from rcp_kernel.clock import iso, now
 from rcp_kernel.gateway import Gateway
@@ -142,7 +143,7 @@ class StatusReport:
             return False
         facts = record["facts"]
         texts = [record["message"], *(text for text in facts.values() if isinstance(text, str))]
-        if any(map(rights.hides, texts)):
+        if self._gateway.visibility.names_hidden(rights, self.tenant_of(record), names_in(texts)):
             return False
         slot = next((s for s in self._slots if s.name == _backend(facts)), None)
         hidden = [] if slot is None else _hidden(slot, rights)

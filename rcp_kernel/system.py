@@ -21,7 +21,7 @@ from rcp_kernel.plans.examples import EXAMPLES
 from rcp_kernel.plans.model import Plan, PlanResult, PlanState, StepState
 from rcp_kernel.process.log import Recent
 from rcp_kernel.process.supervisor import Slot
-from rcp_kernel.record.audit import PATH
+from rcp_kernel.record.disclosure import PATH
 from rcp_kernel.registry import Entry
 from rcp_kernel.spi import Backend, BaseBackend, Progress
 from rcp_kernel.status import StatusReport
@@ -79,8 +79,8 @@ class System(BaseBackend):
                 "/system/approvals": gateway.approvals.view,
             }
         )
-        gateway.sieves[PATH] = gateway.audit.shows
-        gateway.sieves[_LOG] = self._shows
+        gateway.sieves[PATH] = gateway.disclosure.shown
+        gateway.sieves[_LOG] = self._shown
         self._open_audit(self.entries[PATH])
         gateway.hub.keep(self.entries[_LOG])
         gateway.estop = estop
@@ -151,11 +151,10 @@ class System(BaseBackend):
     def _publish_record(self, record: dict[str, Any]) -> None:
         self.entries[_LOG].publish(record | {"tenant": self._status.tenant_of(record)}, None)
 
-    def _shows(self, session: Session, record: LogRecord) -> bool:
-        """Tell whether a log record is of a session's tenants, and of what it may see there."""
-        return self._status.concerns(
-            {"message": record.message, "facts": record.facts}, session.rights
-        )
+    def _shown(self, session: Session, record: LogRecord) -> LogRecord | None:
+        """Return a log record that is of a session's tenants, and of what it may see there."""
+        plain = {"message": record.message, "facts": record.facts}
+        return record if self._status.concerns(plain, session.rights) else None
 
     @asynccontextmanager
     async def watch(self, name: str, rate: float | None) -> AsyncGenerator[None]:
@@ -182,7 +181,7 @@ class System(BaseBackend):
         audit = self._gateway.audit
         report = self._status.plain(session.rights)
         return report | {
-            "record": audit.state(head=audit.shows(session, {})),
+            "record": audit.state(head=self._gateway.disclosure.concerns(session, {})),
             "quotas": self._gateway.accounts.plain(session),
         }
 

@@ -19,7 +19,7 @@ from rcp_kernel.clock import iso, now
 from rcp_kernel.errors import ApprovalRequired, Forbidden, QueueFull, RcpError, UnknownPath
 from rcp_kernel.model import Kind, tenant_of
 from rcp_kernel.motion.safety import safe_value
-from rcp_kernel.record.audit import bounded
+from rcp_kernel.record.audit import bounded, hashed
 from rcp_kernel.record.recording import ID
 from rcp_kernel.registry import Entry
 from rcp_kernel.types import Time
@@ -333,7 +333,8 @@ class Approvals:
 
     def _may(self, session: Session, asked: _Asked) -> bool:
         rights = session.rights
-        return all(map(rights.may_approve, asked.tenants)) and all(map(rights.mask, asked.seen))
+        sees_all = self._gateway.visibility.sees_all
+        return all(map(rights.may_approve, asked.tenants)) and sees_all(rights, asked.seen)
 
     def _sees(self, session: Session, asked: _Asked) -> bool:
         return session.principal.identity == asked.asker or self._may(session, asked)
@@ -353,18 +354,22 @@ class Approvals:
         state = asked.state
         state.status = "approved" if decision == "approve" else "rejected"
         state.by, state.reason = session.principal.name, reason
-        tenants = sorted(asked.tenants)
+        plan = bool(state.steps)
+        shown: Any = bounded(state.value)
         self._gateway.audit.note(
             "approval",
             principal=session.principal,
             session=session,
-            tenant=tenants[0] if len(tenants) == 1 else None,
+            tenant=min(asked.tenants) or None,
             path=state.path,
+            touches=asked.seen if plan else None,
             outcome=state.status,
             approval=state.approval,
             asker=state.principal,
             request=state.request,
-            value=bounded(state.value),
+            # The values of a plan are told with the requests of its steps.
+            value=hashed(msgspec.json.encode(shown)) if plan else shown,
+            steps=list(state.steps) or None,
             reason=reason,
             at=at,
         )

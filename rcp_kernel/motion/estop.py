@@ -23,6 +23,7 @@ from rcp_kernel.motion.scope import Scope
 from rcp_kernel.motion.units import Unit
 from rcp_kernel.process.supervisor import Slot
 from rcp_kernel.safety.stop import Stop, StopController
+from rcp_kernel.wire import Request
 
 __all__ = ["HALT_WAIT", "LONGEST_WAIT", "Estop", "EstopRequest", "EstopState"]
 
@@ -111,7 +112,7 @@ class Estop:
     # -- stop and reset ------------------------------------------------------------------------
 
     def request(
-        self, session: Session, asked: EstopRequest, deadline: float | None = None
+        self, session: Session, asked: EstopRequest, sent: Request
     ) -> Coroutine[Any, Any, EstopState]:
         """Latch or reset what is in scope, at once; return what waits for robots to come to rest.
 
@@ -121,7 +122,8 @@ class Estop:
         """
         keys, robots = self.check(session, asked)
         if asked.reset:
-            self._reset(session, asked, keys, robots)
+            freed = self._reset(keys, robots)
+            self._gateway.recording.estop(session, sent, asked, keys, freed)
             return self._state_now(session)
         latches, by = self._gateway.latches, session.principal.name
         fresh = [robot for robot in robots if robot.latch is None]
@@ -133,8 +135,8 @@ class Estop:
         # After the halts: the latch keeps everything that waits from the robots meanwhile.
         self._due.append((robots, by, asked.reason))
         self._gateway.loop.call_soon(self._end_due)
-        self._note(session, asked, keys, fresh)
-        return self._halted(session, stops, deadline)
+        self._gateway.recording.estop(session, sent, asked, keys, fresh)
+        return self._halted(session, stops, sent.deadline)
 
     def check(
         self, session: Session, asked: EstopRequest
@@ -160,9 +162,8 @@ class Estop:
         seen = set(self._visible(session))
         return sorted(robot.name for robot in robots if robot in seen)
 
-    def _reset(
-        self, session: Session, asked: EstopRequest, keys: dict[str, str | None], robots: list[Unit]
-    ) -> None:
+    def _reset(self, keys: dict[str, str | None], robots: list[Unit]) -> list[Unit]:
+        """Let go of robots; return those that were held."""
         self._end_due()
         freed = [robot for robot in robots if robot.latch is not None]
         latches = self._gateway.latches
@@ -174,24 +175,7 @@ class Estop:
         for robot in _merged(freed):
             robot.release(now())
         self._stops.end(robot for robot in robots if robot.latch is None)
-        self._note(session, asked, keys, freed)
-
-    def _note(
-        self, session: Session, asked: EstopRequest, keys: dict[str, str | None], robots: list[Unit]
-    ) -> None:
-        tenants = {tenant for tenant in keys.values() if tenant is not None}
-        self._gateway.audit.note(
-            "estop",
-            principal=session.principal,
-            tenant=tenants.pop() if len(tenants) == 1 else None,
-            path="/system/estop",
-            session=session,
-            reset=asked.reset,
-            scope=asked.scope,
-            latches=sorted(keys),
-            robots=[robot.name for robot in robots],
-            reason=asked.reason,
-        )
+        return freed
 
     # -- what a scope means --------------------------------------------------------------------
 

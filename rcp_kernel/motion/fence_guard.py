@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any
 import structlog
 
 from rcp_kernel.model import Kind
-from rcp_kernel.registry import Entry
 
 if TYPE_CHECKING:
     from rcp_kernel.clients.session import Session
@@ -86,7 +85,7 @@ class FenceGuard:
         if driver is not None and (why := _trouble(bound, driver, sample)) is not None:
             self._drivers.pop(entry.path)
             self._gateway.deadman.stop(entry)
-            self._tell(driver, entry, *why)
+            self._tell(driver, bound, *why)
         elif entry.kind is Kind.ACTION:
             self._look_at_commands(bound, sample)
 
@@ -97,11 +96,12 @@ class FenceGuard:
                 continue
             why = None if command.cancelling else _trouble(bound, command.asker, sample)
             if why is not None:
-                self._tell(command.asker, bound.entry, *why)
-                commands.cancel(command, why[1])
+                self._tell(command.asker, bound, *why)
+                commands.cancel(command, why[-1])
 
-    def _tell(self, session: Session, entry: Entry, envelope: str, why: str) -> None:
-        log.warning("fence_left", path=entry.path, envelope=envelope, reason=why)
+    def _tell(self, session: Session, bound: Bound, sensor: str, envelope: str, why: str) -> None:
+        entry = bound.entry
+        log.warning("fence_left", path=entry.path, envelope=envelope, sensor=sensor, reason=why)
         text = f"{entry.path} was brought to rest: {why}"
         facts = {"path": entry.path, "envelope": envelope, "message": text}
         self._gateway.sessions.tell(session.holder, "fence_left", **facts)
@@ -110,6 +110,7 @@ class FenceGuard:
             principal=session.principal,
             tenant=entry.tenant,
             path=entry.path,
+            touches=(entry.path, sensor),
             outcome="stopped",
             session=session,
             envelope=envelope,
@@ -117,8 +118,8 @@ class FenceGuard:
         )
 
 
-def _trouble(bound: Bound, driver: Session, sample: Sample) -> tuple[str, str] | None:
-    """Return the envelope that the robot has left and how, or None."""
+def _trouble(bound: Bound, driver: Session, sample: Sample) -> tuple[str, str, str] | None:
+    """Return the sensor, the envelope that the robot has left, and how; or None."""
     for envelope in bound.held(driver.principal.grants):
         place = envelope.place
         if place is None or place.sensor != sample.entry.path:
@@ -126,5 +127,5 @@ def _trouble(bound: Bound, driver: Session, sample: Sample) -> tuple[str, str] |
         where = place.of_sample(sample)
         trouble = None if where is None else place.trouble(*where)
         if trouble is not None:
-            return envelope.table.name, f"the robot {trouble[1]}{envelope.why}"
+            return sample.entry.path, envelope.table.name, f"the robot {trouble[1]}{envelope.why}"
     return None

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import structlog
 
+from rcp_kernel.access.visibility import names_in
 from rcp_kernel.clock import iso, now
 from rcp_kernel.errors import (
     AdapterUnavailable,
@@ -103,6 +104,8 @@ class Command:
     expired: bool = False
     timer: asyncio.TimerHandle | None = None
     """Ends the command at its deadline."""
+    _names: frozenset[str] | None = None
+    """What is named once it has ended: nothing changes after that."""
 
     @property
     def status(self) -> Status:
@@ -113,6 +116,16 @@ class Command:
     def final(self) -> bool:
         """Whether the command has ended."""
         return self.status in FINAL
+
+    @property
+    def names(self) -> frozenset[str]:
+        """What may be a path or the name of a resource in what is told of the command."""
+        names = self._names
+        if names is None:
+            names = names_in(self.plain())
+            if self.final:
+                self._names = names
+        return names
 
     def reply(self, record: Record | None = None) -> Reply:
         """Write a step (the latest if not given) as a reply envelope."""

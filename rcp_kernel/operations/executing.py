@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import msgspec
 
 from rcp_kernel.access.acl import reach
+from rcp_kernel.access.visibility import EVERYTHING
 from rcp_kernel.clients.session import Answer, Session
 from rcp_kernel.clock import iso, now
 from rcp_kernel.errors import RcpError, UnknownPath
@@ -48,9 +49,7 @@ class EstopLane(Protocol):
         """Refuse what `request` would, or name the robots that it means; do nothing."""
         ...
 
-    def request(
-        self, session: Session, asked: Any, deadline: float | None = None, /
-    ) -> Coroutine[Any, Any, Any]:
+    def request(self, session: Session, asked: Any, sent: Request, /) -> Coroutine[Any, Any, Any]:
         """Latch when called, not when awaited; return what waits for the robots."""
         ...
 
@@ -190,7 +189,7 @@ class Executing:
                 timestamp=now_,
             )
 
-        work = gateway.estop.request(session, asked, request.deadline)
+        work = gateway.estop.request(session, asked, request)
         gateway.later(
             session,
             request,
@@ -289,7 +288,7 @@ class Executing:
         gateway = self._gateway
         body = request.decode_body(_CANCEL, "cancel")
         wanted = request.command or (body.command if body is not None else None)
-        found = [self.command(session, wanted)] if wanted is not None else []
+        found = [self._to_cancel(session, wanted)] if wanted is not None else []
         path = found[0].path if found else request.path
         entry = gateway.resolve(session, path, Operation.EXECUTE, anyway=True)
         if wanted is None:
@@ -314,18 +313,17 @@ class Executing:
 
     def sees(self, session: Session, command: Command) -> bool:
         """Tell whether a session may know of a command: of all that it is about."""
-        if not session.rights.mask(command.path):
+        rights, sight = session.rights, self._gateway.visibility
+        if not rights.mask(command.path):
             return False
-        if command.path != PLANS or _own(session, command):
-            return True
-        tenants = self._gateway.identities.tenants_of(session.principal)
-        return command.tenant in tenants and all(self._shown(session, p) for p in command.touches)
-
-    def _shown(self, session: Session, path: str) -> bool:
-        """Tell whether what a plan says of a path may be known: its value too, if it has one."""
-        entry = self._gateway.registry.entries.get(path)
-        mask = reach(session.rights.mask(path))
-        return bool(mask if entry is None or not entry.operations & _READ else mask & _READ)
+        if _own(session, command):  # also what is told of it already, unless the rights have gone
+            return sight.sees_all(rights, (p for p in command.touches if p != EVERYTHING))
+        if command.path == PLANS:
+            tenants = self._gateway.identities.tenants_of(session.principal)
+            # Of what a step has read the value is told.
+            if command.tenant not in tenants or not sight.sees_all(rights, command.touches, _READ):
+                return False
+        return not sight.names_hidden(rights, command.tenant, command.names)
 
     def command(self, session: Session, id_: str) -> Command:
         """Return a command that the session may see.
@@ -335,13 +333,27 @@ class Executing:
         command = self._gateway.commands.find(id_)
         mask = 0 if command is None else reach(session.rights.mask(command.path))
         if command is None or not (mask & Operation.EXECUTE and self.sees(session, command)):
-            raise UnknownPath(f"there is no command '{id_[:64]}'", remedy="List `commands`.")
+            raise _no_command(id_)
         return command
+
+    def _to_cancel(self, session: Session, id_: str) -> Command:
+        """Return a command that the session may see, or has sent: that it may stop in any case.
+
+        :raises UnknownPath: there is none, or not for this principal.
+        """
+        command = self._gateway.commands.find(id_)
+        if command is not None and _own(session, command) and session.rights.mask(command.path):
+            return command
+        return self.command(session, id_)
 
 
 def _own(session: Session, command: Command) -> bool:
     principal = session.principal
     return (command.principal, command.proof) == principal.identity
+
+
+def _no_command(id_: str) -> UnknownPath:
+    return UnknownPath(f"there is no command '{id_[:64]}'", remedy="List `commands`.")
 
 
 def _forget_finished(commands: dict[str, Command]) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Iterator
+from functools import partial
 from itertools import islice
 from time import perf_counter
 from typing import TYPE_CHECKING, Annotated, Any
@@ -24,7 +25,7 @@ from rcp_kernel.operations.pages import LONGEST, MOST, cursor_of, place_of, room
 from rcp_kernel.operations.pending import blame, crash
 from rcp_kernel.registry import Entry
 from rcp_kernel.spi import Backend, BaseBackend
-from rcp_kernel.streaming.samples import Sample, project
+from rcp_kernel.streaming.samples import Sample, masked, project
 from rcp_kernel.values import to_plain, value_type
 from rcp_kernel.wire import Reply, Request, error_body
 
@@ -74,8 +75,9 @@ class Reading:
                 raise FilterUnsupported(f"{entry.path} has no field '{field}'", path=entry.path)
         if (view := self._gateway.views.get(entry.path)) is not None:
             return _viewed(request, entry, view(session), options)
-        if (shows := self._gateway.sieves.get(entry.path)) is not None:
-            return _reply(request, entry, _last_shown(entry, session, shows), options)
+        if (shown := self._gateway.sieves.get(entry.path)) is not None:
+            sample = _last_shown(entry, partial(shown, session))
+            return _reply(request, entry, sample, options)
         if (sample := _at_hand(entry, options)) is not None:
             return _reply(request, entry, sample, options)
         timeout = self._gateway.deadline(request, entry)
@@ -182,10 +184,10 @@ def _at_hand(entry: Entry, options: ReadOptions) -> Sample | None:
     return entry.latest if entry.kind == "actuator" else None
 
 
-def _last_shown(entry: Entry, session: Session, shows: Callable[[Session, Any], bool]) -> Sample:
+def _last_shown(entry: Entry, shown: Callable[[Any], Any]) -> Sample:
     for sample in reversed(entry.ring):
-        if shows(session, sample.value):
-            return sample
+        if (told := masked(sample, shown)) is not None:
+            return told
     raise AdapterUnavailable(
         f"nothing that you may see has happened at {entry.path} yet",
         path=entry.path,

@@ -127,9 +127,9 @@ class Subscribing:
             shown = gateway.views.get(entry.path)
             return None if shown is None else partial(shown, session)
 
-        def sieve(entry: Entry) -> Callable[[Any], bool] | None:
-            shows = gateway.sieves.get(entry.path)
-            return None if shows is None else partial(shows, session)
+        def sieve(entry: Entry) -> Callable[[Any], Any] | None:
+            shown = gateway.sieves.get(entry.path)
+            return None if shown is None else partial(shown, session)
 
         subscription = Subscription(
             gateway.hub,

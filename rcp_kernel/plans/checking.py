@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from rcp_kernel._plain import is_map
 from rcp_kernel.access.conditions import ConditionTooCostly, condition
+from rcp_kernel.access.visibility import EVERYTHING
 from rcp_kernel.clients.session import Session
 from rcp_kernel.errors import (
     BY_CODE,
@@ -219,6 +220,8 @@ class _Check:
         self._checked.touches.append(entry.path)
         self._types[node.id] = entry.output_type if isinstance(step, Execute) else entry.value_type
         if isinstance(step, Read):
+            if entry.path in self._gateway.views or entry.path in self._gateway.sieves:
+                self._checked.touches.append(EVERYTHING)  # it shows whoever sent the plan his own
             if not refers:
                 self._decode(READ_OPTIONS, step.value, "read")
             return

@@ -10,6 +10,7 @@ from msgspec import Meta
 from rcp_kernel.types import Time
 
 __all__ = [
+    "PATH",
     "Execute",
     "Group",
     "Operate",
@@ -27,6 +28,7 @@ __all__ = [
     "Write",
 ]
 
+PATH = "/system/plans"
 _Seconds = Annotated[float, Meta(gt=0, le=86_400, extra_json_schema={"unit": "s"})]
 _Delay = Annotated[float, Meta(ge=0, le=3600, extra_json_schema={"unit": "s"})]
 _Id = Annotated[str, Meta(pattern="^[A-Za-z_][A-Za-z0-9_-]*$", max_length=64)]

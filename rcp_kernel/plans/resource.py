@@ -12,7 +12,7 @@ from rcp_kernel.errors import PayloadTooLarge, QueueFull
 from rcp_kernel.operations.command import Command
 from rcp_kernel.plans.checking import check_plan
 from rcp_kernel.plans.engine import Engine
-from rcp_kernel.plans.model import Plan, PlanState
+from rcp_kernel.plans.model import PATH, Plan, PlanState
 from rcp_kernel.plans.node import Checked, every
 from rcp_kernel.plans.telling import Telling
 from rcp_kernel.registry import Entry
@@ -25,7 +25,6 @@ if TYPE_CHECKING:
 
 __all__ = ["PATH", "Plans", "Work"]
 
-PATH = "/system/plans"
 _LISTED = 50  # plans
 
 

@@ -10,7 +10,7 @@ from msgspec import Raw
 
 from rcp_kernel.clients.session import Session
 from rcp_kernel.errors import BY_CODE, InternalError, RcpError
-from rcp_kernel.plans.model import Execute, Operate, Write
+from rcp_kernel.plans.model import Execute, Operate, Read, Write
 from rcp_kernel.plans.node import Node, filled
 from rcp_kernel.streaming.samples import Sample
 from rcp_kernel.values import Encoding, dump, to_plain
@@ -50,10 +50,15 @@ class Sending:
         end = loop.time() + (_PATIENCE if left is None else left)
         while True:
             limit = None if left is None else max(end - loop.time(), 0.001)
-            reply = await self._ask(node, self._request(node, step, limit), told)
+            request = self._request(node, step, limit)
+            reply = await self._ask(node, request, told)
             if reply.error is None:
                 node.state.truncated, node.state.cursor = reply.truncated, reply.cursor
-                return _plain(reply.body), reply.message
+                value = _plain(reply.body)
+                if isinstance(step, Read):  # as writes and commands are by themselves
+                    path = reply.path or request.path or ""
+                    self._gateway.recording.looked(self._session, request, path, value)
+                return value, reply.message
             error = _error_of(reply.error)
             pause = error.retry_after or 0.0
             if error.code != "rate_limited" or loop.time() + pause >= end:

@@ -8,28 +8,26 @@ from __future__ import annotations
 
 import asyncio
 import hashlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from functools import partial
 from typing import Any
 
 import msgspec
 
-from rcp_kernel.access.acl import Rights, Role
-from rcp_kernel.access.identity import Grants, Principal
+from rcp_kernel.access.identity import Principal
+from rcp_kernel.access.visibility import EVERYTHING, bounded_touches
 from rcp_kernel.clients.session import Session
 from rcp_kernel.clock import iso, now
 from rcp_kernel.config.file import AuditConfig
-from rcp_kernel.model import Operation, tenant_of
+from rcp_kernel.model import tenant_of
 from rcp_kernel.record.chain import GENESIS, Head, link, written
 from rcp_kernel.record.flood import Flood
 from rcp_kernel.record.store import Store
 from rcp_kernel.values import Encoding, dump, parse
 from rcp_kernel.wire import Request
 
-__all__ = ["FULL", "PATH", "Audit", "bounded", "decoded", "value_of"]
+__all__ = ["FULL", "Audit", "bounded", "decoded", "hashed", "value_of"]
 
-PATH = "/system/audit"
-_LOOK = Operation.READ | Operation.SUBSCRIBE
 _VALUE = 4096  # bytes of a value that are written out
 _TEXT = 500  # characters of a message
 FULL = 5000  # records that may wait before commands and writes are refused, and refusals counted
@@ -38,25 +36,16 @@ _encode = msgspec.json.encode
 
 
 class Audit:
-    """Writes one record for each happening, and shows them to whom they concern."""
+    """Writes one record for each happening."""
 
-    def __init__(
-        self,
-        store: Store,
-        loop: asyncio.AbstractEventLoop,
-        config: AuditConfig,
-        roles: Callable[[], dict[str, Role]],
-    ) -> None:
+    def __init__(self, store: Store, loop: asyncio.AbstractEventLoop, config: AuditConfig) -> None:
         self._store = store
-        self._roles = roles
         last = store.rows(1)
         self.head: Head = (last[0][0], last[0][1]) if last else (0, GENESIS)
         """The last record made; not necessarily committed yet."""
         self._flood = Flood(loop, config.denials, self._sum_up)
         self.told: Callable[[dict[str, Any]], object] | None = None
         """Called with each record once it is committed."""
-        self._reach: dict[Grants, tuple[str, ...]] = {}
-        self._reached: object = None
 
     def note(
         self,
@@ -65,16 +54,25 @@ class Audit:
         principal: Principal | None,
         tenant: str | None = None,
         path: str | None = None,
+        touches: Iterable[str] | None = None,
         outcome: str = "ok",
         session: Session | None = None,
         **facts: Any,
     ) -> bool:
         """Record a happening; returns at once. Facts that are None are left out.
 
+        It belongs to its tenant and path. What is about several paths names them in `touches`, and
+        is for those who may see all of them, in all of their tenants.
+
         Returns whether it has a record of its own: refusals past the bound are only counted.
         """
         acting = _tenant(principal, tenant, path, session)
-        who = _who(principal, acting, session)
+        owners = () if acting is None else (acting,)
+        if touches is not None:
+            named = bounded_touches(touches)
+            owners = _owners(acting, named)
+            facts["touches"] = list(named)
+        who = _who(principal, owners, session)
         waiting = self._store.waiting
         refusal = what == "denial"
         if refusal or waiting > _MOST:
@@ -129,34 +127,6 @@ class Audit:
         """Sum up what was only counted."""
         self._flood.close()
 
-    # -- who sees what -------------------------------------------------------------------------
-
-    def shows(self, session: Session, record: dict[str, Any]) -> bool:
-        """Tell whether a record is of a tenant whose audit a session may see, on paths it may."""
-        reach = self._reach_of(session)
-        if "*" not in reach and record.get("tenant") not in reach:
-            return False
-        if {record.get("outcome"), *record.get("codes", ())} <= {"unknown_path", None}:
-            return True  # tells what was asked for, not what there is
-        told = [record.get("path"), record.get("message"), *record.get("paths", ())]
-        hides = session.rights.hides
-        return not any(hides(text) for text in told if isinstance(text, str))
-
-    def _reach_of(self, session: Session) -> tuple[str, ...]:
-        roles = self._roles()
-        if self._reached is not roles:
-            self._reached = roles
-            self._reach.clear()
-        grants = session.principal.grants
-        reach = self._reach.get(grants)
-        if reach is None:
-            reach = self._reach[grants] = tuple(
-                tenant
-                for tenant, held in grants
-                if Rights(((tenant, held),), roles).mask(PATH) & _LOOK
-            )
-        return reach
-
 
 def _tenant(
     principal: Principal | None, tenant: str | None, path: str | None, session: Session | None
@@ -171,14 +141,23 @@ def _tenant(
     return own or (principal.tenants[0] if len(principal.tenants) == 1 else None)
 
 
+def _owners(acting: str | None, touches: Iterable[str]) -> tuple[str, ...]:
+    """Return the tenants whose a record is that is about several paths."""
+    tenants = {acting, *(tenant_of(path) for path in touches if path != EVERYTHING)}
+    return tuple(sorted(filter(None, tenants)))
+
+
 def _who(
-    principal: Principal | None, tenant: str | None, session: Session | None
+    principal: Principal | None, owners: tuple[str, ...], session: Session | None
 ) -> dict[str, Any]:
     facts: dict[str, Any] = {}
     if principal is not None:
-        roles = [r for t, held in principal.grants if t in ("*", tenant) for r in held]
+        roles = [r for t, held in principal.grants if t in ("*", *owners) for r in held]
         facts |= {"principal": principal.name, "roles": roles, "proof": principal.proof}
-    facts["tenant"] = tenant
+    if len(owners) == 1:
+        facts["tenant"] = owners[0]
+    elif owners:
+        facts["tenants"] = list(owners)
     if session is not None:
         facts |= {"session": session.id[:8], "transport": session.transport}
     return facts
@@ -207,16 +186,17 @@ def value_of(request: Request) -> Any:
     if not body:
         return None
     if len(body) > _VALUE:
-        return _hashed(body)
+        return hashed(body)
     try:
         return _told(dump(parse(body, request.encoding), Encoding.JSON), body)
     except Exception:  # a body that is no text of its encoding is told by its hash
-        return _hashed(body)
+        return hashed(body)
 
 
 def _told(data: bytes, sent: bytes) -> Any:
-    return msgspec.Raw(data) if len(data) <= _VALUE else _hashed(sent)
+    return msgspec.Raw(data) if len(data) <= _VALUE else hashed(sent)
 
 
-def _hashed(data: bytes) -> dict[str, Any]:
+def hashed(data: bytes) -> dict[str, Any]:
+    """Return what tells of bytes without holding them: their length and hash."""
     return {"length": len(data), "sha256": hashlib.sha256(data).hexdigest()}

@@ -6,10 +6,12 @@ from typing import Any
 
 import structlog
 
+from rcp_kernel.access.visibility import EVERYTHING
 from rcp_kernel.clients.returning import hashed
 from rcp_kernel.clock import now
 from rcp_kernel.errors import InternalError
 from rcp_kernel.operations.command import Command, Record
+from rcp_kernel.plans.model import PATH as PLANS
 from rcp_kernel.record.store import Store
 from rcp_kernel.values import to_plain
 from rcp_kernel.wire import NO_BODY, error_body
@@ -86,7 +88,8 @@ def _read(row: dict[str, Any]) -> Command | None:
     """Return the command of a row; one that cannot be read is left out and told of."""
     try:
         steps = row.pop("history")
-        row["touches"] = tuple(row.get("touches", ()))
+        unknown = (EVERYTHING,) if row["path"] == PLANS else ()  # of a gateway before this one
+        row["touches"] = tuple(row.get("touches", unknown))
         command = Command(**row)
         for step in steps:
             step.setdefault("body", NO_BODY)

@@ -14,13 +14,17 @@ from rcp_kernel.access.identity import Principal
 from rcp_kernel.access.peer import Peer
 from rcp_kernel.clients.session import Answer, Session
 from rcp_kernel.errors import DeadlineExceeded, QueueFull, RcpError
+from rcp_kernel.model import tenant_of
 from rcp_kernel.motion.safety import safe_value
-from rcp_kernel.record.audit import FULL, bounded, value_of
+from rcp_kernel.plans.model import PATH as PLANS
+from rcp_kernel.record.audit import FULL, bounded, hashed, value_of
+from rcp_kernel.record.outline import outline
 from rcp_kernel.registry import Entry
 from rcp_kernel.wire import NO_BODY, Reply, Request, failure
 
 if TYPE_CHECKING:
     from rcp_kernel.gateway import Gateway
+    from rcp_kernel.motion.estop import EstopRequest
     from rcp_kernel.motion.units import Unit
     from rcp_kernel.operations.command import Command
     from rcp_kernel.operations.commands import Keeper
@@ -208,6 +212,7 @@ class Recording:
 
     def started(self, session: Session, request: Request, command: Command) -> None:
         """Record that a command was accepted."""
+        work = command.work if command.path == PLANS else None
         self._gateway.audit.note(
             "execute",
             principal=session.principal,
@@ -216,13 +221,58 @@ class Recording:
             path=command.path,
             outcome="accepted",
             command=command.id,
+            touches=None if work is None else command.touches,
+            steps=None if work is None else _steps(work.report(over=False)),
             **_facts(request),
+        )
+
+    def estop(
+        self,
+        session: Session,
+        request: Request,
+        asked: EstopRequest,
+        keys: dict[str, str | None],
+        robots: list[Unit],
+    ) -> None:
+        """Record an e-stop or its reset: in each tenant what is latched there, and its robots."""
+        facts = _facts(request)
+        facts["value"] = None  # it is told in words of its own
+        tenants = dict.fromkeys([*keys.values(), *(robot.tenant for robot in robots)])
+        for tenant in tenants:
+            self._gateway.audit.note(
+                "estop",
+                principal=session.principal,
+                tenant=tenant,
+                path="/system/estop",
+                session=session,
+                reset=asked.reset,
+                scope=asked.scope,
+                latches=sorted(key for key, of in keys.items() if of in (None, tenant)),
+                robots=[robot.name for robot in robots if robot.tenant == tenant],
+                reason=asked.reason,
+                **facts,
+            )
+
+    def looked(self, session: Session, request: Request, path: str, value: Any) -> None:
+        """Record what a step of a plan has read; of what shows each reader its own, not the value."""
+        many = "*" in path
+        facts = _facts(request)
+        if not many and not path.startswith("/system/"):
+            facts["value"] = bounded(value)
+        self._gateway.audit.note(
+            "read",
+            principal=session.principal,
+            session=session,
+            tenant=tenant_of(path),
+            path=path,
+            touches=[item["path"] for item in value] if many else [path],
+            **facts,
         )
 
     def ended(self, command: Command) -> None:
         """Record what became of a command, and what the robot said."""
         last, asker = command.history[-1], command.asker
-        error = last.error
+        error, plan = last.error, command.path == PLANS
         self._gateway.audit.note(
             "command",
             principal=None if asker is None else asker.principal,
@@ -236,7 +286,9 @@ class Recording:
             command=command.id,
             id=command.request_id,
             origin=None if error is None else error.get("origin"),
-            value=None if last.body is NO_BODY else bounded(last.body),
+            value=None if plan or last.body is NO_BODY else bounded(last.body),
+            touches=command.touches if plan else None,
+            steps=_steps(last.body) if plan else None,
             x=bounded(command.custom) if command.custom else None,
         )
 
@@ -320,6 +372,11 @@ class Recorded:
         self._keeper.forget(command)
 
 
+def _steps(report: Any) -> Any:
+    steps = outline(report)
+    return None if steps is None else bounded(steps)
+
+
 def _facts(request: Request) -> dict[str, Any]:
     acts, approval = request.type in ACTS, request.approval
     return {
@@ -328,9 +385,14 @@ def _facts(request: Request) -> dict[str, Any]:
         "idempotency_key": request.idempotency_key,
         "dry_run": request.dry_run or None,
         "approval": approval if approval and approval.startswith(ID) else None,
-        "value": value_of(request) if acts else None,
+        "value": _value(request) if acts else None,
         "x": bounded(request.custom) if request.custom else None,
     }
+
+
+def _value(request: Request) -> Any:
+    # The values of a plan are those of its steps' paths, not of the tenant that it was sent in.
+    return hashed(bytes(request.body)) if request.path == PLANS else value_of(request)
 
 
 def _unrecorded(reply: Reply) -> Reply:

@@ -11,7 +11,7 @@ from rcp_kernel.operations.pending import crash
 from rcp_kernel.registry import Entry
 from rcp_kernel.streaming.feeds import Feed
 from rcp_kernel.streaming.filters import Change
-from rcp_kernel.streaming.samples import Sample, project
+from rcp_kernel.streaming.samples import Sample, masked, project
 from rcp_kernel.values import dump
 from rcp_kernel.wire import encode_frame
 
@@ -121,28 +121,37 @@ class FilteredFeed(Feed):
 
 
 class SievedFeed(FilteredFeed):
-    """A path of which everybody sees some samples only."""
+    """A path of which everybody sees some samples only, or parts of them."""
 
-    __slots__ = ("_shows",)
+    __slots__ = ("_shown",)
 
     def __init__(
         self,
         subscription: Subscription,
         entry: Entry,
         mailbox: Mailbox | None,
-        shows: Callable[[Any], bool],
+        shown: Callable[[Any], Any],
     ) -> None:
         super().__init__(subscription, entry, mailbox)
-        self._shows = shows
+        self._shown = shown
 
     def offer(self, sample: Sample) -> None:
-        """Queue a sample that this principal may see."""
-        if self._shows(sample.value):
-            super().offer(sample)
+        """Queue what this principal may see of a sample."""
+        # The filters come after: what is hidden must not show in what they let through.
+        if (told := self._told(sample)) is not None:
+            super().offer(told)
 
     def admit(self, sample: Sample) -> bool:
-        """Tell whether an earlier sample may be seen, and passes."""
-        return self._shows(sample.value) and super().admit(sample)
+        """Tell whether something of an earlier sample may be seen, and passes."""
+        told = self._told(sample)
+        return told is not None and super().admit(told)
+
+    def replay(self, samples: Iterable[Sample]) -> None:
+        """Queue what may be seen of earlier samples."""
+        super().replay(told for sample in samples if (told := self._told(sample)) is not None)
+
+    def _told(self, sample: Sample) -> Sample | None:
+        return masked(sample, self._shown)
 
 
 class ViewFeed(Feed):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import msgspec
@@ -16,7 +17,7 @@ from rcp_kernel.wire import Body, encode_frame
 if TYPE_CHECKING:
     from rcp_kernel.registry import Entry
 
-__all__ = ["NATIVE", "READ_PIECE", "Sample", "getter", "project"]
+__all__ = ["NATIVE", "READ_PIECE", "Sample", "getter", "masked", "project"]
 
 NATIVE = ("encoding: native",)
 """In place of the fields of a projection: the backend's own bytes."""
@@ -186,6 +187,15 @@ class Sample(Body):
         )
         self.entry.owner.fault(fault.message)
         return fault
+
+
+def masked(sample: Sample, shown: Callable[[Any], Any]) -> Sample | None:
+    """Return a sample with what is shown of its value; None if that is nothing."""
+    value = sample.value
+    told = shown(value)
+    if told is None or told is value:
+        return None if told is None else sample
+    return Sample(sample.entry, told, sample.timestamp, sample.received, sample.seq)
 
 
 def getter(dotted: str) -> Any:

@@ -52,7 +52,7 @@ class Subscription:
         may: Callable[[Entry], bool],
         end: Callable[[Subscription, str, RcpError | None], None],
         view: Callable[[Entry], Callable[[], Any] | None],
-        sieve: Callable[[Entry], Callable[[Any], bool] | None],
+        sieve: Callable[[Entry], Callable[[Any], Any] | None],
         placed: Callable[[Feed], None],
     ) -> None:
         self.hub = hub
@@ -67,7 +67,7 @@ class Subscription:
         self.view = view
         """What an entry shows this principal, where that depends on who asks."""
         self.sieve = sieve
-        """Which of an entry's samples this principal may see, where these are not all."""
+        """What of an entry's samples this principal may see, where that is not all: None is nothing."""
         self.placed = placed
         """Called with each feed that has joined."""
         self.feeds: dict[str, Feed] = {}
@@ -84,8 +84,8 @@ class Subscription:
         view = self.view(entry)
         if view is not None:
             return ViewFeed(self, entry, self.mailbox, view)
-        if (shows := self.sieve(entry)) is not None:
-            return SievedFeed(self, entry, self.mailbox, shows)
+        if (shown := self.sieve(entry)) is not None:
+            return SievedFeed(self, entry, self.mailbox, shown)
         if not self.options.plain:
             return FilteredFeed(self, entry, self.mailbox)
         return self.hub.plain_feed(self, entry, self.mailbox)

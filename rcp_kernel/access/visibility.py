@@ -1,0 +1,171 @@
+"""Whether something that was written down tells a reader of what the rules hide from him.
+
+A record, a command or a log line is about one path and may name others: in a message, a value, a
+condition, the name of a robot. Who may not see one of those is not told of it either.
+"""
+
+from __future__ import annotations
+
+import re
+from bisect import bisect_left
+from collections.abc import Iterable, Iterator
+from itertools import islice
+from typing import TYPE_CHECKING, Any
+from weakref import WeakKeyDictionary
+
+from rcp_kernel.access.acl import Rights, reach
+from rcp_kernel.model import BRANCHES, Operation, tenant_of
+from rcp_kernel.values import Encoding, dump
+
+if TYPE_CHECKING:
+    from rcp_kernel.registry import Entry, Registry
+
+__all__ = ["EVERYTHING", "MOST_TOUCHES", "Visibility", "bounded_touches", "names_in"]
+
+EVERYTHING = "/**"
+"""Stands among paths for all there are: what is about it is for those from whom nothing is hidden."""
+MOST_TOUCHES = 256
+"""Paths that a record names beside its own; what is about more of them is about everything."""
+_KINDS = "|".join(BRANCHES)
+_NAMES = re.compile(
+    rf"/tenant/[\w.-]+(?:/[\w.-]+)*|(?<![\w.-])(?:{_KINDS})(?:[./][\w-]+)+", re.ASCII
+)
+_RESOURCE = 4  # slashes of the path of a resource at least; what is shorter is a scope
+_ROBOT = 3  # slashes of the key of a robot
+
+
+def bounded_touches(paths: Iterable[str]) -> tuple[str, ...]:
+    """Return each path once; `EVERYTHING` instead if they are too many, or it is one of them."""
+    found = tuple(islice(dict.fromkeys(paths), MOST_TOUCHES + 1))
+    return (EVERYTHING,) if len(found) > MOST_TOUCHES or EVERYTHING in found else found
+
+
+def names_in(value: Any) -> frozenset[str]:
+    """Return what may be a path or the name of a resource in plain data, keys included."""
+    try:
+        text = dump(value, Encoding.JSON).decode(errors="replace")
+    except Exception:  # what cannot be written is not told either
+        return frozenset()
+    return frozenset(_NAMES.findall(text))
+
+
+class Visibility:
+    """Knows the names of all resources and robots, and from whom they are hidden."""
+
+    def __init__(self, registry: Registry) -> None:
+        self._registry = registry
+        self._named: dict[str, set[str]] = {}
+        """The paths of resources by their names without tenant, or without tenant and robot."""
+        self._robots: dict[str, set[str]] = {}
+        """The paths of robots' resources by the names and keys of their stop groups."""
+        self._whole: WeakKeyDictionary[Rights, dict[str | None, tuple[int, bool]]]
+        self._whole = WeakKeyDictionary()
+        registry.on_added.append(self._add)
+        registry.on_removed.append(self._remove)
+
+    def _add(self, entry: Entry) -> None:
+        for table, name in self._places(entry):
+            table.setdefault(name, set()).add(entry.path)
+
+    def _remove(self, entry: Entry) -> None:
+        for table, name in self._places(entry):
+            paths = table.get(name, set())
+            paths.discard(entry.path)
+            if not paths:
+                table.pop(name, None)
+
+    def _places(self, entry: Entry) -> Iterator[tuple[dict[str, set[str]], str]]:
+        if entry.tenant is None:
+            return
+        yield self._named, entry.path.split("/", 3)[3]
+        yield self._named, entry.name
+        unit = entry.unit
+        for name in {unit.name, unit.identity, unit.whole.name}:
+            yield self._robots, name
+
+    # -- what is named -------------------------------------------------------------------------
+
+    def names_hidden(self, rights: Rights, tenant: str | None, names: Iterable[str]) -> bool:
+        """Tell whether one of the names means something that is hidden.
+
+        A name without a tenant means a resource of `tenant`, or of any if that is None.
+        """
+        return any(self._hides(rights, tenant, name) for name in names)
+
+    def _hides(self, rights: Rights, tenant: str | None, name: str) -> bool:
+        if name.startswith("/tenant/"):
+            return self.hides_path(rights, name.rstrip("."))
+        segments = name.replace(".", "/").split("/")
+        for end in range(2, len(segments) + 1):  # what follows a name may be a field of its value
+            for path in self._named.get("/".join(segments[:end]), ()):
+                if tenant in (None, tenant_of(path)) and not rights.mask(path):
+                    return True
+        return False
+
+    def hides_path(self, rights: Rights, path: str) -> bool:
+        """Tell whether a full path is hidden: of a resource, of none, or of a part of the tree."""
+        tenant = tenant_of(path)
+        if tenant is None:
+            return False
+        if tenant not in rights.tenants and "*" not in rights.tenants:
+            return True
+        if path in self._registry.entries:
+            return not rights.mask(path)
+        slashes = path.count("/")
+        if slashes == _ROBOT and path in self._robots:
+            return not self.sees_robot(rights, path, tenant)
+        within = [*islice(self._below(path), MOST_TOUCHES)] if slashes >= _ROBOT else []
+        if within:
+            return not any(map(rights.mask, within))
+        return slashes >= _RESOURCE and not (rights.masks.get(path) or rights.weigh(path))
+
+    def _below(self, path: str) -> Iterator[str]:
+        index, prefix = self._registry.index, path + "/"
+        for place in range(bisect_left(index, prefix), len(index)):
+            if not index[place].startswith(prefix):
+                return
+            yield index[place]
+
+    # -- what has to be seen -------------------------------------------------------------------
+
+    def sees_all(
+        self, rights: Rights, paths: Iterable[str], operation: Operation = Operation.NONE
+    ) -> bool:
+        """Tell whether every path may be seen; of those that offer `operation`, if that may be done.
+
+        Whether a condition of the rules holds at present is no matter.
+        """
+        return all(self._sees(rights, path, operation) for path in paths)
+
+    def _sees(self, rights: Rights, path: str, operation: Operation) -> bool:
+        if path == EVERYTHING:
+            return self.sees_whole(rights, None)
+        mask = reach(rights.mask(path))
+        entry = self._registry.entries.get(path)
+        if not operation or entry is None or not entry.operations & operation:
+            return bool(mask)
+        return bool(mask & operation)
+
+    def sees_robot(self, rights: Rights, name: str, tenant: str | None) -> bool:
+        """Tell whether something of a robot may be seen, by the name or key of its stop group.
+
+        One that is not there may be whatever is hidden: it is for those who see all of the tenant.
+        """
+        paths = self._robots.get(name)
+        if paths is None:
+            return self.sees_whole(rights, tenant)
+        return any(map(rights.mask, paths))
+
+    def sees_whole(self, rights: Rights, tenant: str | None) -> bool:
+        """Tell whether nothing of a tenant is hidden; None means all tenants."""
+        held = rights.tenants
+        if "*" not in held and tenant not in held:
+            return False
+        generation = self._registry.generation
+        known = self._whole.setdefault(rights, {})
+        found = known.get(tenant)
+        if found is None or found[0] != generation:
+            entries = self._registry.entries.values()
+            meant = (e.path for e in entries if e.tenant and tenant in (None, e.tenant))
+            found = known[tenant] = generation, all(map(rights.mask, meant))
+        return found[1]
