@@ -8,7 +8,7 @@ serves HTTP. It translates; every decision is the kernel's.
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Callable, MutableMapping
+from collections.abc import Awaitable, Callable, Iterable, MutableMapping
 from typing import TYPE_CHECKING, Any, Literal
 
 import msgspec
@@ -345,6 +345,10 @@ class Door:
     def rights(self, principal: Principal) -> Rights:
         """Return the compiled rights of a principal."""
         return self._gateway.rules.rights(principal)
+
+    def hides(self, session: Session, names: Iterable[str]) -> bool:
+        """Tell whether one of the names (see `names_in`) means something hidden from a session."""
+        return self._gateway.visibility.names_hidden(session.rights, session.tenant, names)
 
     def revoke(self, serials: frozenset[Serial]) -> None:
         """Take notice which client certificates are not good any more; their sessions end."""

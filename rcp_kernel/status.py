@@ -18,6 +18,7 @@ from rcp_kernel.clients.session import Session
 from rcp_kernel.clock import iso, now
 from rcp_kernel.gateway import Gateway
 from rcp_kernel.model import tenant_of
+from rcp_kernel.plans.model import PATH as PLANS
 from rcp_kernel.process.guard import GuardLink
 from rcp_kernel.process.log import Recent
 from rcp_kernel.process.metrics import Histogram, Metrics, counter, gauge, histogram
@@ -164,12 +165,10 @@ class StatusReport:
 
     def _commands(self, rights: Rights | None) -> dict[str, int]:
         commands = self._gateway.commands
-        running = [
-            c.status for c in commands.running.values() if rights is None or rights.mask(c.path)
-        ]
+        running = [c.status for c in commands.running.values() if self._counts(rights, c.path)]
         ended: dict[str, int] = {}
         for (path, status), count in commands.counts.items():
-            if rights is None or rights.mask(path):
+            if self._counts(rights, path):
                 ended[status] = ended.get(status, 0) + count
         queued = running.count("pending")
         return {
@@ -179,6 +178,13 @@ class StatusReport:
             "failed": ended.get("failed", 0) + ended.get("rejected", 0),
             "cancelled": ended.get("cancelled", 0),
         }
+
+    def _counts(self, rights: Rights | None, path: str) -> bool:
+        """Tell whether commands on a path count; plans do for those who see all they may touch."""
+        if rights is None:
+            return True
+        whole = path != PLANS or self._gateway.visibility.sees_whole(rights, None)
+        return whole and bool(rights.mask(path))
 
     def _process_facts(self) -> dict[str, Any]:
         process = self._process

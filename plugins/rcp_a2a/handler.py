@@ -2,15 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import AsyncGenerator
+from collections.abc import AsyncGenerator, Iterable
+from contextlib import aclosing
 from typing import Any
 
 from a2a.server.context import ServerCallContext
 from a2a.server.request_handlers import DefaultRequestHandler
-from a2a.types.a2a_pb2 import Message, SendMessageRequest, Task, TaskState
+from a2a.types.a2a_pb2 import (
+    CancelTaskRequest,
+    GetTaskRequest,
+    ListTasksRequest,
+    ListTasksResponse,
+    Message,
+    SendMessageRequest,
+    SubscribeToTaskRequest,
+    Task,
+    TaskState,
+)
 from a2a.utils.errors import PushNotificationNotSupportedError, UnsupportedOperationError
 
+from rcp_a2a.callers import caller_of
+from rcp_a2a.masking import Mask
 from rcp_a2a.messages import check
+from rcp_kernel.door import Door
 
 __all__ = ["Handler"]
 
@@ -19,7 +33,11 @@ _UNDER_WAY = (TaskState.TASK_STATE_SUBMITTED, TaskState.TASK_STATE_WORKING)
 
 
 class Handler(DefaultRequestHandler):
-    """Checks the form of messages before a task is made of them."""
+    """Checks the form of messages before a task is made of them; tells of tasks what may be seen."""
+
+    def __init__(self, door: Door, *args: Any, **options: Any) -> None:
+        super().__init__(*args, **options)
+        self._door = door
 
     async def _check(self, params: SendMessageRequest, context: ServerCallContext) -> None:
         check(params.message)
@@ -33,12 +51,45 @@ class Handler(DefaultRequestHandler):
         if wants and self._push_config_store is None:
             raise PushNotificationNotSupportedError
 
+    def _mask(self, context: ServerCallContext, own: Iterable[Message] = ()) -> Mask:
+        return Mask(self._door, caller_of(context).session, own)
+
+    async def _told(self, task: Task, context: ServerCallContext) -> Task:
+        # The one that is told may be without its history, and so without what was asked for.
+        whole: Any = await self.task_store.get(task.id, context)
+        return self._mask(context, () if whole is None else whole.history).task(task)
+
+    async def on_get_task(self, params: GetTaskRequest, context: ServerCallContext) -> Task | None:
+        """Handle `GetTask`."""
+        task = await super().on_get_task(params, context)
+        return None if task is None else await self._told(task, context)
+
+    async def on_list_tasks(
+        self, params: ListTasksRequest, context: ServerCallContext
+    ) -> ListTasksResponse:
+        """Handle `ListTasks`."""
+        found = await super().on_list_tasks(params, context)
+        shown = ListTasksResponse()
+        shown.CopyFrom(found)
+        del shown.tasks[:]
+        shown.tasks.extend([await self._told(task, context) for task in found.tasks])
+        return shown
+
+    async def on_cancel_task(
+        self, params: CancelTaskRequest, context: ServerCallContext
+    ) -> Task | None:
+        """Handle `CancelTask`."""
+        task = await super().on_cancel_task(params, context)
+        return None if task is None else await self._told(task, context)
+
     async def on_message_send(
         self, params: SendMessageRequest, context: ServerCallContext
     ) -> Message | Task:
         """Handle `SendMessage`."""
         await self._check(params, context)
-        return await super().on_message_send(params, context)
+        return self._mask(context, (params.message,)).event(
+            await super().on_message_send(params, context)
+        )
 
     async def on_message_send_stream(
         self, params: SendMessageRequest, context: ServerCallContext
@@ -46,8 +97,24 @@ class Handler(DefaultRequestHandler):
         """Handle `SendStreamingMessage`."""
         await self._check(params, context)
         stream = super().on_message_send_stream(params, context)
-        try:
-            async for event in stream:
+        async with aclosing(_masked(stream, self._mask(context, (params.message,)))) as told:
+            async for event in told:
                 yield event
-        finally:
-            await stream.aclose()
+
+    async def on_subscribe_to_task(
+        self, params: SubscribeToTaskRequest, context: ServerCallContext
+    ) -> AsyncGenerator[Any, None]:
+        """Handle `SubscribeToTask`."""
+        stream = super().on_subscribe_to_task(params, context)
+        async with aclosing(_masked(stream, self._mask(context))) as told:
+            async for event in told:
+                yield event
+
+
+async def _masked(stream: AsyncGenerator[Any, None], mask: Mask) -> AsyncGenerator[Any, None]:
+    try:
+        async for event in stream:
+            if (told := mask.event(event)) is not None:
+                yield told
+    finally:
+        await stream.aclose()

@@ -37,6 +37,7 @@ async def serving(config: A2aConfig, door: Door) -> AsyncGenerator[dict[str, Any
     subscribers.restore()
     notifier = Notifier(config.push, addresses, subscribers)
     handler = Handler(
+        door,
         Agent(door, config.input_timeout),
         tasks,
         cards.plain(),

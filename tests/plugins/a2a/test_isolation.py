@@ -6,9 +6,11 @@ import asyncio
 from typing import Any
 
 import httpx
+import msgspec
 import pytest
 
 from plugins.a2a.agent import KEY_BETA, VERSION, agent, caller, rpc, sent, text
+from rcp_kernel.access.acl import Rule
 from transports.robot import KEY, Site
 
 pytestmark = pytest.mark.anyio
@@ -109,3 +111,46 @@ async def test_calls_side_by_side_keep_their_callers(gateway: Site) -> None:
         for key in (KEY, KEY_BETA):
             page = (await client.get("/a2a/tasks", headers=headers[key])).json()
             assert {task["id"] for task in page["tasks"]} == {i for k, i in done if k == key}
+
+
+SOME = """
+[roles.some]
+allow = [{ operations = ["*"], paths = ["/**", "/system/plans"] }]
+[[keys]]
+name = "somebody"
+roles = { alpha = "some" }
+key = "somebody-somebody"
+"""
+DENIED = Rule(("*",), ("/service/add", "/sensor/text"))
+
+
+async def test_a_task_does_not_show_what_its_owner_may_not_see_any_more() -> None:
+    lines = "execute /service/add 41\nread /sensor/text\nread /sensor/pose"
+    async with agent(more=SOME) as made, caller(made, "somebody-somebody") as client:
+        made.robot.host.publish("sensor/text", "swordfish")
+        id_ = (await sent(client, text(lines)))["id"]
+        before = (await rpc(client, "GetTask", id=id_))["result"]
+        assert [one["name"].rpartition("/")[2] for one in before["artifacts"]] == [
+            "add",
+            "text",
+            "pose",
+        ]
+        assert "swordfish" in str(before)
+        gateway = made.server.gateway
+        some = msgspec.structs.replace(gateway.config.roles["some"], deny=(DENIED,))
+        roles = {**gateway.config.roles, "some": some}
+        gateway.reconfigure(msgspec.structs.replace(gateway.config, roles=roles))
+        after = (await rpc(client, "GetTask", id=id_))["result"]
+        listed = (await rpc(client, "ListTasks", includeArtifacts=True))["result"]
+        for told_ in (after, listed["tasks"][0]):
+            assert [one["name"] for one in told_["artifacts"]] == ["/tenant/alpha/sensor/pose"]
+            assert "swordfish" not in str(told_)
+        assert after["status"]["state"] == "TASK_STATE_COMPLETED"
+
+
+async def test_what_was_asked_for_in_vain_is_told_although_it_is_hidden() -> None:
+    async with agent(more=SOME) as made, caller(made, "somebody-somebody") as client:
+        id_ = (await sent(client, text("read /tenant/beta/sensor/text")))["id"]
+        for method in ("GetTask", "ListTasks"):
+            answer = await rpc(client, method, **({"id": id_} if method == "GetTask" else {}))
+            assert "there is no resource /tenant/beta/sensor/text" in str(answer)

@@ -1,0 +1,89 @@
+"""What is told of a task: nothing of what its caller may not see by now, whenever it was found out."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+from a2a.types.a2a_pb2 import (
+    Message,
+    Role,
+    Task,
+    TaskArtifactUpdateEvent,
+    TaskStatus,
+    TaskStatusUpdateEvent,
+)
+from google.protobuf.json_format import MessageToDict
+
+from rcp_kernel.access.visibility import names_in
+from rcp_kernel.clients.session import Session
+from rcp_kernel.door import Door
+
+__all__ = ["Mask"]
+
+
+class Mask:
+    """Leaves out what is hidden from one caller; what the caller itself has named is no secret."""
+
+    def __init__(self, door: Door, session: Session, own: Iterable[Message] = ()) -> None:
+        self._door = door
+        self._session = session
+        self._own: set[str] = set()
+        for message in own:
+            self._learn(message)
+
+    def task(self, task: Task) -> Task:
+        """Return a task as the caller may see it."""
+        for message in task.history:
+            self._learn(message)
+        shown = Task()
+        shown.CopyFrom(task)
+        del shown.artifacts[:], shown.history[:]
+        shown.artifacts.extend(a for a in task.artifacts if not self._hides(_names(a)))
+        shown.history.extend(m for m in task.history if not self._hides_message(m))
+        self._cover(shown)
+        self._cover_status(shown.status)
+        return shown
+
+    def event(self, event: Any) -> Any:
+        """Return an event as the caller may see it; None if it is not to be told at all."""
+        if isinstance(event, Task):
+            return self.task(event)
+        if isinstance(event, TaskArtifactUpdateEvent):
+            return None if self._hides(_names(event.artifact)) else event
+        if isinstance(event, TaskStatusUpdateEvent):
+            shown = TaskStatusUpdateEvent()
+            shown.CopyFrom(event)
+            self._cover(shown)
+            self._cover_status(shown.status)
+            return shown
+        return event
+
+    def _cover(self, shown: Task | TaskStatusUpdateEvent) -> None:
+        if shown.HasField("metadata") and self._hides(_names(shown.metadata)):
+            shown.ClearField("metadata")
+
+    def _cover_status(self, status: TaskStatus) -> None:
+        if status.HasField("message") and self._hides_message(status.message):
+            status.ClearField("message")
+
+    def _hides_message(self, message: Message) -> bool:
+        if message.role == Role.ROLE_USER:
+            return False
+        return self._hides({name for name in _names(message) if _short(name) not in self._own})
+
+    def _hides(self, names: Iterable[str]) -> bool:
+        return self._door.hides(self._session, names)
+
+    def _learn(self, message: Message) -> None:
+        if message.role == Role.ROLE_USER:
+            self._own |= {_short(name) for name in _names(message)}
+
+
+def _names(part: Any) -> frozenset[str]:
+    return names_in(MessageToDict(part))
+
+
+def _short(name: str) -> str:
+    """Return a name without its tenant, which a caller may leave out."""
+    return name.split("/", 3)[-1] if name.startswith("/tenant/") else name.replace(".", "/")
