@@ -83,7 +83,8 @@ class Dumb(Robot):
     """Takes everything at once."""
 
     def declare(self) -> None:
-        number, words = {"value": float, "live": True}, {"input": str, "output": str}
+        number: Any = {"value": float, "live": True}
+        words: Any = {"input": str, "output": str}
         self.host.declare(
             Resource(name="param/limit", description="A limit.", value=float),
             Resource(name="service/echo", description="Answers.", **words),
@@ -238,7 +239,7 @@ async def told(law: Law, done: list[Act], *, all_of_it: bool) -> tuple[dict[str,
         status = (await ask(type="status"))["body"]
         found["status"] = {key: status[key] for key in ("commands", "warnings", "resources")}
         found["log"] = [m["body"] for m in reader.inbox if m.get("id") == "log" and "body" in m]
-        return found, dark - {None}
+        return found, {command for command in dark if command is not None}
 
 
 def _made(host: Host) -> Robot:
