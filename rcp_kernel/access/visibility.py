@@ -13,6 +13,8 @@ from itertools import islice
 from typing import TYPE_CHECKING, Any
 from weakref import WeakKeyDictionary
 
+import msgspec
+
 from rcp_kernel.access.acl import Rights, reach
 from rcp_kernel.model import BRANCHES, Operation, tenant_of
 from rcp_kernel.values import Encoding, dump
@@ -26,10 +28,10 @@ EVERYTHING = "/**"
 """Stands among paths for all there are: what is about it is for those from whom nothing is hidden."""
 MOST_TOUCHES = 256
 """Paths that a record names beside its own; what is about more of them is about everything."""
-_KINDS = "|".join(BRANCHES)
-_NAMES = re.compile(
-    rf"/tenant/[\w.-]+(?:/[\w.-]+)*|(?<![\w.-])(?:{_KINDS})(?:[./][\w-]+)+", re.ASCII
-)
+_KINDS = tuple(map(str, BRANCHES))
+_PATHS = re.compile(r"/tenant/[\w.-]+(?:/[\w.-]+)*", re.ASCII)
+_SHORT = re.compile(rf"(?:{'|'.join(_KINDS)})(?:[./][\w-]+)+", re.ASCII)
+_encode = msgspec.json.encode
 _RESOURCE = 4  # slashes of the path of a resource at least; what is shorter is a scope
 _ROBOT = 3  # slashes of the key of a robot
 
@@ -43,10 +45,18 @@ def bounded_touches(paths: Iterable[str]) -> tuple[str, ...]:
 def names_in(value: Any) -> frozenset[str]:
     """Return what may be a path or the name of a resource in plain data, keys included."""
     try:
-        text = dump(value, Encoding.JSON).decode(errors="replace")
-    except Exception:  # what cannot be written is not told either
-        return frozenset()
-    return frozenset(_NAMES.findall(text))
+        text = _encode(value)
+    except Exception:  # what has to be written by the rules of the contract
+        try:
+            text = dump(value, Encoding.JSON)
+        except Exception:  # what cannot be written is not told either
+            return frozenset()
+    plain = text.decode(errors="replace")
+    found = _PATHS.findall(plain)
+    rest = _PATHS.sub("", plain)
+    if any(kind in rest for kind in _KINDS):  # looked for ten times as fast as the pattern
+        found += _SHORT.findall(rest)
+    return frozenset(found)
 
 
 class Visibility:
