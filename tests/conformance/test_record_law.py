@@ -238,6 +238,9 @@ async def told(law: Law, done: list[Act], *, all_of_it: bool) -> tuple[dict[str,
         found["last"] = (await ask(type="read", path="/system/audit"))["body"]
         status = (await ask(type="status"))["body"]
         found["status"] = {key: status[key] for key in ("commands", "warnings", "resources")}
+        if any(act.kind == "named" and law.hides(act.ops[0].path) for act in done):
+            # A command on what may be seen counts, also where it is not shown for what it names.
+            del found["status"]["commands"]
         found["log"] = [m["body"] for m in reader.inbox if m.get("id") == "log" and "body" in m]
         return found, {command for command in dark if command is not None}
 
@@ -284,7 +287,7 @@ def without(found: dict[str, Any], plans: set[str]) -> dict[str, Any]:
     done=st.lists(acts, min_size=1, max_size=7),
 )
 @settings(
-    max_examples=40,
+    max_examples=60,
     phases=[Phase.explicit, Phase.reuse, Phase.generate],
     suppress_health_check=[HealthCheck.too_slow],
 )

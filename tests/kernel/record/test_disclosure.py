@@ -45,6 +45,10 @@ allow = [{ operations = ["*"], paths = ["/**", "/system/**"] }]
 deny = [{ operations = ["*"], paths = ["/service/secret", "/sensor/hush", "/*/dark/**"] }]
 may_approve = true
 
+[roles.unread]
+allow = [{ operations = ["*"], paths = ["/**", "/system/**"] }]
+deny = [{ operations = ["read", "subscribe"], paths = ["/sensor/hush"] }]
+
 [roles.asks]
 allow = [{ operations = ["*"], paths = ["/**", "/system/**"] }]
 approve = ["/param/limit"]
@@ -75,13 +79,18 @@ roles = { alpha = "partial" }
 key = "partial-partial-partial"
 
 [[keys]]
+name = "unread"
+roles = { alpha = "unread" }
+key = "sees-and-may-not-read"
+
+[[keys]]
 name = "root"
 role = "admin"
 key = "admin-of-everything"
 """
 BOTH, ASKS = "admin-of-alpha-and-beta", "asks-in-alpha-and-beta"
 ADA, BEA, ROOT = "admin-of-alpha-alone", "admin-of-beta-alone", "admin-of-everything"
-PARTIAL = "partial-partial-partial"
+PARTIAL, UNREAD = "partial-partial-partial", "sees-and-may-not-read"
 PLANS = "/system/plans"
 ALPHA, BETA = "/tenant/alpha/param/limit", "/tenant/beta/param/limit"
 
@@ -134,9 +143,14 @@ async def heard(world: World, client: Client) -> list[dict[str, Any]]:
 
 
 def client_token(client: Client) -> str:
-    return {"ada": ADA, "bea": BEA, "root": ROOT, "partial": PARTIAL, "both": BOTH}[
-        client.connection.session.principal.name
-    ]
+    return {
+        "ada": ADA,
+        "bea": BEA,
+        "root": ROOT,
+        "partial": PARTIAL,
+        "both": BOTH,
+        "unread": UNREAD,
+    }[client.connection.session.principal.name]
 
 
 def place(client: Client) -> str:
@@ -211,6 +225,19 @@ async def test_a_plan_with_something_hidden_is_on_record_without_it(world: World
     assert len([r for r in whole if r.get("path") == PLANS]) == 2
     told = [r["value"] for r in whole if r["what"] == "command" and r["path"] != PLANS]
     assert told == [WORDS]
+
+
+async def test_a_value_is_told_to_those_who_may_read_it(world: World) -> None:
+    unread, ada = await watched(world, UNREAD), await watched(world, ADA)
+    done = await world.client(BOTH).ask(**plan({"do": "read", "path": "/sensor/hush", "id": "r"}))
+    assert done["status"] == "completed", done
+    shown = await heard(world, unread)
+    assert [(r["what"], r["path"]) for r in shown] == [("execute", PLANS), ("command", PLANS)]
+    assert shown[1]["steps"][0]["state"] == "completed"
+    for path in ("/system/audit", "/system/commands", PLANS):
+        assert str(SECRET) not in json.dumps(await unread.ask(type="read", path=path))
+    [read] = [r for r in await heard(world, ada) if r["what"] == "read"]
+    assert read["value"] == SECRET
 
 
 async def test_a_plan_that_is_refused_is_on_record_by_its_hash(world: World) -> None:
