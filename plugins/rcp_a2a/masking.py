@@ -6,6 +6,7 @@ from collections.abc import Iterable
 from typing import Any
 
 from a2a.types.a2a_pb2 import (
+    Artifact,
     Message,
     Role,
     Task,
@@ -15,7 +16,7 @@ from a2a.types.a2a_pb2 import (
 )
 from google.protobuf.json_format import MessageToDict
 
-from rcp_kernel.access.visibility import names_in
+from rcp_kernel.access.visibility import EVERYTHING, names_in
 from rcp_kernel.clients.session import Session
 from rcp_kernel.door import Door
 
@@ -39,7 +40,7 @@ class Mask:
         shown = Task()
         shown.CopyFrom(task)
         del shown.artifacts[:], shown.history[:]
-        shown.artifacts.extend(a for a in task.artifacts if not self._hides(_names(a)))
+        shown.artifacts.extend(a for a in task.artifacts if not self._hides_artifact(a))
         shown.history.extend(m for m in task.history if not self._hides_message(m))
         self._cover(shown)
         self._cover_status(shown.status)
@@ -50,7 +51,7 @@ class Mask:
         if isinstance(event, Task):
             return self.task(event)
         if isinstance(event, TaskArtifactUpdateEvent):
-            return None if self._hides(_names(event.artifact)) else event
+            return None if self._hides_artifact(event.artifact) else event
         if isinstance(event, TaskStatusUpdateEvent):
             shown = TaskStatusUpdateEvent()
             shown.CopyFrom(event)
@@ -66,6 +67,11 @@ class Mask:
     def _cover_status(self, status: TaskStatus) -> None:
         if status.HasField("message") and self._hides_message(status.message):
             status.ClearField("message")
+
+    def _hides_artifact(self, artifact: Artifact) -> bool:
+        names = _names(artifact)
+        # What is too long to be looked through is judged by the path that it is of.
+        return self._hides(names_in(artifact.name) if EVERYTHING in names else names)
 
     def _hides_message(self, message: Message) -> bool:
         if message.role == Role.ROLE_USER:

@@ -16,7 +16,7 @@ from weakref import WeakKeyDictionary
 import msgspec
 
 from rcp_kernel.access.acl import Rights, reach
-from rcp_kernel.model import BRANCHES, Operation, tenant_of
+from rcp_kernel.model import BRANCHES, MAX_PATH, Operation, tenant_of
 from rcp_kernel.values import Encoding, dump
 
 if TYPE_CHECKING:
@@ -32,6 +32,8 @@ _KINDS = tuple(map(str, BRANCHES))
 _PATHS = re.compile(r"/tenant/[\w.-]+(?:/[\w.-]+)*", re.ASCII)
 _SHORT = re.compile(rf"(?:{'|'.join(_KINDS)})(?:[./][\w-]+)+", re.ASCII)
 _encode = msgspec.json.encode
+_LONGEST = 65_536  # bytes that are looked through: that takes 2 ms
+_STRANGE = 32  # names that mean nothing there is, and so are weighed by the rules one by one
 _RESOURCE = 4  # slashes of the path of a resource at least; what is shorter is a scope
 _ROBOT = 3  # slashes of the key of a robot
 
@@ -43,7 +45,10 @@ def bounded_touches(paths: Iterable[str]) -> tuple[str, ...]:
 
 
 def names_in(value: Any) -> frozenset[str]:
-    """Return what may be a path or the name of a resource in plain data, keys included."""
+    """Return what may be a path or the name of a resource in plain data, keys included.
+
+    What is too long to be looked through may name `EVERYTHING`.
+    """
     try:
         text = _encode(value)
     except Exception:  # what has to be written by the rules of the contract
@@ -51,6 +56,8 @@ def names_in(value: Any) -> frozenset[str]:
             text = dump(value, Encoding.JSON)
         except Exception:  # what cannot be written is not told either
             return frozenset()
+    if len(text) > _LONGEST:
+        return frozenset((EVERYTHING,))
     plain = text.decode(errors="replace")
     found = _PATHS.findall(plain)
     rest = _PATHS.sub("", plain)
@@ -100,7 +107,14 @@ class Visibility:
 
         A name without a tenant means a resource of `tenant`, or of any if that is None.
         """
-        return any(self._hides(rights, tenant, name) for name in names)
+        strange = 0
+        for name in names:
+            strange += name not in self._registry.entries
+            if strange > _STRANGE or name == EVERYTHING:
+                return not self.sees_whole(rights, None)
+            if self._hides(rights, tenant, name[:MAX_PATH]):
+                return True
+        return False
 
     def _hides(self, rights: Rights, tenant: str | None, name: str) -> bool:
         if name.startswith("/tenant/"):

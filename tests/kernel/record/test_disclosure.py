@@ -323,6 +323,26 @@ async def test_what_names_something_hidden_is_not_shown(world: World) -> None:
     assert "hush" not in json.dumps(reply)
 
 
+async def test_a_record_of_very_many_names_is_cheap_to_judge(world: World) -> None:
+    gateway = world.server.gateway
+    many = " ".join(f"/tenant/alpha/sensor/x{n}" for n in range(150))
+    session = world.client(PARTIAL).connection.session
+    weighed: list[str] = []
+    weigh = type(session.rights).weigh
+
+    def counted(rights: Any, path: str) -> int:
+        weighed.append(path)
+        return weigh(rights, path)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(type(session.rights), "weigh", counted)
+        record = {"seq": 1, "what": "write", "tenant": "alpha", "path": ALPHA, "value": many}
+        assert gateway.disclosure.shown(session, record) is None
+        assert len(weighed) < 40
+    whole = world.client(ROOT).connection.session
+    assert gateway.disclosure.shown(whole, {**record, "seq": 2}) is not None
+
+
 async def test_old_records_of_whole_plans_are_for_those_who_see_everything(tmp_path: Path) -> None:
     path = tmp_path / "store.db"
     old = {
