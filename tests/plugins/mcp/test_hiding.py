@@ -182,21 +182,25 @@ async def test_the_past_of_what_is_hidden_is_told_by_no_tool_and_no_resource() -
         {"do": "read", "path": "/sensor/secret"},
         {"do": "execute", "path": "/service/double", "value": 21},
     ]
-    async with site(more=AUDITOR) as made, caller(made) as operator:
+    async with (
+        site(more=AUDITOR) as made,
+        caller(made) as operator,
+        caller(made, "auditor-of-these-tests") as auditor,
+    ):
+        await auditor.call("status")  # its login comes first
         told = await operator.call("execute", path="/system/plans", input={"steps": steps})
         facts = told["structuredContent"]
         assert "the hidden word" in json.dumps(facts)
-        async with caller(made, "auditor-of-these-tests") as auditor:
-            hidden = await auditor.call("status", command=facts["command"])
-            absent = await auditor.call("status", command="cmd-0123456789abcdef")
-            written = json.dumps(hidden).replace(facts["command"], "cmd-0123456789abcdef")
-            assert json.loads(written) == absent
-            answers: list[Any] = [await auditor.call("status")]
-            for name in ("audit", "commands", "plans", "log"):
-                answers.append(await auditor.call("read", path=f"/system/{name}"))
-                answers.append(await auditor.send("resources/read", uri=f"rcp:///system/{name}"))
-            assert "contents" in json.dumps(answers[2])
-            found = json.dumps(answers)
-            assert "service/double" in found
-            assert "secret" not in found
-            assert "the hidden word" not in found
+        hidden = await auditor.call("status", command=facts["command"])
+        absent = await auditor.call("status", command="cmd-0123456789abcdef")
+        written = json.dumps(hidden).replace(facts["command"], "cmd-0123456789abcdef")
+        assert json.loads(written) == absent
+        answers: list[Any] = [await auditor.call("status")]
+        for name in ("audit", "commands", "plans", "log"):
+            answers.append(await auditor.call("read", path=f"/system/{name}"))
+            answers.append(await auditor.send("resources/read", uri=f"rcp:///system/{name}"))
+        assert "contents" in json.dumps(answers[2])
+        found = json.dumps(answers)
+        assert "service/double" in found
+        assert "secret" not in found
+        assert "the hidden word" not in found
