@@ -16,8 +16,7 @@ from rcp_kernel.config.file import load
 from rcp_kernel.errors import BadRequest, ConfigError
 from rcp_kernel.record.audit import decoded
 from rcp_kernel.record.chain import Head, Row, Verdict, parse_head, verify, written
-from rcp_kernel.record.file import FAULTS, ROWS, head_beside, open_read_only
-from rcp_kernel.record.keeping import anchor_of
+from rcp_kernel.record.file import FAULTS, ROWS, anchor_of, head_beside, open_read_only
 
 __all__ = ["audit", "examined"]
 

@@ -102,20 +102,6 @@ def whole(path: Path) -> Path:
     return path
 
 
-async def test_no_start_with_what_is_not_a_store_or_not_a_whole_one(tmp_path: Path) -> None:
-    foreign = tmp_path / "foreign.db"
-    foreign.write_bytes(b"not a database" * 1000)
-    cut = whole(tmp_path / "cut.db")
-    cut.write_bytes(cut.read_bytes()[:-4096])
-    spoilt = whole(tmp_path / "spoilt.db")
-    data = bytearray(spoilt.read_bytes())
-    data[4096 + 3 : 4096 + 5] = b"\xff\xff"  # the number of cells of a page
-    spoilt.write_bytes(data)
-    for path in (foreign, cut, spoilt):
-        with pytest.raises(ConfigError, match=f"{path.name}.*Bring back a copy of it"):
-            DiskStore(path, asyncio.get_running_loop())
-
-
 async def test_no_start_where_nothing_can_be_written(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
