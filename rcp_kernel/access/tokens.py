@@ -21,7 +21,7 @@ from rcp_kernel.clock import now
 from rcp_kernel.errors import ConfigError
 from rcp_kernel.process.modes import check_store_modes
 
-__all__ = ["PREFIX", "Token", "TokenFile", "TokenWatch", "changes"]
+__all__ = ["PREFIX", "Token", "TokenFile", "TokenWatch", "changes", "make_table"]
 
 log = structlog.get_logger("rcp.tokens")
 PREFIX = "rcp_"
@@ -62,6 +62,14 @@ class Token(msgspec.Struct, frozen=True):
         return Principal(self.name, grants, "token", self.hash, self.expires)
 
 
+def make_table(base: sqlite3.Connection) -> None:
+    """Have the table of keys in a database.
+
+    :raises sqlite3.Error: there can be none.
+    """
+    base.executescript(_SCHEMA)
+
+
 class TokenFile:
     """The table, for one thread. Blocks."""
 
@@ -78,7 +86,7 @@ class TokenFile:
                 os.close(os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o600))
             self._base = sqlite3.connect(path, timeout=_BUSY)
             self._base.execute("PRAGMA journal_mode=WAL")
-            self._base.executescript(_SCHEMA)
+            make_table(self._base)
         except (OSError, sqlite3.Error) as error:
             raise ConfigError(f"the store '{path}' cannot be opened: {error}") from None
 

@@ -9,6 +9,7 @@ import sqlite3
 import time
 from collections.abc import Sequence
 from contextlib import closing
+from itertools import pairwise
 from pathlib import Path
 
 from rcp_kernel.record.chain import GENESIS, Head, Row, decoded, joint, link
@@ -102,11 +103,13 @@ def quick_check(base: sqlite3.Connection, bound: float | None) -> str | None:
 
 def _chain(base: sqlite3.Connection, path: Path) -> str | None:
     """Compare the end of the chain with itself, and with the head beside it."""
-    rows = base.execute(f"{ROWS} ORDER BY seq DESC LIMIT ?", (_ROWS,)).fetchall()
     file = HeadFile(path)
-    head = file.read()
+    head = file.read()  # before the rows: a gateway that runs goes on meanwhile
+    rows = base.execute(f"{ROWS} ORDER BY seq DESC LIMIT ?", (_ROWS,)).fetchall()
     if head is None:
-        return f"{file.path.name}, which tells where the record ends, is not there" if rows else None
+        return (
+            f"{file.path.name}, which tells where the record ends, is not there" if rows else None
+        )
     last = rows[0][0] if rows else (anchor_of(base) or (0, GENESIS))[0]
     if head[0] > last:
         if not file.of_this_boot and _latches_known(path):
@@ -130,7 +133,7 @@ def _latches_known(path: Path) -> bool:
 
 def _linked(rows: Sequence[Row]) -> str | None:
     """Verify records from the last backwards, as far as the last repair."""
-    for (seq, digest, data), (before, previous, _) in zip(rows, rows[1:], strict=False):
+    for (seq, digest, data), (before, previous, _) in pairwise(rows):
         if joint(decoded(data)) is not None:
             return None
         if before != seq - 1:

@@ -229,7 +229,7 @@ def store_errors(path: Path) -> Generator[None]:
         yield
     except (OSError, *FAULTS) as error:
         raise ConfigError(
-            f"[store] path = '{path}' cannot be opened: {error}. {_remedy(path, error)}"
+            f"[store] path = '{path}' cannot be opened: {error}. {_remedy(error)}"
         ) from None
 
 
@@ -237,7 +237,7 @@ class _Taken(sqlite3.OperationalError):
     """Another gateway has the store."""
 
 
-def _remedy(path: Path, error: Exception) -> str:
+def _remedy(error: Exception) -> str:
     if isinstance(error, _Taken):
         return "Stop the other gateway, or give this one a path of its own."
     number = getattr(error, "sqlite_errorcode", 0) & 0xFF

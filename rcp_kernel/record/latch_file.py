@@ -11,13 +11,21 @@ import errno
 import hashlib
 import os
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import msgspec
 
 from rcp_kernel.clock import now
 
-__all__ = ["GATEWAY", "LATCHES", "LatchFile", "encode_latches", "latch_row", "latches_beside", "union"]
+__all__ = [
+    "GATEWAY",
+    "LATCHES",
+    "LatchFile",
+    "encode_latches",
+    "latch_row",
+    "latches_beside",
+    "union",
+]
 
 LATCHES = "latches"
 """The table of the store that the file repeats."""
@@ -57,7 +65,7 @@ def union(kept: dict[str, Any], beside: Rows) -> Rows:
     """
     found: Rows = dict(beside)
     for key, value in kept.items():
-        row: dict[str, Any] = value if isinstance(value, dict) else {}
+        row = cast("dict[str, Any]", value) if isinstance(value, dict) else {}
         other = beside.get(key)
         if other is None:
             found[key] = row
@@ -68,8 +76,8 @@ def union(kept: dict[str, Any], beside: Rows) -> Rows:
 
 
 def _freed(row: dict[str, Any]) -> set[str]:
-    freed: Any = row.get("freed")
-    return set(freed) if isinstance(freed, list) else set()
+    freed = row.get("freed")
+    return set(cast("list[str]", freed)) if isinstance(freed, list) else set()
 
 
 def _checksum(rows: Rows) -> str:
@@ -99,7 +107,9 @@ class LatchFile:
         except (msgspec.DecodeError, UnicodeDecodeError) as error:
             raise ValueError(f"it cannot be read ({error})") from None
         if content.version != _VERSION:
-            raise ValueError(f"it has the version {content.version}, which this gateway cannot read")
+            raise ValueError(
+                f"it has the version {content.version}, which this gateway cannot read"
+            )
         if content.sha256 != _checksum(content.latches):
             raise ValueError("its checksum does not fit")
         return content.latches

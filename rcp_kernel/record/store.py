@@ -62,8 +62,6 @@ class Store:
 
     keeps = False
     """Whether anything survives; what is dear to prepare need not be put where nothing does."""
-    path: Path | None = None
-    """The database that is written."""
     damage: str | None = None
     """Why the database that is configured is left alone, and another one is written."""
     lost = False
@@ -76,6 +74,11 @@ class Store:
     """The head of the audit as the earlier run left it beside the database."""
     head: Head | None = None
     """The last row of the audit that this run committed."""
+
+    @property
+    def path(self) -> Path | None:
+        """The database that is written; it is beside that of the configuration if that is damaged."""
+        return None
 
     def put(self, table: str, key: str, value: Any | None) -> None:
         """Keep a value that msgpack takes under a key; None deletes. Returns at once."""
@@ -146,7 +149,7 @@ class DiskStore(Store):
 
         :raises ConfigError: it cannot be opened, or another gateway has it.
         """
-        self.path: Path = path
+        self._path = path
         self._loop = loop
         self._gathered = _Batch()
         self._scheduled = False
@@ -173,6 +176,11 @@ class DiskStore(Store):
         if held:
             self.put(LATCHES, GATEWAY, self._latches[GATEWAY])
 
+    @property
+    def path(self) -> Path:
+        """The database that is written."""
+        return self._path
+
     def _open(self, opening: ExitStack) -> None:
         """Open the database, or another one if it is damaged."""
         path = self.path
@@ -185,7 +193,7 @@ class DiskStore(Store):
             if not is_damage(error):
                 raise
             self.damage = f"the database cannot be read ({error})"
-        self.path = interim_of(path)
+        self._path = interim_of(path)
         log.error("store_damaged", path=str(path), detail=self.damage, remedy=_way_out(self.path))
         open_beside(path, self.path, self.damage)
         self._begin(opening)
@@ -418,7 +426,9 @@ class DiskStore(Store):
             self._latch_file.write(batch.latches)
             batch.latches = None
 
-    def _let_go(self, base: sqlite3.Connection | None, error: Exception) -> sqlite3.Connection | None:
+    def _let_go(
+        self, base: sqlite3.Connection | None, error: Exception
+    ) -> sqlite3.Connection | None:
         """Close a database that has failed, so that it is opened anew."""
         if isinstance(error, StoreGone):
             return base  # its files are expected back; others would not be its own

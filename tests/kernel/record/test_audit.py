@@ -13,7 +13,8 @@ import pytest
 from click.testing import CliRunner
 
 from kernel.world import Client, World, kept_in, settled, world_of
-from rcp_kernel.record.cli import audit, examined
+from rcp_kernel.record.cli import audit
+from rcp_kernel.record.examination import examined
 from rcp_kernel.record.flood import Flood
 
 pytestmark = pytest.mark.anyio
