@@ -33,7 +33,7 @@ from rcp_kernel.record.salvage import readable_kept, readable_records, readable_
 __all__ = ["Repaired", "repair", "restore"]
 
 _ANCHOR = ("audit", "anchor")
-_TOKEN = (
+_ADD_KEY = (
     "INSERT INTO tokens VALUES (?, ?, ?, ?, ?, ?, ?, ?) "
     "ON CONFLICT DO UPDATE SET revoked = coalesce(revoked, excluded.revoked)"
 )
@@ -148,7 +148,7 @@ class _Repair:
         with suppress(*FAULTS), closing(looked_at(path, in_spite=True)) as source, base:
             for row in readable_tokens(source):
                 with suppress(sqlite3.Error):  # a row that was spoilt proves nobody
-                    base.execute(_TOKEN, row)
+                    base.execute(_ADD_KEY, row)
 
     def _seal(self, base: sqlite3.Connection, head: Head) -> Repaired:
         """Add the record of the repair, and the latch that stands until somebody has looked."""

@@ -169,12 +169,12 @@ class DiskStore(Store):
             opening.callback(self._lock.close)
             self._open(opening)
             self._presence = Presence(self.path)
-            held = self._hold_latches()
+            unkept = self._find_latches()
             opening.pop_all()
         self._thread = threading.Thread(target=self._write, name="rcp-store", daemon=True)
         self._thread.start()
-        if held:
-            self.put(LATCHES, GATEWAY, self._latches[GATEWAY])
+        for key in unkept:
+            self.put(LATCHES, key, self._latches[key])
 
     @property
     def path(self) -> Path:
@@ -208,10 +208,10 @@ class DiskStore(Store):
         with closing(self._connect()) as base:
             prove(base)
 
-    def _hold_latches(self) -> bool:
-        """Find the latches of earlier runs, in both places; return whether all robots are held.
+    def _find_latches(self) -> list[str]:
+        """Find the latches of earlier runs, in both places; return those the database has not.
 
-        They are, where one of the places is damaged: somebody may have latched an e-stop.
+        Where one of the places is damaged, every robot is latched: somebody may have done so.
         """
         why = None if self.damage is None else f"store damaged: {self.damage}"
         found = None
@@ -221,12 +221,13 @@ class DiskStore(Store):
             why = why or f"store damaged: {self._latch_file.path.name}: {error}"
             aside = self._latch_file.put_aside(stamp())
             log.error("latches_damaged", path=str(aside), detail=str(error))
-        self._latches = union(self._kept(LATCHES, {}), found or {})
+        kept = self._kept(LATCHES, {})
+        self._latches = union(kept, found or {})
         if why is not None:
             self._latches[GATEWAY] = _held(self._latches.get(GATEWAY), why)
         if found != self._latches:
             self._latch_file.write(encode_latches(self._latches))
-        return why is not None
+        return [key for key, latch in self._latches.items() if kept.get(key) != latch]
 
     def _connect(self) -> sqlite3.Connection:
         return opened(self.path)

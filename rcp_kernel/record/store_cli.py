@@ -11,6 +11,7 @@ import click
 from rcp_kernel.errors import ConfigError
 from rcp_kernel.record.chain import written
 from rcp_kernel.record.cli import config_argument, fail, path_of, store_option
+from rcp_kernel.record.examination import examined
 
 if TYPE_CHECKING:
     from rcp_kernel.record.repair import Repaired
@@ -106,6 +107,8 @@ def restore(backup: Path, config: Path, store: Path | None) -> None:
 
 
 def _tell(path: Path, made: Repaired) -> None:
+    for seq, what in examined(path).findings:
+        click.echo(f"record {seq}: {what}")
     click.echo(f"{path}: {made.records} records, {made.missing} missing; head {written(made.head)}")
     click.echo(f"What there was is in {made.aside}.", err=True)
     if made.apart:
