@@ -259,7 +259,8 @@ def open_read_only(path: Path) -> sqlite3.Connection:
         base = looked_at(path)
         base.execute("SELECT 1 FROM audit LIMIT 1")
     except FAULTS as error:
-        raise ConfigError(f"the store '{path}' cannot be read: {error}") from None
+        advice = "; run `rcpd store check`" if is_damage(error) else ""
+        raise ConfigError(f"the store '{path}' cannot be read: {error}{advice}") from None
     return base
 
 

@@ -412,11 +412,12 @@ class DiskStore(Store):
             self._save_latches(batch)
         except OSError as error:
             unsaved = error
-        self._presence.check()
+        self._presence.check()  # before anything is made in its place
         if base is None:
             base = self._connect()
             self._presence.learn()
         _commit(base, batch)
+        self._presence.check()  # else it may be in a file that nobody will find
         self._write_head(batch)
         if unsaved is not None:
             raise OSError(f"the latches cannot be kept beside the database: {unsaved}")

@@ -235,7 +235,9 @@ async def test_a_power_cut_that_costs_the_last_records_latches_nothing_new(
     assert any("had been there before" in what for _, what in examined(path).findings)
 
 
-@pytest.mark.parametrize("content", [b"", b"\xff" * 100, b"{}", b'{"version":2,"sha256":"","latches":{}}'])
+@pytest.mark.parametrize(
+    "content", [b"", b"\xff" * 100, b"{}", b'{"version":2,"sha256":"","latches":{}}']
+)
 async def test_a_damaged_latch_file_holds_every_robot(
     stopped: Path, tmp_path: Path, content: bytes
 ) -> None:
