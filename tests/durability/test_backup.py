@@ -50,6 +50,11 @@ async def stop_and_reset(world: World) -> None:
         assert done["status"] == "completed", done.get("error") or done
 
 
+def names(folder: Path, pattern: str) -> list[str]:
+    """List files."""
+    return sorted(file.name for file in folder.glob(pattern))
+
+
 async def latched(world: World) -> Any:
     """Return why the robot is latched, or None."""
     estop = (await world.client(ADMIN).ask(type="read", path="/system/estop"))["body"]
@@ -90,7 +95,7 @@ async def test_a_backup_under_load_is_whole_and_holds_nobody_up(tmp_path: Path) 
     assert bursts > 10
     whole = examined(path)  # nothing was lost meanwhile
     assert (whole.findings, whole.count > after[0] - 1) == ([], True)
-    assert sorted(f.name for f in tmp_path.glob("backup*")) == ["backup.db", "backup.db.head"]
+    assert names(tmp_path, "backup*") == ["backup.db", "backup.db.head"]
     assert file.stat().st_mode & 0o077 == 0
 
 

@@ -71,6 +71,12 @@ def copied(source: Path, folder: Path, *, latches: bool = True) -> Path:
     return folder / source.name
 
 
+def only(folder: Path, pattern: str) -> Path:
+    """Return the one file of a pattern."""
+    [found] = folder.glob(pattern)
+    return found
+
+
 def cut(size: Callable[[int], int]) -> Callable[[Path], None]:
     """Return what truncates a database."""
 
@@ -250,7 +256,7 @@ async def test_a_damaged_latch_file_holds_every_robot(
         estop = (await admin.ask(type="read", path="/system/estop"))["body"]
         assert "store.db.latches" in estop["robots"]["robot"]["reason"]
         await admin.ask(type="execute", path="/system/estop", body={"reset": True})
-    [aside] = tmp_path.glob("store.db.latches.damaged-*")
+    aside = only(tmp_path, "store.db.latches.damaged-*")
     assert aside.read_bytes() == content
     async with world_of(kept_in(path)) as world:
         estop = (await world.client(ADMIN).ask(type="read", path="/system/estop"))["body"]
@@ -316,7 +322,7 @@ async def test_a_repair_recovers_what_can_be_read_and_says_what_is_missing(
         assert verdict.findings == [] or damage in ("head of another", "last byte")
     else:
         assert f"({len(missing)}) were lost with a damaged store" in str(verdict.findings)
-    [aside] = tmp_path.glob("store.db.damaged-*")
+    aside = only(tmp_path, "store.db.damaged-*")
     assert find_damage(path) is None
     assert not interim_of(path).exists()
     assert (aside / "store.db").exists() or damage == "deleted"
