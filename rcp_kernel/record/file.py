@@ -82,6 +82,7 @@ class HeadFile:
     def __init__(self, path: Path) -> None:
         self.path = beside(path)
         self._file: int | None = None
+        self._last: Head = (0, GENESIS)
         self._boot = _boot()
 
     def read(self) -> Head | None:
@@ -108,23 +109,31 @@ class HeadFile:
 
         :raises OSError: it cannot be.
         """
+        self._last = self.read() or head
         self._file = os.open(self.path, os.O_CREAT | os.O_WRONLY, 0o600)
         if os.fstat(self._file).st_size == 0:
             self.write(head)
+            os.fsync(self._file)  # an empty one would count as damage after a power cut
 
     def write(self, head: Head) -> None:
-        """Replace the head, also if somebody has deleted the file.
+        """Replace the head in a file that is open.
 
         :raises OSError: it cannot be.
         """
-        if self._file is not None and os.fstat(self._file).st_nlink == 0:
-            self.close()
-        if self._file is None:
-            self._file = os.open(self.path, os.O_CREAT | os.O_WRONLY, 0o600)
+        assert self._file is not None
         seq, digest = head
         os.lseek(self._file, 0, os.SEEK_SET)
-        line = f"{seq:020d}:{digest.hex()} {self._boot}".rstrip()
-        os.write(self._file, line.encode() + b"\n")
+        os.write(self._file, f"{seq:020d}:{digest.hex()} {self._boot}\n".encode())
+        self._last = head
+
+    def stay(self) -> None:
+        """Make it anew if somebody has deleted it.
+
+        :raises OSError: that cannot be done.
+        """
+        if self._file is not None and os.fstat(self._file).st_nlink == 0:
+            self.close()
+            self.open(self._last)
 
     def close(self) -> None:
         """Close it."""

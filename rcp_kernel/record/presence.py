@@ -6,7 +6,7 @@ would be there at the next start.
 
 from __future__ import annotations
 
-import os
+from contextlib import suppress
 from pathlib import Path
 
 __all__ = ["Presence", "StoreGone"]
@@ -22,15 +22,15 @@ class Presence:
     """The files of one database, for the thread that writes it."""
 
     def __init__(self, path: Path) -> None:
-        self._path = path
-        self._known: dict[Path, os.stat_result] = {path: path.stat()}
+        self._path = str(path)
+        self._known = {self._path: path.stat()}
 
     def learn(self) -> None:
-        """Take the files beside the database for the right ones: it has just been opened."""
+        """Take the files beside the database for the right ones: it has just been written."""
         for suffix in _NEIGHBOURS:
-            file = self._path.with_name(self._path.name + suffix)
-            if file not in self._known and file.exists():
-                self._known[file] = file.stat()
+            file = self._path + suffix
+            with suppress(FileNotFoundError):
+                self._known.setdefault(file, Path(file).stat())
 
     def forget(self) -> None:
         """Expect other files beside the database: it was closed, which may have deleted them."""
@@ -43,11 +43,15 @@ class Presence:
         """
         for file, known in self._known.items():
             try:
-                now = file.stat()
+                now = Path(file).stat()
             except FileNotFoundError:
-                raise StoreGone(f"{file.name} was deleted while the gateway ran") from None
+                raise _gone(file, "deleted") from None
             if (now.st_dev, now.st_ino) != (known.st_dev, known.st_ino):
-                raise StoreGone(f"{file.name} was replaced while the gateway ran")
+                raise _gone(file, "replaced")
             if now.st_size < known.st_size:
-                raise StoreGone(f"{file.name} was cut while the gateway ran")
+                raise _gone(file, "cut")
             self._known[file] = now
+
+
+def _gone(file: str, what: str) -> StoreGone:
+    return StoreGone(f"{Path(file).name} was {what} while the gateway ran")

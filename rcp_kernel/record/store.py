@@ -53,6 +53,7 @@ __all__ = ["DiskStore", "Store"]
 log = structlog.get_logger("rcp.store")
 _RETRY = 0.5  # s between attempts of a store that cannot write
 _LOOK = 1.0  # s between looks whether the files are still there
+_OFTEN = 0.1  # s between them while much is written
 _CLOSE = 10.0  # s to write what is left
 _KEEPER = "the gateway"
 
@@ -157,6 +158,7 @@ class DiskStore(Store):
         self._committed = 0
         self._waiters: deque[tuple[int, Callable[[], object]]] = deque()
         self._queue: queue.SimpleQueue[_Batch | None] = queue.SimpleQueue()
+        self._next_look = 0.0
         self._latches_changed = False
         self._latches: dict[str, Any] = {}
         """The latches as they are to be kept."""
@@ -412,12 +414,12 @@ class DiskStore(Store):
             self._save_latches(batch)
         except OSError as error:
             unsaved = error
-        self._presence.check()  # before anything is made in its place
-        if base is None:
-            base = self._connect()
-            self._presence.learn()
+        fresh = base is None
+        self._check_files(at_once=fresh)  # before anything is made in their place
+        base = base or self._connect()
         _commit(base, batch)
-        self._presence.check()  # else it may be in a file that nobody will find
+        if fresh:
+            self._presence.learn()
         self._write_head(batch)
         if unsaved is not None:
             raise OSError(f"the latches cannot be kept beside the database: {unsaved}")
@@ -439,13 +441,25 @@ class DiskStore(Store):
         self._presence.forget()
         return None
 
+    def _check_files(self, *, at_once: bool = False) -> None:
+        """Look whether the files are still there, if that is due.
+
+        :raises StoreGone: one is not.
+        """
+        moment = time.monotonic()
+        if at_once or moment >= self._next_look:
+            self._presence.check()
+            self._head.stay()
+            self._next_look = moment + _OFTEN
+
     def _look_after_files(self) -> None:
         try:
-            self._presence.check()
+            self._check_files()
         except OSError as error:
             self._tell(self._failed, str(error))
         else:
-            self._tell(self._found_again)
+            if self.trouble is not None:
+                self._tell(self._found_again)
 
     def _write_head(self, batch: _Batch) -> None:
         """Keep the head in a second place, where the end of the chain can be missed."""

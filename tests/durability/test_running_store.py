@@ -16,6 +16,8 @@ from click.testing import CliRunner, Result
 from durability.process import ADMIN, BOUND, Served, until
 from kernel.world import kept_in, settled, world_of
 from rcp_kernel.process.cli import main
+from rcp_kernel.record.damage import find_damage
+from rcp_kernel.record.file import beside
 from rcp_kernel.record.latch_file import LatchFile
 
 DRIVE = "/tenant/alpha/actuator/cmd_vel"
@@ -64,6 +66,18 @@ async def test_a_store_that_is_lost_is_noticed_and_nothing_moves(tmp_path: Path,
     async with world_of(kept_in(path)) as world:
         estop = (await world.client(ADMIN).ask(type="read", path="/system/estop"))["body"]
         assert "smoke" in estop["robots"]["robot"]["reason"]
+
+
+@pytest.mark.anyio
+async def test_a_head_file_that_is_deleted_is_made_anew(tmp_path: Path) -> None:
+    path = tmp_path / "store.db"
+    async with world_of(kept_in(path)) as world:
+        await settled(world.server.gateway.store)
+        beside(path).unlink()
+        async with asyncio.timeout(BOUND):
+            while not beside(path).exists():
+                await world.client().ask(type="write", path="/tenant/alpha/param/limit", body=1.0)
+    assert find_damage(path) is None
 
 
 def test_a_latch_taken_after_the_store_was_deleted_survives_a_kill(tmp_path: Path) -> None:

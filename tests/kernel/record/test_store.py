@@ -29,7 +29,7 @@ async def store(tmp_path: Path) -> AsyncGenerator[DiskStore]:
 def crashed(store: DiskStore) -> DiskStore:
     """Open what a crash at this moment leaves."""
     copy = store.path.with_name("crashed.db")
-    for suffix in ("", "-wal"):
+    for suffix in (".head", "", "-wal"):
         shutil.copy(f"{store.path}{suffix}", f"{copy}{suffix}")
     return DiskStore(copy, asyncio.get_running_loop())
 
