@@ -11,7 +11,7 @@ import errno
 import hashlib
 import os
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import msgspec
 
@@ -34,6 +34,15 @@ GATEWAY = "*"
 _VERSION = 1
 _SPACE = 65536  # bytes that the file and its successor take at least
 Rows = dict[str, dict[str, Any]]
+
+
+class _Row(msgspec.Struct):
+    """What is kept of a latch."""
+
+    by: str
+    reason: str | None
+    since: int
+    freed: list[str]
 
 
 class _Content(msgspec.Struct, forbid_unknown_fields=True):
@@ -65,19 +74,26 @@ def union(kept: dict[str, Any], beside: Rows) -> Rows:
     """
     found: Rows = dict(beside)
     for key, value in kept.items():
-        row = cast("dict[str, Any]", value) if isinstance(value, dict) else {}
+        row = _checked(value)
         other = beside.get(key)
         if other is None:
             found[key] = row
         else:
-            freed = _freed(row) & _freed(other)
+            freed = _freed(row) & _freed(_checked(other))
             found[key] = {**other, **row, "freed": sorted(freed)}
     return found
 
 
+def _checked(value: Any) -> dict[str, Any]:
+    """Return a row as it was kept; an empty one if somebody made something else of it."""
+    try:
+        return msgspec.to_builtins(msgspec.convert(value, _Row))
+    except msgspec.ValidationError:
+        return {}
+
+
 def _freed(row: dict[str, Any]) -> set[str]:
-    freed = row.get("freed")
-    return set(cast("list[str]", freed)) if isinstance(freed, list) else set()
+    return set(row.get("freed", ()))
 
 
 def _checksum(rows: Rows) -> str:

@@ -199,9 +199,9 @@ async def test_a_lost_wal_is_damage(killed: Path, tmp_path: Path, damage: str) -
 
 @pytest.mark.parametrize("source", ["killed", "stopped"])
 async def test_what_a_kill_or_a_stop_leaves_is_not_damaged(
-    request: pytest.FixtureRequest, tmp_path: Path, source: str
+    killed: Path, stopped: Path, tmp_path: Path, source: str
 ) -> None:
-    path = copied(request.getfixturevalue(source), tmp_path)
+    path = copied({"killed": killed, "stopped": stopped}[source], tmp_path)
     path.with_name("store.db-shm").write_bytes(b"\xa5" * 32768)  # made anew at each start
     async with world_of(kept_in(path)) as world:
         admin = world.client(ADMIN)

@@ -9,6 +9,7 @@ import subprocess
 from collections.abc import Callable, Generator
 from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 import pytest
 from click.testing import CliRunner, Result
@@ -54,7 +55,7 @@ async def test_a_store_that_is_lost_is_noticed_and_nothing_moves(tmp_path: Path,
         await settled(world.server.gateway.store)
         lose(path)
         async with asyncio.timeout(BOUND):
-            status = {"state": "ok"}
+            status: dict[str, Any] = {"state": "ok"}
             while status["state"] == "ok":  # until the store's thread has looked
                 status = (await client.ask(type="status"))["body"]
         assert what in status["record"]["detail"]
@@ -132,7 +133,7 @@ def test_a_latch_taken_on_a_full_disk_survives(tmp_path: Path, small_disk: Path)
         for number in range(3):  # in order: latched, reset, latched
             stop = served.estop(scope="rover", reason=f"smoke {number}", reset=number == 1)
             assert stop["status"] == "completed", stop
-        until(lambda: LatchFile(path).read()["rover"]["reason"] == "smoke 2")
+        until(lambda: (LatchFile(path).read() or {})["rover"]["reason"] == "smoke 2")
     finally:
         served.kill()
     ballast.unlink()

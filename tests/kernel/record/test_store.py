@@ -136,7 +136,7 @@ async def test_an_estop_whose_row_was_spoilt_is_still_latched(tmp_path: Path) ->
         await world.client().ask(
             type="execute", path="/system/leases", body={"do": "acquire", "scope": "/param"}
         )
-    for value in (b"\xc1", b"\x01", "text", b"\x81\xa2by\x01"):
+    for value in (b"\xc1", b"\x01", "text", b"\x81\xa2by\x01", b"\x81\xa2by\xd4\x05\x00"):
         with closing(sqlite3.connect(path)) as base, base:
             base.execute("UPDATE kept SET value = ? WHERE place IN ('latches', 'leases')", (value,))
         async with world_of(kept_in(path)) as world:
