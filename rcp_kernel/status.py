@@ -91,7 +91,7 @@ class StatusReport:
         adapters = [*self.adapters, *gateway.identities.facts]
         parts = [*self.transports, *adapters]
         broken = any(part.get("state") == "down" for part in parts)
-        broken = broken or gateway.store.trouble is not None
+        broken = broken or (gateway.store.trouble or gateway.store.damage) is not None
         faults = {
             path: why
             for path, why in gateway.envelopes.faults_in(tenants).items()
@@ -307,6 +307,11 @@ class StatusReport:
                 "rcp_guard_ready",
                 "Whether the guard is ready to send every plan, or has none.",
                 guard is not None and guard.state in ("ready", "idle"),
+            ),
+            (
+                "rcp_store_degraded",
+                "Whether the store is damaged, gone, or cannot be written.",
+                (gateway.store.trouble or gateway.store.damage) is not None,
             ),
             ("rcp_sessions", "Sessions held.", len(gateway.sessions.known)),
             ("rcp_subscriptions", "Subscriptions held.", len(gateway.hub.subscriptions)),

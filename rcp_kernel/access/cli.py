@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import re
 import sys
-from contextlib import closing
+from collections.abc import Generator
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
@@ -21,6 +22,7 @@ __all__ = ["token"]
 
 _UNITS = {"m": 60, "h": 3600, "d": 86_400, "w": 604_800}  # s
 _S = 1_000_000_000  # ns
+_GLANCE = 0.2  # s that the store is looked through for damage
 _NAME = r"[A-Za-z0-9_.@-]{1,64}"
 
 
@@ -69,7 +71,7 @@ def create(
         path, read = _found(config, store)
         if read is not None:
             check_grants(given, "the token", read.tenant_names, {**BUILTIN_ROLES, **read.roles})
-        with closing(_opened(path)) as table:
+        with _opened(path) as table:
             made, key = table.create(name, given, end)
     except (ConfigError, ValueError) as error:
         _fail(str(error))
@@ -96,7 +98,7 @@ def revoke(named: str, *, config: Path | None, store: Path | None) -> None:
 
     try:
         path, _ = _found(config, store)
-        with closing(_opened(path)) as table:
+        with _opened(path) as table:
             gone = table.revoke(named)
             left = [t for t in table.every() if t.revoked is None]
     except ConfigError as error:
@@ -109,19 +111,32 @@ def revoke(named: str, *, config: Path | None, store: Path | None) -> None:
         click.echo(f"revoked {one.id} {one.name}")
 
 
-def _opened(path: Path) -> TokenFile:
-    from rcp_kernel.access.tokens import TokenFile
+@contextmanager
+def _opened(path: Path) -> Generator[TokenFile]:
+    """Open the keys that the gateway looks at: beside a damaged store, if it goes on there.
 
-    table = TokenFile(path)
-    if table.warning is not None:
-        click.echo(f"rcpd: {table.warning}", err=True)
-    return table
+    :raises ConfigError: they cannot be read or written.
+    """
+    from rcp_kernel.access.tokens import TokenFile
+    from rcp_kernel.record.damage import find_damage, interim_of
+    from rcp_kernel.record.file import store_errors
+
+    with store_errors(path):
+        damage = find_damage(path, bound=_GLANCE)
+        if damage is not None:
+            path = interim_of(path)
+            if not path.exists():
+                raise ConfigError(f"the store is damaged: {damage}. Run `rcpd store repair` first")
+        with closing(TokenFile(path)) as table:
+            if table.warning is not None:
+                click.echo(f"rcpd: {table.warning}", err=True)
+            yield table
 
 
 def _read(config: Path | None, store: Path | None) -> list[Token]:
     try:
         path, _ = _found(config, store)
-        with closing(_opened(path)) as table:
+        with _opened(path) as table:
             return table.every()
     except ConfigError as error:
         _fail(str(error))

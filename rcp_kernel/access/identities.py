@@ -84,7 +84,7 @@ class Identities:
         :raises ConfigError: the store cannot be opened.
         """
         async with AsyncExitStack() as stack:
-            path = store_file(self._gateway.config)
+            path = self._gateway.store.path
             if path is not None:
                 loop = self._gateway.loop
 

@@ -21,7 +21,7 @@ from rcp_kernel.clock import now
 from rcp_kernel.errors import ConfigError
 from rcp_kernel.process.modes import check_store_modes
 
-__all__ = ["PREFIX", "Token", "TokenFile", "TokenWatch", "changes"]
+__all__ = ["PREFIX", "Token", "TokenFile", "TokenWatch", "changes", "make_table"]
 
 log = structlog.get_logger("rcp.tokens")
 PREFIX = "rcp_"
@@ -62,11 +62,19 @@ class Token(msgspec.Struct, frozen=True):
         return Principal(self.name, grants, "token", self.hash, self.expires)
 
 
+def make_table(base: sqlite3.Connection) -> None:
+    """Have the table of keys in a database.
+
+    :raises sqlite3.Error: there can be none.
+    """
+    base.executescript(_SCHEMA)
+
+
 class TokenFile:
     """The table, for one thread. Blocks."""
 
-    def __init__(self, path: Path) -> None:
-        """Open or create it.
+    def __init__(self, path: Path, *, there: bool = False) -> None:
+        """Open or create it; with `there`, only open it: the store has been there, and may be lost.
 
         :raises ConfigError: that cannot be done, or others may write it.
         """
@@ -74,11 +82,13 @@ class TokenFile:
         """What to tell the operator of who may read it."""
         try:
             path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
-            with suppress(FileExistsError):  # nobody else's to read
-                os.close(os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o600))
-            self._base = sqlite3.connect(path, timeout=_BUSY)
+            if not there:
+                with suppress(FileExistsError):  # nobody else's to read
+                    os.close(os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o600))
+            place = f"{path.absolute().as_uri()}?mode=rw"
+            self._base = sqlite3.connect(place, timeout=_BUSY, uri=True)
             self._base.execute("PRAGMA journal_mode=WAL")
-            self._base.executescript(_SCHEMA)
+            make_table(self._base)
         except (OSError, sqlite3.Error) as error:
             raise ConfigError(f"the store '{path}' cannot be opened: {error}") from None
 
@@ -159,7 +169,7 @@ class TokenWatch:
         broken = False
         while not self._closing.wait(_PERIOD):
             try:
-                table = table or TokenFile(self._path)
+                table = table or TokenFile(self._path, there=True)
                 version = table.version()
                 if version != self._version:
                     self._told(table.every())

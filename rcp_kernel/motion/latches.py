@@ -10,12 +10,11 @@ from collections.abc import Callable, Iterable
 from typing import Any
 
 from rcp_kernel.clock import iso, now
+from rcp_kernel.record.latch_file import GATEWAY, LATCHES
 from rcp_kernel.record.store import Store
 
 __all__ = ["GATEWAY", "Latch", "Latches", "robot_key", "tenant_key"]
 
-GATEWAY = "*"
-_TABLE = "latches"
 _TENANT = 2  # slashes in the key of a tenant; a robot's has more
 
 
@@ -55,7 +54,7 @@ class Latches:
         self._store = store
         self.changed: Callable[[], None] = lambda: None
         """Called after every change."""
-        self._held = {key: _read(kept) for key, kept in store.load(_TABLE, unreadable={}).items()}
+        self._held = {key: _read(kept) for key, kept in store.load(LATCHES, unreadable={}).items()}
 
     def of(self, keys: tuple[str, ...]) -> Latch | None:
         """Return what holds a robot: its keys below the gateway's, the narrowest first."""
@@ -103,7 +102,7 @@ class Latches:
         if latch is not None:
             freed = sorted(latch.freed)
             kept = {"by": latch.by, "reason": latch.reason, "since": latch.since, "freed": freed}
-        self._store.put(_TABLE, key, kept)
+        self._store.put(LATCHES, key, kept)
         self.changed()
 
 

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import asyncio
 import signal
+import sqlite3
 import sys
 from collections.abc import Callable
+from contextlib import suppress
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
@@ -16,6 +18,8 @@ from rcp_kernel.access.cli import token
 from rcp_kernel.config.file import GatewayConfig, load, parse
 from rcp_kernel.errors import ConfigError, StartupError
 from rcp_kernel.record.cli import audit
+from rcp_kernel.record.damage import find_damage
+from rcp_kernel.record.store_cli import store
 
 if TYPE_CHECKING:
     from rcp_kernel.process.demo import Demo
@@ -25,6 +29,7 @@ if TYPE_CHECKING:
 __all__ = ["main"]
 
 _FAILED = 1
+_RECORD_LOST = 3
 
 
 class _Commands(click.Group):
@@ -52,6 +57,7 @@ def main() -> None:
 
 
 main.add_command(audit)
+main.add_command(store)
 main.add_command(token)
 
 
@@ -73,7 +79,8 @@ def serve(config: Path) -> None:
     """Serve the robots of a configuration file (./rcp.toml if not given).
 
     SIGHUP reads the file again: roles, keys, certificates, limits and backends change at once;
-    listeners need a restart. SIGTERM or Ctrl-C brings the robots to rest and stops.
+    listeners need a restart. SIGTERM or Ctrl-C brings the robots to rest and stops: exit code 0, or
+    3 if the end of the record could not be written. 1: it cannot start.
     """
     _run(_loaded(config), str(config), config, None)
 
@@ -82,6 +89,7 @@ def serve(config: Path) -> None:
 @click.argument("config", type=click.Path(path_type=Path))
 def check(config: Path) -> None:
     """Find every fault of a configuration without opening a robot or a socket."""
+    from rcp_kernel.access.identities import store_file
     from rcp_kernel.process.server import prepare
 
     try:
@@ -94,6 +102,7 @@ def check(config: Path) -> None:
             f"try: {missing.remedy}",
             err=True,
         )
+    _warn_of_damage(store_file(prepared.config))
     found = prepared.config
     robots = ", ".join(f"{b.name} ({b.use}, tenant {b.tenant})" for b in found.backends) or "none"
     click.echo(f"{config}: good")
@@ -163,6 +172,19 @@ def version() -> None:
     click.echo(f"rcp-gateway {gateway_version()} (protocol RCP/{VERSION})")
 
 
+def _warn_of_damage(path: Path | None) -> None:
+    """Tell of a damaged store: the gateway starts with one, but not as its operator expects."""
+    if path is None:
+        return
+    with suppress(sqlite3.Error, OSError):  # serving says what stands in the way
+        damage = find_damage(path)
+        if damage is not None:
+            text = (
+                f"the store is damaged: {damage}; every robot will be latched: `rcpd store repair`"
+            )
+            click.echo(f"warning: {text}", err=True)
+
+
 def _loaded(path: Path) -> GatewayConfig:
     try:
         return load(path)
@@ -189,12 +211,13 @@ def _run(config: GatewayConfig, source: str, path: Path | None, demo: Demo | Non
         _fail(str(error))
     with asyncio.Runner(loop_factory=_loop_factory()) as runner:
         try:
-            run_contained(runner, _serve(prepared, recent, path, demo))
-            end_in_time()
+            code = run_contained(runner, _serve(prepared, recent, path, demo))
+            end_in_time(code)
         except StartupError as error:
             _fail(str(error))
         except OSError as error:
             _fail(f"cannot start: {error.strerror or error}")
+    sys.exit(code)
 
 
 def _loop_factory() -> Callable[[], asyncio.AbstractEventLoop] | None:
@@ -205,7 +228,8 @@ def _loop_factory() -> Callable[[], asyncio.AbstractEventLoop] | None:
     return uvloop.new_event_loop
 
 
-async def _serve(prepared: Prepared, recent: Recent, path: Path | None, demo: Demo | None) -> None:
+async def _serve(prepared: Prepared, recent: Recent, path: Path | None, demo: Demo | None) -> int:
+    """Serve until told to stop; return the exit code."""
     from rcp_kernel.process.notify import notifying
     from rcp_kernel.process.server import running
 
@@ -226,6 +250,10 @@ async def _serve(prepared: Prepared, recent: Recent, path: Path | None, demo: De
         async with running(prepared, recent) as server:
             notifier.send("READY=1")
             await _serve_until(stop, server, path, demo)
+    if not server.gateway.store.lost:
+        return 0
+    click.echo("rcpd: the store could not be written: the end of the record is lost", err=True)
+    return _RECORD_LOST
 
 
 async def _serve_until(

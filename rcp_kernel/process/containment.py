@@ -13,7 +13,7 @@ import sys
 import threading
 from collections.abc import AsyncGenerator, Coroutine, Generator, Sequence
 from contextlib import AbstractAsyncContextManager, asynccontextmanager, contextmanager, suppress
-from typing import Any
+from typing import Any, TypeVar
 
 import structlog
 
@@ -22,6 +22,7 @@ from rcp_kernel.spi import Backend, MotionState, Progress, Watchdog
 __all__ = ["ContainedBackend", "PluginExit", "contained", "end_in_time", "run_contained"]
 
 log = structlog.get_logger("rcp.plugins")
+_Result = TypeVar("_Result")
 _LEAVE = 3.0  # s that threads which plugins have left behind may go on after the gateway's end
 
 
@@ -145,8 +146,8 @@ class ContainedBackend:
             return self._backend.watchdogs()
 
 
-def run_contained(runner: asyncio.Runner, main: Coroutine[Any, Any, None]) -> None:
-    """Run the gateway to its end, whatever a task or timer of a plugin raises in its loop.
+def run_contained(runner: asyncio.Runner, main: Coroutine[Any, Any, _Result]) -> _Result:
+    """Run the gateway to its end and return its result, whatever a task or timer of a plugin raises in its loop.
 
     Ctrl-C comes as a signal that the gateway handles itself, so a `KeyboardInterrupt` out of the
     loop is a plugin's as well.
@@ -155,19 +156,17 @@ def run_contained(runner: asyncio.Runner, main: Coroutine[Any, Any, None]) -> No
     task = loop.create_task(main, name="gateway")
     while True:
         try:
-            loop.run_until_complete(task)
+            return loop.run_until_complete(task)
         except (SystemExit, KeyboardInterrupt) as error:
             if task.done():
                 raise
             # Without the traceback: writing it down may ask the plugin's own values.
             with suppress(BaseException):
                 log.error("plugin_would_end_the_process", error=repr(error))
-        else:
-            return
 
 
-def end_in_time() -> None:
-    """End the process within a bound from now on, though a plugin has left threads behind.
+def end_in_time(code: int = 0) -> None:
+    """End the process with a code within a bound, though a plugin has left threads behind.
 
     Python waits for every thread that is no daemon, and the loop for its executor's.
     """
@@ -177,7 +176,7 @@ def end_in_time() -> None:
         log.error("threads_left_behind", threads=left, detail="ended without waiting for them")
         sys.stderr.flush()
         sys.stdout.flush()
-        os._exit(0)
+        os._exit(code)
 
     last = threading.Timer(_LEAVE, end)
     last.daemon = True

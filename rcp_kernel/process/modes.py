@@ -12,7 +12,7 @@ __all__ = ["READ", "WRITE", "check_store_modes", "others_may"]
 
 READ = stat.S_IRGRP | stat.S_IROTH
 WRITE = stat.S_IWGRP | stat.S_IWOTH
-_STORE = ("", ".head", ".lock", "-wal", "-shm")
+_STORE = ("", ".head", ".lock", ".latches", ".interim", "-wal", "-shm")
 """What a store consists of, by what is added to its name."""
 
 

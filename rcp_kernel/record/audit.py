@@ -116,7 +116,7 @@ class Audit:
     def state(self, *, head: bool) -> dict[str, Any]:
         """Describe the record for `/system/status`; its head is not for everybody."""
         store = self._store
-        trouble = store.trouble
+        trouble = store.trouble or (store.damage and f"store damaged: {store.damage}")
         state = {"state": "degraded" if trouble else "ok", "kept": store.keeps}
         facts = {"waiting": store.waiting or None, "detail": trouble}
         if head and store.head is not None:

@@ -11,7 +11,23 @@ from typing import Any
 
 import msgspec
 
-__all__ = ["GENESIS", "Head", "Row", "Verdict", "link", "parse_head", "verify", "written"]
+from rcp_kernel.clock import iso, now
+
+__all__ = [
+    "GENESIS",
+    "Head",
+    "Row",
+    "Verdict",
+    "decoded",
+    "joint",
+    "link",
+    "parse_head",
+    "seal",
+    "verify",
+    "written",
+]
+
+_JOINTS = ("gap", "repair")
 
 GENESIS = bytes(32)
 """What the first record is chained to."""
@@ -41,6 +57,27 @@ def parse_head(text: str) -> Head:
     if found[0] < 0 or len(found[1]) != 32:
         raise ValueError(text)
     return found
+
+
+def seal(after: Head, what: str, /, **facts: Any) -> Row:
+    """Make the record that follows a head, of a happening that no client has a part in."""
+    seq = after[0] + 1
+    record = {"seq": seq, "time": iso(now()), "what": what, **facts}
+    data = msgspec.json.encode({key: value for key, value in record.items() if value is not None})
+    return seq, link(after[1], data), data
+
+
+def joint(record: dict[str, Any]) -> Head | None:
+    """Return the head that a record names as the one before it, which may be lost itself.
+
+    Such a record is where the chain goes on after damage: `gap` and `repair`.
+    """
+    if record.get("what") not in _JOINTS:
+        return None
+    try:
+        return parse_head(str(record.get("head")))
+    except ValueError:
+        return None
 
 
 class Verdict(msgspec.Struct):
@@ -83,6 +120,7 @@ class _Walk:
     def step(self, row: Row) -> None:
         seq, digest, data = row
         self._verdict.count += 1
+        self._join(seq, data)
         if seq != self._last + 1:
             self._find(self._last + 1, f"missing: the next record is {seq}")
         elif self._sound and link(self._hash, data) != digest:
@@ -92,6 +130,16 @@ class _Walk:
         self._last, self._hash = seq, digest
         if seq in self._wanted:
             self._known[seq] = digest
+
+    def _join(self, seq: int, data: bytes) -> None:
+        """Go on after records that a damaged store has lost, where the chain says that it does."""
+        head = joint(decoded(data)) if b'"head"' in data else None
+        if head is None or head[0] != seq - 1 or head[0] < self._last:
+            return
+        if head[0] > self._last:
+            lost = f"records {self._last + 1}…{head[0]} ({head[0] - self._last})"
+            self._find(self._last + 1, f"missing: {lost} were lost with a damaged store")
+            self._last, self._hash = head
 
     def _look(self, seq: int, digest: bytes, data: bytes) -> None:
         try:
@@ -106,6 +154,7 @@ class _Walk:
         if what == "prune" and self._anchor is not None:
             told = (facts.get("to"), facts.get("hash"))
             self._anchored = self._anchored or told == (self._anchor[0], self._anchor[1].hex())
+        self._anchored = self._anchored or joint(facts) == self._anchor
         if what == "start":
             self._restart(seq, facts.get("head"))
 
@@ -133,3 +182,11 @@ class _Walk:
                 self._find(seq, "changed: the head kept elsewhere has another hash")
         verdict.head = (self._last, self._hash)
         return verdict
+
+
+def decoded(data: bytes) -> dict[str, Any]:
+    """Return a record as it is stored; an empty one if somebody made something else of it."""
+    try:
+        return msgspec.json.decode(data, type=dict[str, Any])
+    except (msgspec.DecodeError, UnicodeDecodeError):
+        return {}

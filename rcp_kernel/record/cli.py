@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import sqlite3
 import sys
-from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
 from typing import Any, NoReturn
@@ -15,11 +13,11 @@ from rcp_kernel.clock import parse_time
 from rcp_kernel.config.file import load
 from rcp_kernel.errors import BadRequest, ConfigError
 from rcp_kernel.record.audit import decoded
-from rcp_kernel.record.chain import Head, Row, Verdict, parse_head, verify, written
-from rcp_kernel.record.file import FAULTS, ROWS, head_beside, open_read_only
-from rcp_kernel.record.keeping import anchor_of
+from rcp_kernel.record.chain import Head, parse_head, written
+from rcp_kernel.record.examination import examined, rows_of
+from rcp_kernel.record.file import FAULTS, open_read_only
 
-__all__ = ["audit", "examined"]
+__all__ = ["audit", "config_argument", "fail", "path_of", "store_option"]
 
 _FAILED = 1
 
@@ -43,15 +41,15 @@ def audit() -> None:
     """Verify or export the record of a gateway, also while it runs."""
 
 
-_config = click.argument("config", type=click.Path(path_type=Path), default="rcp.toml")
-_store = click.option(
+config_argument = click.argument("config", type=click.Path(path_type=Path), default="rcp.toml")
+store_option = click.option(
     "--store", type=click.Path(path_type=Path), help="The database, instead of a configuration."
 )
 
 
 @audit.command("verify")
-@_config
-@_store
+@config_argument
+@store_option
 @click.option(
     "--head",
     "heads",
@@ -66,11 +64,11 @@ def verify_command(config: Path, store: Path | None, heads: tuple[Head, ...]) ->
     Exit code 1 if there are any. A record cut off from the end is missed where a later head is
     known: from the file beside the database, or from --head.
     """
-    path = store or _path_of(config)
+    path = store or path_of(config)
     try:
         verdict = examined(path, heads)
     except ConfigError as error:
-        _fail(str(error))
+        fail(str(error))
     for seq, what in verdict.findings:
         click.echo(f"record {seq}: {what}")
     last = verdict.head[0]
@@ -79,32 +77,9 @@ def verify_command(config: Path, store: Path | None, heads: tuple[Head, ...]) ->
         sys.exit(_FAILED)
 
 
-def examined(path: Path, heads: tuple[Head, ...] = ()) -> Verdict:
-    """Verify the record of a store.
-
-    :raises ConfigError: it cannot be read.
-    """
-    beside = head_beside(path)  # before the database: a gateway that runs goes on meanwhile
-    with closing(open_read_only(path)) as base:
-        base.execute("BEGIN")
-        try:
-            known = heads if beside is None else (*heads, beside)
-            return verify(_rows(base), anchor_of(base), known)
-        except FAULTS as error:
-            raise ConfigError(f"the store '{path}' cannot be read: {error}") from None
-
-
-def _rows(base: sqlite3.Connection) -> Iterator[Row]:
-    for seq, digest, data in base.execute(f"{ROWS} ORDER BY seq"):
-        # A spoilt file may hold any type in any column.
-        if not (isinstance(seq, int) and isinstance(digest, bytes) and isinstance(data, bytes)):
-            raise sqlite3.DatabaseError("a row of the record has not the form of one")
-        yield seq, digest, data
-
-
 @audit.command()
-@_config
-@_store
+@config_argument
+@store_option
 @click.option(
     "--since", type=_moment, metavar="TIME", help="ISO 8601 in UTC, or a date: not before."
 )
@@ -120,21 +95,21 @@ def export(
     what: tuple[str, ...],
 ) -> None:
     """Write records as JSON lines."""
-    path = store or _path_of(config)
+    path = store or path_of(config)
     try:
         base = open_read_only(path)
     except ConfigError as error:
-        _fail(str(error))
+        fail(str(error))
     with closing(base):
         try:
-            for seq, _, data in _rows(base):
+            for seq, _, data in rows_of(base):
                 record = decoded(data)
                 if record is None:
                     click.echo(f"rcpd: record {seq} cannot be read: verify", err=True)
                 elif _wanted(record, since, until, tenant, what):
                     click.echo(data)
         except FAULTS as error:
-            _fail(f"the store '{path}' cannot be read any further: {error}")
+            fail(f"the store '{path}' cannot be read any further: {error}")
 
 
 def _wanted(
@@ -157,16 +132,18 @@ def _wanted(
     return (since is None or moment >= since) and (until is None or moment < until)
 
 
-def _path_of(config: Path) -> Path:
+def path_of(config: Path) -> Path:
+    """Return the store of a configuration; end the command if there is none."""
     try:
         path = load(config).store.path
     except ConfigError as error:
-        _fail(str(error))
+        fail(str(error))
     if path is None:
-        _fail(f"{config} has no [store] path: nothing is kept")
+        fail(f"{config} has no [store] path: nothing is kept")
     return Path(path).expanduser()
 
 
-def _fail(text: str) -> NoReturn:
+def fail(text: str) -> NoReturn:
+    """End the command with a sentence."""
     click.echo(f"rcpd: {text}", err=True)
     sys.exit(_FAILED)

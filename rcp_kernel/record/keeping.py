@@ -15,7 +15,7 @@ from rcp_kernel.record.chain import Head
 from rcp_kernel.record.file import ROWS
 from rcp_kernel.record.store import Store
 
-__all__ = ["Keeping", "anchor_of"]
+__all__ = ["Keeping"]
 
 _LOOK = 60.0  # s between looks
 _AT_ONCE = 10_000  # records deleted in one transaction
@@ -112,15 +112,3 @@ def _time(base: sqlite3.Connection, seq: int) -> int:
         return parse_time(record["time"])
     except Exception:  # a record that was tampered with is as old as any
         return 0
-
-
-def anchor_of(base: sqlite3.Connection) -> Head | None:
-    """Return the last record that was deleted, where the chain begins."""
-    row = base.execute("SELECT value FROM kept WHERE place = 'audit' AND key = 'anchor'").fetchone()
-    if row is None:
-        return None
-    try:
-        kept: Any = msgspec.msgpack.decode(row[0])
-        return int(kept["seq"]), bytes(kept["hash"])
-    except (msgspec.DecodeError, ValueError, TypeError, KeyError):  # the gap says that it is gone
-        return None

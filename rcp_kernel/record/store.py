@@ -2,16 +2,17 @@
 
 The event loop gathers what is put and hands it over once a turn; the thread writes whatever has
 come in one transaction. With WAL and `synchronous=NORMAL` what is committed survives `kill -9`
-of the gateway; a power cut may cost the last moments, never the file.
+of the gateway; a power cut may cost the last moments, never the file. Latched e-stops are kept a
+second time, in a file of their own that is flushed to the disk.
 """
 
 from __future__ import annotations
 
 import asyncio
-import os
 import queue
 import sqlite3
 import threading
+import time
 from collections import deque
 from collections.abc import Callable
 from contextlib import ExitStack, closing, suppress
@@ -23,22 +24,38 @@ import structlog
 
 from rcp_kernel.process.modes import check_store_modes
 from rcp_kernel.record.chain import Head, Row
+from rcp_kernel.record.damage import find_damage, interim_of
 from rcp_kernel.record.file import (
+    FAULTS,
     ROWS,
-    beside,
+    HeadFile,
     create,
-    head_beside,
+    is_damage,
     lock,
     opened,
     prove,
     store_errors,
 )
+from rcp_kernel.record.interim import open_beside, stamp
+from rcp_kernel.record.latch_file import (
+    GATEWAY,
+    LATCHES,
+    LatchFile,
+    encode_latches,
+    latch_row,
+    union,
+)
+from rcp_kernel.record.presence import Presence, StoreGone
 from rcp_kernel.values import Encoding, dump
 
 __all__ = ["DiskStore", "Store"]
 
 log = structlog.get_logger("rcp.store")
 _RETRY = 0.5  # s between attempts of a store that cannot write
+_LOOK = 1.0  # s between looks whether the files are still there
+_OFTEN = 0.1  # s between them while much is written
+_CLOSE = 10.0  # s to write what is left
+_KEEPER = "the gateway"
 
 
 class Store:
@@ -46,6 +63,10 @@ class Store:
 
     keeps = False
     """Whether anything survives; what is dear to prepare need not be put where nothing does."""
+    damage: str | None = None
+    """Why the database that is configured is left alone, and another one is written."""
+    lost = False
+    """Whether something could not be written before the end."""
     trouble: str | None = None
     """Why nothing can be written at present."""
     waiting = 0
@@ -54,6 +75,11 @@ class Store:
     """The head of the audit as the earlier run left it beside the database."""
     head: Head | None = None
     """The last row of the audit that this run committed."""
+
+    @property
+    def path(self) -> Path | None:
+        """The database that is written; it is beside that of the configuration if that is damaged."""
+        return None
 
     def put(self, table: str, key: str, value: Any | None) -> None:
         """Keep a value that msgpack takes under a key; None deletes. Returns at once."""
@@ -94,9 +120,11 @@ class Store:
 class _Batch:
     """What one transaction writes."""
 
-    __slots__ = ("before", "looks", "puts", "rows", "upto")
+    __slots__ = ("before", "latches", "looks", "puts", "rows", "upto")
 
     def __init__(self) -> None:
+        self.latches: bytes | None = None
+        """What the latch file is to hold, if a latch has changed."""
         self.looks: list[tuple[Callable[[sqlite3.Connection], Any], Callable[[Any], None]]] = []
         self.puts: dict[tuple[str, str], bytes | None] = {}
         self.rows: list[Row] = []
@@ -107,6 +135,7 @@ class _Batch:
         self.puts.update(later.puts)
         self.rows += later.rows
         self.looks += later.looks
+        self.latches = later.latches or self.latches
         self.before = max(self.before, later.before)
         self.upto = later.upto
 
@@ -117,11 +146,11 @@ class DiskStore(Store):
     keeps = True
 
     def __init__(self, path: Path, loop: asyncio.AbstractEventLoop) -> None:
-        """Open or create the database.
+        """Open or create the database, or one beside it if it is damaged.
 
         :raises ConfigError: it cannot be opened, or another gateway has it.
         """
-        self.path = path
+        self._path = path
         self._loop = loop
         self._gathered = _Batch()
         self._scheduled = False
@@ -129,23 +158,78 @@ class DiskStore(Store):
         self._committed = 0
         self._waiters: deque[tuple[int, Callable[[], object]]] = deque()
         self._queue: queue.SimpleQueue[_Batch | None] = queue.SimpleQueue()
-        self._closing = threading.Event()
+        self._next_look = 0.0
+        self._latches_changed = False
+        self._latches: dict[str, Any] = {}
+        """The latches as they are to be kept."""
+        self._latch_file = LatchFile(path)
         with store_errors(path), ExitStack() as opening:
             path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
             if (warning := check_store_modes(path)) is not None:
                 log.warning("store_readable", path=str(path), message=warning)
             self._lock = lock(path)
             opening.callback(self._lock.close)
-            if not path.exists():
-                create(path)
-            self.left = head_beside(path)
-            self._beside = os.open(beside(path), os.O_CREAT | os.O_WRONLY, 0o600)
-            opening.callback(os.close, self._beside)
-            with closing(self._connect()) as base:
-                prove(base)
+            self._open(opening)
+            self._presence = Presence(self.path)
+            unkept = self._find_latches()
             opening.pop_all()
         self._thread = threading.Thread(target=self._write, name="rcp-store", daemon=True)
         self._thread.start()
+        for key in unkept:
+            self.put(LATCHES, key, self._latches[key])
+
+    @property
+    def path(self) -> Path:
+        """The database that is written."""
+        return self._path
+
+    def _open(self, opening: ExitStack) -> None:
+        """Open the database, or another one if it is damaged."""
+        path = self.path
+        try:
+            self.damage = find_damage(path)
+            if self.damage is None:
+                self._begin(opening)
+                return
+        except FAULTS as error:
+            if not is_damage(error):
+                raise
+            self.damage = f"the database cannot be read ({error})"
+        self._path = interim_of(path)
+        log.error("store_damaged", path=str(path), detail=self.damage, remedy=_way_out(self.path))
+        open_beside(path, self.path, self.damage)
+        self._begin(opening)
+
+    def _begin(self, opening: ExitStack) -> None:
+        self._head = HeadFile(self.path)
+        self.left = self._head.read()
+        self._head.open()  # before the database: without one beside it, nothing tells of its end
+        opening.callback(self._head.close)
+        if not self.path.exists():
+            create(self.path)
+        with closing(self._connect()) as base:
+            prove(base)
+
+    def _find_latches(self) -> list[str]:
+        """Find the latches of earlier runs, in both places; return those the database has not.
+
+        Where one of the places is damaged, every robot is latched: somebody may have done so.
+        """
+        why = None if self.damage is None else f"store damaged: {self.damage}"
+        found = None
+        try:
+            found = self._latch_file.read()
+        except ValueError as error:
+            why = why or f"store damaged: {self._latch_file.path.name}: {error}"
+            aside = self._latch_file.put_aside(stamp())
+            log.error("latches_damaged", path=str(aside), detail=str(error))
+        kept = self._kept(LATCHES, {})
+        self._latches = union(kept, found or {})
+        if why is not None:
+            self._latches[GATEWAY] = _held(self._latches.get(GATEWAY), why)
+        if found != self._latches:
+            self._latch_file.write(encode_latches(self._latches))
+        return [key for key, latch in self._latches.items() if kept.get(key) != latch]
 
     def _connect(self) -> sqlite3.Connection:
         return opened(self.path)
@@ -163,6 +247,12 @@ class DiskStore(Store):
             log.exception("store_failed", table=table, key=key)
             return
         self._gathered.puts[table, key] = data
+        if table == LATCHES:
+            self._latches_changed = True
+            if value is None:
+                self._latches.pop(key, None)
+            else:
+                self._latches[key] = value
         self._gather()
 
     def append(self, row: Row) -> None:
@@ -186,6 +276,9 @@ class DiskStore(Store):
         self._scheduled = False
         batch, self._gathered = self._gathered, _Batch()
         batch.upto = self._count
+        if self._latches_changed:
+            self._latches_changed = False
+            batch.latches = encode_latches(self._latches)
         self._queue.put(batch)
 
     def look(self, work: Callable[[sqlite3.Connection], Any], then: Callable[[Any], None]) -> None:
@@ -225,11 +318,20 @@ class DiskStore(Store):
             log.error("store_failed", path=str(self.path), error=reason)
         self.trouble = reason
 
+    def _found_again(self) -> None:
+        if self.idle:
+            self.trouble = None
+
     def load(self, table: str, *, unreadable: Any = None) -> dict[str, Any]:
-        """Return what earlier runs kept in a table.
+        """Return what earlier runs kept in a table; latches from both places that they are kept in.
 
         :raises ConfigError: the database cannot be read.
         """
+        if table == LATCHES:
+            return dict(self._latches)
+        return self._kept(table, unreadable)
+
+    def _kept(self, table: str, unreadable: Any) -> dict[str, Any]:
         with store_errors(self.path), closing(self._connect()) as base:
             rows = base.execute("SELECT key, value FROM kept WHERE place = ?", (table,)).fetchall()
         found = {key: _decoded(table, key, data, unreadable) for key, data in rows}
@@ -247,10 +349,13 @@ class DiskStore(Store):
         """Write what is left within a bound, then stop."""
         self._hand_over()
         self._queue.put(None)
-        self._closing.set()
-        self._thread.join(timeout=10)
+        self._thread.join(timeout=_CLOSE)
+        if self._thread.is_alive():
+            self.lost = True
+            log.error("store_lost", path=str(self.path), detail="the disk does not answer")
+        else:
+            self._head.close()
         self._lock.close()
-        os.close(self._beside)
 
     # -- the thread's side ---------------------------------------------------------------------
 
@@ -258,45 +363,109 @@ class DiskStore(Store):
         base: sqlite3.Connection | None = None
         batch, ending = _Batch(), False
         while not ending:
-            ending = self._collect(batch)
+            ending = self._collect(batch, _LOOK)
+            if batch.upto == 0:
+                self._look_after_files()
             while batch.upto > 0:
                 try:
-                    base = base or self._connect()
-                    _commit(base, batch)
-                    self._write_beside(batch)
+                    base = self._commit(base, batch)
                     found = [_looked(base, work) for work, _ in batch.looks]
                 except Exception as error:  # whatever it was: nothing may end what keeps the record
                     self._tell(self._failed, str(error))
-                    if base is not None:
-                        base.close()
-                        base = None
-                    if self._closing.wait(_RETRY):
+                    base = self._let_go(base, error)
+                    if ending:
+                        self.lost = True
                         log.error("store_lost", path=str(self.path), rows=len(batch.rows))
                         return
-                    ending = self._collect(batch, wait=False)
+                    ending = self._wait_out(batch)
                 else:
                     self._tell(self._written, batch, found)
                     batch = _Batch()
         if base is not None:
             base.close()
 
-    def _collect(self, batch: _Batch, *, wait: bool = True) -> bool:
-        """Take in what has gathered; return whether that was all there will ever be."""
-        while wait or not self._queue.empty():
-            wait = False
-            more = self._queue.get()
-            if more is None:
-                return True
-            batch.take(more)
+    def _collect(self, batch: _Batch, within: float) -> bool:
+        """Take in what has gathered or comes soon; return whether that was all there will ever be."""
+        with suppress(queue.Empty):
+            more = self._queue.get(timeout=within)
+            while more is not None:
+                batch.take(more)
+                more = self._queue.get_nowait()
+            return True
         return False
 
-    def _write_beside(self, batch: _Batch) -> None:
+    def _wait_out(self, batch: _Batch) -> bool:
+        """Collect for a while before the next attempt; latches are kept at once even then."""
+        end = time.monotonic() + _RETRY
+        while (left := end - time.monotonic()) > 0:
+            if self._collect(batch, left):
+                return True
+            with suppress(OSError):  # the next attempt tells of it
+                self._save_latches(batch)
+        return False
+
+    def _commit(self, base: sqlite3.Connection | None, batch: _Batch) -> sqlite3.Connection:
+        """Write a batch to where it belongs; the latch file first, which is there in any case.
+
+        :raises Exception: not all of it could be.
+        """
+        unsaved: OSError | None = None
+        try:
+            self._save_latches(batch)
+        except OSError as error:
+            unsaved = error
+        fresh = base is None
+        self._check_files(at_once=fresh)  # before anything is made in their place
+        base = base or self._connect()
+        _commit(base, batch)
+        if fresh:
+            self._presence.learn()
+        self._write_head(batch)
+        if unsaved is not None:
+            raise OSError(f"the latches cannot be kept beside the database: {unsaved}")
+        return base
+
+    def _save_latches(self, batch: _Batch) -> None:
+        if batch.latches is not None:
+            self._latch_file.write(batch.latches)
+            batch.latches = None
+
+    def _let_go(
+        self, base: sqlite3.Connection | None, error: Exception
+    ) -> sqlite3.Connection | None:
+        """Close a database that has failed, so that it is opened anew."""
+        if isinstance(error, StoreGone):
+            return base  # its files are expected back; others would not be its own
+        if base is not None:
+            base.close()
+        self._presence.forget()
+        return None
+
+    def _check_files(self, *, at_once: bool = False) -> None:
+        """Look whether the files are still there, if that is due.
+
+        :raises StoreGone: one is not.
+        """
+        moment = time.monotonic()
+        if at_once or moment >= self._next_look:
+            self._presence.check()
+            self._head.stay()
+            self._next_look = moment + _OFTEN
+
+    def _look_after_files(self) -> None:
+        try:
+            self._check_files()
+        except OSError as error:
+            self._tell(self._failed, str(error))
+        else:
+            if self.trouble is not None:
+                self._tell(self._found_again)
+
+    def _write_head(self, batch: _Batch) -> None:
         """Keep the head in a second place, where the end of the chain can be missed."""
         if batch.rows:
-            seq, digest, _ = batch.rows[-1]
             with suppress(OSError):  # what is committed is committed
-                os.lseek(self._beside, 0, os.SEEK_SET)
-                os.write(self._beside, f"{seq:020d}:{digest.hex()}\n".encode())
+                self._head.write(batch.rows[-1][:2])
 
     def _tell(self, what: Callable[..., None], *facts: Any) -> None:
         with suppress(RuntimeError):  # the loop has ended: nobody waits any more
@@ -335,3 +504,17 @@ def _decoded(table: str, key: str, data: bytes, unreadable: Any) -> Any:
     except (msgspec.DecodeError, TypeError, ValueError) as error:
         log.warning("store_row_unreadable", table=table, key=key, error=str(error))
         return unreadable
+
+
+def _held(latch: dict[str, Any] | None, why: str) -> dict[str, Any]:
+    """Return the latch that holds every robot, with what is known of an older one."""
+    if latch and latch.get("by") != _KEEPER:
+        why += f"; latched already by {latch.get('by')}: {latch.get('reason')}"
+    return latch_row(_KEEPER, why)
+
+
+def _way_out(interim: Path) -> str:
+    return (
+        f"every robot is latched, and the record goes on in {interim.name}; stop the gateway, then "
+        "run `rcpd store repair`, or `rcpd store restore` with a backup"
+    )

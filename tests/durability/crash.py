@@ -27,8 +27,10 @@ from rcp_kernel.config.file import parse
 from rcp_kernel.model import Resource
 from rcp_kernel.process.log import Recent, configure
 from rcp_kernel.process.server import Prepared, Server, running
-from rcp_kernel.record.cli import examined
+from rcp_kernel.record.damage import find_damage
+from rcp_kernel.record.examination import examined
 from rcp_kernel.record.file import open_read_only
+from rcp_kernel.record.latch_file import LatchFile
 from rcp_kernel.spi import BackendKind, BaseBackend, Host, Progress
 from rcp_kernel.values import Encoding
 
@@ -275,6 +277,7 @@ class Inspector:
         store = self._folder / "store.db"
         if not store.exists():
             return
+        assert find_damage(store) is None
         if life % 4 == 3:  # the whole chain, those of the lives before included
             verdict = examined(store)
             assert not verdict.findings, verdict.findings
@@ -291,11 +294,20 @@ class Inspector:
                 self._begun(sent)
             else:
                 self._guarded(sent, fact["told"])
+        self._see_latch_file(store)
         for id_, envelope in lines(self._folder / f"sent-{life}"):
             if "idempotency_key" in envelope and not id_.startswith("again-"):
                 self.keys.append((id_, envelope))
         self.counts["records"] = self._seen
         self.counts["ran"] = sum(self._ran.values())
+
+    def _see_latch_file(self, store: Path) -> None:
+        """It is whole after each kill, and by itself enough to know what is latched."""
+        kept = LatchFile(store).read()
+        assert kept is not None
+        if self._latched is not None:
+            assert ("/tenant/gamma" in kept) == self._latched, kept
+            self.counts["latches beside" if self._latched else "resets beside"] += 1
 
     def _read(self, store: Path) -> None:
         with closing(open_read_only(store)) as base:

@@ -31,6 +31,7 @@ def test_nothing_that_was_promised_is_lost_when_the_gateway_is_killed(tmp_path: 
     assert counts["sessions resumed"] > 20
     assert counts["subscriptions restored"] > 20
     assert counts["latches back"] > 2
+    assert counts["latches beside"] + counts["resets beside"] > 2
     assert counts["leases back"] > 2  # few are still in force where a start takes long
     # A greeting is not held back for its session: killed right after it, there may be none.
     assert counts.get("sessions lost", 0) < 10

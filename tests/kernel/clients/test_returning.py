@@ -23,7 +23,7 @@ async def killed(tmp_path: Path, config: str = CONFIG) -> AsyncGenerator[tuple[C
         client = world.client()
         yield client, world
         await settled(world.server.gateway.store)
-        for suffix in ("", "-wal"):
+        for suffix in (".head", "", "-wal"):
             shutil.copy(tmp_path / f"run.db{suffix}", tmp_path / f"crashed.db{suffix}")
 
 
@@ -135,7 +135,7 @@ async def test_neither_ids_nor_tokens_of_sessions_are_on_the_disk(tmp_path: Path
     async with killed(tmp_path) as (client, _):
         hello = await greeting(client)
         await client.ask(type="execute", path="/tenant/alpha/service/echo", body="x")
-    for suffix in ("", "-wal"):
+    for suffix in (".head", "", "-wal"):
         held = (tmp_path / f"crashed.db{suffix}").read_bytes()
         for secret in (hello["session"], hello["resume_token"], "operator-operator"):
             assert secret.encode() not in held

@@ -158,7 +158,7 @@ async def test_history_outlives_the_gateway_and_what_a_crash_cut_off_is_failed(
         await world.robot.started.get()
         await settled(world.server.gateway.store)
         # What is on disk now is all that a crash leaves.
-        for suffix in ("", "-wal"):
+        for suffix in (".head", "", "-wal"):
             shutil.copy(tmp_path / f"run.db{suffix}", tmp_path / f"crashed.db{suffix}")
     async with world_of(kept_in(tmp_path / "crashed.db")) as world:
         listed = (await world.client().ask(type="read", path="/system/commands"))["body"]
@@ -199,7 +199,7 @@ async def test_a_key_outlives_a_crash_with_its_outcome_or_the_news_that_it_has_n
         command = (await client.until(lambda m: m["id"] == running))["command"]
         await world.robot.started.get()
         await settled(world.server.gateway.store)
-        for suffix in ("", "-wal"):
+        for suffix in (".head", "", "-wal"):
             shutil.copy(tmp_path / f"run.db{suffix}", tmp_path / f"crashed.db{suffix}")
     async with world_of(kept_in(tmp_path / "crashed.db")) as world:
         client = world.client()

@@ -23,7 +23,7 @@ pytestmark = [
     pytest.mark.anyio,
     pytest.mark.skipif(os.name == "nt", reason="Windows has other rights"),
 ]
-FILES = ["", ".head", ".lock", "-wal", "-shm"]
+FILES = ["", ".head", ".lock", ".latches", "-wal", "-shm"]
 
 
 @pytest.fixture

@@ -13,7 +13,8 @@ import pytest
 from click.testing import CliRunner
 
 from kernel.world import Client, World, kept_in, settled, world_of
-from rcp_kernel.record.cli import audit, examined
+from rcp_kernel.record.cli import audit
+from rcp_kernel.record.examination import examined
 from rcp_kernel.record.flood import Flood
 
 pytestmark = pytest.mark.anyio
@@ -421,10 +422,10 @@ async def test_a_record_that_was_cut_off_between_two_runs_is_missed(tmp_path: Pa
         base.execute("DELETE FROM audit WHERE seq >= 2")
     assert examined(path).findings[0][0] == 2
     async with world_of(kept_in(path)):
-        pass  # goes on after the cut, and says what it found
-    assert examined(path).findings == [
-        (2, "missing: records 2…4 had been there before this gateway began")
-    ]
+        pass  # goes on beside it, after the last record that there was
+    verdict = examined(path.with_name(path.name + ".interim"))
+    assert (verdict.first, verdict.findings) == (5, [])
+    assert examined(path).findings == [(2, "missing: the head is record 4")]
 
 
 async def test_a_lapsed_command_and_the_stop_that_follows_are_on_record(world: World) -> None:

@@ -1,0 +1,183 @@
+"""The latched e-stops a second time: a small file beside the store that outlives its database.
+
+It is JSON with a version and a checksum, replaced as a whole: written, flushed to the disk,
+renamed, and the folder flushed. The file that it replaces becomes the next one's space, so a full
+disk does not keep a latch from it.
+"""
+
+from __future__ import annotations
+
+import errno
+import hashlib
+import os
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from rcp_kernel.clock import now
+
+__all__ = [
+    "GATEWAY",
+    "LATCHES",
+    "LatchFile",
+    "encode_latches",
+    "latch_row",
+    "latches_beside",
+    "union",
+]
+
+LATCHES = "latches"
+"""The table of the store that the file repeats."""
+GATEWAY = "*"
+"""The key of the latch that holds every robot."""
+_VERSION = 1
+_SPACE = 65536  # bytes that the file and its successor take at least
+Rows = dict[str, dict[str, Any]]
+
+
+class _Row(msgspec.Struct):
+    """What is kept of a latch."""
+
+    by: str
+    reason: str | None
+    since: int
+    freed: list[str]
+
+
+class _Content(msgspec.Struct, forbid_unknown_fields=True):
+    version: int
+    sha256: str
+    latches: Rows
+
+
+def latches_beside(path: Path) -> Path:
+    """Return where the latches of a store are kept a second time."""
+    return path.with_name(path.name + ".latches")
+
+
+def latch_row(by: str, reason: str) -> dict[str, Any]:
+    """Return what is kept of a new latch."""
+    return {"by": by, "reason": reason, "since": now(), "freed": []}
+
+
+def encode_latches(rows: Rows) -> bytes:
+    """Write the content of the file."""
+    content = _Content(_VERSION, _checksum(rows), rows)
+    return msgspec.json.encode(content)
+
+
+def union(kept: dict[str, Any], beside: Rows) -> Rows:
+    """Return the latches that either place knows; a robot is freed of one only if both say so.
+
+    A row of the database that is none any more counts as a latch that frees nobody.
+    """
+    found: Rows = dict(beside)
+    for key, value in kept.items():
+        row = _checked(value)
+        other = beside.get(key)
+        if other is None:
+            found[key] = row
+        else:
+            freed = _freed(row) & _freed(_checked(other))
+            found[key] = {**other, **row, "freed": sorted(freed)}
+    return found
+
+
+def _checked(value: Any) -> dict[str, Any]:
+    """Return a row as it was kept; an empty one if somebody made something else of it."""
+    try:
+        return msgspec.to_builtins(msgspec.convert(value, _Row))
+    except msgspec.ValidationError:
+        return {}
+
+
+def _freed(row: dict[str, Any]) -> set[str]:
+    return set(row.get("freed", ()))
+
+
+def _checksum(rows: Rows) -> str:
+    return hashlib.sha256(msgspec.json.encode(rows, order="deterministic")).hexdigest()
+
+
+class LatchFile:
+    """The file of one store; for one thread at a time, which it blocks."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = latches_beside(path)
+        self._spare = self.path.with_name(self.path.name + ".spare")
+        self._swap = self.path.with_name(self.path.name + ".swap")
+
+    def read(self) -> Rows | None:
+        """Return the latches, or None if there is no file.
+
+        :raises ValueError: the file is damaged.
+        :raises OSError: it cannot be read.
+        """
+        try:
+            data = self.path.read_bytes()
+        except FileNotFoundError:
+            return None
+        try:
+            content = msgspec.json.decode(data, type=_Content)
+        except (msgspec.DecodeError, UnicodeDecodeError) as error:
+            raise ValueError(f"it cannot be read ({error})") from None
+        if content.version != _VERSION:
+            raise ValueError(
+                f"it has the version {content.version}, which this gateway cannot read"
+            )
+        if content.sha256 != _checksum(content.latches):
+            raise ValueError("its checksum does not fit")
+        return content.latches
+
+    def write(self, data: bytes) -> None:
+        """Replace the file; return when that would outlive a power cut.
+
+        :raises OSError: it cannot be.
+        """
+        self._fill(self._spare, data)
+        try:
+            self._swap.unlink(missing_ok=True)
+            self._swap.hardlink_to(self.path)
+        except OSError:  # there is none yet, or a file has one name only here
+            self._spare.replace(self.path)
+            self._reserve()
+        else:
+            self._spare.replace(self.path)
+            self._swap.replace(self._spare)
+        _flush_folder(self.path.parent)
+
+    def put_aside(self, stamp: str) -> Path:
+        """Rename a damaged file, so that it can be looked at; return where it is."""
+        aside = self.path.with_name(f"{self.path.name}.damaged-{stamp}")
+        return self.path.rename(aside)
+
+    def _reserve(self) -> None:
+        try:
+            self._fill(self._spare, b"")
+        except OSError as error:
+            if error.errno != errno.ENOSPC:  # else the next write finds out whether there is room
+                raise
+
+    @staticmethod
+    def _fill(path: Path, data: bytes) -> None:
+        """Write in place, padded with spaces: blocks that a file has cannot run out."""
+        place = os.open(path, os.O_CREAT | os.O_WRONLY, 0o600)
+        try:
+            size = max(os.fstat(place).st_size, -(-len(data) // _SPACE) * _SPACE, _SPACE)
+            rest = memoryview(data.ljust(size))
+            while rest:
+                rest = rest[os.write(place, rest) :]
+            os.fsync(place)
+        finally:
+            os.close(place)
+
+
+def _flush_folder(folder: Path) -> None:
+    if os.name == "nt":  # it flushes names with the file
+        return
+    place = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(place)
+    finally:
+        os.close(place)

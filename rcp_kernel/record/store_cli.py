@@ -1,0 +1,122 @@
+"""`rcpd store`: check, back up, repair and restore what a gateway keeps."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from rcp_kernel.errors import ConfigError
+from rcp_kernel.record.chain import written
+from rcp_kernel.record.cli import config_argument, fail, path_of, store_option
+from rcp_kernel.record.examination import examined
+
+if TYPE_CHECKING:
+    from rcp_kernel.record.repair import Repaired
+
+__all__ = ["store"]
+
+
+@click.group()
+def store() -> None:
+    """Check, back up, repair or restore the store of a gateway."""
+
+
+@store.command()
+@config_argument
+@store_option
+def check(config: Path, store: Path | None) -> None:
+    """Check every page and every record, also while the gateway runs; exit code 1 if it is damaged."""
+    from rcp_kernel.record.backup import check_whole
+    from rcp_kernel.record.damage import find_damage
+    from rcp_kernel.record.file import store_errors
+
+    path = store or path_of(config)
+    try:
+        with store_errors(path):
+            damage = find_damage(path, bound=None)
+        if damage is not None:
+            fail(f"the store '{path}' is damaged: {damage}; `rcpd store repair` makes it anew")
+        verdict = check_whole(path)
+    except ConfigError as error:
+        fail(str(error))
+    for seq, what in verdict.findings:
+        click.echo(f"record {seq}: {what}")
+    click.echo(f"{path}: whole; {verdict.count} records; head {written(verdict.head)}")
+    if verdict.findings:
+        sys.exit(1)
+
+
+@store.command()
+@click.argument("file", type=click.Path(path_type=Path))
+@config_argument
+@store_option
+def backup(file: Path, config: Path, store: Path | None) -> None:
+    """Copy the store into FILE, also while the gateway runs; print the head of its record."""
+    from rcp_kernel.record.backup import make_backup
+
+    try:
+        verdict = make_backup(store or path_of(config), file)
+    except ConfigError as error:
+        fail(str(error))
+    click.echo(f"{file}: {verdict.count} records; head {written(verdict.head)}")
+
+
+@store.command()
+@config_argument
+@store_option
+def repair(config: Path, store: Path | None) -> None:
+    """Make a damaged store anew of what can be read of it; the gateway must not run.
+
+    What there was is kept in a folder beside it. Missing records stay missing, and the chain says
+    how many. The next start has every robot latched, until somebody resets that.
+    """
+    from rcp_kernel.record.repair import repair
+
+    path = store or path_of(config)
+    try:
+        made = repair(path)
+    except ConfigError as error:
+        fail(str(error))
+    if made is None:
+        click.echo(f"{path}: not damaged, nothing to repair")
+    else:
+        _tell(path, made)
+
+
+@store.command()
+@click.argument("backup", type=click.Path(exists=True, dir_okay=False, path_type=Path))
+@config_argument
+@store_option
+def restore(backup: Path, config: Path, store: Path | None) -> None:
+    """Put BACKUP in the store's place; the gateway must not run.
+
+    Records that are later than the backup are added, as far as they can be read. What there was is
+    kept in a folder beside it. The next start has every robot latched, until somebody resets that.
+    """
+    from rcp_kernel.record.repair import restore
+
+    path = store or path_of(config)
+    try:
+        made = restore(path, backup)
+    except ConfigError as error:
+        fail(str(error))
+    _tell(path, made)
+
+
+def _tell(path: Path, made: Repaired) -> None:
+    for seq, what in examined(path).findings:
+        click.echo(f"record {seq}: {what}")
+    click.echo(f"{path}: {made.records} records, {made.missing} missing; head {written(made.head)}")
+    click.echo(f"What there was is in {made.aside}.", err=True)
+    if made.apart:
+        click.echo("The record made since the damage stays there: its numbers are taken.", err=True)
+    if made.tokens:
+        click.echo(
+            f"{made.tokens} API keys are good; one that was revoked since may be among them: "
+            "look at `rcpd token list`.",
+            err=True,
+        )
+    click.echo("The next start has every robot latched: look at them, then reset that.", err=True)
