@@ -13,9 +13,9 @@ from rcp_kernel.config.file import GatewayConfig, StoreConfig, parse
 from rcp_kernel.process.server import Server
 from rcp_kernel.testing._client import Client
 from rcp_kernel.testing._serve import ADMIN, OPERATOR, VIEWER, Served, serve
-from rcp_kernel.testing._suite import Suite
+from rcp_kernel.testing._suite import Suite, eventually
 from rcp_kernel.testing.wire._requirements import REQUIREMENTS
-from rcp_kernel.testing.wire._robot import DEAD, ROBOT, WireRobot
+from rcp_kernel.testing.wire._robot import DEAD, ROBOT, Absence, WireRobot
 from rcp_kernel.values import Encoding
 
 __all__ = ["ASKING", "LOCAL", "Wire", "World", "configuration"]
@@ -24,6 +24,8 @@ ASKING = "asking-of-the-test-kit"
 """API key of somebody who has to have `service/nothing` approved."""
 LOCAL = "local-of-the-test-kit"
 """API key of an operator of one tenant, who may not see `sensor/secret`."""
+
+ARRIVAL = 30.0  # s within which a backend that waits between two tries has come up
 
 _CONFIG = f"""
 [[backends]]
@@ -51,7 +53,7 @@ tenant = "beta"
 small = true
 
 [roles.blinkered]
-deny = [{{ operations = ["discover"], paths = ["/sensor/secret"] }}]
+deny = [{{ operations = ["discover"], paths = ["/sensor/secret", "/sensor/ghost/secret"] }}]
 
 [roles.careful]
 approve = ["/service/nothing"]
@@ -114,6 +116,7 @@ class World:
         self._served = served
         self._suite = suite
         self._clients: list[Client] = []
+        Absence.ends = False
 
     @property
     def server(self) -> Server:
@@ -131,6 +134,16 @@ class World:
         """Have the main robot publish."""
         for value in values:
             self.robot().host.publish(name, value)
+
+    async def arrive(self) -> None:
+        """Have the robot come that was not there; return once it has."""
+        Absence.ends = True
+        slot = next(slot for slot in self.server.slots if slot.name == "ghost")
+
+        async def is_ready() -> bool:
+            return slot.state == "ready"
+
+        await eventually(is_ready, "the robot comes", ARRIVAL)
 
     def limit(self, **limits: int) -> None:
         """Change limits of the gateway while it runs, as a reload of its configuration does."""
