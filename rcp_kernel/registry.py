@@ -335,7 +335,7 @@ def _may_own(owner: Owner, path: str) -> bool:
     parts = path.split("/")  # "", "tenant", its name, the branch, and the robot or a name
     if parts[1] != "tenant" or len(parts) <= _ROBOT or parts[2] != owner.tenant:
         return False
-    return owner.robot is None or parts[_ROBOT] == owner.robot
+    return owner.robot is None or (parts[_ROBOT] == owner.robot and len(parts) > _ROBOT + 1)
 
 
 def _meet(prefix: str, place: str) -> bool:

@@ -116,7 +116,6 @@ class World:
         self._served = served
         self._suite = suite
         self._clients: list[Client] = []
-        Absence.ends = False
 
     @property
     def server(self) -> Server:
@@ -192,6 +191,7 @@ class Wire(Suite):
     @pytest.fixture
     async def world(self) -> AsyncGenerator[World]:
         """A gateway with robots, for one test."""
+        Absence.ends = False
         with TemporaryDirectory() as folder:
             store = StoreConfig(path=f"{folder}/store.db")
             config = msgspec.structs.replace(configuration(self.transports), store=store)
