@@ -77,8 +77,11 @@ class _NoOptions(msgspec.Struct):
 
 
 async def _main(port: int, late: float) -> None:
+    listening = asyncio.Event()
+
     @asynccontextmanager
     async def open_late(_config: _NoOptions, host: Host) -> AsyncGenerator[BaseBackend]:
+        await listening.wait()
         await asyncio.sleep(late)
         run = Resource(
             name="sensor/run",
@@ -104,6 +107,7 @@ async def _main(port: int, late: float) -> None:
     async with serve(config, BackendKind("late", _NoOptions, open_late)):
         sys.stdout.write("open\n")
         sys.stdout.flush()
+        listening.set()
         await asyncio.Event().wait()
 
 
