@@ -8,7 +8,7 @@ import pytest
 
 from plugins.client.gateway import BOUND, OPERATOR, Gateway
 from plugins.client.heard import Heard
-from rcp_client import connect
+from rcp_client import Client, connect
 from rcp_kernel.errors import AdapterUnavailable, UnknownPath
 
 pytestmark = pytest.mark.anyio
@@ -28,7 +28,7 @@ async def test_a_first_subscription_waits_for_its_robot_and_says_so() -> None:
         begun = asyncio.create_task(_first(client))
         assert "not connected" in ((await heard.until("waiting")).message or "")
         gateway.opens.set()
-        while "alpha" not in gateway.robots:
+        while "alpha" not in gateway.robots:  # noqa: ASYNC110 - nothing tells of it
             await asyncio.sleep(0.01)
         gateway.robot.publish()
         assert await begun == 1
@@ -87,8 +87,8 @@ async def test_after_a_restart_it_waits_until_the_robot_is_back() -> None:
                 assert (await anext(updates)).seq == 1
 
 
-async def _first(client: object, path: str = COUNT) -> int:
-    async with client.subscribe(path) as subscription:  # type: ignore[attr-defined]
+async def _first(client: Client, path: str = COUNT) -> int:
+    async with client.subscribe(path) as subscription:
         async for update in subscription:
             return update.seq
     raise AssertionError("it ended")
