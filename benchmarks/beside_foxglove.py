@@ -13,6 +13,7 @@ import sys
 from pathlib import Path
 
 import psutil
+from measure import line_of
 
 HERE = Path(__file__).parent / "servers"
 SECONDS = 4.0
@@ -34,10 +35,9 @@ def run(server: str, kind: str, rate: float, burst: int, size: int, clients: int
             stdout=subprocess.PIPE,
         )
         psutil.Process(client.pid).cpu_affinity([1])
-        assert client.stdout
-        client.stdout.readline()
+        line_of(client)
         before = process_info.cpu_times()
-        result = json.loads(client.stdout.readline())
+        result = json.loads(line_of(client))
         after = process_info.cpu_times()
         client.wait()
         process.terminate()

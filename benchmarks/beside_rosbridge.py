@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import psutil
+from measure import line_of
 
 from rcp_ros2 import PROFILE
 
@@ -143,9 +144,9 @@ def run(case: Case, server: str) -> dict[str, float]:
         client = start(OTHERS, *asked)
         info = psutil.Process(served.pid)
         assert client.stdout
-        client.stdout.readline()
+        line_of(client)
         before = info.cpu_times()
-        result = json.loads(client.stdout.readline())
+        result = json.loads(line_of(client))
         after = info.cpu_times()
     cpu = after.user + after.system - before.user - before.system
     return {**result, "cpu": cpu, "per_cpu": result["frames"] / max(cpu, 0.001)}

@@ -10,6 +10,7 @@ import json
 import sys
 
 import uvloop
+from answers import Answers
 from measure import SECONDS, best, row
 from picows import WSListener, WSMsgType, ws_connect, ws_create_server
 
@@ -44,6 +45,8 @@ async def bare(clients: int) -> None:
 class Subscriber(WSListener):
     done = 0
     count = 0
+    answers = Answers()
+    counting = False
 
     def on_ws_connected(self, transport):
         Subscriber.count += 1
@@ -56,6 +59,8 @@ class Subscriber(WSListener):
         transport.send(WSMsgType.TEXT, json.dumps(ask).encode())
 
     def on_ws_frame(self, transport, frame):
+        if not Subscriber.counting:
+            Subscriber.answers.look(frame.get_payload_as_bytes())
         Subscriber.done += 1
         Subscriber.size = frame.payload_size
 
@@ -66,10 +71,13 @@ async def load(port: str, server: str, clients: str) -> None:
     for _ in range(int(clients)):
         await ws_connect(Subscriber, f"ws://127.0.0.1:{port}/rcp/v1/ws")
     await asyncio.sleep(0.5)
+    Subscriber.answers.check(Subscriber.done)
     print("ready", flush=True)
+    Subscriber.counting = True
     before = Subscriber.done
     await asyncio.sleep(SECONDS)
     done = Subscriber.done - before
+    Subscriber.answers.check(done)
     print(json.dumps({"done": done, "size": Subscriber.size}), flush=True)
 
 

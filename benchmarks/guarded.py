@@ -18,6 +18,7 @@ import time
 
 import psutil
 import uvloop
+from answers import Answers
 from picows import WSListener, WSMsgType, ws_connect
 
 SECONDS = 1.0
@@ -102,12 +103,16 @@ class Load:
     since: dict[bytes, float] = {}  # noqa: RUF012 - of the one load in this process
     took: list[float] = []  # noqa: RUF012
     count = 0
+    answers = Answers()
+    counting = False
 
 
 class Asker(WSListener):
     request = b""
 
-    def on_ws_frame(self, transport, _frame):
+    def on_ws_frame(self, transport, frame):
+        if not Load.counting:
+            Load.answers.look(frame.get_payload_as_bytes())
         Load.done += 1
         transport.send(WSMsgType.TEXT, self.request)
 
@@ -130,8 +135,8 @@ class Many(WSListener):
             Load.took.append(time.perf_counter() - Load.since.pop(id_))
             Load.done += 1
             self.ask(transport)
-        elif b'"error"' in data:
-            raise SystemExit(data.decode())
+        else:
+            Load.answers.look(data)
 
 
 class Subscriber(WSListener):
@@ -140,7 +145,9 @@ class Subscriber(WSListener):
         ask = {"type": "subscribe", "id": "s", "path": "/tenant/t/sensor/pose", "body": body}
         transport.send(WSMsgType.TEXT, json.dumps(ask).encode())
 
-    def on_ws_frame(self, _transport, _frame):
+    def on_ws_frame(self, _transport, frame):
+        if not Load.counting:
+            Load.answers.look(frame.get_payload_as_bytes())
         Load.done += 1
 
 
@@ -175,9 +182,11 @@ async def load(port: str, kind: str) -> None:
         return Getter.done if name == "get" else Load.done
 
     print("ready", flush=True)
+    Load.counting = True
     before, begun = done(), time.perf_counter()
     Load.took.clear()
     await asyncio.sleep(SECONDS)
+    (Getter if name == "get" else Load).answers.check(done() - before)
     took = sorted(Load.took) or [0.0]
     result = {
         "done": done() - before,

@@ -10,6 +10,7 @@ import json
 import sys
 
 import uvloop
+from answers import Answers
 from measure import SECONDS, best, row
 
 CLIENTS = 32
@@ -34,6 +35,7 @@ ANSWER = {
 
 class Getter(asyncio.Protocol):
     done = 0
+    answers = Answers()
     request = (
         f"GET {PATH} HTTP/1.1\r\nHost: 127.0.0.1\r\nAccept: */*\r\n"
         "Accept-Encoding: gzip, deflate\r\nConnection: keep-alive\r\n"
@@ -52,7 +54,9 @@ class Getter(asyncio.Protocol):
             return
         length = int(head.lower().partition(b"content-length: ")[2].partition(b"\r\n")[0])
         if len(body) >= length:
-            assert head.startswith(b"HTTP/1.1 200")
+            if not head.startswith(b"HTTP/1.1 200"):
+                Getter.answers.refused = {"answer": self.buffer.decode("utf-8", "replace")}
+                return
             self.buffer = b""
             Getter.done += 1
             self.transport.write(self.request)
@@ -66,6 +70,7 @@ async def load(port: str) -> None:
     print("ready", flush=True)
     before = Getter.done
     await asyncio.sleep(SECONDS)
+    Getter.answers.check(Getter.done - before)
     print(json.dumps({"done": Getter.done - before}), flush=True)
 
 

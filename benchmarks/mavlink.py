@@ -203,7 +203,10 @@ async def watch(url: str) -> None:
         }
         path = body["paths"].pop(0)
         await ws.send(json.dumps({"type": "subscribe", "id": "s", "path": path, "body": body}))
-        print(json.loads(await ws.recv())["status"], flush=True)
+        answer = json.loads(await ws.recv())
+        if "error" in answer:
+            sys.exit(f"the subscription was refused: {json.dumps(answer)}")
+        print(answer["status"], flush=True)
         count, dropped = 0, 0
         try:
             while True:

@@ -32,15 +32,23 @@ def measured(script: str, server: str, *load: str) -> dict[str, float]:
             [sys.executable, script, "load", port, server, *load], stdout=subprocess.PIPE
         )
         psutil.Process(client.pid).cpu_affinity([1])
-        assert client.stdout
-        client.stdout.readline()
+        line_of(client)
         before, begun = info.cpu_times(), time.perf_counter()
-        result = json.loads(client.stdout.readline())
+        result = json.loads(line_of(client))
         after, ended = info.cpu_times(), time.perf_counter()
         client.wait()
         process.kill()
     cpu = after.user + after.system - before.user - before.system
     return {**result, "cpu": cpu, "busy": cpu / (ended - begun), "per_cpu": result["done"] / cpu}
+
+
+def line_of(load: subprocess.Popen[bytes]) -> bytes:
+    """Read a line of the load; one that has ended has said why."""
+    assert load.stdout
+    line = load.stdout.readline()
+    if not line:
+        sys.exit(f"the load ended with {load.wait()}, and nothing was measured")
+    return line
 
 
 def best(script: str, *servers: tuple[str, ...]) -> list[dict[str, float]]:

@@ -7,6 +7,7 @@ import json
 import sys
 
 import uvloop
+from answers import Answers
 from http_get import serve_app
 from measure import SECONDS, best, row
 
@@ -25,11 +26,14 @@ EVENT = (
 
 class Reader(asyncio.Protocol):
     done = 0
+    answers = Answers()
 
     def connection_made(self, transport):
         transport.write(f"GET {PATH} HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n".encode())
 
     def data_received(self, data):
+        if data.startswith(b"HTTP/1.1 ") and not data.startswith(b"HTTP/1.1 200"):
+            Reader.answers.look(data.partition(b"\r\n\r\n")[2] or b'{"error": {}}')
         Reader.done += data.count(b"event: update")
 
 
@@ -38,6 +42,7 @@ async def load(port: str) -> None:
     for _ in range(CLIENTS):
         await loop.create_connection(Reader, "127.0.0.1", int(port))
     await asyncio.sleep(0.5)
+    Reader.answers.check(Reader.done)
     print("ready", flush=True)
     before = Reader.done
     await asyncio.sleep(SECONDS)

@@ -17,6 +17,7 @@ from pathlib import Path
 import msgspec
 import psutil
 import uvloop
+from answers import Answers
 from picows import WSListener, WSMsgType, ws_connect
 
 SECONDS = 8.0
@@ -27,6 +28,7 @@ class Reader(WSListener):
         self.maps, self.stalled = maps, stalled
         self.ages: list[float] = []
         self.bytes = 0
+        self.answers = Answers()
 
     def on_ws_connected(self, transport) -> None:
         def send(**envelope) -> None:
@@ -44,7 +46,9 @@ class Reader(WSListener):
         self.bytes += frame.payload_size
         if frame.payload_size > 2000:
             return
-        message = msgspec.msgpack.decode(frame.get_payload_as_bytes())
+        data = frame.get_payload_as_bytes()
+        message = msgspec.msgpack.decode(data)
+        self.answers.look(data)
         if message.get("type") == "update":
             self.ages.append(time.time_ns() / 1e6 - message["body"]["sent"] / 1e3)
 
@@ -62,6 +66,7 @@ async def measure(port: str, *, maps: bool, stalled: bool) -> dict[str, float]:
     reader.ages.clear()
     reader.bytes = 0
     await asyncio.sleep(SECONDS)
+    reader.answers.check(len(reader.ages))
     ages = sorted(reader.ages)
     transport.disconnect()
     return {

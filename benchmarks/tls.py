@@ -13,6 +13,7 @@ from pathlib import Path
 from statistics import median
 
 import uvloop
+from answers import Answers
 from measure import SECONDS, best, row
 from picows import WSListener, WSMsgType, ws_connect
 
@@ -23,6 +24,8 @@ TOOK: list[float] = []
 
 class Asker(WSListener):
     done = 0
+    answers = Answers()
+    counting = False
 
     def __init__(self):
         self.sent = 0.0
@@ -32,6 +35,8 @@ class Asker(WSListener):
         transport.send(WSMsgType.TEXT, ASK)
 
     def on_ws_frame(self, transport, frame):
+        if not Asker.counting:
+            Asker.answers.look(frame.get_payload_as_bytes())
         Asker.done += 1
         TOOK.append(time.perf_counter() - self.sent)
         self.ask(transport)
@@ -56,6 +61,8 @@ async def load(port: str, server: str, clients: str) -> None:
         transport, asker = await ws_connect(Asker, url, ssl_context=context)
         asker.ask(transport)
     await asyncio.sleep(0.3)
+    Asker.answers.check(Asker.done)
+    Asker.counting = True
     TOOK.clear()
     print("ready", flush=True)
     before = Asker.done

@@ -7,6 +7,7 @@ import json
 import sys
 
 import uvloop
+from answers import Answers
 from measure import SECONDS, best, row
 from picows import WSListener, WSMsgType, ws_connect, ws_create_server
 
@@ -28,8 +29,12 @@ REPLY = b"x" * 345
 class Asker(WSListener):
     done = 0
     request = ECHO
+    answers = Answers()
+    counting = False
 
     def on_ws_frame(self, transport, frame):
+        if not Asker.counting:
+            Asker.answers.look(frame.get_payload_as_bytes())
         Asker.done += 1
         Asker.size = frame.payload_size
         transport.send(WSMsgType.TEXT, self.request)
@@ -42,9 +47,12 @@ async def load(port: str, server: str, request: str) -> None:
         transport, _ = await ws_connect(Asker, f"ws://127.0.0.1:{port}{path}")
         transport.send(WSMsgType.TEXT, Asker.request)
     await asyncio.sleep(0.3)
+    Asker.answers.check(Asker.done)
     print("ready", flush=True)
+    Asker.counting = True
     before = Asker.done
     await asyncio.sleep(SECONDS)
+    Asker.answers.check(Asker.done - before)
     print(json.dumps({"done": Asker.done - before, "size": Asker.size}), flush=True)
 
 

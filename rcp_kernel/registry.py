@@ -36,6 +36,7 @@ __all__ = ["Entry", "Listener", "Owner", "Registry"]
 
 _IDLE_HISTORY = 16  # samples kept of a resource nobody subscribes to
 _WITHDRAWN = 10_000  # paths whose number is remembered
+_ROBOT = 4  # the part of a full path that names the robot, where a backend has one
 _HISTORY_BYTES = 4 * 1024 * 1024  # kept of one resource, at least its latest sample
 
 
@@ -229,6 +230,8 @@ class Registry:
         """Rises with every change of the tree: the validator of caches and ETags."""
         self.on_added: list[Callable[[Entry], None]] = []
         self.on_removed: list[Callable[[Entry], None]] = []
+        self._growing: list[Owner] = []
+        """Backends that have not declared all that they may have."""
         self._index: list[str] | None = None
         self._numbers: dict[str, int] = {}
         """Last sample number of withdrawn paths, so that a path that returns counts on."""
@@ -279,6 +282,28 @@ class Registry:
         for told in self.on_removed:
             told(entry)
 
+    def grow(self, owner: Owner, *, growing: bool) -> None:
+        """Note whether a backend may still declare what it has not: it opens, or looks for more."""
+        if growing == (owner in self._growing):
+            return
+        if growing:
+            self._growing.append(owner)
+        else:
+            self._growing.remove(owner)
+        self.generation += 1
+
+    def may_come(self, path: str) -> bool:
+        """Tell whether a path that is not in the tree may yet be declared, by its place there."""
+        return bool(self._growing) and any(_may_own(owner, path) for owner in self._growing)
+
+    def growing(self, pattern: Pattern) -> set[str]:
+        """Return the tenants in which a pattern may reach more when all backends are open."""
+        if pattern.literal:
+            owners = [o for o in self._growing if _may_own(o, pattern.text)]
+        else:
+            owners = [o for o in self._growing if _meet(pattern.prefix, f"/tenant/{o.tenant}")]
+        return {owner.tenant for owner in owners if owner.tenant is not None}
+
     def _changed(self) -> None:
         self.generation += 1
         self._index = None
@@ -304,6 +329,18 @@ class Registry:
                 break
             if pattern.matches(path):
                 yield self.entries[path]
+
+
+def _may_own(owner: Owner, path: str) -> bool:
+    parts = path.split("/")  # "", "tenant", its name, the branch, and the robot or a name
+    if parts[1] != "tenant" or len(parts) <= _ROBOT or parts[2] != owner.tenant:
+        return False
+    return owner.robot is None or (parts[_ROBOT] == owner.robot and len(parts) > _ROBOT + 1)
+
+
+def _meet(prefix: str, place: str) -> bool:
+    """Tell whether one of two runs of segments begins the other."""
+    return f"{prefix}/".startswith(f"{place}/") or f"{place}/".startswith(f"{prefix}/")
 
 
 _SENTENCE = re.compile(r"\S.*\.\Z", re.DOTALL)

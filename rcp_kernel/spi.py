@@ -171,6 +171,14 @@ class Host(Protocol):
         """
         ...
 
+    def discovering(self, *, active: bool) -> None:
+        """Say that the backend still looks for what it has, or that it has looked long enough.
+
+        Until then a path that it could have is refused as one that may come, and clients ask
+        again. A backend that is not open needs not say so.
+        """
+        ...
+
 
 @runtime_checkable
 class Backend(Protocol):

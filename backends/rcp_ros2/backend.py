@@ -132,6 +132,8 @@ async def open_ros2(config: Ros2Config, host: Host) -> AsyncGenerator[Ros2Backen
 
         watch = GraphWatch(ros, catalog.matters, update)
         watch.on_look.extend((shared.feeds.refresh, shared.pulses.look, lambda: _look(shared)))
+        host.discovering(active=True)
+        await catalog.place_mapped()
         await ros.call(watch.start)
         with unfenced():
             following = asyncio.create_task(stops.follow(), name="ros2 stops")

@@ -40,6 +40,7 @@ from rcp_ros2.wanted import Wanted, type_of
 __all__ = ["Catalog"]
 
 log = structlog.get_logger("rcp.ros2")
+_PLACING = 2.0  # s for the types of the map to be imported
 _LINGER = 5.0  # s for which something exposed may be gone before its path goes too
 _AGAIN = 5.0  # s before a node is asked again that did not describe its parameters
 _SOON = 0.5  # s before a type is asked for again while nodes are still being discovered
@@ -53,6 +54,8 @@ class Catalog:
     def __init__(self, shared: Shared) -> None:
         config = shared.config
         self._shared = shared
+        self._exposes = bool(config.expose or config.robots)
+        """Whether the graph decides on what there is."""
         self.bindings: dict[str, Binding] = {}
         self.rates: dict[str, list[float]] = {}
         """What is watched: each name with the rates that its watchers want."""
@@ -122,6 +125,16 @@ class Catalog:
         self._report(graph)
         if self._is_complete():
             self.complete.set()
+        if self.is_mapped and not (self._shared.settling and self._exposes):
+            self._shared.host.discovering(active=False)
+
+    async def place_mapped(self) -> None:
+        """Declare what the map gives with its type, for which nothing of the graph is needed."""
+        for name, mapping in self._mapped.items():
+            if mapping.type is not None:
+                self._want(name, mapping, self._shared.graph, mapped=True)
+        if self._tasks:
+            await asyncio.wait(self._tasks, timeout=_PLACING)
 
     @property
     def is_mapped(self) -> bool:
@@ -132,8 +145,7 @@ class Catalog:
         if self._building or not self.is_mapped:
             return False
         quiet = time.monotonic() - self._placed > _QUIET
-        config = self._shared.config
-        return not (config.expose or config.robots) or (quiet and bool(self.bindings))
+        return not self._exposes or (quiet and bool(self.bindings))
 
     def _want(self, name: str, mapping: Mapping, graph: Graph, *, mapped: bool) -> None:
         self._gone.pop(name, None)

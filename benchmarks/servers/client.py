@@ -10,10 +10,14 @@ import json
 import re
 import sys
 import time
+from pathlib import Path
 
 import msgspec
 import uvloop
 from picows import WSListener, WSMsgType, ws_connect
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+from answers import Answers
 
 KIND, PORT, COUNT, SECONDS, PATH = (
     sys.argv[1], int(sys.argv[2]), int(sys.argv[3]), float(sys.argv[4]), sys.argv[5],
@@ -29,6 +33,7 @@ class State:
     dropped = 0
     ready = 0
     ages: list[int]
+    answers = Answers()
 
 
 State.ages = []
@@ -47,6 +52,8 @@ class Listener(WSListener):
 
     def on_ws_frame(self, transport, frame) -> None:
         if not State.counting:
+            if KIND == "rcp":
+                State.answers.look(frame.get_payload_as_bytes())
             if KIND == "foxglove" and frame.msg_type == WSMsgType.TEXT:
                 self.advertised(transport, json.loads(frame.get_payload_as_bytes()))
             return
@@ -81,12 +88,15 @@ async def main() -> None:
     while State.ready < COUNT:  # noqa: ASYNC110 - a benchmark may wait by the clock
         await asyncio.sleep(0.01)
     await asyncio.sleep(0.5)
+    if State.answers.refused:
+        State.answers.check(0)
     print("counting", flush=True)
     State.counting = True
     started = time.monotonic()
     await asyncio.sleep(SECONDS)
     took = time.monotonic() - started
     State.counting = False
+    State.answers.check(State.frames)
     ages = sorted(State.ages) or [0]
     result = {
         "frames": State.frames,

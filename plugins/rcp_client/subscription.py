@@ -7,20 +7,19 @@ joins without a seam, and what is missing is told of by a `gap` notice.
 from __future__ import annotations
 
 import asyncio
-import time
 from collections import deque
 from collections.abc import AsyncGenerator, Callable, Sequence
 from typing import TYPE_CHECKING, Any, Self
 
-from rcp_client.errors import safely
+from rcp_client.errors import ConnectionLost, safely
 from rcp_client.messages import Message, Notice, Reply, Update
 from rcp_client.pages import pages
+from rcp_client.tries import Tries
 from rcp_kernel.errors import (
     BY_CODE,
     AdapterUnavailable,
     DuplicateRequest,
     Overrun,
-    QueueFull,
     RcpError,
     UnknownPath,
 )
@@ -33,7 +32,6 @@ __all__ = ["Subscription"]
 
 _FILTERS = ("rate", "deadband", "where")
 _PAGE = 1000  # paths asked for at once
-_LONGEST_PAUSE = 5.0  # s between tries to subscribe afresh
 
 
 class Subscription:
@@ -79,6 +77,8 @@ class Subscription:
         self._skipped: dict[str, int] = {}
         self._wake = asyncio.Event()
         self._standing = False
+        self._waiting = False
+        """It was told that the subscription is refused for now, and asked for again."""
         self._finished = False
         self._error: RcpError | None = None
         self._renewal: asyncio.Task[None] | None = None
@@ -95,7 +95,7 @@ class Subscription:
     async def _begin(self) -> None:
         self._channel.subscriptions[self.id] = self
         try:
-            reply = await self._subscribe()
+            reply = await self._first()
             while reply is None:  # with its first reply the first values may have been lost
                 self._drop()
                 self.id = self._channel.new_id()
@@ -110,6 +110,25 @@ class Subscription:
         self.paths = (reply.body or {}).get("paths", [])
         if reply.cursor is not None:
             self.paths = sorted({*self.paths, *await self._rest(reply.cursor)})
+
+    async def _first(self) -> Reply | None:
+        """Ask for it for the first time, again and again while its robot may yet come up."""
+        self._waiting = False
+        tries = Tries(self._channel.settings.patience)
+        while True:
+            try:
+                return await self._subscribe()
+            except ConnectionLost:
+                raise
+            except AdapterUnavailable as error:
+                self._tell_waiting(error)
+                if self._finished or not await tries.again(error):
+                    raise
+
+    def _tell_waiting(self, error: RcpError) -> None:
+        if not self._waiting:
+            self._waiting = True
+            self._channel.tell(Notice(code="waiting", id=self.id, message=error.message))
 
     async def _rest(self, cursor: str) -> list[str]:
         """List the paths that the reply had no room for."""
@@ -278,23 +297,23 @@ class Subscription:
 
     async def _renew(self) -> None:
         """Subscribe under the same id: that it is taken shows that the subscription is there."""
-        pause = 0.1
-        patience = self._channel.settings.patience
-        began = time.monotonic()
+        self._waiting = False
+        tries = Tries(self._channel.settings.patience)
         while True:
             try:
                 reply = await self._subscribe()
                 break
-            except (UnknownPath, AdapterUnavailable, QueueFull) as error:
-                # After a restart the robot may come up later than the gateway.
-                if patience is not None and time.monotonic() - began > patience:
+            except ConnectionLost:
+                return  # begun again with the next connection
+            except RcpError as error:
+                # After a restart the robot may come up later than the gateway, and a path that was
+                # there may be found again later still.
+                hopeful = error.retryable or isinstance(error, UnknownPath)
+                if hopeful:
+                    self._tell_waiting(error)
+                if not hopeful or not await tries.again(error):
                     self.fail(error)
                     return
-                await asyncio.sleep(pause)
-                pause = min(pause * 2, _LONGEST_PAUSE)
-            except RcpError as error:
-                self.fail(error)
-                return
         if reply is not None:
             self._channel.tell(_gap(self.id, None, None, None))
 

@@ -3,13 +3,21 @@
 from __future__ import annotations
 
 from rcp_kernel.clients.session import Session
-from rcp_kernel.errors import BadRequest, Forbidden, UnknownPath, UnsupportedOperation
+from rcp_kernel.errors import (
+    AdapterUnavailable,
+    BadRequest,
+    Forbidden,
+    RcpError,
+    UnknownPath,
+    UnsupportedOperation,
+)
 from rcp_kernel.model import Operation, operation_names, parse_path
 from rcp_kernel.registry import Entry, Registry
 
 __all__ = ["Resolver"]
 
 _WHOLE = ("/tenant/", "/system/")
+_AGAIN = 0.5  # s after which to ask again for what may come
 
 
 class Resolver:
@@ -37,6 +45,9 @@ class Resolver:
         entry = self._registry.entries.get(full)
         if entry is None or not mask:
             parse_path(full, None)
+            # By the rights and the place alone: what is hidden answers as what is not there.
+            if mask and self._registry.may_come(full):
+                raise _not_yet(full)
             raise UnknownPath(f"there is no resource {full}", path=full)
         if not known:
             rights.remember(full, mask)
@@ -73,3 +84,12 @@ class Resolver:
             remedy="Bring about what the condition asks for, or have the rule changed.",
             details={"condition": hindrance.text},
         )
+
+
+def _not_yet(path: str) -> RcpError:
+    return AdapterUnavailable(
+        f"there is no resource {path} yet: a robot that may have it is not connected so far",
+        path=path,
+        remedy="Send it again after `retry_after` seconds; `status` shows each backend.",
+        retry_after=_AGAIN,
+    )

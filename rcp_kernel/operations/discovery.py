@@ -41,9 +41,12 @@ class _Seen(NamedTuple):
 
     generation: int
     visible: dict[str, Resource]
+    growing: set[str]
+    """Tenants of those in which it acts whose backends are not all open."""
     number: int
 
 
+_ALL = Pattern("/**")
 _QUERY = value_type(Query | None)
 
 
@@ -67,11 +70,17 @@ class Discovery:
             return seen.number
         entries = self._registry.entries.values()
         visible = {e.path: e.resource for e in entries if rights.mask(e.path)}
+        growing = self._growing(rights, _ALL)
         number = 0 if seen is None else seen.number
-        if seen is None or seen.visible != visible:
+        if seen is None or seen.visible != visible or seen.growing != growing:
             number = max(number + 1, now() // 1_000_000)  # a count would tell of others' changes
-        self._seen[rights] = _Seen(self._registry.generation, visible, number)
+        self._seen[rights] = _Seen(self._registry.generation, visible, growing, number)
         return number
+
+    def _growing(self, rights: Rights, pattern: Pattern) -> set[str]:
+        """Return those of somebody's tenants in which a pattern may yet reach more."""
+        tenants = self._registry.growing(pattern)
+        return tenants if "*" in rights.tenants else tenants.intersection(rights.tenants)
 
     def answer(self, rights: Rights, tenant: str | None, request: Request) -> dict[str, Any]:
         """Carry out a `discover` request.
@@ -91,6 +100,7 @@ class Discovery:
         words = query.q.casefold().split() if query.q else []
         after = place_of(query.cursor) if query.cursor else ""
         page: list[dict[str, Any]] = []
+        whole = {"complete": False} if self._growing(rights, pattern) else {}
         for entry in self._registry.match(pattern, after):
             mask = reach(rights.mask(entry.path))
             if not mask or (query.kind is not None and entry.kind is not query.kind):
@@ -104,12 +114,13 @@ class Discovery:
                     "resources": page,
                     "cursor": cursor_of(page[-1]["path"]),
                     "generation": self.generation(rights),
+                    **whole,
                 }
             facts = self.describe(entry, mask, schemas=query.schemas)
             if entry.operations & mask & _COMMANDED:
                 facts |= self._envelopes.told(rights, entry, schemas=query.schemas)
             page.append(facts)
-        return {"resources": page, "generation": self.generation(rights)}
+        return {"resources": page, "generation": self.generation(rights), **whole}
 
     def describe(self, entry: Entry, mask: int, *, schemas: bool = True) -> dict[str, Any]:
         """Write one resource as the catalogue does, with the operations that `mask` allows."""

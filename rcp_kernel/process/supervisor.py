@@ -41,6 +41,7 @@ State = Literal[
 _FIRST_RETRY = 0.25  # s
 _LAST_RETRY = 10.0  # s
 _FAULTS = 1.0  # s between log records of one backend's bad values
+_OPENS = ("declared", "opening")
 WIRE_STATE = {
     "declared": "starting",
     "opening": "starting",
@@ -82,7 +83,9 @@ class Slot:
         self._backend: ContainedBackend | None = None
         self._on_loss = BaseBackend.on_loss
         self._closing = asyncio.Event()
+        self._discovering = False
         self._told = 0.0
+        self._note_growth()
 
     # -- Owner ---------------------------------------------------------------------------------
 
@@ -253,6 +256,11 @@ class Slot:
             self.plans[name] = plan
         self.plans_changed += 1
 
+    def discovering(self, *, active: bool) -> None:
+        """Note whether an open backend still looks for what it has."""
+        self._discovering = active
+        self._note_growth()
+
     # -- life ----------------------------------------------------------------------------------
 
     def fail(self, state: State, detail: str) -> None:
@@ -265,6 +273,7 @@ class Slot:
         wait = _FIRST_RETRY
         while not self._closing.is_set():
             started = time.monotonic()
+            self._discovering = False
             if self.state != "down":
                 self._enter("opening", None)
             try:
@@ -360,9 +369,17 @@ class Slot:
             )
             self._gateway.commands.interrupt(entry.path, error)
 
+    def _note_growth(self) -> None:
+        """Have paths that are not there answered by whether they may come."""
+        opens = self.state in _OPENS or (self.state == "down" and self._backend is None)
+        looks = self._discovering and self._backend is not None
+        growing = not self._closing.is_set() and (opens or looks)
+        self._gateway.registry.grow(self, growing=growing)
+
     def _enter(self, state: State, detail: str | None) -> None:
         changed = state != self.state
         self.state, self.detail = state, detail
+        self._note_growth()
         if detail is not None:
             self.last_error = detail
         if not changed:
@@ -383,6 +400,7 @@ class Slot:
         if self.state in ("ready", "degraded"):
             self._enter("closing", None)
         self._closing.set()
+        self._note_growth()
 
     def plain(self) -> dict[str, Any]:
         """Describe the backend for `/system/status`."""

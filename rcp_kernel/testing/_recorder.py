@@ -104,3 +104,8 @@ class Recorder:
         if plan is not None:
             self.plans[name] = plan
         self._host.guard(name, plan)
+
+    def discovering(self, *, active: bool) -> None:
+        """Pass on."""
+        self._check("discovering")
+        self._host.discovering(active=active)

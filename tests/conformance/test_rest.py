@@ -49,6 +49,23 @@ class TestRest(Wire):
         found = {item["path"]: item for item in many.json()["body"]}
         assert found["/tenant/alpha/sensor/pose"]["status"] == "completed"
 
+    @proves("rest.opening")
+    async def test_what_may_yet_come_is_503_with_a_time_to_ask_again(
+        self, world: World, http: httpx.AsyncClient
+    ) -> None:
+        for url in ("/context/sensor/ghost/arrived", "/events?path=/sensor/ghost/arrived"):
+            reply = await http.get(url)
+            assert (reply.status_code, int(reply.headers["retry-after"])) == (503, 1), url
+            assert reply.json()["error"]["code"] == "adapter_unavailable"
+        before = await http.get("/discovery?schemas=false&limit=1")
+        assert before.json()["body"]["complete"] is False
+        await world.arrive()
+        tag = {"If-None-Match": before.headers["etag"]}
+        after = await http.get("/discovery?schemas=false&limit=1", headers=tag)
+        assert (after.status_code, after.json()["body"].get("complete")) == (200, None)
+        gone = await http.get("/context/sensor/ghost/never")
+        assert (gone.status_code, gone.json()["error"]["code"]) == (404, "unknown_path")
+
     @proves("rest.write")
     async def test_put_writes(self, world: World, http: httpx.AsyncClient) -> None:
         reply = await http.put("/context/param/limit", json=2.0)

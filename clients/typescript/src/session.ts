@@ -87,6 +87,7 @@ export class Session {
     clearTimeout(this.#retry);
     clearTimeout(this.#opening);
     clearInterval(this.#pinging);
+    for (const subscription of this.subscriptions.values()) subscription.rest();
     this.#to("closed");
     this.#link?.close("the client was closed");
     this.#loseAll("the client was closed");
@@ -330,11 +331,12 @@ export class Session {
   /** Ask for a subscription, for the first time or in a new session. */
   async subscribe(subscription: Subscription): Promise<Reply> {
     const body = { ...subscription.options, paths: subscription.paths };
+    subscription.rest();
     try {
       const reply = await this.ask({ type: "subscribe", id: subscription.id, body });
       if (reply.error?.code === "duplicate_request") subscription.made = true; // it had arrived before the cut
       if (reply.error && !subscription.made) throw new RcpError(reply.error);
-      subscription.made = true;
+      subscription.stand();
       if (!reply.error) {
         subscription.reaches = (reply.body as { paths: string[] }).paths;
         if (reply.cursor !== undefined) this.#reachRest(subscription, reply.cursor).catch(() => undefined);
@@ -342,11 +344,23 @@ export class Session {
       return reply;
     } catch (error) {
       // Without a connection it is asked for again with the next one.
-      if (!(error instanceof ConnectionLost)) {
-        this.subscriptions.delete(subscription.id);
-        subscription.over(error as RcpError);
-      }
+      if (!(error instanceof ConnectionLost)) this.#later(subscription, error as RcpError);
       throw error;
+    }
+  }
+
+  /** Ask again for what is refused for now, as while its robot comes up; what is refused for good has ended. */
+  #later(subscription: Subscription, error: RcpError): void {
+    const wanted = this.subscriptions.get(subscription.id) === subscription;
+    // At first, too many are too many; after a cut, those of the session before may still count.
+    const hopeful = error.retryable && (subscription.stood || error.code !== "queue_full");
+    if (wanted && hopeful)
+      subscription.after(error.retryAfter, () => {
+        if (this.state === "open" && !subscription.made) this.subscribe(subscription).catch(() => undefined);
+      });
+    else {
+      this.subscriptions.delete(subscription.id);
+      subscription.over(error);
     }
   }
 

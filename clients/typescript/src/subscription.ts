@@ -1,10 +1,11 @@
 import type { RcpError } from "./errors.ts";
+import { Backoff } from "./link.ts";
 import type { Notice, SubscribeOptions, Update } from "./wire.ts";
 
 export interface Handlers<T> {
   update: (update: Update<T>) => void;
   notice?: (notice: Notice) => void;
-  /** It stands no more: refused when it was made anew, overrun, or its count or duration is over. */
+  /** It stands no more: refused for good, overrun, or its count or duration is over. What is refused for now is asked for again. */
   ended?: (error: RcpError | undefined) => void;
 }
 
@@ -17,7 +18,11 @@ export class Subscription<T = any> {
   reaches: string[] = [];
   /** Whether the gateway's session has it. */
   made = false;
+  /** Whether it has ever stood. */
+  stood = false;
   ended = false;
+  readonly #backoff = new Backoff(100);
+  #again: ReturnType<typeof setTimeout> | undefined;
   readonly #handlers: Handlers<T>;
   readonly #end: (subscription: Subscription<T>) => Promise<void>;
   #seen = new Map<string, number>();
@@ -40,7 +45,25 @@ export class Subscription<T = any> {
   async close(): Promise<void> {
     if (this.ended) return;
     this.ended = true;
+    this.rest();
     await this.#end(this);
+  }
+
+  /** The gateway has it. */
+  stand(): void {
+    this.made = this.stood = true;
+    this.#backoff.reset();
+  }
+
+  /** Call back when it is time for another try, in `seconds` at the earliest. */
+  after(seconds: number | undefined, again: () => void): void {
+    this.rest();
+    this.#again = setTimeout(again, Math.max((seconds ?? 0) * 1000, this.#backoff.next()));
+  }
+
+  /** Try no more, until told to. */
+  rest(): void {
+    clearTimeout(this.#again);
   }
 
   /** The number of the last sample of each path. */

@@ -132,6 +132,8 @@ export interface Discovered {
   resources: Resource[];
   cursor?: string;
   generation: number;
+  /** False while more may come from backends that are not open yet. */
+  complete?: boolean;
 }
 
 export interface DiscoverOptions {

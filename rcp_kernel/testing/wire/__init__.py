@@ -9,6 +9,7 @@ from rcp_kernel.testing.wire._control import Control
 from rcp_kernel.testing.wire._discovery import Discovery
 from rcp_kernel.testing.wire._envelopes import Envelopes
 from rcp_kernel.testing.wire._once import Once
+from rcp_kernel.testing.wire._opening import Opening
 from rcp_kernel.testing.wire._pages import Pages
 from rcp_kernel.testing.wire._paths import Paths
 from rcp_kernel.testing.wire._plans import Planning
@@ -38,6 +39,7 @@ __all__ = [
 
 class TransportSuite(
     Paths,
+    Opening,
     Envelopes,
     Once,
     Silence,

@@ -13,9 +13,9 @@ from rcp_kernel.config.file import GatewayConfig, StoreConfig, parse
 from rcp_kernel.process.server import Server
 from rcp_kernel.testing._client import Client
 from rcp_kernel.testing._serve import ADMIN, OPERATOR, VIEWER, Served, serve
-from rcp_kernel.testing._suite import Suite
+from rcp_kernel.testing._suite import Suite, eventually
 from rcp_kernel.testing.wire._requirements import REQUIREMENTS
-from rcp_kernel.testing.wire._robot import DEAD, ROBOT, WireRobot
+from rcp_kernel.testing.wire._robot import DEAD, ROBOT, Absence, WireRobot
 from rcp_kernel.values import Encoding
 
 __all__ = ["ASKING", "LOCAL", "Wire", "World", "configuration"]
@@ -24,6 +24,8 @@ ASKING = "asking-of-the-test-kit"
 """API key of somebody who has to have `service/nothing` approved."""
 LOCAL = "local-of-the-test-kit"
 """API key of an operator of one tenant, who may not see `sensor/secret`."""
+
+ARRIVAL = 30.0  # s within which a backend that waits between two tries has come up
 
 _CONFIG = f"""
 [[backends]]
@@ -51,7 +53,7 @@ tenant = "beta"
 small = true
 
 [roles.blinkered]
-deny = [{{ operations = ["discover"], paths = ["/sensor/secret"] }}]
+deny = [{{ operations = ["discover"], paths = ["/sensor/secret", "/sensor/ghost/secret"] }}]
 
 [roles.careful]
 approve = ["/service/nothing"]
@@ -132,6 +134,16 @@ class World:
         for value in values:
             self.robot().host.publish(name, value)
 
+    async def arrive(self) -> None:
+        """Have the robot come that was not there; return once it has."""
+        Absence.ends = True
+        slot = next(slot for slot in self.server.slots if slot.name == "ghost")
+
+        async def is_ready() -> bool:
+            return slot.state == "ready"
+
+        await eventually(is_ready, "the robot comes", ARRIVAL)
+
     def limit(self, **limits: int) -> None:
         """Change limits of the gateway while it runs, as a reload of its configuration does."""
         config = self.server.gateway.config
@@ -179,6 +191,7 @@ class Wire(Suite):
     @pytest.fixture
     async def world(self) -> AsyncGenerator[World]:
         """A gateway with robots, for one test."""
+        Absence.ends = False
         with TemporaryDirectory() as folder:
             store = StoreConfig(path=f"{folder}/store.db")
             config = msgspec.structs.replace(configuration(self.transports), store=store)

@@ -11,7 +11,7 @@ from rcp_kernel.errors import DeviceTimeout
 from rcp_kernel.model import Operation, Resource
 from rcp_kernel.types import Int64, PoseStamped, Twist, UInt64, nonfinite, quantity
 
-__all__ = ["BROKEN", "Frame", "Go", "Parcel", "ghost", "resources", "small"]
+__all__ = ["BROKEN", "Frame", "Go", "Parcel", "arrived", "ghost", "resources", "small"]
 
 
 class Battery(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -84,9 +84,17 @@ def small() -> list[Resource]:
 
 
 def ghost() -> list[Resource]:
-    """Return what a robot declares that never comes up."""
+    """Return what a robot declares that is not there."""
     go = Resource(name="action/go", description="Would go.", input=Go)
     return [*small(), go]
+
+
+def arrived() -> list[Resource]:
+    """Return what it declares besides, once it has come."""
+    level = quantity("m")
+    return [
+        Resource(name="sensor/arrived", description="Comes with the robot.", value=level, live=True)
+    ]
 
 
 def _values() -> list[Resource]:

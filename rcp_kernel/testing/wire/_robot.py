@@ -15,9 +15,9 @@ import msgspec
 
 from rcp_kernel.errors import DeviceRejected, DeviceTimeout, NotReady
 from rcp_kernel.spi import BackendKind, BaseBackend, Host, Progress
-from rcp_kernel.testing.wire._resources import BROKEN, ghost, resources, small
+from rcp_kernel.testing.wire._resources import BROKEN, arrived, ghost, resources, small
 
-__all__ = ["DEAD", "ROBOT", "WireRobot"]
+__all__ = ["DEAD", "ROBOT", "Absence", "WireRobot"]
 
 
 class WireConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -130,13 +130,21 @@ async def _open(config: WireConfig, host: Host) -> AsyncGenerator[WireRobot]:
     yield WireRobot(host)
 
 
+class Absence:
+    """Whether the robot that is not there stays away."""
+
+    ends = False
+
+
 @asynccontextmanager
-async def _never(_config: WireConfig, host: Host) -> AsyncGenerator[WireRobot]:
+async def _absent(_config: WireConfig, host: Host) -> AsyncGenerator[WireRobot]:
     host.declare(*ghost())
-    raise NotReady("nobody answers at the other end")
+    if not Absence.ends:
+        raise NotReady("nobody answers at the other end")
+    host.declare(*arrived())
     yield WireRobot(host)
 
 
 ROBOT = BackendKind("wire-robot", WireConfig, _open)
-DEAD = BackendKind("dead-robot", WireConfig, _never)
-"""A robot that is declared and never comes up."""
+DEAD = BackendKind("dead-robot", WireConfig, _absent)
+"""A robot of which a part is declared, and that comes up only where a test has it come."""

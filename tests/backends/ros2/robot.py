@@ -98,6 +98,9 @@ class Robot:
         if plan is not None:
             self.plans[name] = plan
 
+    def discovering(self, *, active: bool) -> None:
+        pass
+
     async def until(self, holds: Callable[[], Any], seconds: float = BOUND) -> Any:
         """Wait until something holds of what the host was told."""
         async with asyncio.timeout(seconds):

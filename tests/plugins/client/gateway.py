@@ -156,6 +156,9 @@ class Gateway:
         without = "" if http else "http = false\nsse = false"
         self._options = {"session_ttl": session_ttl, "more": more, "without": without}
         self._stack = AsyncExitStack()
+        self.opens = asyncio.Event()
+        """Lets the robots come up."""
+        self.opens.set()
         self.server: Server | None = None
 
     @property
@@ -188,6 +191,7 @@ class Gateway:
 
     @asynccontextmanager
     async def _open(self, _config: NoOptions, host: Host) -> AsyncGenerator[Robot]:
+        await self.opens.wait()
         robot = self.robots[host.tenant] = Robot(host)
         robot.declare()
         yield robot
