@@ -5,6 +5,8 @@ from __future__ import annotations
 import os
 import signal
 from collections import Counter
+from collections.abc import Generator
+from pathlib import Path
 from typing import Any
 
 import psutil
@@ -12,8 +14,13 @@ import pytest
 from hypothesis import settings
 from xdist.scheduler.loadscope import LoadScopeScheduling
 
+from failures import LISTED, Failure, failure, note
+
 _under_way: set[str] = set()
 _MEMORY = 2**30  # bytes that a process and what its tests start may need
+_LINE = 4000  # characters of a line in a report: errors are told in full, maps and pictures are not
+_listed = os.environ.get(LISTED)
+_leading = "PYTEST_XDIST_WORKER" not in os.environ
 
 # How long an example takes is the machine's affair: no test is timed. CI tries the same each time.
 settings.register_profile("untimed", deadline=None, derandomize="CI" in os.environ)
@@ -45,6 +52,33 @@ class _Scheduling(LoadScopeScheduling):
 def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> _Scheduling:
     """Leave the machine to one browser at a time."""
     return _Scheduling(config, log)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport() -> Generator[None, pytest.TestReport, pytest.TestReport]:
+    """Cut lines that nobody could read."""
+    report = yield
+    for entry in getattr(getattr(report.longrepr, "reprtraceback", None), "reprentries", ()):
+        entry.lines = [line if len(line) <= _LINE else line[:_LINE] + " …" for line in entry.lines]
+    return report
+
+
+def pytest_runtest_logreport(report: pytest.TestReport) -> None:
+    """List what fails, for whoever asked for a list."""
+    if report.failed and _listed and _leading:
+        note(failure(report), Path(_listed))
+
+
+def pytest_collectreport(report: pytest.CollectReport) -> None:
+    """List what cannot be imported too."""
+    if report.failed and _listed and _leading:
+        note(failure(report), Path(_listed))
+
+
+def pytest_sessionfinish(session: pytest.Session) -> None:
+    """List that tests were left out: no rerun of one that failed can speak for them."""
+    if (session.shouldfail or session.shouldstop) and _listed and _leading:
+        note(Failure("the run", "it was cut short", crashed=True), Path(_listed))
 
 
 def pytest_runtest_logstart(nodeid: str) -> None:
