@@ -12,9 +12,10 @@ from typing import Any
 import psutil
 import pytest
 from hypothesis import settings
-from xdist.scheduler.loadscope import LoadScopeScheduling
 
 from failures import LISTED, Failure, failure, note
+from pairs import left_out
+from scheduling import PROCESSES, Scheduling
 
 _under_way: set[str] = set()
 _MEMORY = 2**30  # bytes that a process and what its tests start may need
@@ -37,21 +38,24 @@ def anyio_backend() -> str:
 
 
 def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
-    """Take two processes a core: tests wait more than they compute."""
+    """Take several processes a core, as far as memory goes: tests wait more than they compute."""
     fit = psutil.virtual_memory().available // _MEMORY
-    return max(1, min(2 * (psutil.cpu_count() or 1), fit))
+    return max(1, min(PROCESSES * (psutil.cpu_count() or 1), fit))
 
 
-class _Scheduling(LoadScopeScheduling):
-    """A file's functions, or a class, in one process; all that needs a browser in one too."""
-
-    def _split_scope(self, nodeid: str) -> str:
-        return "browser" if nodeid.startswith("tests/browser/") else super()._split_scope(nodeid)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Scheduling:
+    """Keep the cores evenly busy."""
+    return Scheduling(config, log)
 
 
-def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> _Scheduling:
-    """Leave the machine to one browser at a time."""
-    return _Scheduling(config, log)
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Leave out what repeats others, unless it is asked for by its name."""
+    if any("::" in each for each in config.args):
+        return
+    repeated = [item for item in items if left_out(item)]
+    if repeated:
+        config.hook.pytest_deselected(items=repeated)
+        items[:] = [item for item in items if item not in repeated]
 
 
 @pytest.hookimpl(wrapper=True)

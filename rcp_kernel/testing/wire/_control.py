@@ -46,7 +46,7 @@ async def passed(moment: float) -> None:
     async def over() -> bool:
         return time.time() > moment
 
-    await eventually(over, "time goes on", 5.0)
+    await eventually(over, "time goes on")
 
 
 class Control(Wire):
