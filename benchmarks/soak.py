@@ -16,6 +16,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections import Counter
 from pathlib import Path
 
 import httpx
@@ -109,10 +110,11 @@ async def ok(asked) -> None:
     assert answer.status_code == 200, answer.text
 
 
-async def clients(url: str, until: float) -> int:
-    """Take turns at a steady rate until then; return how many there were."""
+async def clients(url: str, until: float) -> Counter[str]:
+    """Take turns at a steady rate until then; return how many there were, and how many failed of what."""
     kinds = WebSocketClient(url), WebClient(url)
     loop, number, due = asyncio.get_running_loop(), 0, time.monotonic()
+    ended: Counter[str] = Counter()
     under_way: set[asyncio.Task[None]] = set()
     while time.monotonic() < until:
         for kind in kinds:
@@ -120,11 +122,15 @@ async def clients(url: str, until: float) -> int:
         due = max(due + 1 / RATE, time.monotonic())
         await asyncio.sleep(due - time.monotonic())
         number += 1
-        for task in [task for task in under_way if task.done()]:
-            under_way.discard(task)
-            task.result()
-    await asyncio.gather(*under_way)
-    return number
+        done = {task for task in under_way if task.done()}
+        under_way -= done
+        ended.update(outcome(task.exception()) for task in done)
+    ended.update(map(outcome, await asyncio.gather(*under_way, return_exceptions=True)))
+    return ended
+
+
+def outcome(error: BaseException | None) -> str:
+    return "turns done" if error is None else f"failed: {type(error).__name__} {error!s:.200}"
 
 
 async def soak(url: str, rcpd: psutil.Process) -> list[float]:
@@ -145,7 +151,8 @@ async def soak(url: str, rcpd: psutil.Process) -> list[float]:
             kept.append(rss)
         if work.done():
             break
-    print(f"{await work} turns of each client")
+    for what, count in (await work).most_common():
+        print(f"{count:7} {what}")
     return kept
 
 
@@ -177,7 +184,9 @@ def main() -> int:
     third = len(kept) // 3
     grown = statistics.median(kept[-third:]) - statistics.median(kept[:third])
     flat = off <= FLAT
-    print(f"after the warm-up: median {middle:.1f} MB, at most {off:.1%} off, last third {grown:+.2f} MB")
+    print(
+        f"after the warm-up: median {middle:.1f} MB, at most {off:.1%} off, last third {grown:+.2f} MB"
+    )
     print("flat" if flat else "NOT FLAT")
     return not flat
 
