@@ -53,7 +53,7 @@ class Stopped:
 
     async def estop(self, deadline: float = 5.0) -> Any:
         return await self.client.request(
-            "execute", "/system/estop", deadline=deadline, within=deadline + 5
+            "execute", "/system/estop", deadline=deadline, within=deadline + 20
         )
 
     async def reset(self) -> None:
@@ -66,7 +66,7 @@ class Stopped:
         (found,) = reply["body"]["robots"].values()
         return found
 
-    async def confirmed(self, within: float = 10.0) -> None:
+    async def confirmed(self, within: float = 20.0) -> None:
         async def holds() -> bool:
             return (await self.state())["state"] == "confirmed"
 
@@ -92,7 +92,7 @@ async def flying(options: dict[str, Any] | None = None, **config: Any) -> AsyncG
             yield Stopped(served, running, link)
 
 
-async def until(holds: Callable[[], object], what: str, within: float = 10.0) -> None:
+async def until(holds: Callable[[], object], what: str, within: float = 20.0) -> None:
     async def check() -> bool:
         return bool(holds())
 

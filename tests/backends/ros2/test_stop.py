@@ -134,7 +134,7 @@ async def test_a_publisher_that_goes_on_is_outspoken_and_named(rig: Rig, rate: i
         state = robot.backend.motion(None)
         assert "/teleop" in state.detail
         assert "commands /cmd_vel at" in state.detail
-        assert any("/teleop" in (report or "") for report in robot.reports)
+        await robot.until(lambda: any("/teleop" in (report or "") for report in robot.reports))
         robot.latched.clear()  # and after the reset the other one is obeyed again
         await rig.drives()
 
