@@ -25,6 +25,7 @@ from websockets.asyncio.client import connect
 
 SECONDS = float(sys.argv[1]) if len(sys.argv) > 1 else 600.0
 RATE = float(sys.argv[2]) if len(sys.argv) > 2 else 2.0  # turns a second
+AT_ONCE = 8  # turns
 SAMPLES = 120
 WARM = 1 / 4  # of the time: the rings, the histories and the pools of the allocator fill
 FLAT = 0.05
@@ -117,6 +118,8 @@ async def clients(url: str, until: float) -> Counter[str]:
     ended: Counter[str] = Counter()
     under_way: set[asyncio.Task[None]] = set()
     while time.monotonic() < until:
+        if len(under_way) >= AT_ONCE:  # a machine that is busy gets fewer turns, not more at once
+            await asyncio.wait(under_way, return_when=asyncio.FIRST_COMPLETED)
         for kind in kinds:
             under_way.add(loop.create_task(kind.turn(number)))
         due = max(due + 1 / RATE, time.monotonic())
