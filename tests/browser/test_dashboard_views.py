@@ -16,8 +16,8 @@ from browser.watched import Watched, log_in, signed_in
 from docs.demo import Demo
 
 pytestmark = pytest.mark.anyio
-expect.set_options(timeout=20_000)  # ms
-_BOUND = 20.0  # s
+expect.set_options(timeout=60_000)  # ms
+_BOUND = 60.0  # s
 _STILL = 0.02  # m in a quarter of a second
 _LEAVE_AND_CHANGE = """
 ([change, value]) => {
