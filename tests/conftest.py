@@ -24,7 +24,9 @@ _listed = os.environ.get(LISTED)
 _leading = "PYTEST_XDIST_WORKER" not in os.environ
 
 # How long an example takes is the machine's affair: no test is timed. CI tries the same each time.
-settings.register_profile("untimed", deadline=None, derandomize=not {"CI", "RCP_CI"}.isdisjoint(os.environ))
+settings.register_profile(
+    "untimed", deadline=None, derandomize=not {"CI", "RCP_CI"}.isdisjoint(os.environ)
+)
 settings.load_profile("untimed")
 
 # Where the tests are started in the background, Ctrl-C is ignored, and would be by all they start.
