@@ -2,20 +2,30 @@
 
 What can runs side by side in several processes, a file's functions or a class in one of them; then,
 alone, what is marked `calm`. A single test, or what is asked for with `-n0`, runs as ever.
+
+What failed is run again, alone, and told at the very end with its reason; see `verdict`.
 """
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
+import tempfile
+from pathlib import Path
+
+from failures import LISTED, Failure, read
+from verdict import tell
 
 _NONE = 5  # pytest's exit code when there is no such test
 _SPREAD = ("-n", "auto", "--dist", "loadscope", "--no-loadscope-reorder")
 
 
-def run(*arguments: str) -> int:
-    """Run pytest to its end; its exit code."""
-    with subprocess.Popen([sys.executable, "-m", "pytest", *arguments]) as process:
+def run(*arguments: str, listed: Path | None = None) -> int:
+    """Run pytest to its end, with what fails listed in a file; its exit code."""
+    environment = {**os.environ, LISTED: str(listed or "")}
+    command = [sys.executable, "-m", "pytest", *arguments]
+    with subprocess.Popen(command, env=environment) as process:
         while True:
             try:
                 return process.wait()
@@ -23,15 +33,23 @@ def run(*arguments: str) -> int:
                 continue
 
 
+def passes_alone(failure: Failure) -> bool:
+    """Run a test by itself."""
+    return run("-n0", "-q", "--no-header", "--tb=short", failure.test) == 0
+
+
 def main(arguments: list[str]) -> int:
-    """Run what is asked for; 0 if all of it passed."""
+    """Run what is asked for; 0 if all of it passed, or if nothing but a busy machine spoke against it."""
     if any("::" in each or each.startswith("-n") for each in arguments):
         return run(*arguments)
-    spread = run(*_SPREAD, "-m", "not calm", *arguments)
-    if spread not in (0, 1, _NONE):
-        return spread
-    calm = run("-m", "calm", *arguments)
-    return spread if calm == _NONE else calm if spread == _NONE else max(spread, calm)
+    with tempfile.TemporaryDirectory() as folder:
+        listed = Path(folder) / "failures"
+        spread = run(*_SPREAD, "-m", "not calm", *arguments, listed=listed)
+        if spread not in (0, 1, _NONE):
+            return spread
+        calm = run("-m", "calm", *arguments, listed=listed)
+        result = spread if calm == _NONE else calm if spread == _NONE else max(spread, calm)
+        return tell(read(listed), passes_alone) if result == 1 else result
 
 
 if __name__ == "__main__":

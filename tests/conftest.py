@@ -5,18 +5,28 @@ from __future__ import annotations
 import os
 import signal
 from collections import Counter
+from collections.abc import Generator
+from pathlib import Path
 from typing import Any
 
 import psutil
 import pytest
 from hypothesis import settings
-from xdist.scheduler.loadscope import LoadScopeScheduling
+
+from failures import LISTED, Failure, failure, note
+from pairs import left_out
+from scheduling import PROCESSES, Scheduling
 
 _under_way: set[str] = set()
 _MEMORY = 2**30  # bytes that a process and what its tests start may need
+_LINE = 4000  # characters of a line in a report: errors are told in full, maps and pictures are not
+_listed = os.environ.get(LISTED)
+_leading = "PYTEST_XDIST_WORKER" not in os.environ
 
 # How long an example takes is the machine's affair: no test is timed. CI tries the same each time.
-settings.register_profile("untimed", deadline=None, derandomize="CI" in os.environ)
+settings.register_profile(
+    "untimed", deadline=None, derandomize=not {"CI", "RCP_CI"}.isdisjoint(os.environ)
+)
 settings.load_profile("untimed")
 
 # Where the tests are started in the background, Ctrl-C is ignored, and would be by all they start.
@@ -30,21 +40,51 @@ def anyio_backend() -> str:
 
 
 def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
-    """Take two processes a core: tests wait more than they compute."""
+    """Take several processes a core, as far as memory goes: tests wait more than they compute."""
     fit = psutil.virtual_memory().available // _MEMORY
-    return max(1, min(2 * (psutil.cpu_count() or 1), fit))
+    return max(1, min(PROCESSES * (psutil.cpu_count() or 1), fit))
 
 
-class _Scheduling(LoadScopeScheduling):
-    """A file's functions, or a class, in one process; all that needs a browser in one too."""
-
-    def _split_scope(self, nodeid: str) -> str:
-        return "browser" if nodeid.startswith("tests/browser/") else super()._split_scope(nodeid)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Scheduling:
+    """Keep the cores evenly busy."""
+    return Scheduling(config, log)
 
 
-def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> _Scheduling:
-    """Leave the machine to one browser at a time."""
-    return _Scheduling(config, log)
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Leave out what repeats others, unless it is asked for by its name."""
+    if any("::" in each for each in config.args):
+        return
+    repeated = [item for item in items if left_out(item)]
+    if repeated:
+        config.hook.pytest_deselected(items=repeated)
+        items[:] = [item for item in items if item not in repeated]
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport() -> Generator[None, pytest.TestReport, pytest.TestReport]:
+    """Cut lines that nobody could read."""
+    report = yield
+    for entry in getattr(getattr(report.longrepr, "reprtraceback", None), "reprentries", ()):
+        entry.lines = [line if len(line) <= _LINE else line[:_LINE] + " …" for line in entry.lines]
+    return report
+
+
+def pytest_runtest_logreport(report: pytest.TestReport) -> None:
+    """List what fails, for whoever asked for a list."""
+    if report.failed and _listed and _leading:
+        note(failure(report), Path(_listed))
+
+
+def pytest_collectreport(report: pytest.CollectReport) -> None:
+    """List what cannot be imported too."""
+    if report.failed and _listed and _leading:
+        note(failure(report), Path(_listed))
+
+
+def pytest_sessionfinish(session: pytest.Session) -> None:
+    """List that tests were left out: no rerun of one that failed can speak for them."""
+    if (session.shouldfail or session.shouldstop) and _listed and _leading:
+        note(Failure("the run", "it was cut short", crashed=True), Path(_listed))
 
 
 def pytest_runtest_logstart(nodeid: str) -> None:

@@ -11,6 +11,7 @@ import msgspec
 import structlog
 
 from rcp_kernel.config.file import GatewayConfig, KeyConfig, decode_table, parse
+from rcp_kernel.config.safety import Safety
 from rcp_kernel.plugins import Plugins
 from rcp_kernel.process.log import Recent
 from rcp_kernel.process.server import Prepared, Server, running
@@ -33,6 +34,7 @@ _KEYS = tuple(
     KeyConfig(name=role, role=role, key=key)
     for role, key in (("operator", OPERATOR), ("viewer", VIEWER), ("admin", ADMIN))
 )
+_GUARD_AFTER = 10.0  # s
 
 
 class Life(msgspec.Struct, frozen=True):
@@ -78,12 +80,14 @@ async def serve(
     """Run the gateway of a configuration while entered.
 
     What was logged of late comes into its status where `recent`, of `configure`, is given. The `kinds` serve its `[[backends]]` by name, without an entry point. Transports that the
-    configuration names are opened; a text that names none opens none.
+    configuration names are opened; a text that names none opens none. Where `guard_after` has its default, the
+    guard waits as long as it can: the test, and whatever it simulates, share the gateway's event loop.
 
     :raises StartupError: as `rcpd serve` would.
     """
     if isinstance(config, str):
         config = parse(_QUIET + config, "test")
+    config = _patient(config)
     if not structlog.is_configured():
         _log_plainly()
     lives: list[Life] = []
@@ -106,6 +110,14 @@ async def serve(
     prepared = Prepared(config, plugins, tuple(tables), transports, adapters)
     async with running(prepared, recent) as server:
         yield Served(server, lives)
+
+
+def _patient(config: GatewayConfig) -> GatewayConfig:
+    """Have the guard not take a busy machine for a gateway that stands still."""
+    if config.safety.guard_after != Safety().guard_after:
+        return config
+    safety = msgspec.structs.replace(config.safety, guard_after=_GUARD_AFTER)
+    return msgspec.structs.replace(config, safety=safety)
 
 
 def _log_plainly() -> None:

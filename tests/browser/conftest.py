@@ -67,7 +67,7 @@ async def browser(chromium: str) -> AsyncGenerator[Browser]:
 async def page(browser: Browser) -> AsyncGenerator[Page]:
     """Open a tab of its own: no cookies, no cache, no other tab to see."""
     context = await browser.new_context(ignore_https_errors=False)
-    context.set_default_timeout(10_000)  # ms
+    context.set_default_timeout(60_000)  # ms
     try:
         yield await context.new_page()
     finally:

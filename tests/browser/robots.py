@@ -10,7 +10,7 @@ import httpx
 
 __all__ = ["BOUND", "STILL", "speed", "until", "value"]
 
-BOUND = 20.0  # s that anything may take
+BOUND = 60.0  # s that anything may take
 STILL = 0.002  # m/s
 
 

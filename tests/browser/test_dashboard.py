@@ -23,7 +23,7 @@ from rcp_kernel.process.log import configure
 from rcp_kernel.testing import serve
 
 pytestmark = pytest.mark.anyio
-expect.set_options(timeout=20_000)  # ms
+expect.set_options(timeout=60_000)  # ms
 PAGES = ("", "explore", "teleop", "camera", "scene", "map", "plot", "commands", "log")
 SHOWN = {
     "explore": "path=/tenant/alpha/sensor/pose",

@@ -14,7 +14,7 @@ from docs.demo import Demo
 from rcp_dashboard.pages import STATIC
 
 pytestmark = pytest.mark.anyio
-expect.set_options(timeout=20_000)  # ms
+expect.set_options(timeout=60_000)  # ms
 AXE = STATIC.parent / "web" / "node_modules" / "axe-core" / "axe.min.js"
 PAGES = (
     "",

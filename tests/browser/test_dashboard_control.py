@@ -16,7 +16,7 @@ from rcp_kernel.process.log import configure
 from rcp_kernel.testing import serve
 
 pytestmark = [pytest.mark.anyio, pytest.mark.calm]
-expect.set_options(timeout=20_000)  # ms
+expect.set_options(timeout=60_000)  # ms
 PEOPLE = {"ada": "admin", "otto": "operator", "lena": "learner"}
 GATEWAY = """
 [transports.asgi]

@@ -17,7 +17,7 @@ from rcp_kernel.model import Resource
 from rcp_kernel.types import Point, PoseStamped
 
 pytestmark = [pytest.mark.anyio, pytest.mark.calm]
-expect.set_options(timeout=20_000)  # ms
+expect.set_options(timeout=60_000)  # ms
 ROBOTS = 300
 PATHS = 5000
 EVENTS = 2000  # a second

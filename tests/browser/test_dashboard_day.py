@@ -22,7 +22,7 @@ from browser.worlds import KEY, OTHER, SPARE, World, free_port, line, live, worl
 from rcp_dashboard.pages import STATIC
 
 pytestmark = pytest.mark.anyio
-expect.set_options(timeout=20_000)  # ms
+expect.set_options(timeout=60_000)  # ms
 ROVER = [live("sensor/pose"), live("sensor/battery"), live("sensor/mode"), live("event/fault")]
 LOST = [r"WebSocket", r"ERR_", r"Failed to load resource"]
 

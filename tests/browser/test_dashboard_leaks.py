@@ -17,8 +17,8 @@ from rcp_kernel.model import Resource
 from rcp_kernel.types import Twist
 
 pytestmark = pytest.mark.anyio
-expect.set_options(timeout=20_000)  # ms
-_BOUND = 20.0  # s
+expect.set_options(timeout=60_000)  # ms
+_BOUND = 60.0  # s
 _COUNTING = """
 (() => {
   const counted = (window.counted = { urls: 0, made: 0, textures: 0, windows: 0 });

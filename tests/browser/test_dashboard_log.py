@@ -13,7 +13,7 @@ from browser.watched import Watched, signed_in
 from docs.demo import Demo
 
 pytestmark = pytest.mark.anyio
-expect.set_options(timeout=20_000)  # ms
+expect.set_options(timeout=60_000)  # ms
 FAULT = {"fault": "sensor_stop", "target": "sensor/battery"}
 
 

@@ -15,7 +15,7 @@ from browser.worlds import KEY, World, live, world
 from rcp_kernel.model import Resource
 
 pytestmark = pytest.mark.anyio
-expect.set_options(timeout=20_000)  # ms
+expect.set_options(timeout=60_000)  # ms
 LONG = "x" * 10_000
 MARKUP = "<img src=x onerror=window.ran=1><script>window.ran=1</script>"
 TURNED = "\u202eDEPPOTS\u202c \u0007\u0000 \u2066\ufeff"

@@ -16,11 +16,11 @@ from playwright.async_api import Page, WebSocket, expect
 from browser.watched import Watched
 
 pytestmark = pytest.mark.anyio
-expect.set_options(timeout=20_000)  # ms
+expect.set_options(timeout=60_000)  # ms
 IMU = "/tenant/alpha/sensor/imu"
 ACCELERATION = f"{IMU}%23linear_acceleration"
 BEFORE = 4.0  # s of what was plotted before the page is loaded anew
-BOUND = 20.0  # s
+BOUND = 60.0  # s
 
 
 async def table(page: Page) -> list[dict[str, str]]:

@@ -16,7 +16,7 @@ from browser.robots import until
 from browser.test_dashboard_access import AXE, violations
 
 pytestmark = [pytest.mark.anyio, pytest.mark.calm]
-expect.set_options(timeout=20_000)  # ms
+expect.set_options(timeout=60_000)  # ms
 TOUCH = 43.5  # px: 44, as browsers round
 MANY = 200
 _WCAG = ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "wcag22aa"]

@@ -15,7 +15,7 @@ from browser.watched import Watched, signed_in
 from docs.demo import Demo
 
 pytestmark = [pytest.mark.anyio, pytest.mark.calm]
-expect.set_options(timeout=20_000)  # ms
+expect.set_options(timeout=60_000)  # ms
 FLIGHT = 90.0  # s until a drone that was just switched on hangs in the air
 
 

@@ -13,7 +13,7 @@ from browser.watched import Watched, log_in, watched
 from docs.demo import Demo
 
 pytestmark = pytest.mark.anyio
-expect.set_options(timeout=20_000)  # ms
+expect.set_options(timeout=60_000)  # ms
 ALPHA = "/tenant/alpha"
 
 

@@ -103,7 +103,7 @@ async def watched(browser: Browser, url: str, **options: Any) -> AsyncGenerator[
     context = await browser.new_context(
         viewport={"width": 1366, "height": 860}, service_workers="block", **options
     )
-    context.set_default_timeout(20_000)  # ms
+    context.set_default_timeout(60_000)  # ms
     await context.add_init_script(_VIOLATION)
     try:
         found = Watched(await context.new_page(), url)

@@ -118,11 +118,11 @@ class BackendTests(Suite):
     """The backend, as its hook offers it."""
     config: ClassVar[Mapping[str, Any]] = {}
     """Its table of the configuration."""
-    first_within: ClassVar[float] = 2.0
+    first_within: ClassVar[float] = 5.0
     """Seconds in which a subscriber has the first value."""
-    cancel_within: ClassVar[float] = 2.0
+    cancel_within: ClassVar[float] = 5.0
     """Seconds in which a cancelled command has ended and the robot is at rest."""
-    complete_within: ClassVar[float] = 10.0
+    complete_within: ClassVar[float] = 20.0
     """Seconds in which a good goal is reached."""
 
     beside: Sequence[BackendKind] = ()

@@ -12,6 +12,7 @@ import psutil
 
 from rcp_kernel.errors import RcpError
 from rcp_kernel.model import Operation
+from rcp_kernel.testing._client import BOUND
 from rcp_kernel.testing._suite import eventually
 from rcp_kernel.testing.backend._base import BackendTests
 
@@ -72,7 +73,7 @@ class LifeTests(BackendTests):
             readable = robot.having(Operation.READ)
         for resource in readable:
             try:
-                async with asyncio.timeout(2):
+                async with asyncio.timeout(BOUND):
                     await robot.backend.read(resource.name)
             except RcpError:
                 continue

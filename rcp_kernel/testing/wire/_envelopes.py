@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import time
 from typing import Any
 
@@ -237,7 +236,7 @@ class Envelopes(Wire):
     @proves("envelope.duplicate")
     async def test_an_id_in_flight_cannot_be_used_again(self, world: World) -> None:
         client = await world.client()
-        read: Message = {"type": "read", "path": "/sensor/silent", "id": "x", "deadline": 0.3}
+        read: Message = {"type": "read", "path": "/sensor/silent", "id": "x", "deadline": 1.5}
         await client.send(read)
         await client.send(read)
         replies = [await client.final("x"), await client.final("x")]
@@ -246,5 +245,4 @@ class Envelopes(Wire):
 
     @proves("envelope.ping")
     async def test_a_ping_is_answered(self, world: World) -> None:
-        async with asyncio.timeout(1):
-            assert (await (await world.client()).request("ping"))["status"] == "completed"
+        assert (await (await world.client()).request("ping"))["status"] == "completed"

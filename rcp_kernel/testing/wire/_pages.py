@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from rcp_kernel.model import Resource
-from rcp_kernel.testing._client import Client, Message
+from rcp_kernel.testing._client import BOUND, Client, Message
 from rcp_kernel.testing._suite import proves
 from rcp_kernel.testing.wire._base import Wire, World
 from rcp_kernel.types import quantity
@@ -37,8 +37,9 @@ async def _pages(
     found: list[Message] = []
     cursor: Message = {}
     while True:
-        reply = await client.request(type_, pattern, body={**(body or {}), **cursor})
-        assert reply["status"] == "completed", reply
+        asked = {**(body or {}), **cursor}
+        reply = await client.request(type_, pattern, body=asked, deadline=BOUND)
+        assert reply["status"] == "completed", reply.get("error")
         found.append(reply)
         assert reply.get("truncated", False) is ("cursor" in reply)
         if "cursor" not in reply:
@@ -128,7 +129,10 @@ class Pages(Wire):
         names = _declare(world, 200, str, "x" * LONG)
         client = await world.client()
         read: Message = {"type": "read", "path": PATTERN}
-        reply = await client.request("batch", body=[read] * 8)
+        reply = await client.request(
+            "batch", body=[{**read, "deadline": BOUND}] * 8, deadline=BOUND
+        )
+        assert reply["status"] == "completed", reply.get("error")
         assert len(dump(reply["body"], Encoding.JSON)) <= world.server.gateway.limits.message
         for part in reply["body"]:
             assert (part["status"], part["truncated"]) == ("completed", True)

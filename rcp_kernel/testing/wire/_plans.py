@@ -131,7 +131,7 @@ class Planning(Wire):
             return bool(robot.ran)
 
         await eventually(begun, "it runs")
-        await admin.request("execute", "/system/estop", body={})
+        await admin.request("execute", "/system/estop", body={}, deadline=0.5)
         await admin.request("execute", "/system/estop", body={"reset": True})
         assert (await client.final(id_))["status"] == "cancelled"
         assert robot.writes == []

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from rcp_kernel.testing._client import Client, Message
+from rcp_kernel.testing._client import BOUND, Client, Message
 from rcp_kernel.testing._serve import VIEWER
 from rcp_kernel.testing._suite import proves
 from rcp_kernel.testing.wire._base import Wire, World
@@ -38,7 +38,7 @@ async def _flood(client: Client, count: int) -> dict[str, list[Message]]:
     """Send `count` mixed requests at once and collect every final reply by id."""
     wanted = {f"m-{i}" for i in range(count)}
     for i in range(count):
-        await client.send(MIXED[i % len(MIXED)][0], id=f"m-{i}")
+        await client.send({"deadline": BOUND, **MIXED[i % len(MIXED)][0]}, id=f"m-{i}")
     found: dict[str, list[Message]] = {}
     for _ in range(count):
         reply = await client.until(lambda m: m.get("status") in FINAL)

@@ -90,7 +90,7 @@ async def test_a_move_whose_feedback_fails_ends_with_that_reason(profile: str) -
         await rig.until(lambda: rig.twin.plant.velocity > 1.0)
         rig.twin.blind = True
         with pytest.raises(DeviceTimeout, match="feedback lost"):
-            await asyncio.wait_for(moving, 5)
+            await asyncio.wait_for(moving, 20)
         await rig.until(lambda: abs(rig.twin.plant.velocity) < 0.1)
         assert rig.twin.plant.position < 8.0
 
@@ -234,8 +234,8 @@ async def test_another_master_that_enables_a_stopped_drive_moves_it_for_a_moment
                 node.send(0x305, (3000).to_bytes(4, "little") + bytes(2))
                 await rig.until(lambda n=taken: len(rig.twin.commands) > n)
                 rig.backend.hold_stop(None)
-                await rig.until(lambda: rig.twin.state == "quick_stop", 1.0)
-            await rig.until(lambda: abs(rig.twin.plant.velocity) < 0.1, 1.0)
+                await rig.until(lambda: rig.twin.state == "quick_stop", 5.0)
+            await rig.until(lambda: abs(rig.twin.plant.velocity) < 0.1, 5.0)
         await stays_at_rest(rig)
         assert rig.twin.state != "enabled"
 
@@ -250,7 +250,7 @@ async def test_a_drive_that_another_master_pushes_is_stopped_again(profile: str)
         for _ in range(3):
             await rig.ordered(lambda: setattr(rig.twin.plant, "velocity", 3.0))
             rig.backend.hold_stop(None)
-            await rig.until(lambda: abs(rig.twin.plant.velocity) < 0.1, 1.0)
+            await rig.until(lambda: abs(rig.twin.plant.velocity) < 0.1, 5.0)
         await stays_at_rest(rig)
 
 
@@ -260,7 +260,7 @@ async def test_a_halt_is_confirmed_with_two_of_three_frames_lost(profile: str) -
         await turns(rig)
         chance = random.Random(3)
         rig.bench.loses = lambda: chance.random() < 2 / 3
-        with anyio.fail_after(4):
+        with anyio.fail_after(20):
             for _ in range(5):
                 with suppress(DeviceTimeout):
                     await rig.backend.halt()
@@ -379,7 +379,7 @@ async def test_a_hold_ends_the_move(profile: str) -> None:
         await rig.until(lambda: rig.twin.plant.velocity > 1.0)
         await rig.backend.hold(None)
         with pytest.raises(ModeForbids, match="hold"):
-            await asyncio.wait_for(moving, 5)
+            await asyncio.wait_for(moving, 20)
         await stays_at_rest(rig)
         assert rig.twin.enabled
         assert rig.twin.plant.position < 8.0
@@ -413,7 +413,7 @@ async def test_no_set_point_of_a_cancelled_trajectory_follows_the_halt(cancel: s
         await asyncio.sleep(0)
         if cancel == "with":
             moving.cancel()
-        with anyio.fail_after(2):
+        with anyio.fail_after(10):
             await halting
         assert rig.still()
         if cancel == "after":

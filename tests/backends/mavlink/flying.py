@@ -85,4 +85,4 @@ async def agrees(backend: Any, vehicle: Vehicle) -> None:
             and abs(seen.fix.height + vehicle.body.d) < 0.5
         )
 
-    await eventually(same, "the gateway sees what the vehicle does", 5.0)
+    await eventually(same, "the gateway sees what the vehicle does")

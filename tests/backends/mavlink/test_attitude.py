@@ -31,7 +31,7 @@ async def test_it_looks_where_it_looked_and_turns_only_when_it_is_told() -> None
         await pilot.ready()
         body = pilot.vehicle.body
         await lean(pilot, pitch=-0.2)
-        await eventually(lambda: _is(speed(pilot.vehicle) > 2), "it moves", 5.0)
+        await eventually(lambda: _is(speed(pilot.vehicle) > 2), "it moves")
         assert abs(math.remainder(body.yaw - HEADING, math.tau)) < 0.1
         course = math.atan2(body.ve, body.vn)
         assert abs(math.remainder(course - HEADING, math.tau)) < 0.2
@@ -42,7 +42,7 @@ async def test_it_looks_where_it_looked_and_turns_only_when_it_is_told() -> None
                 await lean(pilot, 1, pitch=-0.1, yaw=yaw)
                 return abs(math.remainder(body.yaw - yaw, math.tau)) < 0.1
 
-            await eventually(turned, "it turns", 5.0)
+            await eventually(turned, "it turns")
         await lean(pilot, pitch=-0.1)
         assert abs(math.remainder(body.yaw + 2.5, math.tau)) < 0.2
         await eventually(

@@ -164,7 +164,7 @@ async def test_a_cancel_closes_the_file_on_board() -> None:
         id_ = await found.client.send(type="execute", path=path, body={"path": "/big.bin"})
         await eventually(lambda: _is(server.answers > BURST), "it reads")
         await found.client.request("cancel", path)
-        assert (await found.client.final(id_, 5.0))["status"] == "cancelled"
+        assert (await found.client.final(id_))["status"] == "cancelled"
         await eventually(lambda: _is(server.session is None), "the file is closed")
 
 
@@ -180,7 +180,7 @@ async def test_a_vehicle_without_ftp_and_one_that_is_lost_end_it_with_an_error()
         )
         await eventually(lambda: _is(server.answers > 5), "it reads")
         found.puppet.quiet = True
-        final = await found.client.final(id_, 5.0)
+        final = await found.client.final(id_)
         assert final["error"]["code"] in ("adapter_unavailable", "device_timeout")
 
 

@@ -47,7 +47,7 @@ async def flying(options: dict[str, Any] | None = None, **config: Any) -> AsyncG
         link = f"udpout:127.0.0.1:{running.ports[0][1]}"
         table = {"links": [link], "silence": 1.5, "feedback_timeout": 5.0, **config}
         async with serve_backend(KIND, table) as served:
-            await eventually(lambda: _is(bool(served.lives)), "it is heard", 10.0)
+            await eventually(lambda: _is(bool(served.lives)), "it is heard")
             yield Pilot(served, running)
 
 
@@ -123,7 +123,7 @@ async def test_a_cancel_in_flight_makes_it_hold(pilot: Pilot) -> None:
     id_ = await pilot.client.send(type="execute", path=path, body={"north": 900.0})
     await eventually(lambda: _is(speed(pilot.vehicle) > 3), "it moves")
     await pilot.client.request("cancel", path)
-    assert (await pilot.client.final(id_, 5.0))["status"] == "cancelled"
+    assert (await pilot.client.final(id_))["status"] == "cancelled"
     await eventually(lambda: _is(speed(pilot.vehicle) < 0.3), "it holds")
     assert pilot.vehicle.flight.mode is Mode.BRAKE
     assert not pilot.vehicle.body.landed
@@ -136,7 +136,7 @@ async def test_whoever_takes_it_away_ends_the_command_with_the_reason(pilot: Pil
     id_ = await pilot.client.send(type="execute", path=path, body={"north": 900.0})
     await eventually(lambda: _is(speed(pilot.vehicle) > 3), "it moves")
     pilot.vehicle.failsafe("Battery", return_home=True)
-    final = await pilot.client.final(id_, 5.0)
+    final = await pilot.client.final(id_)
     assert final["error"]["code"] == "device_rejected"
     assert final["error"]["details"]["mode"] == "RTL"
     assert "Battery Failsafe" in final["message"]
@@ -173,12 +173,12 @@ async def test_a_link_that_is_cut_in_flight_is_told_and_comes_back_by_itself(pil
     id_ = await pilot.client.send(type="execute", path=path, body={"north": 900.0})
     await eventually(lambda: _is(speed(pilot.vehicle) > 3), "it moves")
     pilot.twin.muted = True
-    final = await pilot.client.final(id_, 4.0)
+    final = await pilot.client.final(id_)
     assert final["error"]["code"] == "adapter_unavailable"
     assert "nothing heard of vehicle 1" in final["message"]
     pilot.twin.muted = False
     slot = pilot.served.slot
-    await eventually(lambda: _is(slot.state == "ready"), "it is back", 5.0)
+    await eventually(lambda: _is(slot.state == "ready"), "it is back")
     assert (await pilot.read("sensor/mode")) in ("GUIDED", "BRAKE")
 
 
@@ -186,10 +186,10 @@ async def test_after_a_reboot_it_is_asked_for_everything_again(pilot: Pilot) -> 
     on_the_ground(pilot.vehicle)
     await pilot.ready()
     id_ = await pilot.client.subscribe("/tenant/t/sensor/attitude", rate=20)
-    await pilot.client.update(id_, 3.0)
+    await pilot.client.update(id_)
     assert (await pilot.do("service/reboot"))["status"] == "completed"
     for _ in range(5):
-        await pilot.client.update(id_, 6.0)
+        await pilot.client.update(id_)
 
 
 async def test_an_unknown_parameter_is_told_fast_with_near_names(pilot: Pilot) -> None:

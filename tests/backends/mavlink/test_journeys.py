@@ -98,7 +98,7 @@ async def test_a_plane_flies_at_an_airspeed_within_its_bounds() -> None:
         assert vehicle.arm()
         skip(vehicle, lambda: -vehicle.body.d > 45)
         robot = pilot.served.life.backend.robots[""]
-        await eventually(lambda: _is(robot.vehicle.landed is False), "it flies", 5.0)
+        await eventually(lambda: _is(robot.vehicle.landed is False), "it flies")
         await robot.parameters.complete.wait()
         refused = await pilot.do("action/move_to", {"north": 900.0, "speed": 5.0})
         assert refused["error"]["code"] == "out_of_range"

@@ -38,7 +38,7 @@ async def reading(*links: str, **config: Any) -> AsyncGenerator[Any]:
 
 
 async def mode_of(served: Any, name: str = "sensor/mode") -> str:
-    await eventually(lambda: _is(bool(served.lives)), "it is heard", 10.0)
+    await eventually(lambda: _is(bool(served.lives)), "it is heard")
     reply = await served.client(OPERATOR).request("read", f"/tenant/t/{name}")
     assert reply["status"] == "completed", reply
     return reply["body"]
@@ -49,7 +49,7 @@ async def test_a_vehicle_is_heard_over(kind: str) -> None:
     if kind == "udpin":
         port = free_port(socket.SOCK_DGRAM)
         async with reading(f"udpin:127.0.0.1:{port}") as served, twin(f"udpout:127.0.0.1:{port}"):
-            await eventually(lambda: _is(bool(served.lives)), "it is heard", 5.0)
+            await eventually(lambda: _is(bool(served.lives)), "it is heard")
             assert await mode_of(served) == "GUIDED"
         return
     own = "udpin" if kind == "udpout" else "tcpin"
@@ -67,13 +67,13 @@ async def test_a_connection_that_is_dropped_is_made_again() -> None:
             assert await mode_of(served) == "GUIDED"
             for drop in list(running.on_reboot):
                 drop()
-            await eventually(lambda: _is(len(running.peers) == 1), "it calls again", 5.0)
+            await eventually(lambda: _is(len(running.peers) == 1), "it calls again")
             running.vehicle.set_mode(Mode.LOITER)
 
             async def seen() -> bool:
                 return await mode_of(served) == "LOITER"
 
-            await eventually(seen, "it hears again", 5.0)
+            await eventually(seen, "it hears again")
 
 
 async def test_a_vehicle_is_heard_over_a_serial_line() -> None:
@@ -115,7 +115,7 @@ async def test_vehicles_of_one_link_are_robots_of_their_own() -> None:
                 return False
             return {"vehicle1", "scout", "vehicle3"} == set(served.life.backend.robots)
 
-        await eventually(all_there, "all are found", 6.0)
+        await eventually(all_there, "all are found")
         client = served.client(OPERATOR)
         reply = await client.request(
             "execute", "/tenant/t/action/scout/set_mode", body={"mode": "LOITER"}
@@ -133,7 +133,7 @@ async def test_with_a_key_only_who_has_it_is_heard() -> None:
         async with reading(link, key="theirs", connect=1.5) as served:
             assert not served.lives
             told = "not signed with `key`"
-            await eventually(lambda: _is(told in (served.slot.detail or "")), "it says why", 5.0)
+            await eventually(lambda: _is(told in (served.slot.detail or "")), "it says why")
 
 
 @pytest.mark.parametrize(

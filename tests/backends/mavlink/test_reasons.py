@@ -37,7 +37,7 @@ async def comes_to(found: Station, wanted: list[str]) -> None:
     async def holds() -> bool:
         return await reasons(found) == wanted
 
-    await eventually(holds, f"{wanted} is read", 5.0)
+    await eventually(holds, f"{wanted} is read")
 
 
 async def test_a_reason_that_is_not_repeated_holds_no_longer() -> None:
@@ -58,7 +58,7 @@ async def test_reasons_of_before_it_was_ready_are_gone(monkeypatch: Any) -> None
         puppet.say("PreArm: Compass not healthy", 2)
         await comes_to(found, ["Compass not healthy"])
         puppet.health = 1 << 28
-        await eventually(lambda: _ready(found), "it is ready", 5.0)
+        await eventually(lambda: _ready(found), "it is ready")
         await comes_to(found, [])
         await eventually(
             lambda: _is(not found.robot.telling._complaints), "they are forgotten", 5.0
@@ -68,7 +68,7 @@ async def test_reasons_of_before_it_was_ready_are_gone(monkeypatch: Any) -> None
         async def unfit() -> bool:
             return not await _ready(found)
 
-        await eventually(unfit, "it is not ready again", 5.0)
+        await eventually(unfit, "it is not ready again")
         assert await reasons(found) == []
 
 
@@ -141,7 +141,7 @@ async def test_an_integer_written_to_its_unset_default_is_written() -> None:
 async def parameters(pilot: Pilot) -> None:
     robot = pilot.served.life.backend.robots[""]
     await robot.parameters.complete.wait()
-    await eventually(lambda: _is("param/RTL_ALT" in robot._declared), "they are there", 5.0)
+    await eventually(lambda: _is("param/RTL_ALT" in robot._declared), "they are there")
 
 
 async def _is(truth: bool) -> bool:  # noqa: FBT001 - for `eventually`, which awaits

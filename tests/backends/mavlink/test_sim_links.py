@@ -74,7 +74,7 @@ async def test_two_simulated_vehicles_are_robots_and_one_is_flown() -> None:
             ]
             return [r["status"] for r in replies] == ["completed"] * 2
 
-        await eventually(both, "both are heard", 10.0)
+        await eventually(both, "both are heard")
         for action in ("arm", "takeoff", "land"):
             reply = await client.request("execute", f"/tenant/t/action/vehicle2/{action}")
             assert reply["status"] == "completed", reply
@@ -95,7 +95,7 @@ def test_a_gateway_that_is_killed_leaves_no_vehicle_behind() -> None:
     async def gone() -> bool:
         return not alive(vehicle)
 
-    asyncio.run(eventually(gone, "the vehicle ended", 10.0))
+    asyncio.run(eventually(gone, "the vehicle ended"))
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
@@ -107,8 +107,8 @@ async def test_a_vehicle_that_fails_is_started_anew() -> None:
         (first,) = set(children(os.getpid())) - before
         os.kill(first, signal.SIGKILL)
         vehicle = hub.vehicles[1]
-        await eventually(lambda: _is(vehicle.lost), "it is lost", 10.0)
-        await eventually(lambda: _is(not vehicle.lost), "another one is heard", 10.0)
+        await eventually(lambda: _is(vehicle.lost), "it is lost")
+        await eventually(lambda: _is(not vehicle.lost), "another one is heard")
     assert set(children(os.getpid())) <= before
 
 
@@ -121,7 +121,7 @@ async def test_a_vehicle_that_cannot_start_says_why() -> None:
         links=("sim:copter",), connect=10.0, twin=rcp_mavlink.TwinConfig(parameters={"NONE": 1.0})
     )
     async with open_hub(config, dialect("ardupilotmega")) as hub:
-        await eventually(lambda: _is(hub.links[0].error), "it is told", 10.0)
+        await eventually(lambda: _is(hub.links[0].error), "it is told")
         assert "it has no parameter NONE" in str(hub.links[0].error)
 
 
@@ -154,7 +154,7 @@ async def test_what_drives_goes_to_a_place_follows_a_velocity_and_comes_home(kin
         async def moves() -> bool:
             return (await does("read", "sensor/velocity"))["groundspeed"] > 0.5
 
-        await eventually(moves, "it moves", 10.0)
+        await eventually(moves, "it moves")
         await does("execute", "action/rtl")
         await does("execute", "action/disarm")
 

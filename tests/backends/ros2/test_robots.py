@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import AsyncIterator
 from typing import Any
 
@@ -10,7 +11,7 @@ import pytest
 
 import rcp_ros2
 from backends.ros2.robot import BOUND, Fleet, Robot, fresh_domain, robot_of
-from rcp_kernel.testing import serve
+from rcp_kernel.testing import Client, Message, serve
 from rcp_kernel.values import value_type
 from rcp_ros2 import Ros2Config, catalog
 from rcp_ros2.naming import Naming, nice
@@ -159,9 +160,7 @@ async def test_robots_of_one_graph_have_tenants_that_share_nothing_and_paths_com
             assert (await beta.until(came, BOUND))["id"] == watching
             update = await beta.until(lambda m: m["type"] == "update" and m["path"] == path, BOUND)
             assert update["body"]["position"]["x"] == len("/fleet/r2")
-            own = await alpha.request("read", "/sensor/pose", within=BOUND)
-            while own.get("error", {}).get("retryable"):  # discovery may take its time
-                own = await alpha.request("read", "/sensor/pose", within=BOUND)
+            own = await _there(alpha, "/sensor/pose")
             assert own["body"]["position"]["x"] == len("/fleet/r1")
             found = await alpha.request("discover", "/**")
             assert not [r for r in found["body"]["resources"] if "beta" in r["path"]]
@@ -175,6 +174,14 @@ async def test_robots_of_one_graph_have_tenants_that_share_nothing_and_paths_com
             await beta.close()
     finally:
         fleet.stop()
+
+
+async def _there(client: Client, path: str) -> Message:
+    """Read what may still have to be discovered."""
+    async with asyncio.timeout(BOUND):
+        while (reply := await client.request("read", path))["status"] != "completed":  # noqa: ASYNC110
+            await asyncio.sleep(0.1)
+    return reply
 
 
 def paths(branch: str, name: str, type_: str, **config: Any) -> list[str]:

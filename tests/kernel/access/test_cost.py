@@ -16,8 +16,8 @@ from rcp_kernel.access.expression import DEPTH, LENGTH, TERMS, ExpressionError, 
 from rcp_kernel.errors import ConfigError
 
 LIST = "sensor.scan.ranges"
-SOON = 0.05  # s that any refusal may take on a busy machine
-FEW = 0.05  # s that any evaluation may take on a busy machine; it takes 4 ms on a calm one
+SOON = 0.05  # s of the processor that any refusal may take
+FEW = 0.05  # s of the processor that any evaluation may take; it takes 4 ms
 
 
 def nested(levels: int, macro: str = "all", over: str = LIST) -> str:
@@ -53,10 +53,10 @@ def nested(levels: int, macro: str = "all", over: str = LIST) -> str:
     ],
 )
 def test_what_is_too_dear_is_refused_at_once_with_the_reason(text: str) -> None:
-    began = time.perf_counter()
+    began = time.thread_time()
     with pytest.raises(ConditionTooCostly, match=r"too costly: (it|the pattern) ") as said:
         Condition(text)
-    assert time.perf_counter() - began < SOON
+    assert time.thread_time() - began < SOON
     assert len(str(said.value)) < 1000
     assert "fewer comprehensions" in said.value.remedy
 
@@ -90,9 +90,9 @@ def test_what_robots_are_asked_for_is_within_the_budget(text: str) -> None:
 def test_no_evaluation_takes_long_whatever_the_robot_says(text: str, length: int) -> None:
     found = Condition(text)
     values: dict[Any, Any] = {found.refs[0]: [float(n) for n in range(length)]}
-    began = time.perf_counter()
+    began = time.thread_time()
     decided = found.evaluate(values)
-    assert time.perf_counter() - began < FEW
+    assert time.thread_time() - began < FEW
     assert (decided is None) == (found.excess(values) is not None)
     if length <= ASSUMED // 2:
         assert decided is not None
@@ -103,9 +103,9 @@ def test_values_that_are_deep_or_of_many_parts_are_measured_within_a_bound() -> 
     for _ in range(900):
         deep = [deep]
     for value in (deep, [[[]] * 10_000] * 10_000, {str(n): [n] for n in range(50_000)}):
-        began = time.perf_counter()
+        began = time.thread_time()
         assert size_of(value) is None
-        assert time.perf_counter() - began < FEW
+        assert time.thread_time() - began < FEW
     assert size_of([[1.0] * 10] * 5) is not None
 
 
@@ -191,9 +191,9 @@ def test_whatever_is_admitted_stays_within_the_budget_and_means_the_same(text: s
     except ConfigError:
         return
     values = {ref: [1.0] * ASSUMED for ref in found.refs}
-    began = time.perf_counter()
+    began = time.thread_time()
     found.evaluate(values)
-    assert time.perf_counter() - began < FEW
+    assert time.thread_time() - began < FEW
     assert cost(tree, {}) <= BUDGET
 
 

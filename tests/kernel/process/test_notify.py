@@ -106,7 +106,7 @@ async def test_the_watchdog_is_fed_twice_in_its_time(address: str) -> None:
             started = loop.time()
             for _ in range(5):
                 assert await loop.sock_recv(heard, 100) == b"WATCHDOG=1"
-            assert 0.15 < loop.time() - started < 2.0
+            assert 0.15 < loop.time() - started < 5.0
 
 
 @pytest.mark.parametrize(

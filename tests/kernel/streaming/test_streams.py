@@ -231,6 +231,7 @@ async def test_an_option_that_makes_no_sense_is_refused(
     assert (reply["status"], reply["error"]["code"]) == ("rejected", code)
 
 
+@pytest.mark.calm
 async def test_updates_of_a_rate_never_come_in_pairs(world: World) -> None:
     client = world.client()
     id_ = await subscribed(client, rate=25)
@@ -241,6 +242,6 @@ async def test_updates_of_a_rate_never_come_in_pairs(world: World) -> None:
         found = [m for m in client.inbox if m["type"] == "update" and m["id"] == id_]
         times += [time.monotonic() for _ in found]
         client.inbox.clear()
-    # In pairs, every second one would follow by a ping. A busy machine may look late at one or two.
+    # In pairs, every second one would follow by a ping. The machine may look late at one or two.
     gaps = [b - a for a, b in itertools.pairwise(times)]
     assert sum(gap < 0.04 * 0.4 for gap in gaps) <= 2, gaps

@@ -142,7 +142,7 @@ def test_a_plan_that_lasts_is_sent_for_that_long_and_again_at_the_next_stop() ->
         for _ in range(2):
             guard.event(event="stopped")
             times = told(guard.devices["a"])
-            assert 0.1 < times[-1] - times[0] < 0.4
+            assert 0.1 < times[-1] - times[0] < 2.0
             while not silent(guard.devices["b"]):  # what had come before
                 pass
             guard.devices["b"].settimeout(BOUND)

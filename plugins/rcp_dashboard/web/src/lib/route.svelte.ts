@@ -4,10 +4,12 @@ import { untrack } from "svelte";
 class Route {
   page = $state("");
   query = $state.raw(new URLSearchParams());
+  #read = ""; // the address that these two are from
 
   constructor() {
     const read = (): void => {
-      const [page = "", query = ""] = location.hash.replace(/^#\/?/, "").split("?");
+      this.#read = location.hash;
+      const [page = "", query = ""] = this.#read.replace(/^#\/?/, "").split("?");
       this.page = page;
       this.query = new URLSearchParams(query);
     };
@@ -22,9 +24,16 @@ class Route {
       if (value === undefined || value === "") query.delete(key);
       else query.set(key, value);
     }
+    if (this.write(query)) this.query = query;
+  }
+
+  /** Have the address say so beside the page. Not if it leads elsewhere already, and the event that tells of it is still to come. */
+  write(query: URLSearchParams): boolean {
+    if (location.hash !== this.#read) return false;
     const text = query.toString();
     history.replaceState(null, "", `#/${untrack(() => this.page)}${text && `?${text}`}`);
-    this.query = query;
+    this.#read = location.hash;
+    return true;
   }
 }
 
