@@ -460,9 +460,15 @@ async def test_schemas_are_served_bare_and_in_envelopes(http: httpx.AsyncClient)
         ("OPTIONS", f"{CONTEXT}/param/limit", 204, "GET, HEAD, PUT, OPTIONS"),
         ("OPTIONS", f"{CONTEXT}/action/go", 204, "POST, OPTIONS"),
         ("OPTIONS", "/rcp/v1/commands", 204, "GET, HEAD, OPTIONS"),
-        ("DELETE", "/rcp/v1/commands", 405, "GET, OPTIONS"),
-        ("PATCH", POSE, 405, "GET, PUT, POST, OPTIONS"),
-        ("PUT", POSE, 405, "GET, OPTIONS"),
+        ("DELETE", "/rcp/v1/commands", 405, "GET, HEAD, OPTIONS"),
+        ("PATCH", POSE, 405, "GET, HEAD, OPTIONS"),
+        ("PUT", POSE, 405, "GET, HEAD, OPTIONS"),
+        ("TRACE", f"{CONTEXT}/action/go", 405, "POST, OPTIONS"),
+        ("GET", f"{CONTEXT}/action/go", 405, "POST, OPTIONS"),
+        ("POST", f"{CONTEXT}/param/limit", 405, "GET, HEAD, PUT, OPTIONS"),
+        ("GET", "/rcp/v1/messages", 405, "POST, OPTIONS"),
+        ("POST", "/rcp/v1/events?path=/**", 405, "GET, OPTIONS"),
+        ("PATCH", f"{CONTEXT}/sensor/none", 404, None),
         ("HEAD", POSE, 200, None),
     ],
 )
@@ -474,6 +480,26 @@ async def test_methods(
     if method == "HEAD":
         assert response.content == b""
         assert int(response.headers["content-length"]) > 100
+
+
+async def test_what_cannot_be_written_says_so_with_a_body_and_without(
+    http: httpx.AsyncClient,
+) -> None:
+    for content in (b"1", None):
+        response = await http.put(POSE, content=content)
+        assert (response.status_code, error(response)) == (405, "unsupported_operation")
+        assert (await http.put(f"{CONTEXT}/sensor/none", content=content)).status_code == 404
+        async with httpx.AsyncClient(base_url=http.base_url) as anyone:
+            refused = await anyone.put(f"{CONTEXT}/param/limit", content=content)
+        assert (refused.status_code, error(refused)) == (403, "forbidden")
+    empty = await http.put(f"{CONTEXT}/param/limit")
+    assert (empty.status_code, error(empty)) == (400, "bad_request")
+
+
+async def test_the_allow_of_messages_is_its_own(http: httpx.AsyncClient) -> None:
+    for envelope in ({"type": "read", "path": "/action/go"}, {"type": "subscribe", "path": "/x"}):
+        refused = await http.post("/rcp/v1/messages", json=envelope)
+        assert (refused.status_code, refused.headers["allow"]) == (405, "POST, OPTIONS")
 
 
 @pytest.mark.parametrize(
