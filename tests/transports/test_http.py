@@ -405,6 +405,8 @@ async def test_commands_are_listed_page_by_page(http: httpx.AsyncClient, gateway
         query["cursor"] = page["cursor"]
         gateway.robot.release.set()  # it ends between two pages, and is told once all the same
     assert found == [running.json()["command"], *reversed(sent)]
+    unheard = await http.get("/rcp/v1/commands?status=null")
+    assert (unheard.status_code, error(unheard)) == (400, "bad_request")
     one = (await http.get("/rcp/v1/commands?status=completed&limit=25&path=/x")).json()
     assert (one["body"], "truncated" in one) == ([], False)
     bad = await http.get("/rcp/v1/commands", params={"cursor": "L3RlbmFudA=="})
@@ -468,7 +470,8 @@ async def test_schemas_are_served_bare_and_in_envelopes(http: httpx.AsyncClient)
         ("POST", f"{CONTEXT}/param/limit", 405, "GET, HEAD, PUT, OPTIONS"),
         ("GET", "/rcp/v1/messages", 405, "POST, OPTIONS"),
         ("POST", "/rcp/v1/events?path=/**", 405, "GET, OPTIONS"),
-        ("PATCH", f"{CONTEXT}/sensor/none", 404, None),
+        ("PATCH", f"{CONTEXT}/sensor/none", 405, "GET, HEAD, PUT, POST, OPTIONS"),
+        ("TRACE", f"{CONTEXT}/0", 405, "GET, HEAD, PUT, POST, OPTIONS"),
         ("HEAD", POSE, 200, None),
     ],
 )

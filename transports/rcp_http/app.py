@@ -15,7 +15,7 @@ from rcp_http.octets import range_headers
 from rcp_kernel.asgi import MEDIA, Headers, Receive, Scope, Send, respond, retry_after
 from rcp_kernel.clients.session import Session
 from rcp_kernel.door import Door
-from rcp_kernel.errors import RcpError, UnknownPath, UnsupportedOperation
+from rcp_kernel.errors import InvalidPath, RcpError, UnknownPath, UnsupportedOperation
 from rcp_kernel.operations.pending import crash
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import encode_reply, failure
@@ -90,7 +90,14 @@ class HttpApp:
         elif asked.method == "POST":
             await self._context.execute(asked, session, path, receive, send)
         else:
-            raise _not_taken(asked, path, self._context.methods(session, path))
+            raise _not_taken(asked, path, self._taken(session, path))
+
+    def _taken(self, session: Session, path: str) -> list[str]:
+        """Return what a resource takes, or what any does if there is none: 405 in either case."""
+        try:
+            return self._context.methods(session, path)
+        except (InvalidPath, UnknownPath):
+            return ["GET", "HEAD", "PUT", "POST", "OPTIONS"]
 
     def _named(self, rest: str) -> dict[str, Handler] | None:
         branch, _, name = rest.removeprefix("/").partition("/")

@@ -10,7 +10,7 @@ from rcp_http.openapi_responses import CALL, COMMAND, READ, refusals
 from rcp_kernel.errors import BY_CODE
 from rcp_kernel.model import MAX_PATH, Kind, Operation, operation_names
 from rcp_kernel.operations.pages import LONGEST, MOST
-from rcp_kernel.wire import FINAL, Request
+from rcp_kernel.wire import FINAL, VERSION, Request
 
 __all__ = ["ERROR", "REPLY", "calls"]
 
@@ -107,8 +107,7 @@ def _envelope() -> Node:
         "properties": known
         | {
             "type": {"enum": types},
-            "path": {"anyOf": [_PATH, {"type": "null"}]},
-            "version": {"const": "1"},
+            "version": {"enum": [VERSION, None]},
             "body": {},
         },
         "patternProperties": {"^x-.": {}},
@@ -133,7 +132,7 @@ def calls() -> Node:
         _query("op", {"enum": _OPERATIONS}, "Only what the caller may do this with."),
         _query("q", {"type": "string", "maxLength": 200}, "Words in path or description."),
         _query("limit", _COUNT, "In one page."),
-        _query("cursor", _CURSOR, "Of the last page."),
+        _query("cursor", {"type": "string", "maxLength": LONGEST}, "Of the last page."),
         _query("schemas", {"type": "boolean"}, "Whether schemas are written out."),
         extra=unchanged,
     )
