@@ -499,6 +499,77 @@ async def test_what_cannot_be_written_says_so_with_a_body_and_without(
     assert (empty.status_code, error(empty)) == (400, "bad_request")
 
 
+@pytest.mark.parametrize(
+    ("name", "value", "status"),
+    [
+        ("content-encoding", "gzip", 400),
+        ("content-range", "bytes 0-0/3", 400),
+        ("if-match", '"1"', 501),
+        ("if-none-match", "*", 501),
+        ("if-unmodified-since", "Thu, 01 Jan 2015 00:00:00 GMT", 501),
+        ("content-encoding", "identity", 200),
+    ],
+)
+async def test_nothing_is_written_past_what_its_headers_ask_for(
+    http: httpx.AsyncClient, gateway: Site, name: str, value: str, status: int
+) -> None:
+    taken: list[object] = []
+
+    async def write(name: str, value: object) -> None:
+        taken.append(value)
+
+    gateway.robot.write = write  # type: ignore[method-assign, assignment]
+    response = await http.put(f"{CONTEXT}/param/limit", json=2, headers={name: value})
+    assert response.status_code == status, response.text
+    assert taken == ([2.0] if status == 200 else [])
+
+
+@pytest.mark.parametrize(
+    ("target", "status", "code"),
+    [
+        (f"{CONTEXT}/sensor%2Fpose", 200, None),  # how generated clients write a path in a path
+        (f"{CONTEXT}/sensor/p%6Fse", 200, None),
+        (f"{CONTEXT}/sensor/pose%00", 400, "invalid_path"),
+        (f"{CONTEXT}/sensor/pose%0a", 400, "invalid_path"),
+        (f"{CONTEXT}/sensor/pose%zz", 400, "invalid_path"),
+        (f"{CONTEXT}/sensor/pose%", 400, "invalid_path"),
+        (f"{CONTEXT}/sensor%c0%afpose", 400, "invalid_path"),
+        (f"{CONTEXT}/sensor/%ff", 400, "invalid_path"),
+        (f"{CONTEXT}/sensor//pose", 400, "invalid_path"),
+        (f"{CONTEXT}/sensor/pose/", 400, "invalid_path"),
+        (f"{CONTEXT}/sensor/../pose", 404, "unknown_path"),
+        (f"{CONTEXT}/sensor%252Fpose", 400, "invalid_path"),
+        ("/rcp/v1/schemas/%zz", 404, "unknown_path"),
+        ("/rcp/v1/commands/%00", 404, "unknown_path"),
+        ("/healthz%00", 404, "unknown_path"),
+        ("/%c0%ae%c0%ae/healthz", 404, "unknown_path"),
+        (f"{POSE}?fresh=1&fresh=0", 400, "bad_request"),
+        (f"{POSE}?limit=1&limit=2", 400, "bad_request"),
+        (f"{POSE}?tenant=alpha&tenant=beta", 400, "bad_request"),
+        ("/rcp/v1/discovery?op=read&op=write", 400, "bad_request"),
+        ("/rcp/v1/commands?status=x&status=y", 400, "bad_request"),
+    ],
+)
+async def test_a_target_is_decoded_once_and_refused_by_its_kind(
+    gateway: Site, target: str, status: int, code: str | None
+) -> None:
+    request = f"GET {target} HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n"
+    async with connected(gateway) as raw:
+        found, data = await answer(raw, request.encode())
+    told = json.loads(data.partition(b"\r\n\r\n")[2])
+    assert (found, (told.get("error") or {}).get("code")) == (status, code)
+
+
+@pytest.mark.parametrize(
+    "path", ["/healthz", "/readyz", "/", "/rcp/v1/openapi.json", "/rcp/v1/status", POSE]
+)
+async def test_head_is_get_without_its_body(http: httpx.AsyncClient, path: str) -> None:
+    async with httpx.AsyncClient(base_url=http.base_url, headers=http.headers) as other:
+        head = await other.head(path)
+        assert (head.status_code, head.content) == (200, b"")
+        assert (await other.get(path)).headers["content-type"] == head.headers["content-type"]
+
+
 async def test_the_allow_of_messages_is_its_own(http: httpx.AsyncClient) -> None:
     for envelope in ({"type": "read", "path": "/action/go"}, {"type": "subscribe", "path": "/x"}):
         refused = await http.post("/rcp/v1/messages", json=envelope)

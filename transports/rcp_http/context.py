@@ -160,6 +160,7 @@ class Context:
         await self._answers.reply(send, asked, reply, headers)
 
     async def _take_body(self, asked: Asked, request: Request, receive: Receive) -> None:
+        asked.check_unconditional()
         limits = self._door.limits
         data = await asked.body(receive, limits.message, self._config.body_timeout)
         asked.put_body(request, data)
