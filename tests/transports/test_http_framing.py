@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+from random import Random
 from time import thread_time
 
 import httpx
@@ -11,7 +12,7 @@ import pytest
 
 from rcp_asgi.http import HttpProtocol
 from transports.raw import answer, connected, handshake
-from transports.robot import BOUND, KEY, Site, until
+from transports.robot import BOUND, KEY, Site, site, until
 
 pytestmark = pytest.mark.anyio
 POSE = b"/rcp/v1/context/tenant/alpha/sensor/pose"
@@ -195,6 +196,26 @@ async def test_what_was_asked_before_the_fault_is_answered_first(gateway: Site) 
         assert b'"code":"' in data.rpartition(b"\r\n\r\n")[2]
 
 
+@pytest.mark.parametrize(
+    ("behind", "statuses"),
+    [
+        (b"", [b"200"] * 3),
+        (b"GET /hea", [b"200"] * 3 + [b"400"]),
+        (post(b"Content-Length: 15\r\n\r\n", b"{"), [b"200"] * 3 + [b"400"]),
+    ],
+)
+async def test_a_client_that_says_no_more_is_answered(
+    gateway: Site, behind: bytes, statuses: list[bytes]
+) -> None:
+    async with connected(gateway) as raw:
+        raw.send(get() * 3 + behind)
+        raw.writer.write_eof()
+        async with asyncio.timeout(BOUND):
+            data = await raw.reader.read()
+    found = [part[:3] for part in data.split(b"HTTP/1.1 ")[1:] if part[:3].isdigit()]
+    assert found == statuses
+
+
 async def test_a_websocket_waits_for_no_answer_before_it(gateway: Site) -> None:
     slow = b"POST /rcp/v1/context/action/go?wait=1 HTTP/1.1\r\n" + HOST
     slow += f"Authorization: Bearer {KEY}\r\nContent-Length: 1\r\n\r\n4".encode()
@@ -264,3 +285,65 @@ async def test_a_body_in_small_chunks_is_whole(gateway: Site, http: httpx.AsyncC
     long = await http.put("/rcp/v1/context/tenant/alpha/param/text", json=text * 100)
     assert long.status_code == 200
     await until(lambda: taken == [text, text * 100])
+
+
+# -- whatever comes --------------------------------------------------------------------------------
+
+WHOLE = (
+    get(),
+    post(b"Content-Length: 15\r\n\r\n", PING),
+    post(CHUNKED, b"f\r\n" + PING + b"\r\n0\r\n\r\n"),
+    handshake(),
+)
+PIECES = (
+    *(b"GET ", b"PUT ", b"CONNECT ", b"PRI * HTTP/2.0\r\n\r\n", POSE, b" HTTP/1.1\r\n", HOST, b"Host:\r\n"),
+    *(b"Content-Length: 15\r\n", CHUNKED, b"Upgrade: h2c\r\nConnection: Upgrade\r\n", b"\r\n\r\n"),
+    *(b"Expect: 100-continue\r\n", b"f\r\n", b"0\r\n\r\n", PING, b"\0", b"\xff\xfe", b"\x88\x80\0\0\0\0"),
+    *(b"%2F", b"*", b"http://localhost/", b"http://evil/", b"x" * 5000, b"Range: bytes=0-1\r\n"),
+)  # fmt: skip
+
+
+def noise(random: Random) -> bytes:
+    kind = random.random()
+    if kind < 0.15:
+        return random.randbytes(random.randrange(1, 400))
+    if kind < 0.45:
+        return b"".join(random.choices(PIECES, k=random.randrange(1, 14)))
+    data = bytearray(b"".join(random.choices(WHOLE, k=random.randrange(1, 6))))
+    for _ in range(random.randrange(1, 8)):
+        place = random.randrange(len(data) + 1)
+        if random.random() < 0.5:
+            data[place:place] = random.choice(PIECES)
+        else:
+            del data[place : place + random.randrange(1, 20)]
+    return bytes(data)
+
+
+async def test_whatever_comes_is_answered_or_closed_in_time() -> None:
+    times = "header_timeout = 0.5\nbody_timeout = 0.5\nkeep_alive = 1"
+    async with site(asgi=times, http="body_timeout = 0.5") as gateway:
+        turns = asyncio.Semaphore(40)
+
+        async def one(seed: int) -> None:
+            random = Random(seed)
+            data = noise(random)
+            async with turns, connected(gateway) as raw, asyncio.timeout(2 * BOUND):
+                raw.send(data)
+                if random.random() < 0.5:
+                    raw.writer.write_eof()
+                try:
+                    found = await raw.reader.read(16)
+                    while not found.startswith(b"HTTP/1.1 101") and await raw.reader.read(65_536):
+                        pass
+                except ConnectionResetError:
+                    return
+            assert not found or found.startswith(b"HTTP/1.1 "), data
+            assert not found.startswith(b"HTTP/1.1 500"), data
+
+        await asyncio.gather(*(one(seed) for seed in range(400)))
+        assert not await _unanswered(gateway)
+
+
+async def _unanswered(gateway: Site) -> bool:
+    async with httpx.AsyncClient(base_url=gateway.url) as http:
+        return (await http.get("/healthz")).status_code != 200

@@ -74,6 +74,9 @@ class HttpProtocol(HttpToolsProtocol):
         self._deaf = False
         self._fault: RcpError | None = None
         """What a callback of the parser found wrong."""
+        self._ended = False
+        """The client has said all, and may still listen."""
+        self._farewell: asyncio.TimerHandle | None = None
         self._parting: RcpError | None = None
         """What is to be said when the requests before it are answered."""
         self._peer = UNKNOWN
@@ -119,8 +122,9 @@ class HttpProtocol(HttpToolsProtocol):
         self._stop_clock()
         self._deaf = True
         self._unread = b""
-        if self._turn is not None:
-            self._turn.cancel()
+        for handle in (self._turn, self._farewell):
+            if handle is not None:
+                handle.cancel()
         self._seat.leave()
         if self._body is not None:
             self._body.writable = False
@@ -192,8 +196,32 @@ class HttpProtocol(HttpToolsProtocol):
         full = self.cycle is not None and len(self.cycle.body) > HIGH_WATER_LIMIT
         if not self.pipeline and not full:
             self.flow.resume_reading()
-        if self._slow is None:
+        if self._ended:
+            self._conclude()
+        elif self._slow is None:
             self._mind()
+
+    def eof_received(self) -> bool:  # type: ignore[override] - asyncio takes either
+        """Answer what a client has asked that says no more, if that takes but a moment."""
+        begun = self.cycle is not None and self.cycle.response_started
+        if begun and not self.cycle.response_complete:
+            return False  # an endless response, whose client is gone
+        if not self.transport.can_write_eof() or self.transport.is_closing():
+            return False
+        self._ended = True
+        self._farewell = self.loop.call_later(_LINGER, self.transport.close)
+        if not self._deaf:
+            self._conclude()
+        return True
+
+    def _conclude(self) -> None:
+        """Close when all is answered that came before the end."""
+        if self._unread:
+            return
+        if self._in_body or (self._in_head and (self._head or self._silent)):
+            self._give_up(Malformed("the connection ended before the request did"))
+        elif self.cycle is None or self.cycle.response_complete:
+            self.transport.close()
 
     def _go_on_without_upgrade(self) -> None:
         """Take a request as if it wished for no other protocol (RFC 9110, 7.8).
@@ -305,6 +333,8 @@ class HttpProtocol(HttpToolsProtocol):
             self._part(self._parting)
         elif self._unread and self._turn is None and not self.pipeline and not self._deaf:
             self._turn = self.loop.call_soon(self._parse)
+        elif last and self._ended:
+            self._conclude()
 
     def _give_up(self, error: RcpError) -> None:
         """Hear no more, and say why when whatever came before is answered."""
@@ -339,7 +369,7 @@ class HttpProtocol(HttpToolsProtocol):
         if self.transport.is_closing():
             return
         self._say(error, error.http)
-        if self.transport.can_write_eof():
+        if self.transport.can_write_eof() and not self._ended:
             self.transport.write_eof()
             self._watch(_LINGER)
         else:
