@@ -33,13 +33,16 @@ expected-statuses = ["2xx", "3xx", "4xx", 501, 502, 503, 504]
 [checks.positive_data_acceptance]
 expected-statuses = ["2xx", "3xx", 401, 403, 404, 409, 423, 429, 499, "5xx"]
 
+[checks.negative_data_rejection]
+expected-statuses = [400, 401, 403, 404, 405, 409, 413, 422, 423, 429, "5xx"]
+
 [[operations]]
 include-path-regex = "/rcp/v1/(commands|discovery|messages|context/.pattern.|context/system/leases)$"
 checks.positive_data_acceptance.expected-statuses = ["2xx", "3xx", 400, 401, 403, 404, 405, 409, 422, 423, 429, 499, "5xx"]
 
 [[operations]]
 include-path-regex = "/(param/parcel|service/echo)$"
-checks.negative_data_rejection.expected-statuses = ["2xx", 400, 404, 422]
+checks.negative_data_rejection.expected-statuses = ["2xx", 400, 404, 409, 422, 423, "5xx"]
 
 [[operations]]
 include-path-regex = "/context/.pattern.$"

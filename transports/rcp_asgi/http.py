@@ -208,6 +208,8 @@ class HttpProtocol(HttpToolsProtocol):
             return False  # an endless response, whose client is gone
         if not self.transport.can_write_eof() or self.transport.is_closing():
             return False
+        if self._deaf and self._parting is None:
+            return False  # it has its answer
         self._ended = True
         self._farewell = self.loop.call_later(_LINGER, self.transport.close)
         if not self._deaf:
