@@ -638,6 +638,11 @@ async def test_openapi_has_every_resource_that_the_caller_sees(http: httpx.Async
     name = schema["$ref"].removeprefix("#/components/schemas/")
     assert mine["components"]["schemas"][name]["maximum"] == 2.5
     assert "/rcp/v1/events" in mine["paths"]
+    # A stranger reads, and writes nothing; every reference leads somewhere.
+    assert (mine["security"], "security" in item["get"]) == ([{}, {"bearer": []}], False)
+    assert item["put"]["security"] == [{"bearer": []}]
+    assert mine["components"]["responses"]["405"]["headers"]["Allow"]["required"] is True
+    assert item["put"]["responses"]["423"] == {"$ref": "#/components/responses/423"}
     beta = {"authorization": "Bearer key-of-tenant-beta"}
     theirs = (await http.get("/openapi.json", headers=beta)).json()
     assert "/rcp/v1/context/tenant/alpha/param/limit" not in theirs["paths"]
