@@ -85,6 +85,7 @@ async def read_body(receive: Receive, limit: int, patience: float) -> bytes:
 
     :raises PayloadTooLarge: it is longer than `limit` bytes.
     :raises DeadlineExceeded: it did not come within `patience` seconds.
+    :raises BadRequest: the connection ended before.
     """
     parts: list[bytes] = []
     size = 0
@@ -93,6 +94,8 @@ async def read_body(receive: Receive, limit: int, patience: float) -> bytes:
         async with asyncio.timeout(patience):
             while more:
                 message = await receive()
+                if message["type"] == "http.disconnect":  # half a value must not reach a robot
+                    raise BadRequest("the connection ended before the body did")
                 parts.append(message.get("body", b""))
                 size += len(parts[-1])
                 if size > limit:

@@ -1,7 +1,9 @@
-"""Failed logins of an address: after too many it has to wait before anything new is looked at.
+"""Failed logins of an address: after too many it has to wait before anything costly is looked at.
 
-What was good before stays welcome meanwhile, so that those who share an address with whoever
-guesses (a proxy, a NAT) go on; each address gets its patience back with time, whatever comes.
+Whoever shares an address with one who guesses (a proxy, a NAT) is not locked out. A right key is
+found by its hash before anybody comes here, and so is what was good before. A signed token, which
+nobody guesses, is verified even so, at a pace that costs the gateway next to nothing. All else has
+to wait: each address gets its patience back with time, whatever comes.
 """
 
 from __future__ import annotations
@@ -16,6 +18,7 @@ __all__ = ["Attempts"]
 _ADDRESSES = 20_000
 _GOOD = 20_000  # credentials
 _PERIOD = 60.0  # s in which a whole allowance comes back
+_SIGNED = 0.01  # s from a wrong signature to the next one of an address without patience left
 
 
 class Attempts:
@@ -27,21 +30,30 @@ class Attempts:
         self._spent: dict[str, tuple[float, float]] = {}
         """Failures not forgotten yet, and when that was worked out."""
         self._good: dict[str, None] = {}
+        self._next: dict[str, float] = {}
+        """When the next signature of a network may be verified."""
 
-    def check(self, address: str | None, digest: str) -> None:
-        """Let a credential be looked at.
+    def check(self, address: str | None, digest: str, *, signed: bool = False) -> None:
+        """Let a credential be looked at; `signed` says that it cannot be guessed.
 
         :raises RateLimited: too many of this address were wrong; `retry_after` says when to come.
         """
         if address is None or not self._spent or digest in self._good:
             return
-        over = self._left(_network(address)) - self.allowance + 1
-        if over > 0:
-            raise RateLimited(
-                "too many failed logins from this address",
-                retry_after=round(over * _PERIOD / self.allowance, 3),
-                remedy="Wait `retry_after` seconds, then send a token that is good.",
-            )
+        network = _network(address)
+        over = self._left(network) - self.allowance + 1
+        if over <= 0:
+            return
+        wait = over * _PERIOD / self.allowance
+        if signed:
+            wait = self._next.get(network, 0.0) - self._clock()
+            if wait <= 0:
+                return
+        raise RateLimited(
+            "too many failed logins from this address",
+            retry_after=max(round(wait, 3), 0.001),
+            remedy="Wait `retry_after` seconds, then send a token that is good.",
+        )
 
     def failed(self, address: str | None, digest: str) -> None:
         """Count a failure."""
@@ -52,8 +64,10 @@ class Attempts:
         spent = min(self._left(network) + 1, self.allowance)  # however many came at once
         self._spent.pop(network, None)
         if len(self._spent) >= _ADDRESSES:
-            del self._spent[next(iter(self._spent))]
-        self._spent[network] = (spent, self._clock())
+            self._forget(next(iter(self._spent)))
+        moment = self._clock()
+        self._spent[network] = (spent, moment)
+        self._next[network] = moment + _SIGNED
 
     def succeeded(self, digest: str) -> None:
         """Keep in mind that a credential is good."""
@@ -69,9 +83,13 @@ class Attempts:
         spent, then = known
         left = spent - (self._clock() - then) * self.allowance / _PERIOD
         if left <= 0:
-            del self._spent[network]
+            self._forget(network)
             return 0.0
         return left
+
+    def _forget(self, network: str) -> None:
+        del self._spent[network]
+        self._next.pop(network, None)
 
 
 def _network(address: str) -> str:

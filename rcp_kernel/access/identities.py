@@ -211,12 +211,17 @@ class Identities:
             waited = self._issuers.find(token, fingerprint(token))
             if isinstance(waited, Issuer):
                 await waited.ask()
-        found = self._look(token, peer, self._issuers.insist)
+        found = self._look(token, peer, self._issuers.insist, fetched=True)
         assert found is not None
         return found
 
     def _look(
-        self, token: str | None, peer: Peer, by: Callable[[str, str], Principal | None]
+        self,
+        token: str | None,
+        peer: Peer,
+        by: Callable[[str, str], Principal | None],
+        *,
+        fetched: bool = False,
     ) -> Principal | None:
         certified = None
         if peer.certificate is not None:
@@ -224,7 +229,10 @@ class Identities:
         if token is None:
             return certified or self.anonymous()
         digest = fingerprint(token)
-        self._attempts.check(peer.address, digest)
+        if not fetched and not self._is_proved(digest):
+            # Whether a plugin's tokens can be guessed is not known.
+            signed = self._authenticator is None and self._is_signed(token)
+            self._attempts.check(peer.address, digest, signed=signed)
         try:
             principal = by(token, digest)
             if principal is None:
@@ -238,6 +246,13 @@ class Identities:
         self._attempts.succeeded(digest)
         return principal
 
+    def _is_proved(self, digest: str) -> bool:
+        """Tell by the hash alone, at no cost, whether a token is a right one."""
+        return (self._keyring.proves(digest) or self._issuers.kept(digest)) is not None
+
+    def _is_signed(self, token: str) -> bool:
+        return bool(self._issuers.issuers) and is_jwt(token)
+
     def _by_token(self, token: str, digest: str) -> Principal | None:
         if self._authenticator is not None:
             principal = self._ask(self._authenticator, token)
@@ -246,7 +261,7 @@ class Identities:
         found = self._keyring.proves(digest)
         if found is not None:
             return found
-        if self._issuers.issuers and is_jwt(token):
+        if self._is_signed(token):
             principal = self._issuers.find(token, digest)
             return principal if isinstance(principal, Principal) else None
         raise Unauthenticated("the token is not known")

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import base64
+import json
+import re
 from typing import Any
 
 import msgspec
@@ -18,6 +21,7 @@ __all__ = ["Claims", "Read", "is_jwt", "principal_of", "read_token", "verify"]
 Claims = dict[str, Any]
 _LONGEST = 16_384  # characters
 _NAME = 128  # characters
+_FORM = re.compile(r"[A-Za-z0-9_-]+\.[A-Za-z0-9_-]+\.[A-Za-z0-9_-]+\Z")  # RFC 7515, 2: no padding
 _TRIED = 8  # keys, for a token that names none
 _S = 1_000_000_000  # ns
 _LAST = 253_402_300_799  # s: the end of the year 9999
@@ -45,9 +49,12 @@ def read_token(token: str) -> Read:
 
     if len(token) > _LONGEST:
         raise Unauthenticated(f"the token is longer than {_LONGEST} characters")
+    if not _FORM.match(token):
+        raise _malformed()
     try:
         head: Any = jwt.get_unverified_header(token)
         claims: Any = jwt.decode(token, options={"verify_signature": False})
+        _check_names(token)
     except Exception:  # the library reads a stranger's bytes: whatever it says, they are not good
         raise _malformed() from None
     issuer, algorithm, key = claims.get("iss"), head.get("alg"), head.get("kid")
@@ -56,6 +63,20 @@ def read_token(token: str) -> Read:
     if "crit" in head:  # RFC 7515, 4.1.11: what is not understood must be refused
         raise Unauthenticated("the token has critical extensions, and none is understood here")
     return Read(issuer, algorithm, key if isinstance(key, str) else None)
+
+
+def _check_names(token: str) -> None:
+    """Refuse names that are there twice: others may have taken the first (RFC 7515, 4; 7519, 4)."""
+    for part in token.split(".")[:2]:
+        text = base64.urlsafe_b64decode(part + "=" * (-len(part) % 4))
+        json.loads(text, object_pairs_hook=_unique)
+
+
+def _unique(pairs: list[tuple[str, Any]]) -> Claims:
+    found = dict(pairs)
+    if len(found) < len(pairs):
+        raise ValueError("a name is there twice")
+    return found
 
 
 def _malformed() -> Unauthenticated:

@@ -30,7 +30,7 @@ class Limits(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     session_ttl: Annotated[float, Meta(ge=0)] = 60.0
     """How long a session waits for its client's return."""
     failed_logins: _Count = 30
-    """Wrong tokens of one address in a minute, before nothing new of it is looked at."""
+    """Wrong tokens of one address in a minute, before further wrong ones are refused unseen."""
     heartbeat: Annotated[float, Meta(gt=0)] = 15.0
     """Between pings of an idle connection; two unanswered ones close it."""
     deadline: Annotated[float, Meta(gt=0, le=3600)] = 10.0

@@ -14,14 +14,43 @@ from rcp_kernel.testing import OPERATOR, serve
 from rcp_kernel.testing.wire import DEAD, ROBOT, configuration
 
 BOUND = 150  # s, on a slow machine
-CHECKS = (
-    *("not_a_server_error", "status_code_conformance", "content_type_conformance"),
-    *("response_headers_conformance", "response_schema_conformance"),
-)
-# What the contract says of robots that fail, are away or late; 500 is not among it.
+# What the contract says of robots that fail, are away or late; 500 is not among it. A cursor, a path
+# and the ways to name a lease have a form that no schema tells, so 400 is an answer to some values.
+# Open values take numbers beyond 2^53, which the gateway itself never sends. What somebody may not see
+# is not there for him: 404 and not 401. What writes to a path is told at the path, not at the pattern.
+# Commands end, and are forgotten, as they please: nothing is handed from one operation to the next. A body
+# without Content-Type is JSON.
 SETTINGS = """
+[checks]
+use_after_free.enabled = false
+ensure_resource_availability.enabled = false
+missing_required_header.enabled = false
+object_level_authorization.enabled = false
+
 [checks.not_a_server_error]
 expected-statuses = ["2xx", "3xx", "4xx", 501, 502, 503, 504]
+
+[checks.positive_data_acceptance]
+expected-statuses = ["2xx", "3xx", 401, 403, 404, 409, 423, 429, 499, "5xx"]
+
+[checks.negative_data_rejection]
+expected-statuses = [400, 401, 403, 404, 405, 409, 413, 422, 423, 429, "5xx"]
+
+[[operations]]
+include-path-regex = "/rcp/v1/(commands|discovery|messages|context/.pattern.|context/system/leases)$"
+checks.positive_data_acceptance.expected-statuses = ["2xx", "3xx", 400, 401, 403, 404, 405, 409, 422, 423, 429, 499, "5xx"]
+
+[[operations]]
+include-path-regex = "/(param/parcel|service/echo)$"
+checks.negative_data_rejection.expected-statuses = ["2xx", 400, 404, 409, 422, 423, "5xx"]
+
+[[operations]]
+include-path-regex = "/context/.pattern.$"
+checks.unsupported_method.enabled = false
+
+[[operations]]
+include-path-regex = "/context/system/"
+checks.ignored_auth.enabled = false
 """
 # Endless; fails by design; stops the rest; of a type within itself, which takes the tool hours.
 LEFT_OUT = "(/events|/sensor/crashed|/system/estop|/system/plans)$"
@@ -44,7 +73,7 @@ async def test_the_document_holds(tmp_path: Path) -> None:
         program = await asyncio.create_subprocess_exec(
             *(sys.executable, "-m", "schemathesis.cli", "--config-file", str(settings), "run"),
             *(f"{url}/openapi.json", "--header", f"Authorization: Bearer {OPERATOR}"),
-            *("--checks", ",".join(CHECKS), "--exclude-path-regex", LEFT_OUT),
+            *("--exclude-path-regex", LEFT_OUT),
             *("--phases", "examples,coverage,fuzzing", "--max-examples", "3"),
             *("--workers", "2", "--generation-deterministic", "--no-color"),
             *("--request-timeout", "5", "--suppress-health-check", "all"),

@@ -5,7 +5,7 @@ import zlib
 
 import pytest
 
-from transports.raw import BINARY, CLOSE, PING, PONG, TEXT, frame, opened
+from transports.raw import BINARY, CLOSE, PING, PONG, TEXT, connected, frame, handshake, opened
 from transports.robot import KEY, Site, site
 
 pytestmark = pytest.mark.anyio
@@ -168,6 +168,19 @@ async def test_a_damaged_compressed_message_closes(gateway: Site) -> None:
         {"Sec_WebSocket_Extensions": "permessage-deflate; server_max_window_bits=8"},
         {"Sec_WebSocket_Extensions": "permessage-deflate; unheard_of"},
         {"Sec_WebSocket_Extensions": "x-webkit-deflate-frame"},
+        {"Sec_WebSocket_Extensions": "permessage-deflate; client_no_context_takeover=1"},
+        {"Sec_WebSocket_Extensions": "permessage-deflate; server_no_context_takeover=true"},
+        {"Sec_WebSocket_Extensions": "permessage-deflate; client_max_window_bits=7"},
+        {"Sec_WebSocket_Extensions": "permessage-deflate; client_max_window_bits=16"},
+        {"Sec_WebSocket_Extensions": "permessage-deflate; client_max_window_bits=015"},
+        {"Sec_WebSocket_Extensions": "permessage-deflate; client_max_window_bits="},
+        {"Sec_WebSocket_Extensions": 'permessage-deflate; client_max_window_bits="x y"'},
+        {"Sec_WebSocket_Extensions": "permessage-deflate; server_max_window_bits"},
+        {"Sec_WebSocket_Extensions": "permessage-deflate; server_max_window_bits=1.5"},
+        {"Sec_WebSocket_Extensions": "permessage-deflate;"},
+        {"Sec_WebSocket_Extensions": "permessage-deflate;;client_max_window_bits"},
+        {"Sec_WebSocket_Extensions": 'x; a="b, permessage-deflate, c"'},
+        {"Sec_WebSocket_Extensions": ",,;=;,"},
         {},
     ],
 )
@@ -176,6 +189,33 @@ async def test_compression_is_declined_where_it_does_not_fit(
 ) -> None:
     async with opened(gateway, **headers) as raw:
         assert b"Extensions" not in raw.head
+
+
+@pytest.mark.parametrize(
+    ("offer", "more"),
+    [
+        ("permessage-deflate; client_max_window_bits", ""),
+        ('permessage-deflate; client_max_window_bits="10"; server_no_context_takeover', ""),
+        ("permessage-deflate; server_max_window_bits=15", "; server_max_window_bits=15"),
+        ("permessage-deflate; server_max_window_bits=9, permessage-deflate", ""),
+        ("permessage-deflate; nonsense, x, Permessage-Deflate", ""),
+    ],
+)
+async def test_the_first_offer_that_is_valid_is_accepted(
+    gateway: Site, offer: str, more: str
+) -> None:
+    async with opened(gateway, Sec_WebSocket_Extensions=offer) as raw:
+        both = "server_no_context_takeover; client_no_context_takeover"
+        agreed = f"permessage-deflate; {both}{more}"
+        assert f"Sec-WebSocket-Extensions: {agreed}\r\n".encode() in raw.head
+
+
+async def test_offers_may_stand_in_several_headers(gateway: Site) -> None:
+    request = handshake(Sec_WebSocket_Extensions="permessage-deflate")
+    request = request.replace(b"\r\n\r\n", b"\r\nSec-WebSocket-Extensions: x\r\n\r\n")
+    async with connected(gateway) as raw:
+        raw.send(request)
+        assert b"permessage-deflate" in await raw.reader.readuntil(b"\r\n\r\n")
 
 
 def _deflated(data: bytes) -> bytes:

@@ -405,6 +405,8 @@ async def test_commands_are_listed_page_by_page(http: httpx.AsyncClient, gateway
         query["cursor"] = page["cursor"]
         gateway.robot.release.set()  # it ends between two pages, and is told once all the same
     assert found == [running.json()["command"], *reversed(sent)]
+    unheard = await http.get("/rcp/v1/commands?status=null")
+    assert (unheard.status_code, error(unheard)) == (400, "bad_request")
     one = (await http.get("/rcp/v1/commands?status=completed&limit=25&path=/x")).json()
     assert (one["body"], "truncated" in one) == ([], False)
     bad = await http.get("/rcp/v1/commands", params={"cursor": "L3RlbmFudA=="})
@@ -460,9 +462,16 @@ async def test_schemas_are_served_bare_and_in_envelopes(http: httpx.AsyncClient)
         ("OPTIONS", f"{CONTEXT}/param/limit", 204, "GET, HEAD, PUT, OPTIONS"),
         ("OPTIONS", f"{CONTEXT}/action/go", 204, "POST, OPTIONS"),
         ("OPTIONS", "/rcp/v1/commands", 204, "GET, HEAD, OPTIONS"),
-        ("DELETE", "/rcp/v1/commands", 405, "GET, OPTIONS"),
-        ("PATCH", POSE, 405, "GET, PUT, POST, OPTIONS"),
-        ("PUT", POSE, 405, "GET, OPTIONS"),
+        ("DELETE", "/rcp/v1/commands", 405, "GET, HEAD, OPTIONS"),
+        ("PATCH", POSE, 405, "GET, HEAD, OPTIONS"),
+        ("PUT", POSE, 405, "GET, HEAD, OPTIONS"),
+        ("TRACE", f"{CONTEXT}/action/go", 405, "POST, OPTIONS"),
+        ("GET", f"{CONTEXT}/action/go", 405, "POST, OPTIONS"),
+        ("POST", f"{CONTEXT}/param/limit", 405, "GET, HEAD, PUT, OPTIONS"),
+        ("GET", "/rcp/v1/messages", 405, "POST, OPTIONS"),
+        ("POST", "/rcp/v1/events?path=/**", 405, "GET, OPTIONS"),
+        ("PATCH", f"{CONTEXT}/sensor/none", 405, "GET, HEAD, PUT, POST, OPTIONS"),
+        ("TRACE", f"{CONTEXT}/0", 405, "GET, HEAD, PUT, POST, OPTIONS"),
         ("HEAD", POSE, 200, None),
     ],
 )
@@ -474,6 +483,97 @@ async def test_methods(
     if method == "HEAD":
         assert response.content == b""
         assert int(response.headers["content-length"]) > 100
+
+
+async def test_what_cannot_be_written_says_so_with_a_body_and_without(
+    http: httpx.AsyncClient,
+) -> None:
+    for content in (b"1", None):
+        response = await http.put(POSE, content=content)
+        assert (response.status_code, error(response)) == (405, "unsupported_operation")
+        assert (await http.put(f"{CONTEXT}/sensor/none", content=content)).status_code == 404
+        async with httpx.AsyncClient(base_url=http.base_url) as anyone:
+            refused = await anyone.put(f"{CONTEXT}/param/limit", content=content)
+        assert (refused.status_code, error(refused)) == (403, "forbidden")
+    empty = await http.put(f"{CONTEXT}/param/limit")
+    assert (empty.status_code, error(empty)) == (400, "bad_request")
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "status"),
+    [
+        ("content-encoding", "gzip", 400),
+        ("content-range", "bytes 0-0/3", 400),
+        ("if-match", '"1"', 501),
+        ("if-none-match", "*", 501),
+        ("if-unmodified-since", "Thu, 01 Jan 2015 00:00:00 GMT", 501),
+        ("content-encoding", "identity", 200),
+    ],
+)
+async def test_nothing_is_written_past_what_its_headers_ask_for(
+    http: httpx.AsyncClient, gateway: Site, name: str, value: str, status: int
+) -> None:
+    taken: list[object] = []
+
+    async def write(name: str, value: object) -> None:
+        taken.append(value)
+
+    gateway.robot.write = write  # type: ignore[method-assign, assignment]
+    response = await http.put(f"{CONTEXT}/param/limit", json=2, headers={name: value})
+    assert response.status_code == status, response.text
+    assert taken == ([2.0] if status == 200 else [])
+
+
+@pytest.mark.parametrize(
+    ("target", "status", "code"),
+    [
+        (f"{CONTEXT}/sensor%2Fpose", 200, None),  # how generated clients write a path in a path
+        (f"{CONTEXT}/sensor/p%6Fse", 200, None),
+        (f"{CONTEXT}/sensor/pose%00", 400, "invalid_path"),
+        (f"{CONTEXT}/sensor/pose%0a", 400, "invalid_path"),
+        (f"{CONTEXT}/sensor/pose%zz", 400, "invalid_path"),
+        (f"{CONTEXT}/sensor/pose%", 400, "invalid_path"),
+        (f"{CONTEXT}/sensor%c0%afpose", 400, "invalid_path"),
+        (f"{CONTEXT}/sensor/%ff", 400, "invalid_path"),
+        (f"{CONTEXT}/sensor//pose", 400, "invalid_path"),
+        (f"{CONTEXT}/sensor/pose/", 400, "invalid_path"),
+        (f"{CONTEXT}/sensor/../pose", 404, "unknown_path"),
+        (f"{CONTEXT}/sensor%252Fpose", 400, "invalid_path"),
+        ("/rcp/v1/schemas/%zz", 404, "unknown_path"),
+        ("/rcp/v1/commands/%00", 404, "unknown_path"),
+        ("/healthz%00", 404, "unknown_path"),
+        ("/%c0%ae%c0%ae/healthz", 404, "unknown_path"),
+        (f"{POSE}?fresh=1&fresh=0", 400, "bad_request"),
+        (f"{POSE}?limit=1&limit=2", 400, "bad_request"),
+        (f"{POSE}?tenant=alpha&tenant=beta", 400, "bad_request"),
+        ("/rcp/v1/discovery?op=read&op=write", 400, "bad_request"),
+        ("/rcp/v1/commands?status=x&status=y", 400, "bad_request"),
+    ],
+)
+async def test_a_target_is_decoded_once_and_refused_by_its_kind(
+    gateway: Site, target: str, status: int, code: str | None
+) -> None:
+    request = f"GET {target} HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n"
+    async with connected(gateway) as raw:
+        found, data = await answer(raw, request.encode())
+    told = json.loads(data.partition(b"\r\n\r\n")[2])
+    assert (found, (told.get("error") or {}).get("code")) == (status, code)
+
+
+@pytest.mark.parametrize(
+    "path", ["/healthz", "/readyz", "/", "/rcp/v1/openapi.json", "/rcp/v1/status", POSE]
+)
+async def test_head_is_get_without_its_body(http: httpx.AsyncClient, path: str) -> None:
+    async with httpx.AsyncClient(base_url=http.base_url, headers=http.headers) as other:
+        head = await other.head(path)
+        assert (head.status_code, head.content) == (200, b"")
+        assert (await other.get(path)).headers["content-type"] == head.headers["content-type"]
+
+
+async def test_the_allow_of_messages_is_its_own(http: httpx.AsyncClient) -> None:
+    for envelope in ({"type": "read", "path": "/action/go"}, {"type": "subscribe", "path": "/x"}):
+        refused = await http.post("/rcp/v1/messages", json=envelope)
+        assert (refused.status_code, refused.headers["allow"]) == (405, "POST, OPTIONS")
 
 
 @pytest.mark.parametrize(
@@ -538,6 +638,11 @@ async def test_openapi_has_every_resource_that_the_caller_sees(http: httpx.Async
     name = schema["$ref"].removeprefix("#/components/schemas/")
     assert mine["components"]["schemas"][name]["maximum"] == 2.5
     assert "/rcp/v1/events" in mine["paths"]
+    # A stranger reads, and writes nothing; every reference leads somewhere.
+    assert (mine["security"], "security" in item["get"]) == ([{}, {"bearer": []}], False)
+    assert item["put"]["security"] == [{"bearer": []}]
+    assert mine["components"]["responses"]["405"]["headers"]["Allow"]["required"] is True
+    assert item["put"]["responses"]["423"] == {"$ref": "#/components/responses/423"}
     beta = {"authorization": "Bearer key-of-tenant-beta"}
     theirs = (await http.get("/openapi.json", headers=beta)).json()
     assert "/rcp/v1/context/tenant/alpha/param/limit" not in theirs["paths"]

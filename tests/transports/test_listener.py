@@ -93,12 +93,22 @@ async def test_what_is_no_http_is_a_bad_request(gateway: Site, request_: bytes) 
 
 async def test_headers_have_a_limit() -> None:
     async with site(asgi="max_header = 1024") as gateway:
-        long = b"GET / HTTP/1.1\r\nHost: localhost\r\nX-Long: " + b"x" * 2000 + b"\r\n\r\n"
-        for request in (long, b"GET /" + b"x" * 2000 + b" HTTP/1.1\r\n\r\n"):
+        head = b"GET / HTTP/1.1\r\nHost: localhost\r\n"
+        long = head + b"X-Long: " + b"x" * 2000 + b"\r\n\r\n"
+        many = head + b"x:\r\n" * 400 + b"\r\n"
+        for request, wanted in ((long, 431), (many, 431), (b"GET /" + b"x" * 2000, 414)):
             async with connected(gateway) as raw:
                 status, data = await answer(raw, request)
-            assert status == 431
+            assert status == wanted, data
             assert b"payload_too_large" in data
+
+
+async def test_a_header_without_an_end_is_cut_at_the_limit(gateway: Site) -> None:
+    async with connected(gateway) as raw:
+        status, data = await answer(
+            raw, b"GET / HTTP/1.1\r\nHost: localhost\r\nX: " + b"x" * 60_000
+        )
+    assert status == 431, data
 
 
 @pytest.mark.parametrize("start", [b"", b"GET / HTTP/1.1\r\nHost: local"])

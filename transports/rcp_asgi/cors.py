@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from typing import Any
 
+from rcp_asgi.request_head import METHODS
 from rcp_kernel.asgi import Scope, Send, header
 
 __all__ = ["allowing", "is_preflight", "preflight"]
 
-_METHODS = b"GET, HEAD, PUT, POST, DELETE, OPTIONS"
 _EXPOSED = b"location, etag, retry-after, content-range, x-rcp-id"
 
 
@@ -24,7 +24,7 @@ async def preflight(scope: Scope, send: Send, origin: str) -> None:
     wanted = header(scope, b"access-control-request-headers") or b"content-type"
     headers = [
         (b"access-control-allow-origin", origin.encode("latin-1")),
-        (b"access-control-allow-methods", _METHODS),
+        (b"access-control-allow-methods", METHODS),
         (b"access-control-allow-headers", wanted),
         (b"access-control-max-age", b"600"),
         (b"vary", b"origin"),

@@ -2,43 +2,66 @@
 
 from __future__ import annotations
 
+import re
 import zlib
 
-__all__ = ["RESPONSE", "TooLong", "deflate", "inflate", "offered"]
+__all__ = ["TooLong", "accept_offer", "deflate", "inflate"]
 
 _TAIL = b"\x00\x00\xff\xff"  # RFC 7692 7.2.1: cut off by the sender, put back by the receiver
-_KNOWN = frozenset(
-    (
-        "client_no_context_takeover",
-        "server_no_context_takeover",
-        "client_max_window_bits",
-        "server_max_window_bits",
-    )
-)
-RESPONSE = "permessage-deflate; server_no_context_takeover; client_no_context_takeover"
+_TOKEN = re.compile(r"[!#$%&'*+.^_`|~0-9A-Za-z-]+")
+_QUOTED = re.compile(r'"([^"]*)"')
+_BITS = frozenset(str(bits) for bits in range(8, 16))
+_RESPONSE = "permessage-deflate; server_no_context_takeover; client_no_context_takeover"
 
 
 class TooLong(Exception):
     """A message is longer than allowed once it is inflated."""
 
 
-def offered(extensions: str) -> bool:
-    """Tell whether a client's `Sec-WebSocket-Extensions` holds an offer that can be accepted."""
-    return any(_acceptable(offer) for offer in extensions.split(","))
+def accept_offer(extensions: str) -> str | None:
+    """Return the answer to a client's `Sec-WebSocket-Extensions`; None declines all its offers.
+
+    What is invalid is declined, never corrected (RFC 7692, 7).
+    """
+    for offer in _QUOTED.sub(_unquoted, extensions).split(","):
+        parameters = _parameters(offer)
+        if parameters is not None and _acceptable(parameters):
+            # RFC 7692 7.1.2.1: to accept this one is to say it, too.
+            named = "server_max_window_bits" in parameters
+            return _RESPONSE + ("; server_max_window_bits=15" if named else "")
+    return None
 
 
-def _acceptable(offer: str) -> bool:
-    name, *parameters = (part.strip() for part in offer.split(";"))
+def _unquoted(match: re.Match[str]) -> str:
+    return match[1] if _TOKEN.fullmatch(match[1]) else "?,?"  # nothing that is valid
+
+
+def _parameters(offer: str) -> dict[str, str | None] | None:
+    """Read one offer of permessage-deflate; None if it is none, or malformed."""
+    name, *parts = (part.strip(" \t") for part in offer.split(";"))
     if name.lower() != "permessage-deflate":
-        return False
-    seen: set[str] = set()
-    for parameter in parameters:
-        key, _, value = (part.strip() for part in parameter.partition("="))
-        if key not in _KNOWN or key in seen:
-            return False
-        seen.add(key)
-        # The answer names no window size, so the largest one must do for the client.
-        if key == "server_max_window_bits" and value.strip('"') != "15":
+        return None
+    found: dict[str, str | None] = {}
+    for part in parts:
+        key, equals, value = (text.strip(" \t") for text in part.partition("="))
+        if key in found or not _TOKEN.fullmatch(key) or (equals and not _TOKEN.fullmatch(value)):
+            return None
+        found[key] = value if equals else None
+    return found
+
+
+def _acceptable(parameters: dict[str, str | None]) -> bool:
+    for key, value in parameters.items():
+        match key:
+            case "server_no_context_takeover" | "client_no_context_takeover":
+                good = value is None
+            case "client_max_window_bits":
+                good = value is None or value in _BITS
+            case "server_max_window_bits":  # a smaller one is valid, but not spoken here
+                good = value == "15"
+            case _:
+                good = False
+        if not good:
             return False
     return True
 

@@ -12,8 +12,9 @@ import structlog
 
 from rcp_asgi.cors import allowing, is_preflight, preflight
 from rcp_asgi.origins import Origins
+from rcp_asgi.request_head import METHODS
 from rcp_asgi.urls import check_url
-from rcp_kernel.asgi import Receive, Scope, Send, refuse
+from rcp_kernel.asgi import Receive, Scope, Send, refuse, respond
 from rcp_kernel.door import Asgi, Door, Mount
 from rcp_kernel.errors import BadRequest, Forbidden, InternalError, UnknownPath
 
@@ -51,6 +52,9 @@ class FrontDoor:
                 await preflight(scope, send, origin)
                 return
             send = allowing(send, origin)
+        if scope["path"] == "*":  # OPTIONS of the gateway as a whole (RFC 9110, 9.3.7)
+            await respond(send, 204, b"", headers=[(b"allow", METHODS)])
+            return
         if self._root:
             self._strip(scope)
         app = self._find(scope["type"], scope["path"])

@@ -1,35 +1,49 @@
 """HTTP framing: uvicorn's httptools protocol, with limits on headers, time and connections.
 
-What is malformed is answered with an envelope here too, and a WebSocket handshake goes to
-`Upgrade` without being written out and parsed again.
+What is malformed is answered with an envelope here too, after what came before it, and a WebSocket
+handshake goes to `Upgrade` without being written out and parsed again. What came in one read is
+parsed slice by slice, a slice a turn of the loop: 256 KiB hold thousands of requests.
 """
 
 from __future__ import annotations
 
 import asyncio
+import re
 from math import ceil
 from typing import Any, cast
 from urllib.parse import unquote
 
 import httptools
 from uvicorn.config import Config
+from uvicorn.protocols.http.flow_control import HIGH_WATER_LIMIT
 from uvicorn.protocols.http.httptools_impl import STATUS_LINE, HttpToolsProtocol
 from uvicorn.server import ServerState
 
 from rcp_asgi.endless import Endless
+from rcp_asgi.flow import ReadFlow
+from rcp_asgi.request_head import (
+    HeadTooLong,
+    Malformed,
+    TargetTooLong,
+    UnknownMethod,
+    check_head,
+)
 from rcp_asgi.seats import Seat
 from rcp_asgi.settings import Settings
 from rcp_asgi.upgrade import Upgrade
 from rcp_kernel.access.certificates import read_certificate
 from rcp_kernel.access.peer import UNKNOWN, Peer
 from rcp_kernel.door import Asgi
-from rcp_kernel.errors import BadRequest, PayloadTooLarge, RcpError
+from rcp_kernel.errors import RcpError
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import encode_reply, failure
 
 __all__ = ["HttpProtocol"]
 
 _LINGER = 1.0  # s that a refused client has to read why
+_SLICE = 4 * 1024  # bytes parsed in one turn of the loop: some hundred requests at most
+_BODY_SLICE = 64 * 1024  # bytes of a body of known length, which cost next to nothing
+_METHOD = re.compile(rb"[!#$%&'*+.^_`|~0-9A-Za-z-]{1,64} ")
 
 
 class HttpProtocol(HttpToolsProtocol):
@@ -51,7 +65,20 @@ class HttpProtocol(HttpToolsProtocol):
         self._head = 0
         self._in_head = True
         self._in_body = False
+        self._owed = 0
+        """Bytes of the body that its Content-Length still promises."""
+        self._silent = 0
+        """Bytes since the parser last told anything: it keeps an unfinished header to itself."""
+        self._unread: bytes | memoryview = b""
+        self._turn: asyncio.Handle | None = None
         self._deaf = False
+        self._fault: RcpError | None = None
+        """What a callback of the parser found wrong."""
+        self._ended = False
+        """The client has said all, and may still listen."""
+        self._farewell: asyncio.TimerHandle | None = None
+        self._parting: RcpError | None = None
+        """What is to be said when the requests before it are answered."""
         self._peer = UNKNOWN
         self._proxied = False
         self._slow: asyncio.TimerHandle | None = None
@@ -61,6 +88,7 @@ class HttpProtocol(HttpToolsProtocol):
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         """Take a connection, unless there are too many."""
         super().connection_made(transport)
+        self.flow = self._reading = ReadFlow(transport)
         self._body = Endless(transport)
         self._extensions = {"rcp.stream": self._body, "rcp.closing": self._settings.closing}
         refusal = self._seat.refusal
@@ -84,7 +112,7 @@ class HttpProtocol(HttpToolsProtocol):
 
     def _late(self) -> None:
         self._slow = None
-        if self._in_body and (self.pipeline or self.flow.read_paused):
+        if self._in_body and not self._deaf and (self.pipeline or self.flow.read_paused):
             self._watch(self._settings.config.body_timeout)  # it is us who do not read
             return
         self.transport.close()
@@ -92,6 +120,11 @@ class HttpProtocol(HttpToolsProtocol):
     def connection_lost(self, exc: Exception | None) -> None:
         """Stop the clock."""
         self._stop_clock()
+        self._deaf = True
+        self._unread = b""
+        for handle in (self._turn, self._farewell):
+            if handle is not None:
+                handle.cancel()
         self._seat.leave()
         if self._body is not None:
             self._body.writable = False
@@ -118,20 +151,96 @@ class HttpProtocol(HttpToolsProtocol):
         """Parse; what is no HTTP is told so and cut."""
         if self._deaf:
             return
+        if self._unread:  # reading stops with the next turn of the loop
+            self._unread = bytes(self._unread) + data
+            return
+        self._unread = data if len(data) <= _SLICE else memoryview(data)
+        self._parse()
+
+    def _parse(self) -> None:
+        """Parse one slice of what was read."""
+        self._turn = None
         self._unset_keepalive_if_required()
+        size = max(_SLICE, min(self._owed, _BODY_SLICE))
+        part, self._unread = self._unread[:size], self._unread[size:]
+        self._silent += len(part)
         try:
-            self.parser.feed_data(data)  # pyright: ignore[reportOptionalMemberAccess] - None once lost
+            self.parser.feed_data(part)
         except httptools.HttpParserUpgrade as upgrade:
-            if self._should_upgrade():
-                self._upgrade(data[upgrade.args[0] :])
-        except httptools.HttpParserError:
-            if self._head > self._settings.config.max_header:
-                self._give_up(PayloadTooLarge("the request's headers are too long"), 431)
+            rest = bytes(part[upgrade.args[0] :]) + bytes(self._unread)
+            if not self._should_upgrade():
+                self._unread = memoryview(rest)
+                self._go_on_without_upgrade()
+            elif self.cycle is None or self.cycle.response_complete:
+                self._upgrade(rest)
+                return
             else:
-                self._give_up(BadRequest("this is not HTTP/1.1"), 400)
-        else:
-            if self._slow is None:
-                self._mind()
+                self._give_up(Malformed("a WebSocket does not begin while a request is answered"))
+                return
+        except httptools.HttpParserError as error:
+            self._give_up(self._fault or _fault_of(error, part))
+            return
+        if self._silent > self._settings.config.max_header and self._owed <= 0:
+            self._give_up(HeadTooLong("the request's headers are too long"))
+            return
+        self._continue()
+
+    def _continue(self) -> None:
+        """See to the rest of what was read, after the requests in it that wait."""
+        if self._unread:
+            self._reading.hold()
+            if self._turn is None and not self.pipeline:
+                self._turn = self.loop.call_soon(self._parse)
+            return
+        self._reading.release()
+        full = self.cycle is not None and len(self.cycle.body) > HIGH_WATER_LIMIT
+        if not self.pipeline and not full:
+            self.flow.resume_reading()
+        if self._ended:
+            self._conclude()
+        elif self._slow is None:
+            self._mind()
+
+    def eof_received(self) -> bool:  # type: ignore[override] - asyncio takes either
+        """Answer what a client has asked that says no more, if that takes but a moment."""
+        begun = self.cycle is not None and self.cycle.response_started
+        if begun and not self.cycle.response_complete:
+            return False  # an endless response, whose client is gone
+        if not self.transport.can_write_eof() or self.transport.is_closing():
+            return False
+        if self._deaf and self._parting is None:
+            return False  # it has its answer
+        self._ended = True
+        self._farewell = self.loop.call_later(_LINGER, self.transport.close)
+        if not self._deaf:
+            self._conclude()
+        return True
+
+    def _conclude(self) -> None:
+        """Close when all is answered that came before the end."""
+        if self._unread:
+            return
+        if self._in_body or (self._in_head and (self._head or self._silent)):
+            self._give_up(Malformed("the connection ended before the request did"))
+        elif self.cycle is None or self.cycle.response_complete:
+            self.transport.close()
+
+    def _go_on_without_upgrade(self) -> None:
+        """Take a request as if it wished for no other protocol (RFC 9110, 7.8).
+
+        The parser takes what follows for that protocol, the body too, so another one begins anew.
+        """
+        scope = self.scope
+        lines = [f"{scope['method']} ".encode(), self.url, b" HTTP/1.1\r\n"]
+        for name, value in self.headers:
+            if name == b"connection":
+                kept = [part for part in value.split(b",") if part.strip().lower() != b"upgrade"]
+                lines.append(b"connection: %b\r\n" % b",".join(kept))
+            elif name != b"upgrade":
+                lines.append(b"%b: %b\r\n" % (name, value))
+        self.parser = httptools.HttpRequestParser(self)
+        self.parser.set_dangerous_leniencies(lenient_data_after_close=True)
+        self.parser.feed_data(b"".join([*lines, b"\r\n"]))
 
     def _mind(self) -> None:
         """See to it that what has begun comes to an end."""
@@ -155,25 +264,40 @@ class HttpProtocol(HttpToolsProtocol):
 
     def on_url(self, url: bytes) -> None:
         """Take a part of the request line."""
-        self._count(len(url))
+        self._count(len(url), TargetTooLong("the request line is too long"))
         self.url += url
 
     def on_header(self, name: bytes, value: bytes) -> None:
-        """Take a header."""
-        self._count(len(name) + len(value))
-        super().on_header(name, value)
+        """Take a header; trailers are counted and left out: nobody here waits for any."""
+        self._count(len(name) + len(value) + 4, HeadTooLong("the request's headers are too long"))
+        if self._in_head:
+            super().on_header(name, value)
 
-    def _count(self, size: int) -> None:
+    def _count(self, size: int, fault: RcpError) -> None:
+        self._silent = 0
         self._head += size
         if self._head > self._settings.config.max_header:
-            raise ValueError("too long")  # the parser stops, and `data_received` answers
+            self._fault = fault
+            raise fault  # the parser stops, and `_parse` answers
 
     def on_headers_complete(self) -> None:
         """Start the request."""
         self._in_head = False
-        self._in_body = True
+        self._silent = 0
         if self._slow is not None:
             self._stop_clock()
+        parser, headers = self.parser, self.headers
+        method = parser.get_method()
+        try:
+            self.url = check_head(method, parser.get_http_version(), self.url, headers)
+        except RcpError as fault:
+            self._fault = fault
+            raise
+        if parser.should_upgrade() and not self._should_upgrade():
+            self.scope["method"] = method.decode("ascii")
+            return
+        self._in_body = True
+        self._owed = next((int(v) for n, v in headers if n == b"content-length"), 0)
         if self._proxied:
             self._speak_for_client()
         super().on_headers_complete()
@@ -187,20 +311,71 @@ class HttpProtocol(HttpToolsProtocol):
             scope["client"] = (address, 0)
             scope["extensions"] = {**self._extensions, "rcp.peer": peer}
 
+    def on_body(self, body: bytes) -> None:
+        """Take a part of the body."""
+        self._silent = 0
+        self._owed -= len(body)
+        super().on_body(body)
+
     def on_message_complete(self) -> None:
         """Stop the clock: the whole request is there."""
+        if not self._in_body:
+            return  # it begins anew, see `_go_on_without_upgrade`
         self._in_body = False
+        self._owed = self._silent = 0
         if self._slow is not None:
             self._stop_clock()
         super().on_message_complete()
 
-    def _give_up(self, error: RcpError, status: int) -> None:
+    def on_response_complete(self) -> None:
+        """Go on with what was read behind the request."""
+        last = not self.pipeline
+        super().on_response_complete()
+        if last and self._parting is not None:
+            self._part(self._parting)
+        elif self._unread and self._turn is None and not self.pipeline and not self._deaf:
+            self._turn = self.loop.call_soon(self._parse)
+        elif last and self._ended:
+            self._conclude()
+
+    def _give_up(self, error: RcpError) -> None:
+        """Hear no more, and say why when whatever came before is answered."""
+        self._stop_clock()
+        self._deaf = True
+        self._unread = b""
+        if self.transport.is_closing():
+            return
+        self._settings.door.refused("request", error.code)
+        cycle = self.cycle
+        if self._in_body and self.pipeline:
+            self.pipeline.popleft()  # the newest, which is the broken one
+        elif self._in_body:
+            begun = cycle.response_started
+            cycle.disconnected = True
+            cycle.message_event.set()
+            if begun:
+                self.transport.close()
+            else:
+                self._part(error)
+            return
+        elif cycle is None or cycle.response_complete:
+            self._part(error)
+            return
+        self._parting = error
+        self._watch(self._settings.config.body_timeout)
+
+    def _part(self, error: RcpError) -> None:
+        """Say why the connection ends; closed at once, it would drop what the client sends still."""
+        self._unset_keepalive_if_required()
         self._stop_clock()
         if self.transport.is_closing():
             return
-        if self.cycle is None or self.cycle.response_complete:
-            self._say(error, status)
-        self.transport.close()
+        self._say(error, error.http)
+        if self.transport.can_write_eof() and not self._ended:
+            self.transport.write_eof()
+            self._watch(_LINGER)
+        else:
+            self.transport.close()
 
     def _turn_away(self, error: RcpError) -> None:
         """Tell why there is no place, and let the client read it before the connection goes."""
@@ -239,3 +414,11 @@ class HttpProtocol(HttpToolsProtocol):
             loop=self.loop,
             rest=rest,
         ).begin()
+
+
+def _fault_of(error: Exception, data: bytes | memoryview) -> RcpError:
+    """Say what the parser did not like."""
+    if isinstance(error, httptools.HttpParserInvalidMethodError) and _METHOD.match(data):
+        return UnknownMethod("the method is not known here")
+    reason = "" if isinstance(error, httptools.HttpParserCallbackError) else f": {error}"
+    return Malformed(f"this is not HTTP/1.1{reason}")

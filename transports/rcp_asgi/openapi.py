@@ -20,9 +20,10 @@ def document(door: Door, session: Session) -> dict[str, Any]:
     """
     door.pay(session)
     paths: dict[str, Any] = {}
-    components: dict[str, dict[str, Any]] = {
-        "securitySchemes": {"bearer": {"type": "http", "scheme": "bearer"}}
-    }
+    schemes = _schemes(door)
+    components: dict[str, dict[str, Any]] = {"securitySchemes": schemes}
+    # What an operation may do without proof it says itself, where that is not this.
+    free: list[dict[str, Any]] = [{}] if door.proofs.anonymous else []
     for mount in door.mounts:
         if mount.openapi is None:
             continue
@@ -38,7 +39,21 @@ def document(door: Door, session: Session) -> dict[str, Any]:
             "description": "Robots behind one interface: read, write, execute, subscribe.",
         },
         "servers": [{"url": "/"}],
-        "security": [{}, {"bearer": []}],
+        "security": free + [{name: []} for name in schemes],
         "paths": paths,
         "components": components,
     }
+
+
+def _schemes(door: Door) -> dict[str, Any]:
+    """Describe by what a client may prove who it is."""
+    found: dict[str, Any] = {}
+    if door.proofs.bearer:
+        found["bearer"] = {
+            "type": "http",
+            "scheme": "bearer",
+            "description": "A key, a token of `rcpd token`, or a JSON Web Token of an issuer.",
+        }
+    if door.proofs.certificates:
+        found["certificate"] = {"type": "mutualTLS", "description": "A client certificate."}
+    return found

@@ -96,11 +96,17 @@ class Origins:
             return True
         known = self._known.get(host)
         if known is None:
-            name = urlsplit("//" + host.decode("latin-1")).hostname or ""
-            known = name in self._hosts
+            known = _name(host) in self._hosts
             if len(self._known) < 1000:
                 self._known[host] = known
         return known
+
+
+def _name(host: bytes) -> str:
+    try:
+        return urlsplit("//" + host.decode("latin-1")).hostname or ""
+    except ValueError:  # brackets around what is no address
+        return ""
 
 
 def _is_same(origin: str, host: bytes, *, secure: bool) -> bool:

@@ -25,7 +25,7 @@ from picows.picows import WSProtocol  # type: ignore[attr-defined] - pinned, see
 from uvicorn.protocols.http.httptools_impl import STATUS_LINE
 from uvicorn.server import ServerState
 
-from rcp_asgi.deflate import RESPONSE, offered
+from rcp_asgi.deflate import accept_offer
 from rcp_asgi.origins import is_loopback
 from rcp_asgi.seats import Seat
 from rcp_asgi.settings import Settings
@@ -105,6 +105,11 @@ class Upgrade(asyncio.Protocol):
     def _problem(self) -> tuple[int, str] | None:
         if self._scope["method"] != "GET":
             return 400, "a WebSocket begins with GET"
+        if self._scope["http_version"] != "1.1":
+            return 400, "a WebSocket begins with HTTP/1.1"
+        length = self._headers.get(b"content-length", b"0")
+        if length.strip(b"0") or b"transfer-encoding" in self._headers:
+            return 400, "the request for a WebSocket has no body"
         if self._headers.get(b"sec-websocket-version") != b"13":
             return 426, "only WebSocket version 13 is spoken"
         try:
@@ -182,8 +187,9 @@ class Upgrade(asyncio.Protocol):
         fields = [(name.decode("latin-1"), value.decode("latin-1")) for name, value in headers]
         if subprotocol is not None:
             fields.append(("Sec-WebSocket-Protocol", subprotocol))
-        if self._deflates(subprotocol):
-            fields.append(("Sec-WebSocket-Extensions", RESPONSE))
+        agreed = self._agree_on_deflate(subprotocol)
+        if agreed is not None:
+            fields.append(("Sec-WebSocket-Extensions", agreed))
         fields += [(k.decode(), v.decode()) for k, v in self._state.default_headers]
 
         def listen(_: WSUpgradeRequest) -> WSUpgradeResponseWithListener:
@@ -217,17 +223,19 @@ class Upgrade(asyncio.Protocol):
             self._rest = b""
         self._transport.resume_reading()
 
-    def _deflates(self, subprotocol: str | None) -> bool:
+    def _agree_on_deflate(self, subprotocol: str | None) -> str | None:
         wish = self._settings.config.compression
         if wish == "never" or (wish == "auto" and subprotocol in _BINARY):
-            return False
-        if not offered(self._headers.get(b"sec-websocket-extensions", b"").decode("latin-1")):
-            return False
+            return None
+        offers = [v for k, v in self._scope["headers"] if k == b"sec-websocket-extensions"]
+        agreed = accept_offer(b",".join(offers).decode("latin-1"))
+        if agreed is None:
+            return None
         client = self._scope["client"]
         near = client is None or is_loopback(client[0])
         self.socket.deflates = True
         self.socket.compresses = wish == "always" or not near
-        return True
+        return agreed
 
     def _deny(self, status: int, body: bytes, headers: list[tuple[bytes, bytes]]) -> None:
         self._stage = "denied"

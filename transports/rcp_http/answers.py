@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import secrets
+from collections.abc import Iterable
 from typing import Any
 
 from rcp_http.asked import Asked
@@ -14,15 +15,16 @@ from rcp_kernel.operations.pending import crash
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import Reply, encode_reply, failure
 
-__all__ = ["BOOT", "Answers", "matches"]
+__all__ = ["BOOT", "Answers", "matches", "methods_of"]
 
 BOOT = secrets.token_hex(4).encode()
 """Part of every validator: numbers begin anew with the process."""
 _MEDIA = {encoding: (b"content-type", name) for encoding, name in MEDIA.items()}
 _NO_CACHE = (b"cache-control", b"no-cache")
 _VARY = (b"vary", b"accept, accept-encoding, authorization, x-rcp-tenant")
+MESSAGES = "/rcp/v1/messages"
 _CODED = {name: (b"content-encoding", name.encode()) for name in ("zstd", "gzip")}
-_METHODS = {"read": "GET", "write": "PUT", "execute": "POST", "subscribe": "GET"}
+_METHODS = {"read": ("GET", "HEAD"), "write": ("PUT",), "execute": ("POST",)}
 
 
 class Answers:
@@ -47,7 +49,7 @@ class Answers:
         found = [] if headers is None else headers
         if told.error is not None:
             etag = None
-            found += _error_headers(status, told.error)
+            found += _error_headers(status, told.error, asked)
         if told.command is not None and asked.method == "POST":
             place = f"{asked.root_path}/rcp/v1/commands/{told.command}"
             found.append((b"location", place.encode("latin-1")))
@@ -103,13 +105,19 @@ def _encode(reply: Reply, encoding: Encoding) -> tuple[Reply, bytes]:
         return failed, encode_reply(failed, encoding)
 
 
-def _error_headers(status: int, error: dict[str, Any]) -> Headers:
+def methods_of(operations: Iterable[str]) -> list[str]:
+    """Return the HTTP methods of a resource with some operations."""
+    return [*(m for name in operations for m in _METHODS.get(name, ())), "OPTIONS"]
+
+
+def _error_headers(status: int, error: dict[str, Any], asked: Asked) -> Headers:
     headers: Headers = []
     if status == 401:
         headers.append((b"www-authenticate", b"Bearer"))
     headers += retry_after(error.get("retry_after"))
     if status == 405:
-        allowed = (error.get("details") or {}).get("allowed", ())
-        methods = dict.fromkeys(_METHODS[name] for name in allowed if name in _METHODS)
-        headers.append((b"allow", ", ".join((*methods, "OPTIONS")).encode()))
+        # An envelope that was posted names the resource, and the URL takes none but posts.
+        posted = asked.path == MESSAGES
+        allowed = ("execute",) if posted else (error.get("details") or {}).get("allowed", ())
+        headers.append((b"allow", ", ".join(methods_of(allowed)).encode()))
     return headers

@@ -15,7 +15,7 @@ from rcp_http.octets import range_headers
 from rcp_kernel.asgi import MEDIA, Headers, Receive, Scope, Send, respond, retry_after
 from rcp_kernel.clients.session import Session
 from rcp_kernel.door import Door
-from rcp_kernel.errors import RcpError, UnknownPath, UnsupportedOperation
+from rcp_kernel.errors import InvalidPath, RcpError, UnknownPath, UnsupportedOperation
 from rcp_kernel.operations.pending import crash
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import encode_reply, failure
@@ -71,24 +71,33 @@ class HttpApp:
         if handlers is None:
             raise UnknownPath(f"nothing is at {path}", remedy="Look at /rcp/v1/openapi.json.")
         if asked.method == "OPTIONS":
-            await respond(send, 204, b"", headers=[(b"allow", _allow(handlers))])
+            await respond(
+                send, 204, b"", headers=[(b"allow", ", ".join(_methods(handlers)).encode())]
+            )
             return
         handler = handlers.get(asked.method)
         if handler is None:
-            raise _not_taken(asked, path, [*handlers])
+            raise _not_taken(asked, path, _methods(handlers))
         session = asked.session(self._door) or await asked.waited(self._door)
         await handler(asked, session, receive, send)
 
     async def _on_context(self, asked: Asked, path: str, receive: Receive, send: Send) -> None:
-        if asked.method not in ("OPTIONS", "PUT", "POST"):
-            raise _not_taken(asked, path, ["GET", "PUT", "POST"])
         session = asked.session(self._door) or await asked.waited(self._door)
         if asked.method == "OPTIONS":
             await self._context.options(asked, session, path, send)
         elif asked.method == "PUT":
             await self._context.write(asked, session, path, receive, send)
-        else:
+        elif asked.method == "POST":
             await self._context.execute(asked, session, path, receive, send)
+        else:
+            raise _not_taken(asked, path, self._taken(session, path))
+
+    def _taken(self, session: Session, path: str) -> list[str]:
+        """Return what a resource takes, or what any does if there is none: 405 in either case."""
+        try:
+            return self._context.methods(session, path)
+        except (InvalidPath, UnknownPath):
+            return ["GET", "HEAD", "PUT", "POST", "OPTIONS"]
 
     def _named(self, rest: str) -> dict[str, Handler] | None:
         branch, _, name = rest.removeprefix("/").partition("/")
@@ -132,14 +141,13 @@ def _id(asked: Asked) -> str | None:
     return values[0] if values and 0 < len(values[0]) <= 128 else None
 
 
-def _allow(handlers: dict[str, Handler]) -> bytes:
-    methods = [*handlers, *(["HEAD"] if "GET" in handlers else []), "OPTIONS"]
-    return ", ".join(methods).encode()
+def _methods(handlers: dict[str, Handler]) -> list[str]:
+    return [*handlers, *(["HEAD"] if "GET" in handlers else []), "OPTIONS"]
 
 
 def _not_taken(asked: Asked, path: str, methods: list[str]) -> UnsupportedOperation:
     return UnsupportedOperation(
         f"{path} does not take {asked.method}",
         remedy=f"Use {' or '.join(methods)}.",
-        details={"allowed": [*methods, "OPTIONS"]},
+        details={"allowed": methods},
     )

@@ -15,7 +15,7 @@ from rcp_kernel.access.identity import Principal
 from rcp_kernel.asgi import Receive, Scope, bearer, peer_of, read_body, too_large
 from rcp_kernel.clients.session import Session
 from rcp_kernel.door import Door
-from rcp_kernel.errors import BadRequest
+from rcp_kernel.errors import BadRequest, NotImplementedByRobot
 from rcp_kernel.operations.pages import MOST
 from rcp_kernel.values import Encoding, parse
 from rcp_kernel.wire import Request, decode_request
@@ -38,6 +38,10 @@ _HEADERS: dict[bytes, str] = {
     b"accept-encoding": "accept_encoding",
     b"content-type": "content_type",
     b"content-length": "content_length",
+    b"content-encoding": "content_encoding",
+    b"content-range": "content_range",
+    b"if-match": "if_match",
+    b"if-unmodified-since": "if_unmodified_since",
     b"if-none-match": "if_none_match",
     b"range": "range",
     b"if-range": "if_range",
@@ -50,6 +54,11 @@ for _field in _FIELDS:
     if _field != "id":
         _HEADERS[_field.replace("_", "-").encode()] = "~" + _field
         _HEADERS[_field.encode()] = "~" + _field
+_CONDITIONS = {
+    "if_match": "If-Match",
+    "if_none_match": "If-None-Match",
+    "if_unmodified_since": "If-Unmodified-Since",
+}
 _MAX_PARAMETERS = 500
 
 
@@ -195,12 +204,33 @@ class Asked:
         """Whether the client wants no waiting: `Prefer: respond-async` (RFC 7240)."""
         return b"respond-async" in self.found.get("prefer", b"").lower()
 
+    def check_unconditional(self) -> None:
+        """Refuse to change something under a condition that nobody here would look at.
+
+        :raises NotImplementedByRobot: there is such a header.
+        """
+        for name, header in _CONDITIONS.items():
+            if name in self.found:
+                raise NotImplementedByRobot(
+                    f"`{header}` does not hold for what changes something",
+                    remedy="Send it without, and acquire a lease to be the only one who writes.",
+                )
+
     async def body(self, receive: Receive, limit: int, patience: float) -> bytes:
         """Read the body.
 
         :raises PayloadTooLarge: it is longer than `limit`.
         :raises DeadlineExceeded: it did not come in time.
+        :raises BadRequest: it is coded, or a part of something.
         """
+        coding = self.found.get("content_encoding", b"identity").strip().lower()
+        if coding != b"identity":
+            text = coding.decode("latin-1")[:40]
+            raise BadRequest(
+                f"a body coded with {text!r} cannot be read", remedy="Send the body as it is."
+            )
+        if "content_range" in self.found:
+            raise BadRequest("a part of a value cannot be written", remedy="Send the whole value.")
         length = self.found.get("content_length", b"")
         if length.isdigit() and int(length) > limit:
             raise too_large(limit)

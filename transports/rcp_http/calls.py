@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from typing import Any
+from typing import Any, get_args
 
 import msgspec
 from msgspec import Raw
@@ -21,11 +21,21 @@ from rcp_kernel.errors import BadRequest, RcpError, UnknownPath, UnsupportedOper
 from rcp_kernel.operations.command import Command
 from rcp_kernel.operations.pages import LONGEST, cursor_of, place_of
 from rcp_kernel.values import Encoding
-from rcp_kernel.wire import FINAL, Reply, Request, decode_request, encode_reply, failure, salvage
+from rcp_kernel.wire import (
+    FINAL,
+    Reply,
+    Request,
+    Status,
+    decode_request,
+    encode_reply,
+    failure,
+    salvage,
+)
 
 __all__ = ["Calls"]
 
 _PAGE = 100  # items of a page where the caller does not say how many
+_STATUSES = (*get_args(Status), "running")
 _STREAMS = ("subscribe", "unsubscribe", "hello")
 
 
@@ -86,6 +96,9 @@ class Calls:
         """GET /commands: the newest first, without their histories."""
         asked.allow("status", "path", "limit", "cursor")
         status, path = asked.one("status"), asked.one("path")
+        if status is not None and status not in _STATUSES:
+            known = ", ".join(_STATUSES)
+            raise BadRequest(f"{status[:40]!r} is no status", remedy=f"Name one of {known}.")
         limit = _count(asked.one("limit"))
         cursor = asked.one("cursor")
         after = None if cursor is None else _place(place_of(cursor[:LONGEST]))

@@ -7,7 +7,7 @@ import asyncio
 import msgspec
 from msgspec import Raw
 
-from rcp_http.answers import Answers
+from rcp_http.answers import Answers, methods_of
 from rcp_http.asked import Asked, count, flag
 from rcp_http.config import HttpConfig
 from rcp_http.octets import bytes_of, send_octets
@@ -16,11 +16,9 @@ from rcp_kernel.clients.session import Session
 from rcp_kernel.door import Door
 from rcp_kernel.errors import BadRequest, RcpError, UnknownPath
 from rcp_kernel.operations.discovery import Query
-from rcp_kernel.wire import Reply, Request, failure
+from rcp_kernel.wire import Reply, Request
 
 __all__ = ["Context", "Follower"]
-
-_OPERATIONS = {"read": ("GET", "HEAD"), "write": ("PUT",), "execute": ("POST",)}
 
 
 class Follower:
@@ -130,7 +128,8 @@ class Context:
         asked.allow()
         request = asked.request("write", path)
         await self._take_body(asked, request, receive)
-        if not request.body:
+        # Whether the path can be written at all is said first: the same with a body and without.
+        if not request.body and "PUT" in self.methods(session, path):
             raise BadRequest("the request has no body", remedy="Send the value as the body.")
         follower = Follower(session)
         self._door.submit(session, request, follower)
@@ -161,19 +160,24 @@ class Context:
         await self._answers.reply(send, asked, reply, headers)
 
     async def _take_body(self, asked: Asked, request: Request, receive: Receive) -> None:
+        asked.check_unconditional()
         limits = self._door.limits
         data = await asked.body(receive, limits.message, self._config.body_timeout)
         asked.put_body(request, data)
 
     async def options(self, asked: Asked, session: Session, path: str, send: Send) -> None:
         """OPTIONS: what may be done with the resource."""
-        try:
-            self._door.pay(session)
-            found = self._door.discover(session, path, Query(limit=1, schemas=False))["resources"]
-        except RcpError as error:
-            await self._answers.reply(send, asked, failure(error, "discover", None, path))
-            return
+        methods = self.methods(session, path)
+        await respond(send, 204, b"", headers=[(b"allow", ", ".join(methods).encode())])
+
+    def methods(self, session: Session, path: str) -> list[str]:
+        """Return the methods by which the caller may do something with a resource.
+
+        :raises UnknownPath: there is none.
+        :raises RcpError: the path is none, or a quota does not allow to look.
+        """
+        self._door.pay(session)
+        found = self._door.discover(session, path, Query(limit=1, schemas=False))["resources"]
         if not found:
             raise UnknownPath(f"there is no resource {path}", path=path)
-        named = [m for op in found[0]["operations"] for m in _OPERATIONS.get(op, ())]
-        await respond(send, 204, b"", headers=[(b"allow", ", ".join([*named, "OPTIONS"]).encode())])
+        return methods_of(found[0]["operations"])

@@ -4,9 +4,13 @@ from __future__ import annotations
 
 from typing import Any
 
-from rcp_http.openapi_calls import ERROR, REFUSED, REPLY, calls
+from rcp_http.openapi_calls import ERROR, REPLY, calls
+from rcp_http.openapi_responses import COMMAND, READ, refusals, responses
+from rcp_kernel.access.acl import Rights
 from rcp_kernel.clients.session import Session
 from rcp_kernel.door import Door
+from rcp_kernel.errors import Unauthenticated
+from rcp_kernel.model import Operation
 from rcp_kernel.operations.discovery import Query
 
 __all__ = ["Described"]
@@ -14,6 +18,11 @@ __all__ = ["Described"]
 Node = dict[str, Any]
 _PAGE = 1000
 _CONTEXT = "/rcp/v1/context"
+_METHODS = {"get": Operation.READ, "put": Operation.WRITE, "post": Operation.EXECUTE}
+
+
+def _content(schema: Node) -> Node:
+    return {"application/json": {"schema": schema}}
 
 
 class Described:
@@ -25,25 +34,40 @@ class Described:
 
     def part(self, session: Session) -> Node:
         """Return `paths` and `components` of the OpenAPI document."""
-        key = (self._door.generation(session), session.rights)
+        anyone = self._rights_of_anyone()
+        key = (self._door.generation(session), session.rights, anyone)
         if self._known is None or self._known[0] != key:
-            self._known = key, self._make(session)
+            self._known = key, self._make(session, anyone)
         return self._known[1]
 
-    def _make(self, session: Session) -> Node:
+    def _rights_of_anyone(self) -> Rights | None:
+        """Return what those may do who prove nothing; None where nobody is served without proof."""
+        try:
+            principal = self._door.known(None)
+        except Unauthenticated:
+            return None
+        return None if principal is None else self._door.session(principal).rights
+
+    def _make(self, session: Session, anyone: Rights | None) -> Node:
         schemas: Node = {"Reply": REPLY, "Error": ERROR}
         paths: Node = calls()
+        proofs = self._door.proofs
+        proved = [{"bearer": []}] if proofs.bearer else []
+        proved += [{"certificate": []}] if proofs.certificates else []
         cursor: str | None = None
         while True:
             page = self._door.discover(session, "/**", Query(limit=_PAGE, cursor=cursor))
             for resource in page["resources"]:
-                _describe(resource, paths, schemas)
+                free = 0 if anyone is None else anyone.weigh(resource["path"])
+                _describe(resource, paths, schemas, free, proved)
             cursor = page.get("cursor")
             if cursor is None:
-                return {"paths": paths, "components": {"schemas": schemas}}
+                found = {"schemas": schemas, "responses": {"202": _ACCEPTED} | responses()}
+                return {"paths": paths, "components": found}
 
 
-def _describe(resource: Node, paths: Node, schemas: Node) -> None:
+def _describe(resource: Node, paths: Node, schemas: Node, free: int, proved: list[Node]) -> None:
+    """Describe one resource; `free` are the operations that take no proof of identity."""
     refs = {
         name: _component(resource["schema_ids"][name], schema, schemas)
         for name, schema in resource["schemas"].items()
@@ -51,7 +75,8 @@ def _describe(resource: Node, paths: Node, schemas: Node) -> None:
     item: Node = {}
     operations = resource["operations"]
     if "read" in operations:
-        item["get"] = _operation(resource, "read", refs.get("value"))
+        item["get"] = _operation(resource, "read", refs.get("value"), READ)
+        item["get"]["responses"] |= _PARTS
     if "write" in operations:
         item["put"] = _operation(resource, "write", refs.get("value")) | {
             "requestBody": _body(refs.get("value"), resource["examples"])
@@ -59,34 +84,43 @@ def _describe(resource: Node, paths: Node, schemas: Node) -> None:
     if "execute" in operations:
         item["post"] = _operation(resource, "execute", refs.get("output"))
         if "input" in refs:
-            item["post"]["requestBody"] = _body(refs["input"], resource["examples"])
-        item["post"]["responses"]["202"] = {
-            "description": "Accepted, and not at its end yet; `Location` names the command.",
-            "content": _content({"$ref": "#/components/schemas/Reply"}),
-        }
+            body = _body(refs["input"], resource["examples"])
+            body["required"] = not _takes_null(resource["schemas"]["input"])
+            item["post"]["requestBody"] = body
+        item["post"]["responses"]["202"] = {"$ref": "#/components/responses/202"}
+    for method, operation in _METHODS.items():
+        if method in item and not free & operation:
+            item[method]["security"] = proved
     if item:
         paths[_CONTEXT + resource["path"]] = item
 
 
-def _operation(resource: Node, name: str, schema: Node | None) -> Node:
+def _operation(
+    resource: Node, name: str, schema: Node | None, statuses: tuple[int, ...] = COMMAND
+) -> Node:
     body = {"$ref": "#/components/schemas/Reply"}
     whole: Node = body if schema is None else {"allOf": [body, {"properties": {"body": schema}}]}
     return {
         "operationId": f"{name}_{resource['path'].strip('/').replace('/', '_')}",
         "summary": resource["description"],
         "tags": [resource["kind"]],
-        "responses": {
-            "200": {"description": "The final reply.", "content": _content(whole)},
-            "default": {
-                "description": REFUSED,
-                "content": _content({"$ref": "#/components/schemas/Reply"}),
-            },
-        },
+        "responses": {"200": {"description": "The final reply.", "content": _content(whole)}}
+        | refusals(statuses),
     }
 
 
-def _content(schema: Node) -> Node:
-    return {"application/json": {"schema": schema}}
+def _takes_null(schema: Node) -> bool:
+    """Tell whether an input may be left out: an absent body counts as null."""
+    whole = schema
+    if "$ref" in schema:
+        whole = schema.get("$defs", {}).get(schema["$ref"].rpartition("/")[2], schema)
+    kinds = whole.get("type", [])
+    if kinds == "null" or "null" in kinds:
+        return True
+    choices = whole.get("anyOf") or whole.get("oneOf")
+    if choices:
+        return any(_takes_null(choice) for choice in choices)
+    return not whole.keys() & {"type", "enum", "const", "allOf", "$ref"}
 
 
 def _body(schema: Node | None, examples: list[Any]) -> Node:
@@ -94,6 +128,20 @@ def _body(schema: Node | None, examples: list[Any]) -> Node:
     if examples:
         content["examples"] = {f"e{i}": {"value": value} for i, value in enumerate(examples, 1)}
     return {"required": True, "content": {"application/json": content}}
+
+
+_ACCEPTED: Node = {
+    "description": "Accepted, and not at its end yet; `Location` names the command.",
+    "headers": {"Location": {"required": True, "schema": {"type": "string"}}},
+    "content": _content({"$ref": "#/components/schemas/Reply"}),
+}
+_PARTS: Node = {
+    "206": {
+        "description": "The part of a value of bytes that `Range` asked for.",
+        "content": {"application/octet-stream": {}},
+    },
+    "304": {"description": "What `If-None-Match` names has not changed."},
+}
 
 
 def _component(id_: str, schema: Node, schemas: Node) -> Node:

@@ -4,17 +4,24 @@ from __future__ import annotations
 
 from typing import Any
 
-from rcp_kernel.errors import BY_CODE
-from rcp_kernel.model import Kind
-from rcp_kernel.operations.pages import MOST
-from rcp_kernel.wire import FINAL
+import msgspec
 
-__all__ = ["ERROR", "REFUSED", "REPLY", "calls"]
+from rcp_http.openapi_responses import CALL, COMMAND, READ, refusals
+from rcp_kernel.errors import BY_CODE
+from rcp_kernel.model import MAX_PATH, Kind, Operation, operation_names
+from rcp_kernel.operations.pages import LONGEST, MOST
+from rcp_kernel.wire import FINAL, VERSION, Request
+
+__all__ = ["ERROR", "REPLY", "calls"]
 
 Node = dict[str, Any]
 _TEXT: Node = {"type": "string"}
 _COUNT: Node = {"type": "integer", "minimum": 1, "maximum": MOST}
-REFUSED = "Refused or failed, with the status of the error's code; never a 2xx."
+_CURSOR: Node = {"type": "string", "minLength": 1, "maxLength": LONGEST}
+_PATH: Node = {"type": "string", "minLength": 1, "maxLength": MAX_PATH}
+_STATUSES = (*FINAL, "accepted", "pending", "in_progress")
+_STREAMS = ("subscribe", "unsubscribe", "hello")
+_OPERATIONS = operation_names(Operation(31))
 ERROR: Node = {
     "type": "object",
     "required": ["code", "message", "remedy", "retryable", "trace_id"],
@@ -37,7 +44,7 @@ REPLY: Node = {
         "type": _TEXT,
         "id": _TEXT,
         "path": _TEXT,
-        "status": {"enum": sorted((*FINAL, "accepted", "pending", "in_progress"))},
+        "status": {"enum": sorted(_STATUSES)},
         "body": {},
         "message": _TEXT,
         "error": {"$ref": "#/components/schemas/Error"},
@@ -62,64 +69,72 @@ def _query(name: str, schema: Node, text: str, *, required: bool = False) -> Nod
     return found | {"required": True} if required else found
 
 
-_ID: Node = {"name": "id", "in": "path", "required": True, "schema": _TEXT}
+_ID: Node = {
+    "name": "id",
+    "in": "path",
+    "required": True,
+    "schema": {"type": "string", "minLength": 1, "maxLength": 128},
+}
 
 
-def _call(summary: str, *parameters: Node, media: str = "application/json") -> Node:
-    schema: Node = {"$ref": "#/components/schemas/Reply"} if media == "application/json" else _TEXT
+def _call(
+    summary: str, *parameters: Node, statuses: tuple[int, ...] = CALL, extra: Node | None = None
+) -> Node:
+    content = {"application/json": {"schema": {"$ref": "#/components/schemas/Reply"}}}
     return {
         "summary": summary,
         "tags": ["gateway"],
         "parameters": list(parameters),
-        "responses": {
-            "200": {"description": "The reply.", "content": {media: {"schema": schema}}},
-            "default": {
-                "description": REFUSED,
-                "content": {"application/json": {"schema": {"$ref": "#/components/schemas/Reply"}}},
-            },
+        "responses": {"200": {"description": "The reply.", "content": content}}
+        | (extra or {})
+        | refusals(statuses),
+    }
+
+
+def _envelope() -> Node:
+    """Describe the request envelope by the type that reads it."""
+    fields = [
+        (field.encode_name, field.type)
+        for field in msgspec.structs.fields(Request)
+        if field.encode_name not in ("x-", "~encoding", "body")
+    ]
+    made = msgspec.defstruct("Envelope", fields)
+    known: Node = msgspec.json.schema(made)["$defs"]["Envelope"]["properties"]
+    types = [name for name in known["type"]["enum"] if name not in _STREAMS]
+    return {
+        "type": "object",
+        "required": ["type"],
+        "properties": known
+        | {
+            "type": {"enum": types},
+            "version": {"enum": [VERSION, None]},
+            "body": {},
         },
+        "patternProperties": {"^x-.": {}},
+        "additionalProperties": False,
     }
 
 
 def calls() -> Node:
     """Describe the calls."""
-    envelope: Node = {
-        "type": "object",
-        "required": ["type"],
-        "properties": {
-            "type": {
-                "enum": [
-                    "read",
-                    "write",
-                    "execute",
-                    "cancel",
-                    "discover",
-                    "status",
-                    "ping",
-                    "batch",
-                ]
-            },
-            "path": _TEXT,
-            "id": {"type": "string", "maxLength": 128},
-            "deadline": {"type": "number", "exclusiveMinimum": 0},
-            "valid_for": {"type": "number", "exclusiveMinimum": 0},
-            "idempotency_key": _TEXT,
-            "dry_run": {"type": "boolean"},
-            "approval": _TEXT,
-            "body": {},
-        },
+    accepted = {"202": {"$ref": "#/components/responses/202"}}
+    post = _call("Send any one envelope, or a batch of them.", statuses=COMMAND, extra=accepted) | {
+        "requestBody": {
+            "required": True,
+            "content": {"application/json": {"schema": _envelope()}},
+        }
     }
-    post = _call("Send any one envelope, or a batch of them.") | {
-        "requestBody": {"required": True, "content": {"application/json": {"schema": envelope}}}
-    }
+    unchanged: Node = {"304": {"description": "What `If-None-Match` names has not changed."}}
     discovery = _call(
         "List what there is, with schemas and examples.",
-        _query("path", _TEXT, "A path or pattern."),
+        _query("path", _PATH, "A path or pattern."),
         _query("kind", {"enum": [kind.value for kind in Kind]}, "Only this kind."),
-        _query("op", _TEXT, "Only what the caller may do this with."),
-        _query("q", _TEXT, "Words in path or description."),
+        _query("op", {"enum": _OPERATIONS}, "Only what the caller may do this with."),
+        _query("q", {"type": "string", "maxLength": 200}, "Words in path or description."),
         _query("limit", _COUNT, "In one page."),
-        _query("cursor", _TEXT, "Of the last page."),
+        _query("cursor", {"type": "string", "maxLength": LONGEST}, "Of the last page."),
+        _query("schemas", {"type": "boolean"}, "Whether schemas are written out."),
+        extra=unchanged,
     )
     many = _call(
         "Read everything that a pattern reaches, page by page.",
@@ -127,13 +142,15 @@ def calls() -> Node:
             "name": "pattern",
             "in": "path",
             "required": True,
-            "schema": _TEXT,
+            "schema": _PATH,
             "description": "`*` is one segment, `**` any number: `param/**`.",
         },
         _query("fields", _TEXT, "Only these fields of the values, separated by commas."),
         _query("fresh", {"type": "boolean"}, "Ask the robot, even where a sample is at hand."),
         _query("limit", _COUNT, "Items in one page."),
-        _query("cursor", _TEXT, "Of the last page."),
+        _query("cursor", _CURSOR, "Of the last page."),
+        statuses=READ,
+        extra=unchanged,
     )
     return {
         "/rcp/v1/context/{pattern}": {"get": many},
@@ -145,14 +162,18 @@ def calls() -> Node:
         "/rcp/v1/commands": {
             "get": _call(
                 "List commands, the newest first.",
-                _query("status", _TEXT, "Only those of this status, or `running`."),
+                _query(
+                    "status",
+                    {"enum": sorted((*_STATUSES, "running"))},
+                    "Only those of this status, or `running`.",
+                ),
                 _query("path", _TEXT, "Only those of this path."),
                 _query("limit", _COUNT, "In one page."),
-                _query("cursor", _TEXT, "Of the last page."),
+                _query("cursor", _CURSOR, "Of the last page."),
             )
         },
         "/rcp/v1/commands/{id}": {
             "get": _call("Return a command with its history.", _ID),
-            "delete": _call("Have a command cancelled.", _ID),
+            "delete": _call("Have a command cancelled.", _ID, statuses=COMMAND),
         },
     }

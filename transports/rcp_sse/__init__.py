@@ -25,6 +25,7 @@ _EVENTS = "/rcp/v1/events"
 _STATUS = "/rcp/v1/status/events"
 _COMMANDS = "/rcp/v1/commands"
 _TAIL = "/events"
+_ALLOW = b"GET, OPTIONS"
 
 
 class _Sse:
@@ -38,7 +39,7 @@ class _Sse:
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         try:
             if scope["method"] == "OPTIONS":
-                await respond(send, 204, b"", headers=[(b"allow", b"GET, OPTIONS")])
+                await respond(send, 204, b"", headers=[(b"allow", _ALLOW)])
                 return
             _check(scope)
             await self._serve(scope, receive, send)
@@ -49,7 +50,8 @@ class _Sse:
         except Exception as error:
             told = crash(error, path=scope["path"])
             self._door.refused("subscribe", told.code)
-            await refuse(send, told, "subscribe")
+            allow = [(b"allow", _ALLOW)] if told.http == 405 else []
+            await refuse(send, told, "subscribe", headers=allow)
 
     async def _serve(self, scope: Scope, receive: Receive, send: Send) -> None:
         path: str = scope["path"]

@@ -66,3 +66,24 @@ def test_what_was_good_and_is_not_any_more_counts_as_wrong() -> None:
     attempts.failed("192.0.2.1", "good")
     with pytest.raises(RateLimited):
         attempts.check("192.0.2.1", "good")
+
+
+def test_a_signed_token_waits_for_the_last_wrong_signature_alone() -> None:
+    clock = Clock()
+    attempts = Attempts(3, clock)
+    for _ in range(50):
+        attempts.failed("192.0.2.1", "wrong")
+    with pytest.raises(RateLimited) as limited:
+        attempts.check("192.0.2.1", "fresh", signed=True)
+    clock.now += limited.value.retry_after or 0.0
+    assert clock.now < 100.1
+    attempts.check("192.0.2.1", "fresh", signed=True)
+    with pytest.raises(RateLimited):
+        attempts.check("192.0.2.1", "fresh")
+
+
+def test_what_is_known_of_addresses_has_a_bound() -> None:
+    attempts = Attempts(3, Clock())
+    for number in range(25_000):
+        attempts.failed(f"10.0.{number >> 8}.{number & 255}", "wrong")
+    assert len(attempts._spent) == len(attempts._next) == 20_000

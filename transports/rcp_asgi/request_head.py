@@ -1,0 +1,133 @@
+"""What the head of a request must be before anything is done for it (RFC 9112, sections 2 to 6).
+
+A proxy in front of the gateway has to read the same request as the gateway does: whatever two
+readers could take for two different things is refused.
+"""
+
+from __future__ import annotations
+
+import re
+
+from rcp_kernel.errors import BadRequest, NotImplementedByRobot, PayloadTooLarge
+
+__all__ = [
+    "METHODS",
+    "HeadTooLong",
+    "Malformed",
+    "TargetTooLong",
+    "UnknownMethod",
+    "check_head",
+]
+
+METHODS = b"GET, HEAD, PUT, POST, DELETE, OPTIONS"
+"""What the gateway as a whole takes: the `Allow` of `OPTIONS *`."""
+_AUTHORITY = re.compile(
+    rb"(?:\[[0-9A-Za-z:.%_~-]+\]|[0-9A-Za-z._~!$&'()*+,;=%-]*)(?::[0-9]{0,5})?\Z"
+)
+"""`uri-host [":" port]` (RFC 9110, 7.2); user names are none of it."""
+_ABSOLUTE = re.compile(rb"([A-Za-z][A-Za-z0-9+.-]*)://([^/?]*)(.*)\Z", re.DOTALL)
+_VERSIONS = ("1.1", "1.0")
+Headers = list[tuple[bytes, bytes]]
+
+
+class Malformed(BadRequest):
+    """What came is no request of HTTP/1.1, or could be read as two different ones."""
+
+    default_remedy = "Send HTTP/1.1 as RFC 9112 has it."
+
+
+class UnknownVersion(Malformed):
+    """The request is of an HTTP version that is not spoken here."""
+
+    http = 505
+
+
+class TargetTooLong(PayloadTooLarge):
+    """The request line is longer than the limit."""
+
+    http = 414
+    default_remedy = "Use a shorter URL, or POST the envelope to /rcp/v1/messages."
+
+
+class HeadTooLong(PayloadTooLarge):
+    """Request line and headers together are longer than the limit."""
+
+    http = 431
+    default_remedy = "Send fewer or shorter headers."
+
+
+class UnknownMethod(NotImplementedByRobot):
+    """The method is none that any resource of the gateway takes."""
+
+    default_remedy = f"Use one of {METHODS.decode()}."
+
+
+class UnknownCoding(NotImplementedByRobot):
+    """The body is coded in a way that is not understood here."""
+
+    default_remedy = "Send the body with Content-Length, or `Transfer-Encoding: chunked`."
+
+
+def check_head(method: bytes, version: str, target: bytes, headers: Headers) -> bytes:
+    """Return the target's path and query; `Host` becomes that of an absolute target.
+
+    :raises Malformed: the head is not that of one request with one meaning.
+    :raises UnknownMethod: it is for proxies.
+    :raises UnknownCoding: the body is coded otherwise than in chunks.
+    """
+    if version not in _VERSIONS:
+        raise UnknownVersion(f"HTTP/{version} is not spoken here")
+    if method == b"CONNECT":
+        raise UnknownMethod("this gateway is no proxy")
+    _check_body(version, headers)
+    host = _host(version, headers)
+    if b"#" in target:
+        raise Malformed("the request's target has a fragment")
+    if target[:1] == b"/":
+        return target
+    if target == b"*" and method == b"OPTIONS":
+        return target
+    match = _ABSOLUTE.match(target)
+    if match is None or match[1].lower() not in (b"http", b"https"):
+        raise Malformed("the request's target is neither a path nor an http URL")
+    if not match[2] or not _AUTHORITY.match(match[2]):
+        raise Malformed("the authority of the request's target is not a host and a port")
+    # RFC 9112, 3.2.2: what an absolute target says goes before the header, and is checked as it is.
+    if host is not None:
+        headers.remove((b"host", host))
+    headers.append((b"host", match[2]))
+    rest = match[3]
+    return rest if rest[:1] == b"/" else b"/" + rest
+
+
+def _host(version: str, headers: Headers) -> bytes | None:
+    named = [value for name, value in headers if name == b"host"]
+    if len(named) > 1:
+        raise Malformed("the request has more than one Host header")
+    if not named:
+        if version == "1.0":
+            return None
+        raise Malformed("the request has no Host header")
+    if not _AUTHORITY.match(named[0]):
+        raise Malformed("the Host header is not a host and a port")
+    return named[0]
+
+
+def _check_body(version: str, headers: Headers) -> None:
+    """Refuse what leaves in doubt where the body ends (RFC 9112, 6.1 and 6.3)."""
+    coding: bytes | None = None
+    length = False
+    for name, value in headers:
+        if name == b"transfer-encoding":
+            coding = value if coding is None else coding + b"," + value
+        elif name == b"content-length":
+            length = True
+    if coding is None:
+        return
+    if length:
+        raise Malformed("the request has both Content-Length and Transfer-Encoding")
+    if version == "1.0":
+        raise Malformed("HTTP/1.0 has no Transfer-Encoding")
+    if coding.strip().lower() != b"chunked":
+        text = coding.decode("latin-1")[:80]
+        raise UnknownCoding(f"the transfer coding {text!r} is not understood here")
