@@ -7,7 +7,7 @@ becomes the one final reply of that request.
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable
+from collections.abc import Callable, Generator
 from time import perf_counter
 from typing import Any
 
@@ -50,6 +50,7 @@ from rcp_kernel.operations.pending import crash
 from rcp_kernel.operations.reading import Reading
 from rcp_kernel.operations.subscribing import Subscribing
 from rcp_kernel.operations.writing import Writing
+from rcp_kernel.plans.resource import PATH as PLANS
 from rcp_kernel.plans.resource import Plans
 from rcp_kernel.process.metrics import Histogram
 from rcp_kernel.record.audit import Audit
@@ -65,6 +66,7 @@ from rcp_kernel.streaming.filters import Options
 from rcp_kernel.streaming.hub import Hub
 from rcp_kernel.streaming.samples import READ_PIECE
 from rcp_kernel.streaming.standing import Standing
+from rcp_kernel.turns import Turns
 from rcp_kernel.wire import Reply, Request, failure
 
 __all__ = ["Gateway"]
@@ -91,7 +93,8 @@ class Gateway:
         self.loop = loop
         self.registry = Registry()
         self.hub = Hub(self.registry, loop)
-        self.conditions, self.visibility = Conditions(self.hub), Visibility(self.registry)
+        self.turns, self.conditions = Turns(), Conditions(self.hub)
+        self.visibility = Visibility(self.registry)
         self.admission = Admission(self)
         self.store = store or Store()
         """What survives the process."""
@@ -143,7 +146,7 @@ class Gateway:
             "discover": self._discover,
             "status": self._status,
             "ping": self._ping,
-            "batch": Batching(self).batch,
+            "batch": Batching(self, self.turns).batch,
             "hello": self._hello,
         }
         self.handle: Handler = intercepted(interceptors, self._admit)
@@ -173,6 +176,24 @@ class Gateway:
                 and not self._stops(session, request)
             ):
                 raise meter.refusal(started)
+            if _dear(request):
+                work = self._slowly(session, request, answer, started)
+                self.turns.run(session.principal.identity, work)
+                return
+            reply = self._table[request.type](session, request, answer)
+        except Exception as error:
+            reply, answer = self._refuse(session, request, answer, error)
+        if reply is not None:
+            self.conclude(session, reply, started)
+            answer(reply)
+
+    def _slowly(
+        self, session: Session, request: Request, answer: Answer, started: float
+    ) -> Generator[None]:
+        """Handle a request that takes long, when its turn has come."""
+        try:
+            if request.type == "execute":
+                yield from self.plans.read_conditions(session, request)
             reply = self._table[request.type](session, request, answer)
         except Exception as error:
             reply, answer = self._refuse(session, request, answer, error)
@@ -372,3 +393,17 @@ def _full(path: str | None, tenant: str | None) -> str | None:
         return Pattern(path, tenant).text
     except RcpError:
         return path
+
+
+def _dear(request: Request) -> bool:
+    """Tell whether a request takes longer than a fraction of a millisecond, of all that it is."""
+    path = request.path
+    match request.type:
+        case "discover" | "batch":
+            return True
+        case "read":
+            return path is not None and ("*" in path or path.startswith("/system/"))
+        case "execute":
+            return path == PLANS
+        case _:
+            return False

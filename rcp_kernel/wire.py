@@ -35,6 +35,7 @@ __all__ = [
     "encode_reply",
     "error_body",
     "failure",
+    "fields_of",
     "salvage",
 ]
 
@@ -103,6 +104,11 @@ class Body:
     """A reply's body that knows its own encodings: a sample's value, encoded once for all."""
 
     __slots__ = ()
+
+    @property
+    def value(self) -> Any:
+        """The body as it is in this process."""
+        raise NotImplementedError
 
     def encoded(self, encoding: Encoding) -> bytes:
         """Return the body as bytes of the encoding."""
@@ -289,7 +295,7 @@ def encode_reply(reply: Reply, encoding: Encoding) -> bytes:
     """Write a reply envelope."""
     body = reply.body
     if encoding is _CBOR or reply.custom:
-        return encode_frame(_fields(reply), encode_body(body, encoding), encoding)
+        return encode_frame(fields_of(reply), encode_body(body, encoding), encoding)
     encode = _json_encode if encoding is _JSON else _msgpack_encode
     if body is NO_BODY:
         return encode(reply)
@@ -308,7 +314,8 @@ def encode_body(body: Any, encoding: Encoding) -> bytes:
     return body.encoded(encoding) if isinstance(body, Body) else ANY.encode(body, encoding)
 
 
-def _fields(reply: Reply) -> dict[str, Any]:
+def fields_of(reply: Reply) -> dict[str, Any]:
+    """Return the fields of a reply that are written, all but its body."""
     names = [name for name in reply.__struct_fields__ if name not in ("custom", "body")]
     found = {name: getattr(reply, name) for name in names}
     kept = {k: v for k, v in found.items() if v is not None and v is not False}

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections import Counter
 from collections.abc import Callable, Iterable
 from datetime import datetime
 from functools import lru_cache
@@ -34,7 +35,7 @@ from rcp_kernel.access.expression import (
     parse,
     write,
 )
-from rcp_kernel.access.pace import Allowance, Turns
+from rcp_kernel.access.pace import Allowance
 from rcp_kernel.errors import ConfigError, RcpError
 from rcp_kernel.model import full_path
 from rcp_kernel.values import to_plain
@@ -257,12 +258,22 @@ def _chain(node: Node) -> Ref | None:
 
 
 @lru_cache(maxsize=1024)
+def _read(text: str) -> Condition | ConfigError:
+    try:
+        return Condition(text)
+    except ConfigError as error:
+        return error.with_traceback(None)
+
+
 def condition(text: str) -> Condition:
-    """Compile an expression once.
+    """Compile an expression once; what is wrong with one is found out once, too.
 
     :raises ConfigError: as `Condition` does.
     """
-    return Condition(text)
+    found = _read(text)
+    if isinstance(found, ConfigError):
+        raise type(found)(*found.args)
+    return found
 
 
 class Conditions:
@@ -274,23 +285,32 @@ class Conditions:
         self._hub = hub
         self._registry: Registry = hub.registry
         self._today = today
-        self.turns = Turns()
-        """Of plans that look at conditions."""
         self.allowance = Allowance()
         """Of principals that send conditions."""
-        self._used: dict[str, tuple[Condition, ...]] = {}
-        self._names: frozenset[str] = frozenset()
+        self._used: dict[str, frozenset[str]] = {}
+        self._names: Counter[str] = Counter()
+        """Names of resources, each with how many parts need it."""
         self._registry.on_added.append(self._added)
 
     def use(self, part: str, conditions: Iterable[Condition]) -> None:
         """Keep watched what a part of the configuration needs from now on, in place of before."""
-        self._used[part] = tuple(conditions)
-        if not self._used[part]:
-            del self._used[part]
-        refs = {ref for used in self._used.values() for one in used for ref in one.refs}
-        self._names = frozenset(name for ref in refs for name in _candidates(ref))
-        for entry in self._registry.entries.values():
-            self._added(entry)
+        refs = {ref for one in conditions for ref in one.refs}
+        wanted = frozenset(name for ref in refs for name in _candidates(ref))
+        before = self._used.pop(part, frozenset[str]())
+        if wanted:
+            self._used[part] = wanted
+        self._names.update(wanted - before)
+        self._names.subtract(before - wanted)
+        # Plans begin and end by the dozen: only what nobody or nobody else needs is looked for.
+        changed = {n for n in wanted - before if self._names[n] == 1}
+        for name in before - wanted:
+            if not self._names[name]:
+                del self._names[name]
+                changed.add(name)
+        if changed:
+            for entry in self._registry.entries.values():
+                if entry.name in changed:
+                    self._added(entry)
 
     def _added(self, entry: Entry) -> None:
         self._hub.sustain(entry, RATE if entry.name in self._names and not entry.live else 0.0)

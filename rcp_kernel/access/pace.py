@@ -1,60 +1,26 @@
 """How often conditions of plans are looked at: dear ones less often, and never many in one turn.
 
-Everything of the gateway runs on one event loop, e-stops and dead-man timers too. A plan may spend
-a hundredth of its time on conditions, and all plans together a few milliseconds between two looks
-of the loop at its sockets. Reading a condition for the first time costs up to a millisecond, so
-that is shared out by principal.
+A plan may spend a hundredth of its time on conditions. Reading a condition for the first time costs
+up to a millisecond, so that is shared out by principal.
 """
 
 from __future__ import annotations
 
 import asyncio
-from collections import deque
-from collections.abc import Generator
+from collections.abc import Generator, Hashable
 from contextlib import contextmanager
 from time import thread_time
 
 from rcp_kernel.errors import RateLimited
+from rcp_kernel.turns import Turns
 
-__all__ = ["Allowance", "Pace", "Turns"]
+__all__ = ["Allowance", "Pace"]
 
 _SHARE = 0.01  # of the time, for one plan
 _AHEAD = 0.1  # s that a plan may be ahead of its share: cheap conditions are not slowed down
-_TURN = 0.002  # s of all plans in one turn of the loop, after which the next one waits for the next
-_LEAST = 1e-6  # s that a turn counts at least
 _READING = 0.1  # of the time, for reading the conditions that one principal sends
 _READ_AHEAD = 0.2  # s that a principal may be ahead of that
 _KNOWN = 1000  # principals
-
-
-class Turns:
-    """What all plans have spent since the loop last looked at its sockets."""
-
-    def __init__(self) -> None:
-        self._spent = 0.0
-        self._waiting: deque[asyncio.Future[None]] = deque()
-
-    async def wait(self) -> None:
-        """Wait for a turn of the loop in which there is time left."""
-        if self._spent > _TURN or self._waiting:
-            waiter = asyncio.get_running_loop().create_future()
-            self._waiting.append(waiter)
-            await waiter
-
-    def add(self, seconds: float) -> None:
-        """Count time; what was counted is forgotten with the loop's next turn."""
-        if not self._spent:
-            asyncio.get_running_loop().call_soon(self._forget)
-        self._spent += seconds
-
-    def _forget(self) -> None:
-        self._spent = 0.0
-        while self._waiting:
-            waiter = self._waiting.popleft()
-            if not waiter.done():
-                waiter.set_result(None)
-                self.add(_LEAST)  # so that the next one has its turn, whatever becomes of this one
-                return
 
 
 class Allowance:
@@ -93,8 +59,9 @@ class Allowance:
 class Pace:
     """One plan's share."""
 
-    def __init__(self, turns: Turns) -> None:
+    def __init__(self, turns: Turns, owner: Hashable) -> None:
         self._turns = turns
+        self._owner = owner
         self._free = 0.0
         """Time at which what was spent so far has become its share."""
 
@@ -103,7 +70,7 @@ class Pace:
         if least:
             await asyncio.sleep(least)
         while True:
-            await self._turns.wait()
+            await self._turns.wait(self._owner)
             # Looked at anew after each sleep: another step of the plan may have been first.
             delay = self._free - asyncio.get_running_loop().time() - _AHEAD
             if delay <= 0:

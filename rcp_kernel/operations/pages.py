@@ -14,14 +14,23 @@ from contextvars import ContextVar
 
 from rcp_kernel.errors import BadRequest
 
-__all__ = ["LONGEST", "MOST", "MOST_BYTES", "cursor_of", "place_of", "room", "shared_room"]
+__all__ = [
+    "LONGEST",
+    "MOST",
+    "MOST_BATCH",
+    "MOST_BYTES",
+    "cursor_of",
+    "place_of",
+    "room",
+    "shared_room",
+]
 
 MOST = 1000
 """Items of one page."""
 MOST_BYTES = 1024 * 1024
-"""Of the items of one page, written as JSON; the first item is told however long it is.
-
-Long texts take 30 ms a MiB to write, and meanwhile nothing else happens."""
+"""Of the items of one page, as they are written; the first item is told however long it is."""
+MOST_BATCH = 4 * 1024 * 1024
+"""Bytes of all bodies in the answer of a batch; the first one is told however long it is."""
 LONGEST = 1024
 """Characters of a cursor; a path has at most 512."""
 _LEAST = 4 * 1024  # bytes for one request of a batch, however many there are

@@ -22,12 +22,14 @@ from rcp_kernel.errors import (
 )
 from rcp_kernel.model import Operation, Pattern
 from rcp_kernel.operations.pages import LONGEST, MOST, cursor_of, place_of, room
-from rcp_kernel.operations.pending import blame, crash
+from rcp_kernel.operations.parts import Parts, expected
+from rcp_kernel.operations.pattern_read import PatternRead
+from rcp_kernel.operations.pending import blame
 from rcp_kernel.registry import Entry
 from rcp_kernel.spi import Backend, BaseBackend
 from rcp_kernel.streaming.samples import Sample, masked, project
-from rcp_kernel.values import to_plain, value_type
-from rcp_kernel.wire import Reply, Request, error_body
+from rcp_kernel.values import value_type
+from rcp_kernel.wire import Reply, Request
 
 if TYPE_CHECKING:
     from rcp_kernel.gateway import Gateway
@@ -49,7 +51,6 @@ class ReadOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 READ_OPTIONS = value_type(ReadOptions | None)
-_to_json = msgspec.json.Encoder().encode
 
 
 class Reading:
@@ -119,28 +120,34 @@ class Reading:
         entries = list(islice(self._readable(session, pattern, after), options.limit + 1))
         more = len(entries) > options.limit
         del entries[options.limit :]
-        longest = room(gateway.limits.message)
-        limit = min(request.deadline or gateway.limits.deadline, gateway.limits.deadline) * 0.9
+        page = PatternRead(
+            entries,
+            options.fields,
+            at_hand=partial(_at_hand, options=options),
+            fetch=self.fetch,
+            page=Parts(expected(session, request)),
+            longest=room(gateway.limits.message),
+        )
 
-        def page(items: list[tuple[dict[str, Any], int]]) -> Reply:
-            kept = _fitting([size for _, size in items], longest)
-            cut = more or kept < len(items)
+        def done(items: Parts) -> Reply:
+            cut = more or len(items) < len(entries)
             return Reply(
                 type="read",
                 id=request.id,
                 path=pattern.text,
-                body=[item for item, _ in items[:kept]],
+                body=items,
                 truncated=cut,
-                cursor=cursor_of(entries[kept - 1].path) if cut else None,
+                cursor=cursor_of(entries[len(items) - 1].path) if cut else None,
                 timestamp=iso(now()),
             )
 
+        patience = min(request.deadline or gateway.limits.deadline, gateway.limits.deadline) * 0.9
         gateway.later(
             session,
             request,
             answer,
-            self._fetch_many(entries, options, limit),
-            page,
+            page.run(gateway.turns, session.principal.identity, patience),
+            done,
             request.deadline or gateway.limits.deadline,
             pattern.text,
         )
@@ -154,25 +161,6 @@ class Reading:
                 continue
             if entry.operations & Operation.READ and session.rights.permits(entry, Operation.READ):
                 yield entry
-
-    async def _fetch_many(
-        self, entries: list[Entry], options: ReadOptions, limit: float
-    ) -> list[tuple[dict[str, Any], int]]:
-        """Return the items, and how many bytes each of them has."""
-
-        async def one(entry: Entry) -> tuple[dict[str, Any], int]:
-            try:
-                sample = _at_hand(entry, options)
-                if sample is None:
-                    sample = await asyncio.wait_for(self.fetch(entry), limit)
-                return _weighed(_item(entry, sample, options))
-            except Exception as error:
-                told = crash(error, path=entry.path)
-                return _weighed(
-                    {"path": entry.path, "status": told.status, "error": error_body(told)}
-                )
-
-        return await asyncio.gather(*(one(entry) for entry in entries))
 
 
 def _at_hand(entry: Entry, options: ReadOptions) -> Sample | None:
@@ -225,34 +213,6 @@ def _reply(request: Request, entry: Entry, sample: Sample, options: ReadOptions)
         timestamp=iso(now()),
         custom=request.custom,
     )
-
-
-def _item(entry: Entry, sample: Sample, options: ReadOptions) -> dict[str, Any]:
-    value = sample.value
-    body = project(value, options.fields) if options.fields else to_plain(value)
-    return {
-        "path": entry.path,
-        "status": "completed",
-        "body": body,
-        "seq": sample.seq,
-        "timestamp": sample.time,
-        "state": "stale" if entry.stale else "fresh",
-    }
-
-
-def _weighed(item: dict[str, Any]) -> tuple[dict[str, Any], int]:
-    # Not by the contract's rules for odd numbers, which take ten times as long.
-    return item, len(_to_json(item))
-
-
-def _fitting(sizes: list[int], longest: int) -> int:
-    """Return how many items a page has room for; it is one at least, if there is one."""
-    left = longest
-    for count, size in enumerate(sizes):
-        left -= size
-        if left < 0:
-            return max(count, 1)
-    return len(sizes)
 
 
 class _Waiter:

@@ -7,7 +7,8 @@ request.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Generator, Iterable, Iterator
+from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
 from rcp_kernel._plain import is_map
@@ -42,7 +43,7 @@ from rcp_kernel.values import Encoding, ValueType, dump
 if TYPE_CHECKING:
     from rcp_kernel.gateway import Gateway
 
-__all__ = ["check_plan"]
+__all__ = ["check_plan", "read_conditions"]
 
 _OPERATIONS = {
     "read": Operation.READ,
@@ -60,6 +61,35 @@ def check_plan(gateway: Gateway, session: Session, plan: Plan) -> Checked:
     :raises RcpError: with the code of the first fault, and all in `details.faults`.
     """
     return _Check(gateway, session).check(plan)
+
+
+def read_conditions(gateway: Gateway, session: Session, plan: Plan) -> Generator[None]:
+    """Read the conditions of a plan one at a time, so that its check finds them known.
+
+    What is wrong with them, and whether they are too many, the check says.
+
+    :raises RateLimited: whoever sent it has had too many read.
+    """
+    allowance, principal = gateway.conditions.allowance, session.principal.name
+    texts = list(dict.fromkeys(_texts(plan.steps or ())))
+    if texts:
+        allowance.check(principal)
+    if sum(map(len, texts)) > _TEXT:
+        return
+    for text in texts:
+        with allowance.spending(principal), suppress(ConfigError):
+            condition(text)
+        yield
+
+
+def _texts(steps: Iterable[Step]) -> Iterator[str]:
+    for step in steps:
+        for text in (step.when, getattr(step, "until", None)):
+            if text is not None:
+                yield text
+        if isinstance(step, Group):
+            yield from _texts(step.steps)
+        yield from _texts(step.fallback)
 
 
 class _Check:
@@ -304,9 +334,6 @@ class _Check:
 
     def _condition(self, node: Node, text: str, name: str) -> None:
         """Compile a condition of a step, which may be about what its asker may read alone."""
-        allowance, principal = self._gateway.conditions.allowance, self._session.principal.name
-        if not self._texts:
-            allowance.check(principal)
         if text not in self._texts:
             self._texts.add(text)
             self._length += len(text)
@@ -314,8 +341,7 @@ class _Check:
             raise _too_long()
         details = {"pointer": f"/{name}"}
         try:
-            with allowance.spending(principal):
-                found = condition(text)
+            found = condition(text)
         except ConditionTooCostly as error:
             raise OutOfRange(f"`{name}`: {error}", remedy=error.remedy, details=details) from None
         except ConfigError as error:

@@ -52,7 +52,7 @@ class Engine:
         self._sending = Sending(gateway, session, {node.id: node for node in nodes}, command)
         self._part = f"plan {command}"
         self._asked: set[str] = set()
-        self._pace = Pace(gateway.conditions.turns)
+        self._pace = Pace(gateway.turns, session.principal.identity)
         self._conditions = [c for node in nodes for c in (node.when, node.until) if c is not None]
 
     async def run(self, token: str | None) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Generator
 from typing import TYPE_CHECKING, Any
 
 from rcp_kernel._plain import is_map
@@ -9,8 +10,9 @@ from rcp_kernel.access.approvals import About
 from rcp_kernel.clients.session import Session
 from rcp_kernel.clock import iso
 from rcp_kernel.errors import PayloadTooLarge, QueueFull
+from rcp_kernel.model import Operation
 from rcp_kernel.operations.command import Command
-from rcp_kernel.plans.checking import check_plan
+from rcp_kernel.plans.checking import check_plan, read_conditions
 from rcp_kernel.plans.engine import Engine
 from rcp_kernel.plans.model import PATH, Plan, PlanState
 from rcp_kernel.plans.node import Checked, every
@@ -98,11 +100,7 @@ class Plans:
         :raises RcpError: something is wrong with it; see `check_plan`.
         """
         limits = self._gateway.config.plans
-        if len(bytes(request.body)) > limits.size:
-            raise PayloadTooLarge(
-                f"the plan has {len(bytes(request.body))} bytes; the limit is {limits.size}",
-                details={"limit": limits.size},
-            )
+        self._check_size(request)
         running = [c for c in self._gateway.commands.running.values() if c.path == PATH]
         if sum(1 for c in running if c.tenant == session.tenant) >= limits.running:
             raise QueueFull(
@@ -111,6 +109,25 @@ class Plans:
                 details={"limit": limits.running},
             )
         return Work(self._gateway, session, check_plan(self._gateway, session, plan))
+
+    def _check_size(self, request: Request) -> None:
+        size, limit = len(bytes(request.body)), self._gateway.config.plans.size
+        if size > limit:
+            raise PayloadTooLarge(
+                f"the plan has {size} bytes; the limit is {limit}", details={"limit": limit}
+            )
+
+    def read_conditions(self, session: Session, request: Request) -> Generator[None]:
+        """Read the conditions of a plan in steps, so that `prepare` does not take long.
+
+        :raises RcpError: the session may send none, it is none or too long, or its conditions
+            cannot be read now.
+        """
+        entry = self._gateway.resolve(session, PATH, Operation.EXECUTE)
+        self._check_size(request)
+        plan = request.decode_body(entry.input_type, f"input of {entry.label}")
+        yield
+        yield from read_conditions(self._gateway, session, plan)
 
     def view(self, session: Session) -> list[dict[str, Any]]:
         """List the plans that a session may see, newest first."""

@@ -12,9 +12,8 @@ from rcp_kernel.clients.session import Session
 from rcp_kernel.errors import BY_CODE, InternalError, RcpError
 from rcp_kernel.plans.model import Execute, Operate, Read, Write
 from rcp_kernel.plans.node import Node, filled
-from rcp_kernel.streaming.samples import Sample
 from rcp_kernel.values import Encoding, dump, to_plain
-from rcp_kernel.wire import NO_BODY, Reply, Request
+from rcp_kernel.wire import NO_BODY, Body, Reply, Request
 
 if TYPE_CHECKING:
     from rcp_kernel.gateway import Gateway
@@ -124,7 +123,7 @@ class Sending:
 def _plain(body: Any) -> Any:
     if body is NO_BODY:
         return None
-    return to_plain(body.value if isinstance(body, Sample) else body)
+    return to_plain(body.value if isinstance(body, Body) else body)
 
 
 def _error_of(body: dict[str, Any]) -> RcpError:

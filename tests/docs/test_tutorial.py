@@ -15,9 +15,9 @@ import pytest
 from docs.pages import DOCS, keys, section
 from rcp_kernel.config.file import parse
 from rcp_kernel.model import Resource
-from rcp_kernel.operations.batching import plain_request
 from rcp_kernel.process.server import Prepared, running
-from rcp_kernel.wire import Reply
+from rcp_kernel.values import Encoding, dump
+from rcp_kernel.wire import Reply, decode_request
 
 PAGE = (DOCS / "write-a-backend.md").read_text(encoding="utf-8")
 PROGRAMS = re.findall(r"^```python\n(.*?)^```", PAGE, re.MULTILINE | re.DOTALL)
@@ -57,7 +57,7 @@ async def test_the_turntable_of_the_page_turns(turntable: Any) -> None:
         async def turn_to(angle: float) -> Reply:
             body = {"angle": angle}
             request = {"type": "execute", "path": "/action/turn_to", "body": body}
-            return await door.ask(session, plain_request(request))
+            return await door.ask(session, decode_request(dump(request, Encoding.JSON), Encoding.JSON))
 
         done = await turn_to(0.2)
         assert (done.status, done.body) == ("completed", pytest.approx(0.2))

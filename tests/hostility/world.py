@@ -1,0 +1,149 @@
+"""The gateway under attack, in a process of its own: prints its address, serves until it is killed.
+
+A robot `main` with whatever is dear to serve, and a robot `spare` that is stopped meanwhile.
+Run: python world.py FOLDER
+"""
+
+from __future__ import annotations
+
+import asyncio
+import sys
+from collections.abc import AsyncGenerator
+from contextlib import asynccontextmanager
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import uvloop
+
+from rcp_kernel.config.file import BackendConfig, parse
+from rcp_kernel.model import Resource
+from rcp_kernel.process.garbage import collected_at_rest
+from rcp_kernel.process.log import configure
+from rcp_kernel.process.server import Prepared, prepare, running
+from rcp_kernel.spi import BackendKind, BaseBackend, Host, Progress
+from rcp_kernel.types import Point, PoseStamped, Quaternion, Twist
+
+MAP = 5_000_000  # bytes
+TEXTS, LONG = 1000, 16_000  # values of a pattern, and characters of each
+JOINTS = 50  # elements of a value in conditions
+POSES = 50.0  # Hz
+_POSE = PoseStamped(Point(1.0, 2.0, 0.0), Quaternion(), "map", "2026-05-29T14:12:04Z")
+CONFIG = """
+name = "attacked"
+log = {{ level = "error" }}
+store = {{ path = "{folder}/store.db" }}
+[transports.asgi]
+port = 0
+[plugins.mcp]
+[plugins.a2a]
+[roles.asking]
+allow = [{{ operations = ["*"], paths = ["/**"] }},
+         {{ operations = ["*"], paths = ["/system/plans", "/system/approvals"] }}]
+approve = ["/action/ask"]
+[[keys]]
+name = "operator"
+role = ["operator", "asking"]
+key = "operator-of-the-attack"
+[[keys]]
+name = "auditor"
+role = "admin"
+key = "auditor-of-the-attack"
+[[keys]]
+name = "guard"
+role = "admin"
+key = "guard-against-attack"
+"""
+
+
+class NoOptions(msgspec.Struct):
+    """Nothing to configure."""
+
+
+class Robot(BaseBackend):
+    """Takes everything, at once."""
+
+    def __init__(self, host: Host) -> None:
+        self.host = host
+
+    async def write(self, name: str, value: Any) -> None:
+        """Take a value."""
+
+    async def execute(self, name: str, value: Any, progress: Progress) -> Any:
+        """Answer with what was asked."""
+        return value
+
+    async def halt(self) -> None:
+        """Be at rest, as always."""
+
+
+def _main(host: Host) -> Robot:
+    host.declare(
+        Resource(name="sensor/pose", description="A pose.", value=PoseStamped, live=True),
+        Resource(name="sensor/map", description="A map.", value=bytes, live=True),
+        Resource(name="sensor/grid", description="A map.", value=list[int], live=True),
+        Resource(name="sensor/joints", description="Positions.", value=list[float], live=True),
+        Resource(name="actuator/drive", description="Speed.", value=Twist, safe=Twist()),
+        Resource(name="param/any", description="Anything.", value=Any),
+        Resource(name="service/echo", description="Echo.", input=Any, output=Any),
+        Resource(name="action/go", description="Goes.", input=Any, output=Any, policy="parallel"),
+        Resource(name="action/ask", description="Asks.", input=Any, output=Any, policy="parallel"),
+        *(
+            Resource(name=f"sensor/text-{n:04}", description="A text.", value=str, live=True)
+            for n in range(TEXTS)
+        ),
+    )
+    host.publish("sensor/map", bytes(MAP))
+    host.publish("sensor/grid", [-1, 0, 100, 100] * (MAP // 20))
+    host.publish("sensor/joints", [0.5] * JOINTS)
+    for number in range(TEXTS):
+        host.publish(f"sensor/text-{number:04}", "x" * LONG)
+    return Robot(host)
+
+
+async def _pose(host: Host) -> None:
+    loop = asyncio.get_running_loop()
+    due = loop.time()
+    while True:
+        host.publish("sensor/pose", _POSE)
+        due = max(due + 1 / POSES, loop.time() - 0.1)
+        await asyncio.sleep(max(0.0, due - loop.time()))
+
+
+@asynccontextmanager
+async def _open(_config: NoOptions, host: Host) -> AsyncGenerator[Robot]:
+    robot = _main(host)
+    publishing = asyncio.create_task(_pose(host))
+    try:
+        yield robot
+    finally:
+        publishing.cancel()
+
+
+@asynccontextmanager
+async def _spare(_config: NoOptions, host: Host) -> AsyncGenerator[Robot]:
+    host.declare(Resource(name="actuator/drive", description="Speed.", value=Twist, safe=Twist()))
+    yield Robot(host)
+
+
+async def _serve(folder: Path) -> None:
+    configure("error")
+    bare = prepare(parse(CONFIG.format(folder=folder), "attacked"), "attacked")
+    backends = (
+        BackendConfig(use="main", name="main", tenant="alpha"),
+        BackendConfig(use="spare", name="spare", tenant="alpha", robot="spare"),
+    )
+    config = msgspec.structs.replace(bare.config, backends=backends)
+    bare.plugins.backends["main"] = BackendKind("main", NoOptions, _open)
+    bare.plugins.backends["spare"] = BackendKind("spare", NoOptions, _spare)
+    options = (NoOptions(), NoOptions())
+    made = Prepared(config, bare.plugins, options, bare.transports, bare.adapters)
+    async with running(made) as server:
+        loop = asyncio.get_running_loop()
+        with collected_at_rest(loop, lambda: server.gateway.moving):
+            print(next(f["url"] for f in server.status.transports if "url" in f), flush=True)
+            await asyncio.Event().wait()
+
+
+if __name__ == "__main__":
+    uvloop.run(_serve(Path(sys.argv[1])))
