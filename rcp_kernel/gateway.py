@@ -40,12 +40,15 @@ from rcp_kernel.motion.leases import Leases
 from rcp_kernel.motion.safety import Deadman
 from rcp_kernel.operations.admission import Admission
 from rcp_kernel.operations.batching import Batching
+from rcp_kernel.operations.catalogue import CataloguePage
 from rcp_kernel.operations.commands import Commands
 from rcp_kernel.operations.discovery import Discovery
 from rcp_kernel.operations.executing import EstopLane, Executing, Service
 from rcp_kernel.operations.idempotency import Keys
 from rcp_kernel.operations.inflight import InFlight
 from rcp_kernel.operations.intercepting import intercepted
+from rcp_kernel.operations.pages import room
+from rcp_kernel.operations.parts import expected
 from rcp_kernel.operations.pending import crash
 from rcp_kernel.operations.reading import Reading
 from rcp_kernel.operations.subscribing import Subscribing
@@ -143,7 +146,6 @@ class Gateway:
             "subscribe": self._subscribing.subscribe,
             "unsubscribe": self._subscribing.unsubscribe,
             "cancel": self.executing.cancel,
-            "discover": self._discover,
             "status": self._status,
             "ping": self._ping,
             "batch": Batching(self, self.turns).batch,
@@ -194,7 +196,10 @@ class Gateway:
         try:
             if request.type == "execute":
                 yield from self.plans.read_conditions(session, request)
-            reply = self._table[request.type](session, request, answer)
+            if request.type == "discover":
+                reply = yield from self._discover(session, request)
+            else:
+                reply = self._table[request.type](session, request, answer)
         except Exception as error:
             reply, answer = self._refuse(session, request, answer, error)
         if reply is not None:
@@ -314,15 +319,16 @@ class Gateway:
         self.counts[key] = self.counts.get(key, 0) + 1
         return reply
 
-    def _discover(self, session: Session, request: Request, answer: Answer) -> Reply | None:
-        body = self.discovery.answer(session.rights, session.tenant, request)
+    def _discover(self, session: Session, request: Request) -> Generator[None, None, Reply]:
+        page, longest = CataloguePage(expected(session, request)), room(self.limits.message)
+        yield from self.discovery.answer(session.rights, session.tenant, request, page, longest)
         return Reply(
             type="discover",
             id=request.id,
             path=request.path,
-            body=body,
-            truncated="cursor" in body,
-            cursor=body.get("cursor"),
+            body=page,
+            truncated=page.cursor is not None,
+            cursor=page.cursor,
             timestamp=iso(now()),
             custom=request.custom,
         )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Generator, Iterator
 from typing import Annotated, Any, NamedTuple
 from weakref import WeakKeyDictionary
 
@@ -13,6 +14,7 @@ from rcp_kernel.clock import now
 from rcp_kernel.errors import BadRequest
 from rcp_kernel.model import Kind, Operation, Pattern, Resource, operation_names
 from rcp_kernel.motion.envelopes import Envelopes
+from rcp_kernel.operations.catalogue import CataloguePage, Description
 from rcp_kernel.operations.pages import LONGEST, MOST, cursor_of, place_of
 from rcp_kernel.registry import Entry, Registry
 from rcp_kernel.values import ValueType, to_plain, value_type
@@ -21,6 +23,7 @@ from rcp_kernel.wire import Request
 __all__ = ["Discovery", "Query"]
 
 _COMMANDED = Operation.WRITE | Operation.EXECUTE
+_SCHEMAS = ("schema", "schemas")
 
 
 class Query(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -56,7 +59,7 @@ class Discovery:
     def __init__(self, registry: Registry, envelopes: Envelopes) -> None:
         self._registry = registry
         self._envelopes = envelopes
-        self._known: dict[str, tuple[Entry, dict[str, Any]]] = {}
+        self._known: dict[str, tuple[Entry, Description]] = {}
         self._seen: WeakKeyDictionary[Rights, _Seen] = WeakKeyDictionary()
         registry.on_removed.append(self._forget)
 
@@ -82,8 +85,15 @@ class Discovery:
         tenants = self._registry.growing(pattern)
         return tenants if "*" in rights.tenants else tenants.intersection(rights.tenants)
 
-    def answer(self, rights: Rights, tenant: str | None, request: Request) -> dict[str, Any]:
-        """Carry out a `discover` request.
+    def answer(
+        self,
+        rights: Rights,
+        tenant: str | None,
+        request: Request,
+        page: CataloguePage,
+        longest: int,
+    ) -> Generator[None]:
+        """Carry out a `discover` request in steps: fill a page with at most `longest` bytes.
 
         :raises InvalidPath: the pattern is none.
         :raises BadRequest: the cursor or operation is none.
@@ -92,22 +102,26 @@ class Discovery:
         text = request.path
         if text is None:
             text = "/**" if tenant is None else f"/tenant/{tenant}/**"
-        return self.find(rights, Pattern(text, tenant), query)
+        last, pattern = "", Pattern(text, tenant)
+        page.complete = not self._growing(rights, pattern)
+        for entry, mask in self._visited(rights, pattern, query):
+            if mask:
+                facts = self._facts(rights, entry, mask, schemas=query.schemas)
+                leave = () if query.schemas else _SCHEMAS
+                full = len(page) == query.limit
+                if full or not page.add(self._description(entry), leave, facts, longest):
+                    page.cursor = cursor_of(last)
+                    break
+                last = entry.path
+            yield
+        page.generation = self.generation(rights)
 
     def find(self, rights: Rights, pattern: Pattern, query: Query) -> dict[str, Any]:
         """List what matches and may be seen, one page of it."""
-        wanted = _operation(query.op)
-        words = query.q.casefold().split() if query.q else []
-        after = place_of(query.cursor) if query.cursor else ""
         page: list[dict[str, Any]] = []
         whole = {"complete": False} if self._growing(rights, pattern) else {}
-        for entry in self._registry.match(pattern, after):
-            mask = reach(rights.mask(entry.path))
-            if not mask or (query.kind is not None and entry.kind is not query.kind):
-                continue
-            if wanted and not entry.operations & mask & wanted:
-                continue
-            if words and not _has(entry, words):
+        for entry, mask in self._visited(rights, pattern, query):
+            if not mask:
                 continue
             if len(page) == query.limit:
                 return {
@@ -116,24 +130,45 @@ class Discovery:
                     "generation": self.generation(rights),
                     **whole,
                 }
-            facts = self.describe(entry, mask, schemas=query.schemas)
-            if entry.operations & mask & _COMMANDED:
-                facts |= self._envelopes.told(rights, entry, schemas=query.schemas)
-            page.append(facts)
+            facts = self._facts(rights, entry, mask, schemas=query.schemas)
+            page.append(self._described(entry, schemas=query.schemas) | facts)
         return {"resources": page, "generation": self.generation(rights), **whole}
 
-    def describe(self, entry: Entry, mask: int, *, schemas: bool = True) -> dict[str, Any]:
-        """Write one resource as the catalogue does, with the operations that `mask` allows."""
+    def _visited(
+        self, rights: Rights, pattern: Pattern, query: Query
+    ) -> Iterator[tuple[Entry, int]]:
+        """Go through what a pattern matches, each with what may be seen of it: 0 if not wanted."""
+        wanted = _operation(query.op)
+        words = query.q.casefold().split() if query.q else []
+        after = place_of(query.cursor) if query.cursor else ""
+        for entry in self._registry.match(pattern, after):
+            mask = reach(rights.mask(entry.path))
+            if (
+                (query.kind is not None and entry.kind is not query.kind)
+                or (wanted and not entry.operations & mask & wanted)
+                or (words and not _has(entry, words))
+            ):
+                mask = 0
+            yield entry, mask
+
+    def _facts(self, rights: Rights, entry: Entry, mask: int, *, schemas: bool) -> dict[str, Any]:
+        facts: dict[str, Any] = {
+            "operations": operation_names(Operation(entry.operations & mask)),
+            "state": _state(entry),
+        }
+        if entry.operations & mask & _COMMANDED:
+            facts |= self._envelopes.told(rights, entry, schemas=schemas)
+        return facts
+
+    def _description(self, entry: Entry) -> Description:
         known = self._known.get(entry.path)
         if known is None or known[0] is not entry:
-            known = self._known[entry.path] = (entry, _describe(entry))
-        facts = dict(known[1])
-        if not schemas:
-            facts.pop("schema", None)
-            facts.pop("schemas", None)
-        facts["operations"] = operation_names(Operation(entry.operations & mask))
-        facts["state"] = _state(entry)
-        return facts
+            known = self._known[entry.path] = (entry, Description(_describe(entry)))
+        return known[1]
+
+    def _described(self, entry: Entry, *, schemas: bool) -> dict[str, Any]:
+        facts = self._description(entry).facts
+        return dict(facts) if schemas else {k: v for k, v in facts.items() if k not in _SCHEMAS}
 
     def schemas(self, rights: Rights) -> dict[str, dict[str, Any]]:
         """Return every schema of what may be seen, by id."""
