@@ -12,8 +12,8 @@ from tempfile import TemporaryDirectory
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
-from hostility.cases import CASES  # noqa: E402 - found by the line above
-from hostility.scene import Worst, attacked, served  # noqa: E402
+from hostility.cases import CASES
+from hostility.scene import Worst, attacked, served
 
 MANY = 10  # clients at once
 SECONDS = 3.0
@@ -27,7 +27,7 @@ def row(name: str, who: str, found: Worst, calm: Worst) -> None:
 
 
 async def main(wanted: list[str]) -> None:
-    print(f"{'ms at worst':45}{'e-stop':>10}{'pose gap':>10}{'healthz':>10}")
+    print(f"{'ms at worst':45}{'e-stop':>10}{'pose gap':>10}{'healthz':>10}{'CPU turn':>10}")
     calm = None
     for case in CASES:
         if wanted and case.name not in wanted:

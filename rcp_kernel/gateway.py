@@ -180,7 +180,7 @@ class Gateway:
                 raise meter.refusal(started)
             if _dear(request):
                 work = self._slowly(session, request, answer, started)
-                self.turns.run(session.principal.identity, work)
+                self.turns.run(session.principal.identity, work, len(bytes(request.body)))
                 return
             reply = self._table[request.type](session, request, answer)
         except Exception as error:

@@ -13,6 +13,7 @@ from collections.abc import Generator, Hashable
 from contextlib import contextmanager
 from contextvars import Context, copy_context
 from time import thread_time
+from typing import NamedTuple
 
 import structlog
 
@@ -25,16 +26,35 @@ Work = Generator[None]
 """Something dear, which yields where it may be interrupted: after a millisecond, better sooner."""
 
 _TURN = 0.002  # s in one turn of the loop, after which the next step waits for the next turn
-_WAITING = 256  # works of one owner that have not ended
+_WAITING = 1024  # works of one owner that have not ended: more than one batch makes
+_BYTES = 32 * 1024 * 1024  # of the requests that they are for
 
 
 class _Wake:
-    """A place in the queue of a coroutine."""
+    """A coroutine's place in the queue."""
 
     __slots__ = ("future",)
 
     def __init__(self) -> None:
         self.future: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+
+
+class _Begun(NamedTuple):
+    """A work's place in the queue."""
+
+    context: Context
+    work: Work
+    size: int
+
+
+class _Queue:
+    """What one owner has waiting."""
+
+    __slots__ = ("places", "size")
+
+    def __init__(self) -> None:
+        self.places: deque[_Begun | _Wake] = deque()
+        self.size = 0
 
 
 class Turns:
@@ -43,32 +63,36 @@ class Turns:
     def __init__(self) -> None:
         self._spent = 0.0
         self._scheduled = False
-        self._queues: dict[Hashable, deque[tuple[Context, Work] | _Wake]] = {}
+        self._queues: dict[Hashable, _Queue] = {}
 
-    def run(self, owner: Hashable, work: Work) -> None:
+    def run(self, owner: Hashable, work: Work, size: int = 0) -> None:
         """Do work: at once as far as there is time, the rest in the coming turns.
+
+        It is for a request of `size` bytes, which are kept meanwhile.
 
         :raises QueueFull: too much of the same owner waits already.
         """
-        context = copy_context()
+        begun = _Begun(copy_context(), work, size)
         while not self._queues and self._spent <= _TURN:
-            if not self._step(context, work):
+            if not self._step(begun):
                 return
-        queue = self._queues.setdefault(owner, deque())
-        if len(queue) >= _WAITING:
+        queue = self._queues.get(owner) or _Queue()
+        if len(queue.places) >= _WAITING or (queue.size and queue.size + size > _BYTES):
             raise QueueFull(
-                f"{len(queue)} requests of yours that take long are waiting already",
+                f"{len(queue.places)} requests of yours that take long are waiting already",
                 remedy="Wait for their answers before you send more.",
                 retry_after=1.0,
             )
-        queue.append((context, work))
+        queue.places.append(begun)
+        queue.size += size
+        self._queues[owner] = queue
         self._schedule()
 
     async def wait(self, owner: Hashable) -> None:
         """Wait for a turn in which there is time left; say with `spending` what is used of it."""
         if self._spent > _TURN or self._queues:
             place = _Wake()
-            self._queues.setdefault(owner, deque()).append(place)
+            self._queues.setdefault(owner, _Queue()).places.append(place)
             self._schedule()
             await place.future
 
@@ -95,26 +119,32 @@ class Turns:
         self._spent = 0.0
         self._scheduled = False
         while self._queues and self._spent <= _TURN:
-            owner = next(iter(self._queues))
-            queue = self._queues.pop(owner)
-            first = queue.popleft()
-            if isinstance(first, _Wake):
-                if not first.future.done():
-                    first.future.set_result(None)
-                    # What it takes is not known before the next turn: nothing more in this one.
-                    self._spent = 2 * _TURN
-            elif self._step(*first):
-                queue.appendleft(first)
-            if queue:  # behind all others
+            owner, queue = next(iter(self._queues.items()))
+            self._serve(queue)
+            # It stays where it is meanwhile: a step may have more work done for the same owner.
+            del self._queues[owner]
+            if queue.places:  # behind all others
                 self._queues[owner] = queue
         if self._spent or self._queues:
             self._schedule()
 
-    def _step(self, context: Context, work: Work) -> bool:
+    def _serve(self, queue: _Queue) -> None:
+        first = queue.places.popleft()
+        if isinstance(first, _Begun):
+            if self._step(first):
+                queue.places.appendleft(first)
+            else:
+                queue.size -= first.size
+        elif not first.future.done():
+            first.future.set_result(None)
+            # What it takes is not known before the next turn: nothing more in this one.
+            self._spent = 2 * _TURN
+
+    def _step(self, begun: _Begun) -> bool:
         """Do one step; tell whether there are more."""
         began = thread_time()
         try:
-            context.run(next, work)
+            begun.context.run(next, begun.work)
         except StopIteration:
             return False
         except Exception:

@@ -41,7 +41,7 @@ class CataloguePage(Body):
         self._encoding = encoding
         self._resources: list[dict[str, Any]] = []
         self._pieces: list[bytes] = []
-        self._size = 0
+        self._size = 1  # of a bracket
         self.generation = 0
         self.complete = True
         """Whether no robot that comes up yet may have more."""
@@ -59,9 +59,9 @@ class CataloguePage(Body):
         written |= {key: Raw(dump(fact, encoding)) for key, fact in facts.items()}
         module = msgspec.json if encoding is Encoding.JSON else msgspec.msgpack
         piece = module.encode(written)
-        if self._pieces and self._size + len(piece) > longest:
+        if self._pieces and self._size + len(piece) >= longest:
             return False
-        self._size += len(piece)
+        self._size += len(piece) + 1  # and a comma
         self._pieces.append(piece)
         kept = {k: v for k, v in description.facts.items() if k not in leave}
         self._resources.append(kept | facts)

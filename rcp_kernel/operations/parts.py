@@ -45,8 +45,8 @@ class Parts(Body):
         self._encoding = encoding
         self._made: list[tuple[dict[str, Any], Any]] = []
         self._pieces: list[bytes] = []
-        self.size = 0
-        """Bytes of all parts."""
+        self.size = 1
+        """Bytes of all parts, and of the list itself."""
 
     def __len__(self) -> int:
         return len(self._pieces)
@@ -60,11 +60,11 @@ class Parts(Body):
         if longest is not None and self.size + len(data) > longest:
             return False
         piece = encode_frame(fields, data, self._encoding)
-        if longest is not None and self.size + len(piece) > longest:
+        if longest is not None and self.size + len(piece) >= longest:
             return False
         self._pieces.append(piece)
         self._made.append((fields, body))
-        self.size += len(piece)
+        self.size += len(piece) + 1  # and a comma
         return True
 
     @property

@@ -57,7 +57,9 @@ async def test_the_turntable_of_the_page_turns(turntable: Any) -> None:
         async def turn_to(angle: float) -> Reply:
             body = {"angle": angle}
             request = {"type": "execute", "path": "/action/turn_to", "body": body}
-            return await door.ask(session, decode_request(dump(request, Encoding.JSON), Encoding.JSON))
+            return await door.ask(
+                session, decode_request(dump(request, Encoding.JSON), Encoding.JSON)
+            )
 
         done = await turn_to(0.2)
         assert (done.status, done.body) == ("completed", pytest.approx(0.2))

@@ -17,7 +17,7 @@ from hostility.cases import Case, Who
 __all__ = ["Worst", "attacked", "served"]
 
 _HERE = Path(__file__).parent
-_BEGUN = 20.0  # s until the first answer to an attack
+_BEGUN = 60.0  # s until the first answer to an attack
 
 
 class Worst(NamedTuple):
@@ -29,6 +29,8 @@ class Worst(NamedTuple):
     """Between two poses of a 50 Hz subscription."""
     health: float
     """Until `/healthz` was answered."""
+    turn: float
+    """Of the processor, for one turn of the gateway's loop."""
 
 
 @contextmanager

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import sys
+import time
 from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager
 from pathlib import Path
@@ -60,14 +61,41 @@ class NoOptions(msgspec.Struct):
     """Nothing to configure."""
 
 
+class Longest:
+    """The most that one turn of the loop has cost, in seconds of this thread.
+
+    Unlike delays that others see, it does not depend on what else runs on the machine.
+    """
+
+    def __init__(self) -> None:
+        self.worst = 0.0
+        self._last = time.thread_time()
+        self._look()
+
+    def _look(self) -> None:
+        moment = time.thread_time()
+        self.worst = max(self.worst, moment - self._last)
+        self._last = moment
+        asyncio.get_running_loop().call_later(0.001, self._look)
+
+
 class Robot(BaseBackend):
     """Takes everything, at once."""
 
     def __init__(self, host: Host) -> None:
         self.host = host
+        self.longest = Longest()
+
+    async def read(self, name: str) -> Any:
+        """Tell how long the loop was held at most since this was written last."""
+        if name == "param/turn":
+            return self.longest.worst
+        return await super().read(name)
 
     async def write(self, name: str, value: Any) -> None:
         """Take a value."""
+        if name == "param/turn":
+            self.longest.worst = value
 
     async def execute(self, name: str, value: Any, progress: Progress) -> Any:
         """Answer with what was asked."""
@@ -84,6 +112,7 @@ def _main(host: Host) -> Robot:
         Resource(name="sensor/grid", description="A map.", value=list[int], live=True),
         Resource(name="sensor/joints", description="Positions.", value=list[float], live=True),
         Resource(name="actuator/drive", description="Speed.", value=Twist, safe=Twist()),
+        Resource(name="param/turn", description="Seconds that a turn took.", value=float),
         Resource(name="param/any", description="Anything.", value=Any),
         Resource(name="service/echo", description="Echo.", input=Any, output=Any),
         Resource(name="action/go", description="Goes.", input=Any, output=Any, policy="parallel"),

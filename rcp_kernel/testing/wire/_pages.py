@@ -139,6 +139,34 @@ class Pages(Wire):
             rest = await _pages(client, "read", PATTERN, {"cursor": part["cursor"]})
             assert _paths([part, *rest]) == names
 
+    @proves("envelope.batch-bytes")
+    async def test_a_batch_refers_what_it_has_no_room_for_to_requests_of_their_own(
+        self, world: World
+    ) -> None:
+        longest = world.server.gateway.limits.message
+        (name,) = _declare(world, 1, str, "x" * (longest // 4))
+        client = await world.client()
+        read: Message = {"type": "read", "path": name}
+        reply = await client.request("batch", body=[read] * 8)
+        assert len(dump(reply["body"], Encoding.JSON)) <= 2 * longest
+        told = [part["status"] for part in reply["body"]]
+        assert told == ["completed"] * 3 + ["rejected"] * 5
+        assert {part["error"]["code"] for part in reply["body"][3:]} == {"payload_too_large"}
+        assert len((await client.request("read", name))["body"]) == longest // 4
+
+    @proves("discover.page-bytes")
+    async def test_a_page_of_discovery_has_no_more_bytes_than_a_message_may_have(
+        self, world: World
+    ) -> None:
+        names = _declare(world, MANY, quantity("1"), 0.5)
+        client = await world.client()
+        longest = world.server.gateway.limits.message
+        pages = await _pages(client, "discover", PATTERN, {"limit": 1000})
+        for page in pages:
+            assert len(dump(page["body"]["resources"], Encoding.JSON)) <= longest
+        found = [one["path"] for page in pages for one in page["body"]["resources"]]
+        assert found == names
+
     @proves("stream.subscribe-pages")
     async def test_a_subscription_lists_its_paths_in_pages(self, world: World) -> None:
         names = _declare(world, MANY, quantity("1"), 0.5)

@@ -1,0 +1,130 @@
+"""Dear work runs in steps: little in one turn of the loop, and everybody has a share."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from contextvars import ContextVar
+
+import pytest
+
+from kernel.world import BOUND
+from rcp_kernel.errors import QueueFull
+from rcp_kernel.turns import Turns, Work
+
+pytestmark = pytest.mark.anyio
+
+
+def busy(done: list[str], name: str, steps: int = 10, seconds: float = 0.001) -> Work:
+    """Use the processor in steps."""
+    for _ in range(steps):
+        until = time.thread_time() + seconds
+        while time.thread_time() < until:
+            pass
+        yield
+    done.append(name)
+
+
+async def until_there_are(done: list[str], count: int) -> int:
+    """Return how many turns of the loop it took."""
+    turns = 0
+    async with asyncio.timeout(BOUND):
+        while len(done) < count:
+            turns += 1
+            await asyncio.sleep(0)
+    return turns
+
+
+async def test_others_have_their_turn_between_the_steps_of_what_is_dear() -> None:
+    turns, done = Turns(), list[str]()
+    turns.run("one", busy(done, "dear", steps=60))
+    assert await until_there_are(done, 1) >= 15  # of at most three steps each
+
+
+async def test_what_costs_next_to_nothing_is_done_at_once() -> None:
+    turns, done = Turns(), list[str]()
+    turns.run("one", busy(done, "cheap", seconds=0.0))
+    assert done == ["cheap"]
+
+
+async def test_who_sends_little_does_not_wait_for_all_of_one_who_sends_much() -> None:
+    turns, done = Turns(), list[str]()
+    for number in range(100):
+        turns.run("much", busy(done, f"much {number}"))
+    turns.run("little", busy(done, "little"))
+    await until_there_are(done, 4)
+    assert "little" in done
+    await until_there_are(done, 101)
+
+
+async def test_one_has_only_so_much_waiting() -> None:
+    turns, done = Turns(), list[str]()
+    turns.run("much", busy(done, "much"))
+    with pytest.raises(QueueFull) as refused:
+        for _ in range(10_000):
+            turns.run("much", busy(done, "much", 1, 0.0), size=1)
+    assert refused.value.retry_after is not None
+    turns.run("little", busy(done, "little"))
+    await until_there_are(done, 1025)
+
+
+async def test_one_has_only_so_many_bytes_waiting() -> None:
+    turns, done, most = Turns(), list[str](), 16 * 1024 * 1024
+    turns.run("much", busy(done, "much"), size=2 * most + 1)
+    with pytest.raises(QueueFull):
+        turns.run("much", busy(done, "much"), size=most)
+    await until_there_are(done, 1)
+    turns.run("much", busy(done, "much"), size=most)
+    turns.run("much", busy(done, "much"), size=most)
+    await until_there_are(done, 3)
+
+
+async def test_work_may_have_more_work_done() -> None:
+    def outer() -> Work:
+        yield from busy(done, "outer", steps=5)
+        turns.run("one", busy(done, "inner"))
+        yield
+
+    turns, done = Turns(), list[str]()
+    turns.run("one", outer())
+    turns.run("two", busy(done, "other"))
+    await until_there_are(done, 3)
+
+
+async def test_work_that_fails_keeps_nothing_else_from_its_turn() -> None:
+    def failing() -> Work:
+        yield from busy(done, "before", steps=5)
+        raise ZeroDivisionError
+
+    turns, done = Turns(), list[str]()
+    turns.run("one", failing())
+    turns.run("one", busy(done, "after"))
+    await until_there_are(done, 2)
+    assert done == ["before", "after"]
+
+
+async def test_a_coroutine_waits_for_a_turn_with_time_left() -> None:
+    turns, done = Turns(), list[str]()
+    await asyncio.wait_for(turns.wait("two"), BOUND)
+    turns.run("one", busy(done, "dear", steps=50))
+    await asyncio.wait_for(turns.wait("two"), BOUND)
+    assert not done
+    given_up = asyncio.create_task(turns.wait("two"))
+    await asyncio.sleep(0)
+    given_up.cancel()
+    await until_there_are(done, 1)
+
+
+async def test_work_keeps_the_context_of_whoever_sent_it() -> None:
+    def look() -> Work:
+        yield from busy([], "", steps=5)
+        seen.append(who.get())
+
+    who, seen, turns = ContextVar("who", default="nobody"), list[str](), Turns()
+    token = who.set("somebody")
+    turns.run("one", look())
+    who.reset(token)
+    async with asyncio.timeout(BOUND):
+        while not seen:
+            await asyncio.sleep(0)
+    assert seen == ["somebody"]
