@@ -20,6 +20,7 @@ ALL = (
     "estop",
     "deadman",
     "guarded",
+    "hostile",
     "mavlink",
     "can_axes",
     "dashboard",

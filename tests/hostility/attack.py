@@ -40,8 +40,7 @@ class Attacker:
         key = KEYS[who]  # pyright: ignore[reportArgumentType] - an argument of this script
         self._proof = f"Authorization: Bearer {key}\r\n" if key else ""
         self._numbers = count()
-        self.answers = 0
-        """Bytes that came back."""
+        self.answered = asyncio.Event()
 
     async def run(self) -> None:
         """Send until cancelled, over new connections where one was closed."""
@@ -78,12 +77,13 @@ class Attacker:
             draining.cancel()
 
     async def _drain(self, reader: asyncio.StreamReader) -> None:
-        while data := await reader.read(1 << 20):
-            self.answers += len(data)
+        while await reader.read(1 << 20):
+            self.answered.set()
 
     async def _some(self, reader: asyncio.StreamReader) -> None:
         async with asyncio.timeout(5):
-            self.answers += len(await reader.read(65_536))
+            await reader.read(65_536)
+            self.answered.set()
 
     def _upgrade(self) -> bytes:
         return (
@@ -113,9 +113,10 @@ async def main(url: str, name: str, who: str, connections: str) -> None:
     async with asyncio.TaskGroup() as group:
         for attacker in attackers:
             group.create_task(attacker.run())
-        while not any(attacker.answers for attacker in attackers):
-            await asyncio.sleep(0.01)
-        print("begun", flush=True)
+        waiting = [group.create_task(attacker.answered.wait()) for attacker in attackers]
+        await asyncio.wait(waiting, return_when=asyncio.FIRST_COMPLETED)
+        sys.stdout.write("begun\n")
+        sys.stdout.flush()
 
 
 if __name__ == "__main__":

@@ -92,7 +92,7 @@ async def main(url: str, seconds: float) -> None:
         until = time.perf_counter() + seconds
         found = await asyncio.gather(stops(socket, until), gaps(socket, until), health(url, until))
         turn = (await client.get(place, params={"fresh": "true"})).json()["body"]
-    print(json.dumps([round(one * 1000, 1) for one in (*map(max, found), turn)]), flush=True)
+    sys.stdout.write(json.dumps([round(one * 1000, 1) for one in (*map(max, found), turn)]))
 
 
 if __name__ == "__main__":

@@ -90,7 +90,7 @@ class Robot(BaseBackend):
         """Tell how long the loop was held at most since this was written last."""
         if name == "param/turn":
             return self.longest.worst
-        return await super().read(name)
+        return Twist() if name == "actuator/drive" else 0
 
     async def write(self, name: str, value: Any) -> None:
         """Take a value."""
@@ -170,7 +170,9 @@ async def _serve(folder: Path) -> None:
     async with running(made) as server:
         loop = asyncio.get_running_loop()
         with collected_at_rest(loop, lambda: server.gateway.moving):
-            print(next(f["url"] for f in server.status.transports if "url" in f), flush=True)
+            url = next(f["url"] for f in server.status.transports if "url" in f)
+            sys.stdout.write(f"{url}\n")
+            sys.stdout.flush()
             await asyncio.Event().wait()
 
 
