@@ -89,11 +89,11 @@ class System(BaseBackend):
         gateway.services["/system/leases"] = leasing.request
         gateway.services["/system/approvals"] = gateway.approvals.request
         gateway.leases.changed = lambda: self._publish("leases", [])
-        gateway.plans.changed = lambda: self._publish("plans", [])
+        gateway.plans.tell = lambda: self._publish("plans", [])
         gateway.approvals.changed = lambda: self._publish("approvals", [])
         self._publish("estop", estop.everything())
         gateway.leases.changed()
-        gateway.plans.changed()
+        gateway.plans.tell()
         gateway.approvals.changed()
         recent.told = self._logged
 

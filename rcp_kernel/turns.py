@@ -30,15 +30,6 @@ _WAITING = 1024  # works of one owner that have not ended: more than one batch m
 _BYTES = 32 * 1024 * 1024  # of the requests that they are for
 
 
-class _Wake:
-    """A coroutine's place in the queue."""
-
-    __slots__ = ("future",)
-
-    def __init__(self) -> None:
-        self.future: asyncio.Future[None] = asyncio.get_running_loop().create_future()
-
-
 class _Begun(NamedTuple):
     """A work's place in the queue."""
 
@@ -53,7 +44,7 @@ class _Queue:
     __slots__ = ("places", "size")
 
     def __init__(self) -> None:
-        self.places: deque[_Begun | _Wake] = deque()
+        self.places: deque[_Begun | asyncio.Future[None]] = deque()
         self.size = 0
 
 
@@ -91,10 +82,14 @@ class Turns:
     async def wait(self, owner: Hashable) -> None:
         """Wait for a turn in which there is time left; say with `spending` what is used of it."""
         if self._spent > _TURN or self._queues:
-            place = _Wake()
-            self._queues.setdefault(owner, _Queue()).places.append(place)
-            self._schedule()
-            await place.future
+            await self.place(owner)
+
+    def place(self, owner: Hashable) -> asyncio.Future[None]:
+        """Return what is done as soon as there is a turn for it."""
+        place = asyncio.get_running_loop().create_future()
+        self._queues.setdefault(owner, _Queue()).places.append(place)
+        self._schedule()
+        return place
 
     @contextmanager
     def spending(self) -> Generator[None]:
@@ -135,8 +130,8 @@ class Turns:
                 queue.places.appendleft(first)
             else:
                 queue.size -= first.size
-        elif not first.future.done():
-            first.future.set_result(None)
+        elif not first.done():
+            first.set_result(None)
             # What it takes is not known before the next turn: nothing more in this one.
             self._spent = 2 * _TURN
 

@@ -22,6 +22,7 @@ from rcp_kernel.errors import (
     PreconditionFailed,
     RcpError,
 )
+from rcp_kernel.plans.limit import paced_timeout
 from rcp_kernel.plans.looking import looked_at, refuse_excess
 from rcp_kernel.plans.model import Group, Operate, Parallel, Retry, Wait
 from rcp_kernel.plans.node import Checked, Node, every
@@ -52,7 +53,8 @@ class Engine:
         self._sending = Sending(gateway, session, {node.id: node for node in nodes}, command)
         self._part = f"plan {command}"
         self._asked: set[str] = set()
-        self._pace = Pace(gateway.turns, session.principal.identity)
+        self._turns, self._owner = gateway.turns, session.principal.identity
+        self._pace = Pace(self._turns, self._owner)
         self._conditions = [c for node in nodes for c in (node.when, node.until) if c is not None]
 
     async def run(self, token: str | None) -> None:
@@ -81,7 +83,7 @@ class Engine:
             await self._tries(node)
         except asyncio.CancelledError:
             if not node.ended:
-                self._telling.change(node, "cancelled")
+                self._telling.quietly(node, "cancelled")
             raise
         except RcpError as error:
             self._telling.change(node, "failed", error=error_body(error), message=error.message)
@@ -124,7 +126,8 @@ class Engine:
     async def _try(self, node: Node, left: float | None) -> None:
         node.state.tries += 1
         node.state.started = node.state.started or iso(now())
-        self._telling.change(node, "running")
+        with self._turns.spending():
+            self._telling.change(node, "running")
         step = node.step
         if left is not None and left <= 0:
             raise _late(node)
@@ -133,7 +136,7 @@ class Engine:
             return
         work = self._wait(node) if isinstance(step, Wait) else self._group(node)
         try:
-            async with asyncio.timeout(left):
+            async with paced_timeout(self._turns, self._owner, left):
                 await work
         except TimeoutError as error:
             if isinstance(error, RcpError):  # a step's own
@@ -196,10 +199,12 @@ class Engine:
                 )
                 raise _of_step(child, error)
             async with gate:
+                # Hundreds may begin together, in all plans.
+                await self._turns.wait(self._owner)
                 await self._step(child)
         except asyncio.CancelledError:
             if not child.ended:
-                self._telling.change(child, "cancelled")
+                self._telling.quietly(child, "cancelled")
             raise
 
     @staticmethod

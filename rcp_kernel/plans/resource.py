@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator
+from collections.abc import Callable, Generator
 from typing import TYPE_CHECKING, Any
 
 from rcp_kernel._plain import is_map
@@ -89,8 +89,19 @@ class Plans:
 
     def __init__(self, gateway: Gateway) -> None:
         self._gateway = gateway
-        self.changed = lambda: None
-        """Called when the list may have changed."""
+        self._told = True
+        self.tell: Callable[[], None] = lambda: None
+        """Called when the list may have changed: once for all that has in a turn of the loop."""
+
+    def changed(self) -> None:
+        """Take notice that the list may have changed."""
+        if self._told:
+            self._told = False
+            self._gateway.loop.call_soon(self._tell)
+
+    def _tell(self) -> None:
+        self._told = True
+        self.tell()
 
     def prepare(self, session: Session, request: Request, plan: Plan) -> Work:
         """Check a plan whole.

@@ -25,11 +25,14 @@ class Telling:
 
     def __init__(self, checked: Checked, changed: Callable[[], None]) -> None:
         self._nodes = list(every(checked.nodes))
-        self._counted = [n for top in checked.nodes for n in _counted(top)]
+        self._counts = frozenset(n.id for top in checked.nodes for n in _counted(top))
         self._changed = changed
         self._room = _TOGETHER
         self._sizes: dict[str, int] = {}
         self._done = 0.0
+        self._ended = 0
+        self._partly: dict[str, float] = {}
+        """How much is done of steps that have not ended."""
         self.progress: Progress | None = None
         """Where feedback goes, once the plan runs."""
 
@@ -38,6 +41,8 @@ class Telling:
         self.quietly(node, state)
         for name, fact in facts.items():
             setattr(node.state, name, fact)
+        if node.state.progress and node.id in self._counts and not node.ended:
+            self._partly[node.id] = node.state.progress
         self._changed()
         if self.progress is not None:
             told = self._short(node)
@@ -45,7 +50,11 @@ class Telling:
 
     def quietly(self, node: Node, state: State) -> None:
         """Take down a state of which its group tells."""
+        ended = node.ended
         node.state.state = state
+        if node.id in self._counts:
+            self._ended += node.ended - ended
+            self._partly.pop(node.id, None)
         if state == "pending":
             fresh = StepState(step=node.id, do=node.step.do, path=node.path)
             fresh.tries = node.state.tries
@@ -76,8 +85,8 @@ class Telling:
 
     def _fraction(self) -> float:
         """Return the part that is done; what is begun again does not go back."""
-        done = sum(1.0 if n.ended else n.state.progress or 0.0 for n in self._counted)
-        self._done = max(self._done, done / len(self._counted))
+        done = self._ended + sum(self._partly.values())
+        self._done = max(self._done, done / len(self._counts))
         return self._done
 
     def outcome(self, *, over: bool = False) -> PlanResult:

@@ -40,7 +40,7 @@ class Attacker:
         key = KEYS[who]  # pyright: ignore[reportArgumentType] - an argument of this script
         self._proof = f"Authorization: Bearer {key}\r\n" if key else ""
         self._numbers = count()
-        self.answered = asyncio.Event()
+        self.sent = asyncio.Event()
 
     async def run(self) -> None:
         """Send until cancelled, over new connections where one was closed."""
@@ -58,6 +58,7 @@ class Attacker:
                 await reader.readuntil(b"\r\n\r\n")
             if self._case.how in ("connect", "ws-connect"):
                 writer.write(self._next())
+                self.sent.set()
                 await self._some(reader)
             else:
                 await self._flood(reader, writer)
@@ -72,18 +73,18 @@ class Attacker:
                 for _ in range(max(1, self._case.at_once // size)):
                     writer.write(b"".join(self._next() for _ in range(size)))
                     await writer.drain()
+                    self.sent.set()
                 await asyncio.sleep(0)
         finally:
             draining.cancel()
 
     async def _drain(self, reader: asyncio.StreamReader) -> None:
         while await reader.read(1 << 20):
-            self.answered.set()
+            pass
 
     async def _some(self, reader: asyncio.StreamReader) -> None:
         async with asyncio.timeout(5):
             await reader.read(65_536)
-            self.answered.set()
 
     def _upgrade(self) -> bytes:
         return (
@@ -113,7 +114,7 @@ async def main(url: str, name: str, who: str, connections: str) -> None:
     async with asyncio.TaskGroup() as group:
         for attacker in attackers:
             group.create_task(attacker.run())
-        waiting = [group.create_task(attacker.answered.wait()) for attacker in attackers]
+        waiting = [group.create_task(attacker.sent.wait()) for attacker in attackers]
         await asyncio.wait(waiting, return_when=asyncio.FIRST_COMPLETED)
         sys.stdout.write("begun\n")
         sys.stdout.flush()
