@@ -143,7 +143,6 @@ class Gateway:
             "read": self._read,
             "write": self._writing.write,
             "execute": self.executing.execute,
-            "subscribe": self._subscribing.subscribe,
             "unsubscribe": self._subscribing.unsubscribe,
             "cancel": self.executing.cancel,
             "status": self._status,
@@ -198,6 +197,8 @@ class Gateway:
                 yield from self.plans.read_conditions(session, request)
             if request.type == "discover":
                 reply = yield from self._discover(session, request)
+            elif request.type == "subscribe":
+                reply = yield from self._subscribing.subscribe(session, request)
             else:
                 reply = self._table[request.type](session, request, answer)
         except Exception as error:
@@ -405,7 +406,7 @@ def _dear(request: Request) -> bool:
     """Tell whether a request takes longer than a fraction of a millisecond, of all that it is."""
     path = request.path
     match request.type:
-        case "discover" | "batch":
+        case "discover" | "batch" | "subscribe" | "unsubscribe":
             return True
         case "read":
             return path is not None and ("*" in path or path.startswith("/system/"))

@@ -327,8 +327,9 @@ class Registry:
         for path in index[start:]:
             if not path.startswith(pattern.prefix):
                 break
-            if pattern.matches(path):
-                yield self.entries[path]
+            # Whoever goes through them in steps may find some gone.
+            if pattern.matches(path) and (entry := self.entries.get(path)) is not None:
+                yield entry
 
 
 def _may_own(owner: Owner, path: str) -> bool:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import secrets
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Generator
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -14,6 +14,7 @@ from rcp_kernel.access.acl import reach
 from rcp_kernel.clients.session import Answer, Session
 from rcp_kernel.clock import iso, now
 from rcp_kernel.errors import (
+    AdapterUnavailable,
     BadRequest,
     DuplicateRequest,
     PayloadTooLarge,
@@ -42,6 +43,7 @@ class _Which(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 _LONGEST = 131_072  # bytes of a subscription's options
+_STEP = 32  # resources that are matched at once
 _OPTIONS = value_type(Options | None)
 _WHICH = value_type(_Which | None)
 
@@ -52,8 +54,8 @@ class Subscribing:
     def __init__(self, gateway: Gateway) -> None:
         self._gateway = gateway
 
-    def subscribe(self, session: Session, request: Request, answer: Answer) -> Reply:
-        """Start a subscription; its id is the request's.
+    def subscribe(self, session: Session, request: Request) -> Generator[None, None, Reply]:
+        """Start a subscription in steps; its id is the request's.
 
         :raises RcpError: a path, right or option is wrong; nothing is subscribed then.
         """
@@ -72,14 +74,12 @@ class Subscribing:
             )
         options: Options = request.decode_body(_OPTIONS, "subscribe") or Options()
         id_ = request.id or "sub-" + secrets.token_hex(4)
-        if id_ in session.subscriptions or id_ in session.inflight:
-            raise DuplicateRequest(f"the id '{id_}' is in use in this session")
-        if len(session.subscriptions) >= gateway.limits.subscriptions:
-            raise QueueFull(f"a session holds at most {gateway.limits.subscriptions} subscriptions")
-        gateway.accounts.check_subscription(session)
+        self._check_room(session, id_)
         patterns = self._patterns(session, request, options)
-        entries = self._entries(session, patterns, options)
-
+        entries = yield from self._entries(session, patterns, options)
+        if session.connection is not connection:  # the client has gone or come back meanwhile
+            raise AdapterUnavailable("the connection was lost", remedy="Subscribe again.")
+        self._check_room(session, id_)
         subscription = self._begin(session, id_, patterns, options)
         paths = [entry.path for entry in entries]
         cut = len(paths) > MOST
@@ -99,6 +99,14 @@ class Subscribing:
         # Control messages leave before updates, so the client knows the id before it sees one.
         gateway.hub.add(subscription, entries)
         return reply
+
+    def _check_room(self, session: Session, id_: str) -> None:
+        gateway = self._gateway
+        if id_ in session.subscriptions or id_ in session.inflight:
+            raise DuplicateRequest(f"the id '{id_}' is in use in this session")
+        if len(session.subscriptions) >= gateway.limits.subscriptions:
+            raise QueueFull(f"a session holds at most {gateway.limits.subscriptions} subscriptions")
+        gateway.accounts.check_subscription(session)
 
     def restore(self, session: Session, id_: str, texts: list[str], options: Options) -> None:
         """Start a subscription of an earlier run on what is there; the rest joins when it comes."""
@@ -157,7 +165,9 @@ class Subscribing:
             raise PayloadTooLarge("a subscription names too many paths")
         return [Pattern(text, session.tenant) for text in texts]
 
-    def _entries(self, session: Session, patterns: list[Pattern], options: Options) -> list[Entry]:
+    def _entries(
+        self, session: Session, patterns: list[Pattern], options: Options
+    ) -> Generator[None, None, list[Entry]]:
         """Find what the patterns reach now; a plain path must be there and allowed."""
         gateway = self._gateway
         if options.where is not None:
@@ -173,10 +183,12 @@ class Subscribing:
                 check_fields(options, entry)
                 found[entry.path] = entry
                 continue
-            for entry in gateway.registry.match(pattern):
+            for number, entry in enumerate(gateway.registry.match(pattern), 1):
                 mask = entry.operations & reach(session.rights.mask(entry.path))
                 if mask & Operation.SUBSCRIBE:
                     found[entry.path] = entry
+                if not number % _STEP:
+                    yield
         held = sum(len(subscription.feeds) for subscription in session.subscriptions.values())
         if held + len(found) > gateway.limits.paths:
             raise PayloadTooLarge(
