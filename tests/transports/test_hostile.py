@@ -115,19 +115,19 @@ BOUNDS = Worst(estop=500.0, gap=1000.0, health=1000.0, turn=100.0)
 
 
 @pytest.fixture(scope="module")
-def besieged(tmp_path_factory: pytest.TempPathFactory) -> Generator[str]:
-    """The address of a gateway that all attacks of this module are sent to, one after the other."""
+def besieged(tmp_path_factory: pytest.TempPathFactory) -> Generator[tuple[str, Worst]]:
+    """A gateway that all attacks are sent to one after the other, and its worst without any."""
     with served(tmp_path_factory.mktemp("besieged")) as url:
-        yield url
+        yield url, asyncio.run(attacked(url, None, seconds=SHORT))
 
 
 @pytest.mark.calm
-@pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
+@pytest.mark.parametrize("case", [case for case in CASES if not case.gap], ids=lambda c: c.name)
 async def test_ten_who_send_the_dearest_requests_hold_nobody_else_up(
-    besieged: str, case: Case
+    besieged: tuple[str, Worst], case: Case
 ) -> None:
-    calm = await attacked(besieged, None, seconds=0.3)
-    found = await attacked(besieged, case, case.who[-1], MANY, SHORT)
+    url, calm = besieged
+    found = await attacked(url, case, case.who[-1], MANY, SHORT)
     beyond = Worst(*(worst - usual for worst, usual in zip(found, calm, strict=True)))
     over = {
         name: (round(getattr(beyond, name)), bound)
