@@ -94,10 +94,9 @@ class Gateway:
         self.config = config
         self.limits = config.limits
         self.loop = loop
-        self.registry = Registry()
+        self.registry, self.turns = Registry(), Turns()
         self.hub = Hub(self.registry, loop)
-        self.turns, self.conditions = Turns(), Conditions(self.hub)
-        self.visibility = Visibility(self.registry)
+        self.conditions, self.visibility = Conditions(self.hub), Visibility(self.registry)
         self.admission = Admission(self)
         self.store = store or Store()
         """What survives the process."""
