@@ -79,6 +79,12 @@ class Subscription:
         """Tell whether an entry belongs to this subscription."""
         return any(p.matches(entry.path) for p in self.patterns) and self.may(entry)
 
+    def longest(self, entry: Entry) -> int | None:
+        """Return the longest value of an entry that is sent whole; None: every one is."""
+        if any(p.literal and p.matches(entry.path) for p in self.patterns):
+            return None
+        return self.hub.pattern_value
+
     def feed(self, entry: Entry) -> Feed:
         """Make the feed of an entry."""
         view = self.view(entry)
