@@ -221,7 +221,7 @@ class ChorusFeed(Feed):
         plain = framing is not None and wrap is None and big is None and self.named
         if framing is not None and plain and not (self.dropped or self.backlog or self.queue):
             parts, count, size = chorus.batch(self.place, self, framing)
-            if size <= budget and (self.longest is None or size <= self.longest):
+            if size <= budget:
                 self.place = chorus.end
                 self.sent = chorus.ring[-1].seq
                 mailbox.updates += count

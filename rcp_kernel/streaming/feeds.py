@@ -262,8 +262,8 @@ class Feed:
         tail = sample.tail(encoding, self.fields)
         start = framing(len(head) + len(tail), text) + head
         if len(tail) > SHARED:
-            if self._too_long(tail):
-                data = self._shortened(sample, encoding, len(tail))
+            if self._is_too_long(tail):
+                data = self._shortened(sample, encoding)
                 return framing(len(data), text) + data
             out.append(start)
             return tail
@@ -272,11 +272,11 @@ class Feed:
 
     def _frame(self, sample: Sample) -> bytes:
         encoding, head, head_dropped = self._heads or self._make_heads()
+        tail = sample.tail(encoding, self.fields)
+        if len(tail) > SHARED and self._is_too_long(tail):
+            return self._shortened(sample, encoding)
         if not self.named:
             return self._first_native_frame(sample, encoding)
-        tail = sample.tail(encoding, self.fields)
-        if len(tail) > SHARED and self._too_long(tail):
-            return self._shortened(sample, encoding, len(tail))
         if not self.dropped:
             return head + tail
         return (
@@ -287,13 +287,13 @@ class Feed:
             + (b"," + tail if encoding is Encoding.JSON else tail)
         )
 
-    def _too_long(self, tail: bytes) -> bool:
+    def _is_too_long(self, tail: bytes) -> bool:
         """Tell whether the client should not be sent a value that only a pattern asks for."""
         mailbox = self.mailbox
         limit = self.longest
         return limit is not None and len(tail) > limit and not (mailbox and mailbox.takes_long)
 
-    def _shortened(self, sample: Sample, encoding: Encoding, size: int) -> bytes:
+    def _shortened(self, sample: Sample, encoding: Encoding) -> bytes:
         """Return an update that has, in place of the value, its length."""
         facts: dict[str, Any] = {
             "type": "update",
@@ -302,7 +302,7 @@ class Feed:
             "seq": sample.seq,
             "timestamp": sample.time,
             "truncated": True,
-            "size": size,
+            "size": sample.length(encoding, self.fields),
         }
         if self.dropped:
             facts["dropped"] = self.dropped
