@@ -219,6 +219,17 @@ class Gateway:
         if meter is not None and not meter.take(moment := perf_counter()):
             raise meter.refusal(moment)
 
+    def check_pace(self, session: Session) -> None:
+        """Refuse a request that is too long to be one that stops something, before it is read.
+
+        It counts for nothing yet: that comes when it is handled.
+
+        :raises RateLimited: a quota does not allow one now.
+        """
+        meter = session.meter
+        if meter is not None and not meter.allows(moment := perf_counter()):
+            raise meter.refusal(moment)
+
     def count(self, transport: str, type_: str, code: str) -> None:
         """Count one request by its outcome."""
         key = (transport, type_, code)

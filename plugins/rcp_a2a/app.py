@@ -22,7 +22,16 @@ from rcp_a2a.cards import Cards
 from rcp_a2a.config import A2aConfig
 from rcp_a2a.places import CARD, JWKS, Place, place_of
 from rcp_a2a.refusals import NOT_FOUND, NOT_TAKEN, Trouble, refuse, trouble_of
-from rcp_kernel.asgi import Receive, Scope, Send, header, read_body, session_of
+from rcp_kernel.asgi import (
+    Receive,
+    Scope,
+    Send,
+    bearer,
+    header,
+    peer_of,
+    read_body,
+    session_of,
+)
 from rcp_kernel.door import Asgi, Door
 from rcp_kernel.errors import BadRequest, Forbidden, RcpError
 from rcp_kernel.operations.pending import crash
@@ -78,10 +87,14 @@ class App:
             if place.rest in (CARD, JWKS):
                 await self._cards.serve(scope, send, place)
                 return
+            principal = await self._door.identify(
+                bearer(header(scope, b"authorization")), peer_of(scope)
+            )
             body = b""
             if scope["method"] == "POST":
                 _check_type(scope)
-                body = await read_body(receive, self._limit, _BODY_TIMEOUT)
+                limit = min(self._limit, self._door.longest(principal))
+                body = await read_body(receive, limit, _BODY_TIMEOUT)
                 call = _read(scope, place, body)
             _check_state(scope, place, call)
             session = await session_of(self._door, scope, _tenant(place, call))

@@ -15,7 +15,16 @@ from mcp.server.auth.middleware.bearer_auth import AuthenticatedUser
 from mcp.server.auth.provider import AccessToken
 from mcp.server.streamable_http_manager import StreamableHTTPSessionManager
 
-from rcp_kernel.asgi import Receive, Scope, Send, header, respond, retry_after, session_of
+from rcp_kernel.asgi import (
+    Receive,
+    Scope,
+    Send,
+    header,
+    respond,
+    retry_after,
+    session_of,
+    too_large,
+)
 from rcp_kernel.clients.session import Session
 from rcp_kernel.door import Door
 from rcp_kernel.errors import RcpError
@@ -45,6 +54,7 @@ class Endpoint:
         """Serve one request as its caller."""
         try:
             session = await session_of(self._door, scope)
+            receive = self._bounded(session, scope, receive)
         except Exception as error:
             told = crash(error, path=scope["path"])
             self._door.refused("request", told.code)
@@ -56,6 +66,29 @@ class Endpoint:
         if not session.principal.anonymous:
             scope["user"] = _user(session)
         await self._serve(session, scope, receive, send)
+
+    def _bounded(self, session: Session, scope: Scope, receive: Receive) -> Receive:
+        """Refuse a request that is too long for its caller before it is read, or cut it off.
+
+        :raises PayloadTooLarge: it says so itself.
+        :raises RateLimited: it is long, and a quota does not allow one now.
+        """
+        limit = self._door.longest(session.principal)
+        told = header(scope, b"content-length") or b"0"
+        size = int(told) if told.isdigit() else limit + 1
+        if size > limit:
+            raise too_large(limit)
+        if size > self._door.limits.unproved:
+            self._door.check_pace(session)
+        left = limit
+
+        async def received() -> Any:
+            nonlocal left
+            message = await receive()
+            left -= len(message.get("body", b""))
+            return {"type": "http.disconnect"} if left < 0 else message
+
+        return received
 
     async def _serve(self, session: Session, scope: Scope, receive: Receive, send: Send) -> None:
         """Let the SDK answer, for as long as the caller's proof is good and the listener open."""

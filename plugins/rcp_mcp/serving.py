@@ -33,7 +33,7 @@ async def open_mcp(
     manager = Manager(
         server,
         session_idle_timeout=config.idle,
-        max_request_body_size=door.limits.message,
+        max_request_body_size=min(config.message, door.limits.message),
         max_sessions=config.sessions,
     )
     async with AsyncExitStack() as stack:

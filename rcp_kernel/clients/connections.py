@@ -133,9 +133,10 @@ class Connection:
         try:
             if len(data) > gateway.limits.unproved:
                 check_size(data, self.limit)
+                gateway.check_pace(self.session)
             request = decode_request(data, self.encoding)
         except RcpError as error:
-            type_, id_ = salvage(data, self.encoding) if len(data) < 1_000_000 else ("error", None)
+            type_, id_ = salvage(data, self.encoding)
             gateway.count(self.session.transport, type_, error.code)
             self.send(failure(error, type_, id_))
             return
@@ -154,7 +155,7 @@ class Connection:
     def stumbled(self, data: bytes, error: Exception) -> None:
         """Answer a message that nothing else could be done with, and log why."""
         told = crash(error, session=self.session.id)
-        type_, id_ = salvage(data, self.encoding) if len(data) < 1_000_000 else ("error", None)
+        type_, id_ = salvage(data, self.encoding)
         self._gateway.count(self.session.transport, type_, told.code)
         self.send(failure(told, type_, id_))
 
@@ -255,7 +256,7 @@ class Connection:
         if len(held) < _HELD and sum(map(len, held)) + len(data) <= self.limit:
             held.append(data)
             return
-        type_, id_ = salvage(data, self.encoding) if len(data) < 1_000_000 else ("error", None)
+        type_, id_ = salvage(data, self.encoding)
         self._gateway.count(self.session.transport, type_, QueueFull.code)
         self.send(failure(QueueFull("`hello` is not answered yet"), type_, id_))
 

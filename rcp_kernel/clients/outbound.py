@@ -135,6 +135,13 @@ class Outbound:
         elif self._waiting:
             self._wake()
 
+    def has_room(self, size: int) -> bool:
+        """Tell whether a reply of so many bytes may go to a client for whom nothing else waits."""
+        if size <= SHARE or self.total < self.limit:
+            return True
+        self.refused += 1
+        return False
+
     def wait(self, mailbox: Mailbox) -> None:
         """Have a mailbox flushed when there is room again."""
         self._waiting[mailbox] = None

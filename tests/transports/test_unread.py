@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import asyncio
-import json
 import re
 from collections.abc import AsyncGenerator, Generator
-from contextlib import AsyncExitStack, asynccontextmanager
+from contextlib import asynccontextmanager
 from pathlib import Path
 from urllib.parse import urlsplit
 
@@ -15,8 +14,8 @@ import psutil
 import pytest
 
 from serving import serving
-from transports.raw import BINARY, TEXT, Raw, frame, handshake
-from transports.robot import BOUND, until
+from transports.raw import Raw, handshake
+from transports.robot import BOUND
 
 MAP = "/tenant/alpha/sensor/map"  # 5.3 MB in JSON
 MB = 1024 * 1024
