@@ -87,15 +87,14 @@ class App:
             if place.rest in (CARD, JWKS):
                 await self._cards.serve(scope, send, place)
                 return
-            principal = await self._door.identify(
-                bearer(header(scope, b"authorization")), peer_of(scope)
-            )
             body = b""
             if scope["method"] == "POST":
                 _check_type(scope)
-                limit = min(self._limit, self._door.longest(principal))
-                body = await read_body(receive, limit, _BODY_TIMEOUT)
+                longest, refusal = await self._look(scope)
+                body = await read_body(receive, min(self._limit, longest), _BODY_TIMEOUT)
                 call = _read(scope, place, body)
+                if refusal is not None:
+                    raise refusal
             _check_state(scope, place, call)
             session = await session_of(self._door, scope, _tenant(place, call))
             self._door.pay(session)
@@ -113,6 +112,18 @@ class App:
             if isinstance(error, _Malformed):
                 trouble, id_ = error.trouble, id_ or error.id
             await refuse(send, trouble, place.binding, id_, wait=told.retry_after)
+
+
+    async def _look(self, scope: Scope) -> tuple[int, RcpError | None]:
+        """Return how long a body the caller may send, and why it is not served, if so.
+
+        The body of who is not served is read for the id of the request.
+        """
+        try:
+            token = bearer(header(scope, b"authorization"))
+            return self._door.longest(await self._door.identify(token, peer_of(scope))), None
+        except RcpError as error:
+            return self._door.limits.unproved, error
 
 
 class _Malformed(BadRequest):
