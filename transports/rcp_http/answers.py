@@ -10,7 +10,7 @@ from rcp_http.compress import compress
 from rcp_http.config import HttpConfig
 from rcp_http.negotiate import coding
 from rcp_kernel.asgi import MEDIA, Headers, Send, retry_after, status_of
-from rcp_kernel.clients.outbound import Outbound
+from rcp_kernel.clients.outbound import SHARE, Outbound
 from rcp_kernel.clients.unsent import left_out
 from rcp_kernel.operations.pending import crash
 from rcp_kernel.values import Encoding
@@ -83,8 +83,14 @@ class Answers:
                 data = await compress(data, chosen)
                 headers.append(_CODED[chosen])
         headers.append((b"content-length", b"%d" % len(data)))
-        await send({"type": "http.response.start", "status": status, "headers": headers})
-        await send({"type": "http.response.body", "body": data})
+        backlog = self._outbound.open()
+        if len(data) > SHARE:
+            backlog.set(len(data))  # it may have to wait until an earlier answer was taken
+        try:
+            await send({"type": "http.response.start", "status": status, "headers": headers})
+            await send({"type": "http.response.body", "body": data})
+        finally:
+            backlog.close()
 
 
 def matches(asked: Asked, etag: bytes) -> bool:
