@@ -217,11 +217,11 @@ async def test_clients_that_take_nothing_leave_room_for_who_wants_to_stop_a_robo
 async def test_answers_over_http_that_nobody_takes_count_too(gateway: Gateway) -> None:
     get = b"GET /rcp/v1/context%b HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n" % MAP.encode()
     async with AsyncExitStack() as stack:
-        kept: list[asyncio.StreamReader] = []  # one that is let go of takes all that comes
+        kept: list[Any] = []  # what is let go of is closed
         for _ in range(12):
             reader, writer = await asyncio.open_connection("127.0.0.1", gateway.port, limit=2048)
             stack.callback(writer.transport.abort)
-            kept.append(reader)
+            kept.append((reader, writer))
             writer.write(get * 3)
         async with asyncio.timeout(BOUND):
             while await gateway.metric("rcp_queue_bytes") < 20_000_000:
