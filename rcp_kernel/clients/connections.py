@@ -14,7 +14,7 @@ from msgspec import Meta
 from rcp_kernel.access.identity import Principal
 from rcp_kernel.access.peer import UNKNOWN, Peer
 from rcp_kernel.clients.mailbox import Mailbox
-from rcp_kernel.clients.outbound import SHARE
+from rcp_kernel.clients.outbound import SHARE, SMALL
 from rcp_kernel.clients.unsent import ESTOP, left_out
 from rcp_kernel.clock import iso, now
 from rcp_kernel.errors import QueueFull, RcpError
@@ -147,7 +147,9 @@ class Connection:
         mailbox = self.mailbox
         if request.type == "read" and self._splices and mailbox.waiting <= SHARE:
             reply = gateway.read_at_once(session, request)
-            if reply is not None and not mailbox.backlog.refuses(len(reply)):
+            if reply is not None:
+                if len(reply) > SMALL and mailbox.backlog.refuses(len(reply)):
+                    reply = self._left_out(request, len(reply))
                 mailbox.put(reply)
                 return
         gateway.handle(session, request, session.deliver)
@@ -176,6 +178,11 @@ class Connection:
         if reply.path != ESTOP and mailbox.backlog.refuses(len(data)):
             data = self.encode(left_out(reply, len(data)))
         mailbox.put(data)
+
+    def _left_out(self, request: Request, size: int) -> bytes:
+        """Write what is told in place of the answer to a read, which is counted already."""
+        answer = Reply(type="read", id=request.id, path=request.path)
+        return self.encode(left_out(answer, size))
 
     def encode(self, reply: Reply) -> bytes:
         """Write a reply; one whose body cannot be written becomes the error that says so."""

@@ -17,11 +17,11 @@ if TYPE_CHECKING:
     from rcp_kernel.clients.mailbox import Mailbox
     from rcp_kernel.config.limits import Limits
 
-__all__ = ["SHARE", "Backlog", "Outbound"]
+__all__ = ["SHARE", "SMALL", "Backlog", "Outbound"]
 
 log = structlog.get_logger("rcp.streams")
 SHARE = 65_536  # bytes that may wait for any client, whatever waits for the others
-_SMALL = 4096  # bytes: a shorter reply is worth as much as the refusal in its place
+SMALL = 4096  # bytes: a shorter reply is worth as much as the refusal in its place
 _LOOK = 0.25  # s between looks while the total is reached
 _STALLED = 5.0  # s that a client may hold more than its share, once the total is reached
 
@@ -74,7 +74,7 @@ class Backlog:
 
         Where nothing else waits, it goes, however long it is.
         """
-        if size <= _SMALL or self.size + size <= SHARE:
+        if size <= SMALL or self.size + size <= SHARE:
             return False
         outbound = self._outbound
         over = self.size > 0 and self.size + size > outbound.each

@@ -25,6 +25,7 @@ class Subscription:
     """A standing request of one session for samples of one or more paths."""
 
     __slots__ = (
+        "_named",
         "end",
         "feeds",
         "hub",
@@ -58,6 +59,7 @@ class Subscription:
         self.hub = hub
         self.id = id_
         self.patterns = patterns
+        self._named = frozenset(pattern.text for pattern in patterns if pattern.literal)
         self.options = options
         self.mailbox = mailbox
         self.may = may
@@ -81,9 +83,7 @@ class Subscription:
 
     def longest(self, entry: Entry) -> int | None:
         """Return the longest value of an entry that is sent whole; None: every one is."""
-        if any(p.literal and p.matches(entry.path) for p in self.patterns):
-            return None
-        return self.hub.pattern_value
+        return None if entry.path in self._named else self.hub.pattern_value
 
     def feed(self, entry: Entry) -> Feed:
         """Make the feed of an entry."""
