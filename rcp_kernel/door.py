@@ -18,6 +18,7 @@ from rcp_kernel.access.approvals import ApprovalState, Decision
 from rcp_kernel.access.identity import Principal
 from rcp_kernel.access.peer import UNKNOWN, Peer, Serial
 from rcp_kernel.clients.connections import Connection, Hello
+from rcp_kernel.clients.outbound import Outbound
 from rcp_kernel.clients.session import Answer, Session
 from rcp_kernel.config.file import Limits
 from rcp_kernel.errors import (
@@ -265,6 +266,22 @@ class Door:
 
         self.submit(session, request, answer)
         return await final
+
+    def longest(self, principal: Principal) -> int:
+        """Return the length of the longest message that a principal may send, in bytes."""
+        return self._gateway.identities.longest(principal)
+
+    def check_pace(self, session: Session) -> None:
+        """Refuse a long request before its body is read, where a quota would not allow it.
+
+        :raises RateLimited: a quota does not allow one now.
+        """
+        self._gateway.check_pace(session)
+
+    @property
+    def outbound(self) -> Outbound:
+        """What waits for all clients, for a transport to count what it holds itself."""
+        return self._gateway.outbound
 
     def pay(self, session: Session) -> None:
         """Count a request that is answered without `submit`.

@@ -22,6 +22,7 @@ from rcp_kernel.access.meter import free
 from rcp_kernel.access.quotas import Accounts
 from rcp_kernel.access.resolving import Resolver
 from rcp_kernel.access.visibility import Visibility
+from rcp_kernel.clients.outbound import Outbound
 from rcp_kernel.clients.returning import Returning
 from rcp_kernel.clients.session import Answer, Handler, Session
 from rcp_kernel.clients.sessions import Sessions
@@ -91,11 +92,9 @@ class Gateway:
         authenticator: Callable[[str], Principal | None] | None = None,
         interceptors: list[Callable[[Handler], Handler]] | None = None,
     ) -> None:
-        self.config = config
-        self.limits = config.limits
-        self.loop = loop
+        self.config, self.limits, self.loop = config, config.limits, loop
         self.registry, self.turns = Registry(), Turns()
-        self.hub = Hub(self.registry, loop)
+        self.hub = Hub(self.registry, loop, config.limits.pattern_value)
         self.conditions, self.visibility = Conditions(self.hub), Visibility(self.registry)
         self.admission = Admission(self)
         self.store = store or Store()
@@ -108,6 +107,7 @@ class Gateway:
         self.commands = Commands(self.admission.confirm, Recorded(self.recording, history))
         self.rules = Rules(config.roles, self.conditions)
         self.commands.remember(history.load())
+        self.outbound = Outbound(loop, config.limits)
         self.accounts, self.sessions = Accounts(self), Sessions(self)
         self.standing = Standing(self.hub)
         self.deadman, self.partners = Deadman(loop), Partners(self.registry)
@@ -244,6 +244,17 @@ class Gateway:
         if meter is not None and not meter.take(moment := perf_counter()):
             raise meter.refusal(moment)
 
+    def check_pace(self, session: Session) -> None:
+        """Refuse a request that is too long to be one that stops something, before it is read.
+
+        It counts for nothing yet: that comes when it is handled.
+
+        :raises RateLimited: a quota does not allow one now.
+        """
+        meter = session.meter
+        if meter is not None and not meter.allows(moment := perf_counter()):
+            raise meter.refusal(moment)
+
     def count(self, transport: str, type_: str, code: str) -> None:
         """Count one request by its outcome."""
         key = (transport, type_, code)
@@ -363,6 +374,8 @@ class Gateway:
         """Take over the rules, keys and limits of another configuration; open sessions feel it."""
         self.config = config
         self.limits = config.limits
+        self.outbound.configure(config.limits)
+        self.hub.pattern_value = config.limits.pattern_value
         self.rules = Rules(config.roles, self.conditions)
         self.identities.reconfigure(config)
         self.keeping.config = config.audit
@@ -386,6 +399,8 @@ class Gateway:
         self.leases.close()
         self.stops.close()
         self.accounts.close()
+        self.sessions.relief.close()
+        self.outbound.close()
         self.deadman.close()
         await self.commands.close()
         await self.hub.close()

@@ -200,7 +200,7 @@ class StatusReport:
         gateway = self._gateway
         sessions = self._sessions(tenants)
         boxes = {s.id[:8]: s.connection.mailbox for s in sessions if s.connection is not None}
-        waiting = {id_: box.backlog for id_, box in boxes.items()}
+        waiting = {id_: box.depth for id_, box in boxes.items()}
         if "*" in tenants:
             dropped = sum(gateway.hub.dropped.values()) + _conflated(gateway.hub.subscriptions)
         else:
@@ -260,6 +260,13 @@ class StatusReport:
             [([reason], count) for reason, count in dropped.items()],
         )
         yield from self._gauges()
+        outbound = gateway.outbound
+        yield counter(
+            "rcp_queue_full",
+            "What was done because too much waited for clients.",
+            ("action",),
+            [(["refused"], outbound.refused), (["closed"], outbound.cut)],
+        )
         yield counter(
             "rcp_quota_refused",
             "What a quota did not allow.",
@@ -316,6 +323,11 @@ class StatusReport:
             ("rcp_sessions", "Sessions held.", len(gateway.sessions.known)),
             ("rcp_subscriptions", "Subscriptions held.", len(gateway.hub.subscriptions)),
             ("rcp_queue_depth", "Messages waiting for clients.", queues["depth"]),
+            (
+                "rcp_queue_bytes",
+                "Bytes waiting for clients, but for 64 KiB of each.",
+                gateway.outbound.total,
+            ),
             ("rcp_event_loop_lag_seconds", "How late the event loop was.", self._lag_last),
         ):
             yield gauge(name, text, (), [([], float(value))])

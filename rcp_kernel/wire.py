@@ -145,10 +145,24 @@ class Reply(msgspec.Struct, kw_only=True, omit_defaults=True):
         return self.status in FINAL
 
 
+_PEEKED = 65_536  # bytes of a longer message are not parsed to answer that it cannot be taken
+_PEEK = 4096  # bytes of it that are looked at
+_SPARE = 65_536  # bytes that an envelope has beside its body, at most
+_TYPE_TEXT = re.compile(rb'"type"\s*:\s*"([a-z]{1,16})"')
 _ID_TEXT = re.compile(rb'"id"\s*:\s*"([ !#-\[\]-~]{1,128})"')
 _KNOWN = frozenset(f.encode_name for f in msgspec.structs.fields(Request)) - {"x-", "~encoding"}
 _from_json = msgspec.json.Decoder(Request)
 _from_msgpack = msgspec.msgpack.Decoder(Request)
+
+
+class _Shell(msgspec.Struct):
+    """An envelope of whatever fields, for its body."""
+
+    body: Raw = NO_BODY
+
+
+_shell_json = msgspec.json.Decoder(_Shell)
+_shell_msgpack = msgspec.msgpack.Decoder(_Shell)
 _raw_json = msgspec.json.Decoder(dict[str, Raw])
 _raw_msgpack = msgspec.msgpack.Decoder(dict[str, Raw])
 _to_json = msgspec.json.Encoder()
@@ -197,9 +211,18 @@ def _decode_slowly(data: bytes, encoding: Encoding, error: Exception) -> Request
     """Take the `x-…` fields out and try again, or say what is wrong with the envelope."""
     if isinstance(error, RecursionError):
         raise BadRequest("the message is nested too deep") from None
-    decoder = _raw_json if encoding is Encoding.JSON else _raw_msgpack
+    is_json = encoding is Encoding.JSON
     try:
-        fields = decoder.decode(data)
+        # A million fields would be a million objects: first what is no body is measured.
+        shell = (_shell_json if is_json else _shell_msgpack).decode(data)
+        spare = len(data) - len(bytes(shell.body))
+        if spare > _SPARE:
+            raise PayloadTooLarge(
+                f"the envelope has {spare} bytes beside its body; it has at most {_SPARE}",
+                remedy="Put large data into the body.",
+                details={"limit": _SPARE},
+            )
+        fields = (_raw_json if is_json else _raw_msgpack).decode(data)
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):
         raise BadRequest(_malformed(data, encoding, error)) from None
     custom = {k: fields.pop(k) for k in list(fields) if k.startswith("x-") and len(k) > 2}
@@ -239,7 +262,12 @@ def _malformed(data: bytes, encoding: Encoding, error: Exception) -> str:
 
 
 def salvage(data: bytes, encoding: Encoding) -> tuple[str, str | None]:
-    """Return type and id of an envelope that could not be decoded, as far as they can be read."""
+    """Return type and id of an envelope that could not be decoded, as far as they can be read.
+
+    Of a long one only the beginning is looked at, and only in JSON.
+    """
+    if len(data) > _PEEKED:
+        return _peek(data[:_PEEK]) if encoding is Encoding.JSON else ("error", None)
     try:
         found = parse(data, encoding)
     except RcpError:
@@ -250,6 +278,15 @@ def salvage(data: bytes, encoding: Encoding) -> tuple[str, str | None]:
     kind, id_ = found.get("type"), found.get("id")
     type_ = kind if isinstance(kind, str) and kind in get_args(RequestType) else "error"
     return type_, (id_ if isinstance(id_, str) and len(id_) <= 128 else None)
+
+
+def _peek(head: bytes) -> tuple[str, str | None]:
+    """Return type and id as far as they stand before anything that is nested."""
+    ends = [place for mark in (b"{", b"[") if (place := head.find(mark, 2)) > 0]
+    flat = head[: min(ends, default=len(head))]
+    kind, id_ = _TYPE_TEXT.search(flat), _ID_TEXT.search(flat)
+    type_ = kind[1].decode() if kind else "error"
+    return type_ if type_ in get_args(RequestType) else "error", id_[1].decode() if id_ else None
 
 
 def error_body(error: RcpError) -> dict[str, Any]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+import threading
 from collections.abc import Generator
 from contextlib import contextmanager
 from pathlib import Path
@@ -27,8 +28,12 @@ def serving(config: Path, text: str) -> Generator[str]:
                 break
         else:
             raise AssertionError("rcpd did not serve: " + "".join(told))
+        # A pipe that nobody empties would stop the gateway at its next lines of log.
+        reading = threading.Thread(target=process.stderr.read, daemon=True)
+        reading.start()
         try:
             yield line.rpartition(" ")[2].strip()
         finally:
             process.terminate()
-            process.communicate(timeout=_CLOSE)
+            process.wait(timeout=_CLOSE)
+            reading.join(_CLOSE)

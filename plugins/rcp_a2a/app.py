@@ -22,7 +22,16 @@ from rcp_a2a.cards import Cards
 from rcp_a2a.config import A2aConfig
 from rcp_a2a.places import CARD, JWKS, Place, place_of
 from rcp_a2a.refusals import NOT_FOUND, NOT_TAKEN, Trouble, refuse, trouble_of
-from rcp_kernel.asgi import Receive, Scope, Send, header, read_body, session_of
+from rcp_kernel.asgi import (
+    Receive,
+    Scope,
+    Send,
+    bearer,
+    header,
+    peer_of,
+    read_body,
+    session_of,
+)
 from rcp_kernel.door import Asgi, Door
 from rcp_kernel.errors import BadRequest, Forbidden, RcpError
 from rcp_kernel.operations.pending import crash
@@ -81,8 +90,11 @@ class App:
             body = b""
             if scope["method"] == "POST":
                 _check_type(scope)
-                body = await read_body(receive, self._limit, _BODY_TIMEOUT)
+                longest, refusal = await self._look(scope)
+                body = await read_body(receive, min(self._limit, longest), _BODY_TIMEOUT)
                 call = _read(scope, place, body)
+                if refusal is not None:
+                    raise refusal
             _check_state(scope, place, call)
             session = await session_of(self._door, scope, _tenant(place, call))
             self._door.pay(session)
@@ -100,6 +112,18 @@ class App:
             if isinstance(error, _Malformed):
                 trouble, id_ = error.trouble, id_ or error.id
             await refuse(send, trouble, place.binding, id_, wait=told.retry_after)
+
+
+    async def _look(self, scope: Scope) -> tuple[int, RcpError | None]:
+        """Return how long a body the caller may send, and why it is not served, if so.
+
+        The body of who is not served is read for the id of the request.
+        """
+        try:
+            token = bearer(header(scope, b"authorization"))
+            return self._door.longest(await self._door.identify(token, peer_of(scope))), None
+        except RcpError as error:
+            return self._door.limits.unproved, error
 
 
 class _Malformed(BadRequest):

@@ -207,7 +207,7 @@ class Stream:
             stamp = newest.timestamp.encode()
             if not self._ended:
                 self._out.write(_PART % (made.media, len(made.data), stamp, made.data))
-        if connection.mailbox.pending:
+        if connection.mailbox.more:
             self._woken.set()
         elif connection.expelled or not connection.session.subscriptions:
             self.finish()

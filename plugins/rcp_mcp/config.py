@@ -21,6 +21,8 @@ class McpConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     """Where it is served."""
     url: Annotated[str, Meta(pattern=r"^https?://")] | None = None
     """The gateway's address as clients know it; without it they are told the one they called."""
+    message: Annotated[int, Meta(ge=20_480)] = 1_048_576
+    """Longest request, in bytes; `[limits]` may say less."""
     tools: Patterns = ("/**",)
     """Actions and services that have a tool of their own."""
     keeps_going: Patterns = ()

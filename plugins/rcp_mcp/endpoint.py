@@ -14,8 +14,18 @@ import msgspec
 from mcp.server.auth.middleware.bearer_auth import AuthenticatedUser
 from mcp.server.auth.provider import AccessToken
 from mcp.server.streamable_http_manager import StreamableHTTPSessionManager
+from mcp.server.transport_security import RequestBodyLimitMiddleware
 
-from rcp_kernel.asgi import Receive, Scope, Send, header, respond, retry_after, session_of
+from rcp_kernel.asgi import (
+    Receive,
+    Scope,
+    Send,
+    header,
+    respond,
+    retry_after,
+    session_of,
+    too_large,
+)
 from rcp_kernel.clients.session import Session
 from rcp_kernel.door import Door
 from rcp_kernel.errors import RcpError
@@ -45,6 +55,7 @@ class Endpoint:
         """Serve one request as its caller."""
         try:
             session = await session_of(self._door, scope)
+            self._check_length(session, scope)
         except Exception as error:
             told = crash(error, path=scope["path"])
             self._door.refused("request", told.code)
@@ -56,6 +67,23 @@ class Endpoint:
         if not session.principal.anonymous:
             scope["user"] = _user(session)
         await self._serve(session, scope, receive, send)
+
+    def _check_length(self, session: Session, scope: Scope) -> None:
+        """Refuse a request that is too long for its caller before it is read.
+
+        :raises PayloadTooLarge: it says so itself.
+        :raises RateLimited: it may be long, and a quota does not allow one now.
+        """
+        limit = self._door.longest(session.principal)
+        told = header(scope, b"content-length")
+        if told is not None and told.isdigit():
+            size = int(told)
+        else:  # nobody knows how long it becomes
+            size = limit if header(scope, b"transfer-encoding") is not None else 0
+        if size > limit:
+            raise too_large(limit)
+        if size > self._door.limits.unproved:
+            self._door.check_pace(session)
 
     async def _serve(self, session: Session, scope: Scope, receive: Receive, send: Send) -> None:
         """Let the SDK answer, for as long as the caller's proof is good and the listener open."""
@@ -73,7 +101,9 @@ class Endpoint:
             closing.add(serving.cancel)
             forget = self._door.until_end(session, lambda _error: serving.cancel())
             try:
-                await self._manager.handle_request(scope, receive, sent)
+                limit = self._door.longest(session.principal)
+                bounded = RequestBodyLimitMiddleware(self._manager.handle_request, limit)
+                await bounded(scope, receive, sent)
             finally:
                 closing.discard(serving.cancel)
                 forget()

@@ -43,8 +43,7 @@ class Feed:
         connection.mailbox.collect(wrap=self._take)
         if connection.expelled or not connection.session.subscriptions:
             self.ended = True
-        if connection.mailbox.pending:
-            connection.mailbox.mark()
+        connection.mailbox.again()
         self._news.set()
 
     def _take(self, data: bytes, feed: KernelFeed | None, sample: Sample | None) -> bytes:

@@ -7,12 +7,15 @@ shared would give one client what another was told.
 from __future__ import annotations
 
 import secrets
+import weakref
 from collections import deque
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from mcp.server.streamable_http import EventCallback, EventId, EventMessage, EventStore, StreamId
 from mcp.server.streamable_http_manager import StreamableHTTPSessionManager
 from mcp.types import JSONRPCMessage
+
+from rcp_kernel.clients.outbound import Backlog, Outbound
 
 __all__ = ["Journal", "Manager"]
 
@@ -30,9 +33,11 @@ class _Event(NamedTuple):
 class Journal(EventStore):
     """The last events of one session, in memory."""
 
-    def __init__(self) -> None:
+    def __init__(self, backlog: Backlog) -> None:
         self._events: deque[_Event] = deque()
         self._bytes = 0
+        self._backlog = backlog
+        weakref.finalize(self, backlog.close)  # the SDK forgets it without a word
 
     async def store_event(self, stream_id: StreamId, message: JSONRPCMessage | None) -> EventId:
         """Keep one event, at the cost of the oldest; return its id."""
@@ -40,9 +45,15 @@ class Journal(EventStore):
         event = _Event(secrets.token_hex(8), stream_id, message, size)
         self._events.append(event)
         self._bytes += size
-        while len(self._events) > _EVENTS or (self._bytes > _BYTES and len(self._events) > 1):
+        self._backlog.set(self._bytes)
+        while len(self._events) > _EVENTS or (len(self._events) > 1 and self._has_too_much):
             self._bytes -= self._events.popleft().size
+            self._backlog.set(self._bytes)
         return event.id
+
+    @property
+    def _has_too_much(self) -> bool:
+        return self._bytes > _BYTES or self._backlog.overfull
 
     async def replay_events_after(
         self, last_event_id: EventId, send_callback: EventCallback
@@ -62,10 +73,14 @@ class Journal(EventStore):
 class Manager(StreamableHTTPSessionManager):
     """Gives each session a journal of its own."""
 
+    def __init__(self, outbound: Outbound, *args: Any, **options: Any) -> None:
+        self._outbound = outbound
+        super().__init__(*args, **options)
+
     @property
     def event_store(self) -> EventStore | None:
         """Make one; the SDK asks once for each session."""
-        return Journal()
+        return Journal(self._outbound.open())
 
     @event_store.setter
     def event_store(self, value: EventStore | None) -> None:

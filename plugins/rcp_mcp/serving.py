@@ -31,9 +31,10 @@ async def open_mcp(
     tree = Tree(config, door, Commanding(config, door, catalogue))
     server = McpServer("RCP gateway", [tree, *more], listening)
     manager = Manager(
+        door.outbound,
         server,
         session_idle_timeout=config.idle,
-        max_request_body_size=door.limits.message,
+        max_request_body_size=min(config.message, door.limits.message),
         max_sessions=config.sessions,
     )
     async with AsyncExitStack() as stack:

@@ -156,6 +156,13 @@ class Identities:
             raise Unauthenticated("this gateway serves nobody without a token")
         return Principal("anonymous", grants)
 
+    def longest(self, principal: Principal) -> int:
+        """Return the length of the longest message that a principal may send."""
+        config = self._gateway.config
+        if principal.anonymous and not config.acts(principal.roles):
+            return min(config.limits.unproved, config.limits.message)
+        return config.limits.message
+
     def tenants_of(self, principal: Principal) -> list[str]:
         """List the tenants that a principal acts in."""
         known = self._gateway.config.tenant_names

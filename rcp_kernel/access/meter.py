@@ -166,6 +166,15 @@ class Meter:
         second.paid = other + second.interval
         return True
 
+    def allows(self, moment: float) -> bool:
+        """Tell whether `take` would pay for a request."""
+        first, second = self.first, self.second
+        return (
+            first.paid <= moment + first.slack
+            and second.paid <= moment + second.slack
+            and self.choked is None
+        )
+
     def refusal(self, moment: float) -> RcpError:
         """Count and return why `take` took nothing."""
         if (choked := self.choked) is not None:

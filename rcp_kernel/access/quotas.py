@@ -240,10 +240,14 @@ def _weigh(account: Account, limit: int) -> None:
     total = sum(size for size, _ in held)
     account.waiting = total
     over = total - limit
+    reason = (
+        f"ended: more than the {limit} bytes of the quota of this {account.owner} wait for its "
+        "clients"
+    )
     for size, session in held:
         if over > 0:
             account.refused["queue_bytes"] = account.refused.get("queue_bytes", 0) + 1
-            over -= size - shed(session, account)
+            over -= size - shed(session, reason)
         meter = session.meter
         if meter is None:
             continue

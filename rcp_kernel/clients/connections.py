@@ -14,6 +14,8 @@ from msgspec import Meta
 from rcp_kernel.access.identity import Principal
 from rcp_kernel.access.peer import UNKNOWN, Peer
 from rcp_kernel.clients.mailbox import Mailbox
+from rcp_kernel.clients.outbound import SHARE, SMALL
+from rcp_kernel.clients.unsent import ESTOP, left_out
 from rcp_kernel.clock import iso, now
 from rcp_kernel.errors import QueueFull, RcpError
 from rcp_kernel.operations.pending import crash
@@ -89,7 +91,7 @@ class Connection:
         self._gateway = gateway
         self.peer = peer
         self.encoding = encoding
-        self.mailbox = Mailbox(gateway.hub.ticker, encoding, flush)
+        self.mailbox = Mailbox(gateway.hub.ticker, encoding, flush, gateway.outbound.open())
         self.session = session
         self.closed = False
         self.expelled = False
@@ -105,6 +107,11 @@ class Connection:
         self._splices = encoding is Encoding.JSON and gateway.quick
         session.connection = self
         session.encoding = encoding
+
+    @property
+    def limit(self) -> int:
+        """Longest message that the client may send now, in bytes."""
+        return self._gateway.identities.longest(self.session.principal)
 
     @property
     def holds(self) -> bool:
@@ -124,11 +131,12 @@ class Connection:
     def _take(self, data: bytes) -> None:
         gateway = self._gateway
         try:
-            if len(data) > gateway.limits.message:
-                check_size(data, gateway.limits.message)
+            if len(data) > gateway.limits.unproved:
+                check_size(data, self.limit)
+                gateway.check_pace(self.session)
             request = decode_request(data, self.encoding)
         except RcpError as error:
-            type_, id_ = salvage(data, self.encoding) if len(data) < 1_000_000 else ("error", None)
+            type_, id_ = salvage(data, self.encoding)
             gateway.count(self.session.transport, type_, error.code)
             self.send(failure(error, type_, id_))
             return
@@ -136,20 +144,20 @@ class Connection:
             self._hello(request)
             return
         session = self.session
-        if request.type == "read" and self._splices:
+        mailbox = self.mailbox
+        if request.type == "read" and self._splices and mailbox.waiting <= SHARE:
             reply = gateway.read_at_once(session, request)
             if reply is not None:
-                mailbox = self.mailbox
-                mailbox.control.append(reply)
-                if not mailbox.dirty:
-                    mailbox.mark()
+                if len(reply) > SMALL and mailbox.backlog.refuses(len(reply)):
+                    reply = self._left_out(request, len(reply))
+                mailbox.put(reply)
                 return
         gateway.handle(session, request, session.deliver)
 
     def stumbled(self, data: bytes, error: Exception) -> None:
         """Answer a message that nothing else could be done with, and log why."""
         told = crash(error, session=self.session.id)
-        type_, id_ = salvage(data, self.encoding) if len(data) < 1_000_000 else ("error", None)
+        type_, id_ = salvage(data, self.encoding)
         self._gateway.count(self.session.transport, type_, told.code)
         self.send(failure(told, type_, id_))
 
@@ -165,10 +173,16 @@ class Connection:
                 return
             last = mailbox.feedback.pop(reply.command, None)
             if last is not None:
-                mailbox.control.append(last())
-        mailbox.control.append(self.encode(reply))
-        if not mailbox.dirty:
-            mailbox.mark()
+                mailbox.put(last())
+        data = self.encode(reply)
+        if reply.path != ESTOP and mailbox.backlog.refuses(len(data)):
+            data = self.encode(left_out(reply, len(data)))
+        mailbox.put(data)
+
+    def _left_out(self, request: Request, size: int) -> bytes:
+        """Write what is told in place of the answer to a read, which is counted already."""
+        answer = Reply(type="read", id=request.id, path=request.path)
+        return self.encode(left_out(answer, size))
 
     def encode(self, reply: Reply) -> bytes:
         """Write a reply; one whose body cannot be written becomes the error that says so."""
@@ -215,8 +229,7 @@ class Connection:
         gateway.count(self.session.transport, "hello", "ok")
         reply = Reply(type="hello", id=request.id, body=body, timestamp=iso(now()))
         # Ahead of what a resumed session has to say: the client must know first whose it is.
-        self.mailbox.control.insert(0, encode_reply(reply, self.encoding))
-        self.mailbox.mark()
+        self.mailbox.put_first(encode_reply(reply, self.encoding))
 
     def _unwelcome(self, request: Request, error: Exception) -> None:
         gateway = self._gateway
@@ -247,10 +260,10 @@ class Connection:
     def _hold(self, data: bytes) -> None:
         held = self._held
         assert held is not None
-        if len(held) < _HELD and sum(map(len, held)) + len(data) <= self._gateway.limits.message:
+        if len(held) < _HELD and sum(map(len, held)) + len(data) <= self.limit:
             held.append(data)
             return
-        type_, id_ = salvage(data, self.encoding) if len(data) < 1_000_000 else ("error", None)
+        type_, id_ = salvage(data, self.encoding)
         self._gateway.count(self.session.transport, type_, QueueFull.code)
         self.send(failure(QueueFull("`hello` is not answered yet"), type_, id_))
 

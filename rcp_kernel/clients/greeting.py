@@ -73,7 +73,7 @@ class Greeting:
         gateway.returning.note(session)
         limits = gateway.limits
         agreed = {
-            "message": limits.message,
+            "message": connection.limit,
             "subscriptions": limits.subscriptions,
             "in_flight": limits.in_flight,
             **facts.pop("limits", {}),
@@ -190,7 +190,7 @@ class Greeting:
             session.overflowed = 0
         while session.missed:
             connection.send(session.missed.popleft()[0])
-        session.missed_bytes = 0
+        session.let_missed_go()
         while session.news:
             code, facts = session.news.popleft()
             notice(connection.mailbox, code, **facts)

@@ -1,6 +1,7 @@
 """The way out to one client: replies and notices in order, updates as fresh as the socket allows.
 
-Nobody waits for a slow client. Updates wait in their feeds, bounded, and conflate; what goes into
+Nobody waits for a slow client. Updates wait in their feeds, bounded, and conflate; replies are
+counted in bytes, and a client that leaves too many unread is asked for nothing more. What goes into
 the socket is collected once a loop turn, for all mailboxes in one shared tick, so that a burst
 becomes one write.
 """
@@ -14,6 +15,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import structlog
 
+from rcp_kernel.clients.outbound import SHARE, Backlog
 from rcp_kernel.values import Encoding
 
 if TYPE_CHECKING:
@@ -90,6 +92,8 @@ class Mailbox:
     __slots__ = (
         "_ticker",
         "alone",
+        "backlog",
+        "buffered",
         "control",
         "direct",
         "dirty",
@@ -98,14 +102,21 @@ class Mailbox:
         "framing",
         "high_water",
         "on_flush",
+        "parked",
         "pending",
         "prioritised",
+        "takes_long",
         "text",
         "updates",
+        "waiting",
     )
 
-    def __init__(self, ticker: Ticker, encoding: Encoding, flush: Callable[[], None]) -> None:
+    def __init__(
+        self, ticker: Ticker, encoding: Encoding, flush: Callable[[], None], backlog: Backlog
+    ) -> None:
         self._ticker = ticker
+        self.backlog = backlog
+        """What is counted of all that waits for this client."""
         self.on_flush: Callable[[], None] | None = flush
         """The transport's; None once it is gone."""
         self.encoding = encoding
@@ -120,8 +131,17 @@ class Mailbox:
         self.alone = False
         """Set by a transport that wraps each message in what is its client's own: there is nothing
         to share."""
+        self.takes_long = False
+        """Set by a transport whose client takes messages of any length, as it agreed to get them
+        in parts: values that only a pattern asks for come whole too."""
         self.control: list[bytes] = []
-        """Replies and notices: in order, never dropped."""
+        """Replies and notices: in order, never dropped. Queue them by `put`, which counts them."""
+        self.waiting = 0
+        """Bytes of `control`."""
+        self.parked = 0
+        """Bytes of messages that the transport has collected and sends in parts."""
+        self.buffered = 0
+        """Bytes that the transport has given away and the client has not taken."""
         self.feedback: dict[str, Callable[[], bytes]] = {}
         """The newest feedback of each running command, by command id."""
         self.pending: list[Feed] = []
@@ -130,10 +150,53 @@ class Mailbox:
         self.updates = 0
         self.high_water = 0
 
-    def push(self, data: bytes) -> None:
+    def put(self, data: bytes) -> None:
         """Queue a control message."""
         self.control.append(data)
+        self.waiting += len(data)
+        if self.waiting > SHARE:
+            self.weigh()
+        if not self.dirty:
+            self.mark()
+
+    def put_first(self, data: bytes) -> None:
+        """Queue a control message ahead of all others."""
+        self.control.insert(0, data)
+        self.waiting += len(data)
         self.mark()
+
+    def hand(self, buffered: int) -> None:
+        """Take notice of how many bytes the transport has given away that were not taken."""
+        if buffered != self.buffered:
+            self.buffered = buffered
+            self.weigh()
+
+    def park(self, size: int) -> None:
+        """Take notice of how many bytes the transport sends in parts, or keeps to send again."""
+        if size != self.parked:
+            self.parked = size
+            self.weigh()
+
+    def weigh(self) -> None:
+        """Count all that waits."""
+        self.backlog.set(self.waiting + self.parked + self.buffered)
+
+    @property
+    def crowded(self) -> bool:
+        """Whether nothing more should be read from the client, as it leaves so much unread."""
+        return self.backlog.size > SHARE and self.backlog.crowded
+
+    @property
+    def more(self) -> bool:
+        """Whether something waits to be collected."""
+        return bool(self.control or self.pending or self.feedback)
+
+    def again(self) -> None:
+        """Have the transport called once more for what is left, as soon as there is room for it."""
+        if not (self.control or self.feedback) and self.pending and self.backlog.full:
+            self.backlog.wait(self)
+        elif self.more:
+            self.mark()
 
     def mark(self) -> None:
         """Have the transport called in the coming tick."""
@@ -152,9 +215,11 @@ class Mailbox:
         self.control.clear()
         self.feedback.clear()
         self.pending.clear()
+        self.waiting = self.parked = self.buffered = 0
+        self.backlog.close(self)
 
     @property
-    def backlog(self) -> int:
+    def depth(self) -> int:
         """How many messages wait."""
         return len(self.control) + len(self.feedback) + sum(feed.waiting for feed in self.pending)
 
@@ -168,22 +233,29 @@ class Mailbox:
         """Take what is to be sent now: control first, then updates by priority.
 
         Stops after about `budget` bytes; what is left stays, and the transport collects again
-        when the socket has room. With `big`, updates longer than that stay where they are, for a
-        transport that is still busy with an earlier one.
+        when the socket has room (`more`). With `big`, updates longer than that stay where they
+        are, for a transport that is still busy with an earlier one.
         """
-        out = self.control
-        self.control = []
-        if self.feedback:
-            out.extend(make() for make in self.feedback.values())
-            self.feedback.clear()
+        if self.waiting <= budget:
+            out = self.control
+            self.control = []
+            self.waiting = 0
+        else:
+            out = self._take(budget)
+        if self.feedback and not self.control:
+            self._take_feedback(out, budget)
+        if self.backlog.size:
+            self.weigh()
         if out and wrap is not None:
             out = [wrap(data, None, None) for data in out]
         elif out and self.framing is not None:
             text = self.text
             out = [self.framing(len(data), text) + data for data in out]
         pending = self.pending
-        if not pending:
+        if not pending or self.control or self.feedback:
             return out
+        if big is None and self.backlog.full:
+            big = SHARE  # long updates wait, and conflate, until others have taken theirs
         later: list[Feed] = []
         self.pending = later
         if self.prioritised:
@@ -200,6 +272,25 @@ class Mailbox:
                 later.extend(pending[place + 1 :])
                 break
         return out
+
+    def _take(self, budget: int) -> list[bytes]:
+        """Take the first control messages, one at least, up to about `budget` bytes."""
+        size = count = 0
+        for data in self.control:
+            size += len(data)
+            count += 1
+            if size >= budget:
+                break
+        out = self.control[:count]
+        del self.control[:count]
+        self.waiting -= size
+        return out
+
+    def _take_feedback(self, out: list[bytes], budget: int) -> None:
+        while self.feedback and budget > 0:
+            data = self.feedback.pop(next(iter(self.feedback)))()
+            budget -= len(data)
+            out.append(data)
 
 
 def _urgency(feed: Feed) -> int:

@@ -20,6 +20,7 @@ from rcp_kernel.wire import Reply, Request, encode_reply
 if TYPE_CHECKING:
     from rcp_kernel.access.meter import Meter
     from rcp_kernel.clients.connections import Connection
+    from rcp_kernel.clients.outbound import Backlog
     from rcp_kernel.operations.command import Command
     from rcp_kernel.operations.pending import Pending
 
@@ -28,7 +29,6 @@ __all__ = ["Answer", "Handler", "Session"]
 Answer = Callable[[Reply], None]
 _MISSED = 4096  # replies kept for a client that is away
 _NEWS = 256  # notices kept for a client that is away
-_MISSED_BYTES = 16 * 1024 * 1024  # that these may have together
 
 
 class Handler(Protocol):
@@ -43,6 +43,7 @@ class Session:
     """One principal's subscriptions, commands and replies not yet delivered."""
 
     __slots__ = (
+        "away",
         "commands",
         "connection",
         "created",
@@ -107,6 +108,8 @@ class Session:
         self.missed: deque[tuple[Reply, int]] = deque()
         """Replies for a client that is away, and about how long each is."""
         self.missed_bytes = 0
+        self.away: Backlog | None = None
+        """Counts these while the client is away."""
         self.news: deque[tuple[str, dict[str, Any]]] = deque(maxlen=_NEWS)
         """Notices for the client's return."""
         self.overflowed = 0
@@ -131,25 +134,48 @@ class Session:
         """Whether the session belongs to a transport without connections (HTTP)."""
         return self.connection is None and self.cut is None
 
+    @property
+    def waiting_bytes(self) -> int:
+        """How many bytes wait for the client, but for samples."""
+        if self.connection is None:
+            return self.missed_bytes
+        mailbox = self.connection.mailbox
+        return mailbox.waiting + mailbox.parked + mailbox.buffered
+
     def deliver(self, reply: Reply) -> None:
         """Send a reply now, or keep it for the client's return."""
         if self.connection is not None:
             self.connection.send(reply)
             return
+        if self.away is None:  # nobody comes back to it
+            return
         if reply.status == "in_progress" and reply.command is not None:
             for old in [kept for kept in self.missed if _replaces(reply, kept[0])]:
                 self.missed.remove(old)
-                self.missed_bytes -= old[1]
+                self._count_missed(-old[1])
         size = _length(reply)
         self.missed.append((reply, size))
-        self.missed_bytes += size
-        while len(self.missed) > _MISSED or self.missed_bytes > _MISSED_BYTES:
+        self._count_missed(size)
+        while self.missed and (len(self.missed) > _MISSED or self.away.overfull):
             self.lose()
+
+    def _count_missed(self, size: int) -> None:
+        self.missed_bytes += size
+        if self.away is not None:
+            self.away.set(self.missed_bytes)
 
     def lose(self) -> None:
         """Let go of the oldest reply that waits for a client that is away; it will be told."""
-        self.missed_bytes -= self.missed.popleft()[1]
+        self._count_missed(-self.missed.popleft()[1])
         self.overflowed += 1
+
+    def let_missed_go(self) -> None:
+        """Keep nothing more for the client's return: it is back, or will not come."""
+        self.missed.clear()
+        self.missed_bytes = 0
+        if self.away is not None:
+            self.away.close()
+            self.away = None
 
     def tell(self, code: str, **facts: Any) -> None:
         """Send a notice now, or keep it for the client's return."""
@@ -169,7 +195,7 @@ class Session:
             "created": iso(self.created),
             "subscriptions": len(self.subscriptions),
             "commands": sum(1 for c in self.commands.values() if not c.final),
-            "backlog": self.connection.mailbox.backlog if self.connection else len(self.missed),
+            "backlog": self.connection.mailbox.depth if self.connection else len(self.missed),
         }
 
 

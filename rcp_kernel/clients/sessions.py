@@ -15,6 +15,7 @@ from rcp_kernel.access.lapsing import Lapsing
 from rcp_kernel.access.peer import UNKNOWN, Peer
 from rcp_kernel.clients.greeting import Greeting
 from rcp_kernel.clients.session import Session
+from rcp_kernel.clients.waiting import Relief
 from rcp_kernel.clock import now
 from rcp_kernel.errors import TokenExpired
 from rcp_kernel.streaming.notices import notice
@@ -40,6 +41,7 @@ class Sessions:
         self._stateless: dict[tuple[Principal, str | None, str], Session] = {}
         self._lapsing = Lapsing(gateway.loop, self._expel)
         self.greeting = Greeting(gateway, self)
+        self.relief = Relief(gateway.loop, self.known.values, gateway.outbound)
 
     def open(
         self,
@@ -61,6 +63,7 @@ class Sessions:
         session = Session(principal, gateway.rules.rights(principal), chosen, transport)
         gateway.accounts.enter(session)
         self.known[session.id] = session
+        self.relief.start()
         self.logged_in(session, peer)
         return session
 
@@ -208,6 +211,7 @@ class Sessions:
         gateway = self._gateway
         session.connection = None
         session.cut = now()
+        session.away = gateway.outbound.open()
         for command in list(session.commands.values()):
             entry = command.entry
             if entry is not None and not entry.resource.outlives:
@@ -232,5 +236,4 @@ class Sessions:
         for subscription in session.subscriptions.values():
             self._gateway.hub.forget(subscription)
         session.subscriptions.clear()
-        session.missed.clear()
-        session.missed_bytes = 0
+        session.let_missed_go()

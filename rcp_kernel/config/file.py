@@ -10,6 +10,7 @@ import difflib
 import os
 import re
 import tomllib
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -32,6 +33,7 @@ from rcp_kernel.config.limits import Limits, Quota, Quotas
 from rcp_kernel.config.roles import check_pattern, check_roles
 from rcp_kernel.config.safety import Safety, check_groups
 from rcp_kernel.errors import ConfigError
+from rcp_kernel.model import Operation
 from rcp_kernel.plans.config import PlansConfig, check_plans
 
 __all__ = [
@@ -145,6 +147,16 @@ class GatewayConfig(Table, frozen=True):
                 *self.jwt,
                 *(one for issuer in self.jwt for one in issuer.by_claim.values()),
             )
+        )
+
+    def acts(self, roles: Iterable[str]) -> bool:
+        """Tell whether any of some roles lets something be written or executed at a robot."""
+        known = {**BUILTIN_ROLES, **self.roles}
+        change = Operation.WRITE | Operation.EXECUTE
+        rules = [rule for role in roles if role in known for rule in known[role].allow]
+        return any(
+            rule.mask & change and not all(path.startswith("/system/") for path in rule.paths)
+            for rule in rules
         )
 
     def _allows(self, given: Granting) -> bool:

@@ -17,6 +17,14 @@ class Limits(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
 
     message: Annotated[int, Meta(ge=1024)] = 16 * 1024 * 1024
     """Longest message or request body, after reassembly."""
+    unproved: Annotated[int, Meta(ge=20_480)] = 64 * 1024
+    """Longest of a client who has proved nothing, unless `anonymous` may write or execute."""
+    queue_bytes: Annotated[int, Meta(ge=131_072)] = 16 * 1024 * 1024
+    """That may wait for one client that takes slower than it is sent."""
+    queue_bytes_total: Annotated[int, Meta(ge=1024 * 1024)] = 256 * 1024 * 1024
+    """That may wait for all clients together; the first 64 KiB of each do not count."""
+    pattern_value: Annotated[int, Meta(ge=262_144)] = 1024 * 1024
+    """Longest value that a subscription is sent which names its path by a pattern alone."""
     subscriptions: _Count = 1000
     """Subscriptions of one session."""
     paths: _Count = 20_000

@@ -267,7 +267,8 @@ class Subscribing:
         mailbox = subscription.mailbox
         if mailbox is not None and error is None:
             # What was delivered to the queue before the end goes out before the notice of it.
-            mailbox.control.extend(_rest(subscription))
+            for data in _rest(subscription):
+                mailbox.put(data)
         self._gateway.hub.remove(subscription)
         if error is not None:
             self._gateway.hub.dropped["overrun"] += 1

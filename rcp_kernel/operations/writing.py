@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Writing", "would"]
 
+_SAFE = 65_536  # bytes: a longer value is not compared with the one that brings to rest
 _UNCHANGED = (Refused, DeviceRejected)
 """Errors by which a backend says that its robot goes on as before."""
 
@@ -74,7 +75,7 @@ class Writing:
 
     def stops(self, session: Session, request: Request) -> bool:
         """Tell whether a request brings an actuator to rest, which no rate may keep it from."""
-        if request.type != "write":
+        if request.type != "write" or len(bytes(request.body)) > _SAFE:
             return False
         try:
             entry = self._gateway.resolve(session, request.path, Operation.WRITE)

@@ -44,6 +44,7 @@ class Feed:
         "entry",
         "fields",
         "heard",
+        "longest",
         "mailbox",
         "marked",
         "missed",
@@ -87,6 +88,9 @@ class Feed:
         self.paused = False
         """The rules do not allow it at present."""
         self.fields = NATIVE if self.native else options.fields
+        self.longest = subscription.longest(entry)
+        """Longest value that is sent whole, bytes, to a client that does not take long messages;
+        None: every one is."""
         self._lifespan = options.qos.lifespan
         self._plain = self._lifespan is None and options.count is None
         self._heads: tuple[Encoding, bytes, bytes] | None = None
@@ -208,7 +212,8 @@ class Feed:
             sample = queue.popleft()
             try:
                 tail = sample.tails.get(key) or sample.tail(encoding, self.fields)
-                data = self._frame(sample) if self.dropped else head + tail
+                special = self.dropped or len(tail) > SHARED
+                data = self._frame(sample) if special else head + tail
             except RcpError:  # reported as the backend's fault where it was found
                 continue
             self.dropped = 0
@@ -257,6 +262,9 @@ class Feed:
         tail = sample.tail(encoding, self.fields)
         start = framing(len(head) + len(tail), text) + head
         if len(tail) > SHARED:
+            if self._is_too_long(tail):
+                data = self._shortened(sample, encoding)
+                return framing(len(data), text) + data
             out.append(start)
             return tail
         data = sample.tails[self.share] = start + tail
@@ -264,9 +272,11 @@ class Feed:
 
     def _frame(self, sample: Sample) -> bytes:
         encoding, head, head_dropped = self._heads or self._make_heads()
+        tail = sample.tail(encoding, self.fields)
+        if len(tail) > SHARED and self._is_too_long(tail):
+            return self._shortened(sample, encoding)
         if not self.named:
             return self._first_native_frame(sample, encoding)
-        tail = sample.tail(encoding, self.fields)
         if not self.dropped:
             return head + tail
         return (
@@ -276,6 +286,27 @@ class Feed:
             ]
             + (b"," + tail if encoding is Encoding.JSON else tail)
         )
+
+    def _is_too_long(self, tail: bytes) -> bool:
+        """Tell whether the client should not be sent a value that only a pattern asks for."""
+        mailbox = self.mailbox
+        limit = self.longest
+        return limit is not None and len(tail) > limit and not (mailbox and mailbox.takes_long)
+
+    def _shortened(self, sample: Sample, encoding: Encoding) -> bytes:
+        """Return an update that has, in place of the value, its length."""
+        facts: dict[str, Any] = {
+            "type": "update",
+            "id": self.subscription.id,
+            "path": self.entry.path,
+            "seq": sample.seq,
+            "timestamp": sample.time,
+            "truncated": True,
+            "size": sample.length(encoding, self.fields),
+        }
+        if self.dropped:
+            facts["dropped"] = self.dropped
+        return encode_frame(facts, b"", encoding)
 
     def _make_heads(self) -> tuple[Encoding, bytes, bytes]:
         assert self.mailbox is not None

@@ -29,9 +29,13 @@ _LONGEST = 86_400.0 * 365  # s: no timer reaches further
 class Hub:
     """Every subscription of the gateway."""
 
-    def __init__(self, registry: Registry, loop: asyncio.AbstractEventLoop) -> None:
+    def __init__(
+        self, registry: Registry, loop: asyncio.AbstractEventLoop, pattern_value: int
+    ) -> None:
         self.registry = registry
         self.loop = loop
+        self.pattern_value = pattern_value
+        """Longest value, bytes, that is sent whole to a subscription that did not name its path."""
         self.ticker = Ticker(loop)
         self.subscriptions: set[Subscription] = set()
         self.dropped: dict[str, int] = {"conflated": 0, "overrun": 0, "gap": 0}

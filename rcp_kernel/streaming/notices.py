@@ -17,4 +17,4 @@ def notice(mailbox: Mailbox | None, code: str, **facts: Any) -> None:
         return
     kept = {key: value for key, value in facts.items() if value is not None}
     fields = {"type": "notice", "code": code, **kept, "timestamp": iso(now())}
-    mailbox.push(encode_frame(fields, b"", mailbox.encoding))
+    mailbox.put(encode_frame(fields, b"", mailbox.encoding))

@@ -132,6 +132,14 @@ class Sample(Body):
             raise Overrun("the sample has no native form")
         return _BYTES.encode(bytes(self.native.data), encoding)
 
+    def length(self, encoding: Encoding, fields: tuple[str, ...] | None) -> int:
+        """Return how many bytes the value has in an update."""
+        if fields is None:
+            return len(self.encoded(encoding))
+        if fields is NATIVE:
+            return 0 if self.native is None else len(self.native.data)
+        return len(self.projected(encoding, fields))
+
     def read_piece(self) -> bytes:
         """Return what all JSON replies to a read of this sample share, from path to state."""
         piece = self.tails[READ_PIECE] = (

@@ -25,6 +25,7 @@ class Subscription:
     """A standing request of one session for samples of one or more paths."""
 
     __slots__ = (
+        "_named",
         "end",
         "feeds",
         "hub",
@@ -58,6 +59,7 @@ class Subscription:
         self.hub = hub
         self.id = id_
         self.patterns = patterns
+        self._named = frozenset(pattern.text for pattern in patterns if pattern.literal)
         self.options = options
         self.mailbox = mailbox
         self.may = may
@@ -78,6 +80,10 @@ class Subscription:
     def wants(self, entry: Entry) -> bool:
         """Tell whether an entry belongs to this subscription."""
         return any(p.matches(entry.path) for p in self.patterns) and self.may(entry)
+
+    def longest(self, entry: Entry) -> int | None:
+        """Return the longest value of an entry that is sent whole; None: every one is."""
+        return None if entry.path in self._named else self.hub.pattern_value
 
     def feed(self, entry: Entry) -> Feed:
         """Make the feed of an entry."""

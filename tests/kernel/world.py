@@ -144,6 +144,7 @@ class Client:
 
     def _flush(self) -> None:
         self.inbox += [json.loads(data) for data in self.connection.mailbox.collect()]
+        self.connection.mailbox.again()
         self._arrived.set()
 
     def send(self, **envelope: Any) -> str:

@@ -33,6 +33,7 @@ from rcp_asgi.settings import Settings
 from rcp_asgi.upgrade import Upgrade
 from rcp_kernel.access.certificates import read_certificate
 from rcp_kernel.access.peer import UNKNOWN, Peer
+from rcp_kernel.clients.outbound import Backlog
 from rcp_kernel.door import Asgi
 from rcp_kernel.errors import RcpError
 from rcp_kernel.values import Encoding
@@ -84,12 +85,14 @@ class HttpProtocol(HttpToolsProtocol):
         self._slow: asyncio.TimerHandle | None = None
         self._extensions: dict[str, Any] = {}
         self._body: Endless | None = None
+        self._backlog: Backlog | None = None
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         """Take a connection, unless there are too many."""
         super().connection_made(transport)
         self.flow = self._reading = ReadFlow(transport)
         self._body = Endless(transport)
+        self._backlog = self._settings.door.outbound.open(transport.abort)
         self._extensions = {"rcp.stream": self._body, "rcp.closing": self._settings.closing}
         refusal = self._seat.refusal
         if refusal is not None:
@@ -128,6 +131,8 @@ class HttpProtocol(HttpToolsProtocol):
         self._seat.leave()
         if self._body is not None:
             self._body.writable = False
+        if self._backlog is not None:
+            self._backlog.close()
         super().connection_lost(exc)
 
     def pause_writing(self) -> None:
@@ -135,12 +140,16 @@ class HttpProtocol(HttpToolsProtocol):
         super().pause_writing()
         if self._body is not None:
             self._body.writable = False
+        if self._backlog is not None:
+            self._backlog.set(self.transport.get_write_buffer_size())
 
     def resume_writing(self) -> None:
         """Go on with an endless response."""
         super().resume_writing()
         if self._body is not None:
             self._body.resume()
+        if self._backlog is not None and not self.flow.write_paused:
+            self._backlog.set(0)
 
     def _stop_clock(self) -> None:
         if self._slow is not None:

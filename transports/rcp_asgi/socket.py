@@ -40,7 +40,6 @@ class Socket(WSListener):
     __slots__ = (
         "_compressed",
         "_heard",
-        "_limit",
         "_loop",
         "_opcode",
         "_owner",
@@ -60,6 +59,7 @@ class Socket(WSListener):
         "code",
         "compresses",
         "deflates",
+        "limit",
         "open",
         "writable",
     )
@@ -82,7 +82,8 @@ class Socket(WSListener):
         self._loop = loop
         self._transport: WSTransport
         self._raw: asyncio.Transport
-        self._limit = settings.door.limits.message
+        self.limit = settings.door.limits.message
+        """Longest message that is taken once it is put together and inflated."""
         self._threshold = settings.config.compress_above
         self._parts: list[bytes] | None = None
         """The fragments of a message that is not complete; empty once it is too long."""
@@ -207,7 +208,7 @@ class Socket(WSListener):
             self._compressed = bool(frame.rsv1)
         data = frame.get_payload_as_bytes()
         self._size += len(data)
-        if self._size <= self._limit:
+        if self._size <= self.limit:
             parts.append(data)
         else:
             parts.clear()
@@ -216,14 +217,14 @@ class Socket(WSListener):
             self._complete(b"".join(parts))
 
     def _complete(self, data: bytes) -> None:
-        if self._size > self._limit:
+        if self._size > self.limit:
             self._receiver.oversized(self._size)
             return
         if self._compressed:
             try:
-                data = inflate(data, self._limit)
+                data = inflate(data, self.limit)
             except TooLong:
-                self._receiver.oversized(self._limit + 1)
+                self._receiver.oversized(self.limit + 1)
                 return
             except zlib.error:
                 self._fail(_INVALID_TEXT, "the compressed message is damaged")
@@ -264,6 +265,11 @@ class Socket(WSListener):
             self._transport.send(_TEXT if data[0] == _OBJECT else _BINARY, data)
         if short:
             self._raw.write(heads.join(short))
+
+    @property
+    def buffered(self) -> int:
+        """Bytes written that the peer has not taken."""
+        return 0 if self._gone() else self._raw.get_write_buffer_size()
 
     def reply(self, data: bytes) -> None:
         """Send one message, uncompressed: picows frames and writes it without a copy of ours."""

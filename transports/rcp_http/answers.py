@@ -11,6 +11,8 @@ from rcp_http.compress import compress
 from rcp_http.config import HttpConfig
 from rcp_http.negotiate import coding
 from rcp_kernel.asgi import MEDIA, Headers, Send, retry_after, status_of
+from rcp_kernel.clients.outbound import SHARE, Outbound
+from rcp_kernel.clients.unsent import left_out
 from rcp_kernel.operations.pending import crash
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import Reply, encode_reply, failure
@@ -30,7 +32,8 @@ _METHODS = {"read": ("GET", "HEAD"), "write": ("PUT",), "execute": ("POST",)}
 class Answers:
     """Writes responses."""
 
-    def __init__(self, config: HttpConfig) -> None:
+    def __init__(self, config: HttpConfig, outbound: Outbound) -> None:
+        self._outbound = outbound
         self._threshold = config.compress_above
 
     async def reply(
@@ -45,6 +48,8 @@ class Answers:
             return
         # Values are checked when they are written, so only now it is known how the request ended.
         told, data = _encode(reply, asked.encoding)
+        if not self._outbound.has_room(len(data)):
+            told, data = _encode(left_out(reply, len(data)), asked.encoding)
         status = status_of(told)
         found = [] if headers is None else headers
         if told.error is not None:
@@ -80,8 +85,14 @@ class Answers:
                 data = await compress(data, chosen)
                 headers.append(_CODED[chosen])
         headers.append((b"content-length", b"%d" % len(data)))
-        await send({"type": "http.response.start", "status": status, "headers": headers})
-        await send({"type": "http.response.body", "body": data})
+        backlog = self._outbound.open()
+        if len(data) > SHARE:
+            backlog.set(len(data))  # it may have to wait until an earlier answer was taken
+        try:
+            await send({"type": "http.response.start", "status": status, "headers": headers})
+            await send({"type": "http.response.body", "body": data})
+        finally:
+            backlog.close()
 
 
 def matches(asked: Asked, etag: bytes) -> bool:

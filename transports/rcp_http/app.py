@@ -34,7 +34,7 @@ class HttpApp:
 
     def __init__(self, config: HttpConfig, door: Door) -> None:
         self._door = door
-        self._answers = Answers(config)
+        self._answers = Answers(config, door.outbound)
         self._context = Context(door, config, self._answers)
         self._calls = Calls(door, config, self._answers, self._context)
         calls = self._calls

@@ -58,7 +58,11 @@ class Calls:
     async def messages(self, asked: Asked, session: Session, receive: Receive, send: Send) -> None:
         """POST /messages: any one envelope."""
         asked.allow()
-        data = await asked.body(receive, self._door.limits.message, self._config.body_timeout)
+        door = self._door
+        limit = door.longest(session.principal)
+        data = await asked.body(receive, limit, self._config.body_timeout)
+        if len(data) > door.limits.unproved:
+            door.check_pace(session)
         encoding = body_encoding(asked.found.get("content_type", b"")) or Encoding.JSON
         if "accept" not in asked.found or asked.found["accept"] == b"*/*":
             asked.encoding = encoding

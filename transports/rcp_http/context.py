@@ -127,7 +127,7 @@ class Context:
         """PUT: the body is the value."""
         asked.allow()
         request = asked.request("write", path)
-        await self._take_body(asked, request, receive)
+        await self._take_body(asked, session, request, receive)
         # Whether the path can be written at all is said first: the same with a body and without.
         if not request.body and "PUT" in self.methods(session, path):
             raise BadRequest("the request has no body", remedy="Send the value as the body.")
@@ -141,7 +141,7 @@ class Context:
         """POST: the body is the input; answered at once unless the client says that it waits."""
         asked.allow()
         request = asked.request("execute", path)
-        await self._take_body(asked, request, receive)
+        await self._take_body(asked, session, request, receive)
         wait = asked.wait
         await self.run(asked, session, request, send, wait)
 
@@ -159,10 +159,15 @@ class Context:
             reply = await follower.final(limit)
         await self._answers.reply(send, asked, reply, headers)
 
-    async def _take_body(self, asked: Asked, request: Request, receive: Receive) -> None:
+    async def _take_body(
+        self, asked: Asked, session: Session, request: Request, receive: Receive
+    ) -> None:
         asked.check_unconditional()
-        limits = self._door.limits
-        data = await asked.body(receive, limits.message, self._config.body_timeout)
+        door = self._door
+        limit = door.longest(session.principal)
+        data = await asked.body(receive, limit, self._config.body_timeout)
+        if len(data) > door.limits.unproved:
+            door.check_pace(session)
         asked.put_body(request, data)
 
     async def options(self, asked: Asked, session: Session, path: str, send: Send) -> None:

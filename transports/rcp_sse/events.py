@@ -122,8 +122,8 @@ class Events:
                 out.insert(0, first.pop())
             if not out:
                 told()
-            elif mailbox.pending:
-                mailbox.mark()
+            else:
+                mailbox.again()
             return out
 
         await stream.run(collect)

@@ -45,14 +45,14 @@ class Incoming:
     def __init__(
         self,
         config: WsConfig,
-        limit: int,
         *,
         whole: Callable[[bytes], None],
         again: Callable[[str | int, list[int]], None],
         failed: Callable[[str | int, RcpError], None],
     ) -> None:
         self._config = config
-        self._limit = limit
+        self.limit = 0
+        """Longest message, in bytes; set by the owner."""
         self._whole = whole
         """Called with each message that is complete."""
         self._again = again
@@ -96,13 +96,13 @@ class Incoming:
             self._again(segment.id, transfer.missing)
 
     def _begin(self, segment: Segment) -> _Transfer:
-        if segment.size > self._limit or segment.total > self._config.segments:
+        if segment.size > self.limit or segment.total > self._config.segments:
             raise PayloadTooLarge(
                 f"the transfer has {segment.size} bytes in {segment.total} segments; the limits "
-                f"are {self._limit} and {self._config.segments}",
-                details={"limit": self._limit, "segments": self._config.segments},
+                f"are {self.limit} and {self._config.segments}",
+                details={"limit": self.limit, "segments": self._config.segments},
             )
-        if len(self._transfers) >= self._config.transfers or self._held > 2 * self._limit:
+        if len(self._transfers) >= self._config.transfers or self._held > 2 * self.limit:
             raise QueueFull(f"{len(self._transfers)} transfers of this connection are incomplete")
         transfer = self._transfers[segment.id] = _Transfer(segment)
         self._watch(segment.id, transfer, self._config.segment_timeout)

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import asyncio
 import itertools
-import math
 from collections import OrderedDict, deque
 from collections.abc import Callable
 
@@ -13,33 +13,44 @@ from rcp_ws.segments import Again, cut, digest, frame
 
 __all__ = ["Outgoing"]
 
-_WAITING = 65_536  # segments
-_KEPT_BYTES = 64 * 1024 * 1024  # of transfers that can be asked for again
-
 
 class _Transfer:
-    __slots__ = ("bodies", "id", "until", "whole")
+    __slots__ = ("bodies", "forget", "id", "waiting", "whole")
 
     def __init__(self, id_: str, data: bytes, size: int) -> None:
         self.id = id_
         self.bodies = cut(data, size)
         self.whole = (len(data), digest(data))
-        self.until = math.inf
-        """Time after which it cannot be asked for again."""
+        self.waiting = 0
+        """Segments that are not sent yet, or are to be sent again."""
+        self.forget: asyncio.TimerHandle | None = None
 
 
 class Outgoing:
-    """The segmented transfers of one connection."""
+    """The segmented transfers of one connection.
 
-    def __init__(self, encoding: Encoding, kept: float, now: Callable[[], float]) -> None:
+    `held` is called with the bytes of all that it holds: transfers under way, and those kept to be
+    asked for again, which are at most `room` bytes and are let go of first.
+    """
+
+    def __init__(
+        self,
+        encoding: Encoding,
+        kept: float,
+        room: int,
+        loop: asyncio.AbstractEventLoop,
+        held: Callable[[int], None],
+    ) -> None:
         self.size: int | None = None
         """Longest message that goes in one piece; None: every one does."""
         self._encoding = encoding
         self._kept = kept
-        self._now = now
+        self._room = room
+        self._loop = loop
+        self._held = held
         self._numbers = itertools.count(1)
         self._queue: deque[tuple[_Transfer, int]] = deque()
-        self._sent: OrderedDict[str, _Transfer] = OrderedDict()
+        self._known: OrderedDict[str, _Transfer] = OrderedDict()
         self._bytes = 0
 
     @property
@@ -61,47 +72,65 @@ class Outgoing:
 
     def _begin(self, data: bytes, size: int) -> None:
         transfer = _Transfer(f"t-{next(self._numbers)}", data, size)
-        self._sent[transfer.id] = transfer
+        self._known[transfer.id] = transfer
         self._bytes += transfer.whole[0]
-        self._queue.extend((transfer, num) for num in range(len(transfer.bodies)))
+        self._send(transfer, range(len(transfer.bodies)))
+        self._make_room()
+
+    def _send(self, transfer: _Transfer, numbers: range | list[int]) -> None:
+        if transfer.forget is not None:
+            transfer.forget.cancel()
+            transfer.forget = None
+        transfer.waiting += len(numbers)
+        self._queue.extend((transfer, num) for num in numbers)
 
     def next(self) -> bytes:
         """Take the next segment; with the last one its transfer begins to be forgotten."""
         transfer, num = self._queue.popleft()
-        if num == len(transfer.bodies) - 1:
-            transfer.until = self._now() + self._kept
-            self._forget()
+        transfer.waiting -= 1
+        if not transfer.waiting:
+            transfer.forget = self._loop.call_later(self._kept, self._drop, transfer)
+            self._make_room()
         return frame(transfer.id, num, transfer.bodies, transfer.whole, self._encoding)
 
-    def _forget(self) -> None:
-        moment = self._now()
-        while self._sent:
-            oldest = next(iter(self._sent.values()))
-            if oldest.until > moment and self._bytes <= _KEPT_BYTES:
-                return
-            del self._sent[oldest.id]
-            self._bytes -= oldest.whole[0]
+    def _make_room(self) -> None:
+        """Let go of what is kept, the oldest first, where that is more than there is room for."""
+        if self._bytes > self._room:
+            for transfer in [t for t in self._known.values() if not t.waiting]:
+                self._drop(transfer)
+                if self._bytes <= self._room:
+                    break
+        self._held(self._bytes)
+
+    def _drop(self, transfer: _Transfer) -> None:
+        if transfer.forget is not None:
+            transfer.forget.cancel()
+        del self._known[transfer.id]
+        self._bytes -= transfer.whole[0]
+        self._held(self._bytes)
 
     def again(self, wish: Again) -> None:
         """Send segments once more.
 
         :raises SegmentMissing: the transfer is not kept any more, or has no such segment.
-        :raises QueueFull: too many segments wait.
+        :raises QueueFull: as many of its segments wait as it has.
         """
-        self._forget()
-        transfer = self._sent.get(str(wish.id))
+        transfer = self._known.get(str(wish.id))
         if transfer is None:
             raise SegmentMissing(
                 f"the transfer '{wish.id}' is not kept any more",
                 remedy="Ask for the value itself again.",
             )
-        if any(num >= len(transfer.bodies) for num in wish.resend):
-            raise SegmentMissing(f"the transfer '{wish.id}' has {len(transfer.bodies)} segments")
-        if len(self._queue) > _WAITING:
-            raise QueueFull(f"{len(self._queue)} segments wait to be sent already")
-        self._queue.extend((transfer, num) for num in sorted(set(wish.resend)))
+        total = len(transfer.bodies)
+        wanted = sorted(set(wish.resend))
+        if any(num >= total for num in wanted):
+            raise SegmentMissing(f"the transfer '{wish.id}' has {total} segments")
+        if transfer.waiting + len(wanted) > 2 * total:
+            raise QueueFull(f"{transfer.waiting} segments of '{wish.id}' wait to be sent already")
+        self._send(transfer, wanted)
 
     def close(self) -> None:
         """Forget everything."""
         self._queue.clear()
-        self._sent.clear()
+        for transfer in list(self._known.values()):
+            self._drop(transfer)

@@ -13,6 +13,7 @@ import structlog
 from rcp_kernel.access import peer
 from rcp_kernel.access.identity import Principal
 from rcp_kernel.clients.connections import Hello
+from rcp_kernel.clients.outbound import SHARE
 from rcp_kernel.door import Door
 from rcp_kernel.errors import BadRequest, PayloadTooLarge, RcpError, Unauthenticated
 from rcp_kernel.values import Encoding
@@ -31,6 +32,7 @@ _NOBODY = Principal("nobody", ())
 _PATIENCE = 10.0  # s for a client to prove itself in `hello`
 _POLICY = 1008
 _INTERNAL = 1011
+_TRY_LATER = 1013
 _SEGMENT = b"segment"  # only a message with this word in it can be one
 _TURN = 0.0005  # s of the loop's time for what one client sent at once; then others have theirs
 _LOOK_EVERY = 32  # replies between looks whether the client takes them
@@ -70,12 +72,13 @@ class Peer:
         self._config = config
         self._socket = socket
         self._encoding = encoding
-        self._limit = door.limits.message
+        self._limit = 0
         self._loop = door.loop
         principal, tenant = who
         self.connection = door.connect(principal or _NOBODY, encoding, self.flush, tenant, end)
         self.connection.on_hello = self._hello
-        self.connection.incoming = self._whole
+        self.connection.mailbox.backlog.cut = self._cut_off
+        self.connection.incoming = self._sort
         self._mailbox = self.connection.mailbox
         self._receive: Callable[[bytes], None] = self.connection.receive
         self._patience: asyncio.TimerHandle | None = None
@@ -87,13 +90,14 @@ class Peer:
         self._held = False
         self._began = 0.0
         """When the first of the messages that came together was taken; 0 between such."""
-        self._incoming = Incoming(
-            config, self._limit, whole=self._whole, again=self._again, failed=self._fail
-        )
-        self._outgoing = Outgoing(encoding, config.kept, door.loop.time)
+        self._incoming = Incoming(config, whole=self._whole, again=self._again, failed=self._fail)
+        room = door.limits.queue_bytes // 4
+        park = self._mailbox.park
+        self._outgoing = Outgoing(encoding, config.kept, room, door.loop, park)
         self._plain = False
         """Replies need neither compression nor segments."""
         self.gone = asyncio.Event()
+        self._adopt_limit()
 
     def opened(self) -> None:
         """Take notice that the handshake is done, and what was agreed in it."""
@@ -112,24 +116,36 @@ class Peer:
         if self._held:
             self._inbox.append(data)
             return
+        if len(data) > self._limit:
+            self.oversized(len(data))
+            return
         # Not marked for the coming tick: `settled` sends the answers to all that was read at once.
         self._mailbox.dirty = True
         if not self._began:
             self._began = perf_counter()
         try:
-            if _SEGMENT in data and self._segment(data):
-                return
-            self._receive(data)
+            self._sort(data)
         except Exception as error:
             # Else the client would wait for its answer for ever.
             self.connection.stumbled(data, error)
-        if len(self._mailbox.control) >= _LOOK_EVERY:
+        if len(self._mailbox.control) >= _LOOK_EVERY or self._mailbox.waiting > SHARE:
             self.flush()
-            if len(self._mailbox.control) >= self._config.backlog:
+            if self._full():
                 self._hold()
         if perf_counter() - self._began > _TURN and not self._held:
             self._hold()
             self._loop.call_soon(self._next_turn)
+
+    def _sort(self, data: bytes) -> None:
+        """Take a segment apart from a whole message; nobody's segments are put together."""
+        if _SEGMENT not in data or self._patience is not None or not self._segment(data):
+            self._receive(data)
+
+    def _full(self) -> bool:
+        """Tell whether the client does not take what it asked for; a flush follows if so."""
+        mailbox = self._mailbox
+        sends = mailbox.control or self._outgoing.busy or not self._socket.writable
+        return bool(sends) and (len(mailbox.control) >= self._config.backlog or mailbox.crowded)
 
     def settled(self) -> None:
         """Send what there is to say to the messages that came together."""
@@ -139,6 +155,7 @@ class Peer:
         control = mailbox.control
         more = mailbox.pending or mailbox.feedback
         if len(control) == 1 and self._plain and socket.writable and not more:
+            mailbox.waiting = 0
             socket.reply(control.pop())
         elif control or more or not self._plain:
             self.flush()
@@ -151,6 +168,10 @@ class Peer:
             self.connection.send(failure(error, type_, id_))
             return
         self.connection.receive(data)
+
+    def _cut_off(self) -> None:
+        """Close a client that does not take what waits for it, so that there is room for others."""
+        self._socket.close(_TRY_LATER, "too much waits that is not taken")
 
     def _turn_away(self) -> None:
         self._socket.close(_POLICY, "no proof of identity")
@@ -169,7 +190,7 @@ class Peer:
         """Go on with what came together and took too long, so that an e-stop came in between."""
         if self._held and not self.gone.is_set():
             try:
-                if len(self._mailbox.control) < self._config.backlog:
+                if not self._full():
                     self._release()
                 self.settled()
             except Exception as error:
@@ -235,17 +256,23 @@ class Peer:
         self.connection.send(failure(error, "segment", None if id_ is None else str(id_)))
 
     def _again(self, id_: str | int, missing: list[int]) -> None:
-        self._mailbox.push(segments.request_again(id_, missing, self._encoding))
+        self._mailbox.put(segments.request_again(id_, missing, self._encoding))
 
     def _hello(self, hello: Hello) -> dict[str, Any]:
         if self.connection.session.principal is not _NOBODY:
             self._receive = self.connection.receive
             self._end_patience()
+        self._adopt_limit()
         wanted = hello.segment_size
         agreed = None if wanted is None else min(wanted, self._config.segment_size)
         self._outgoing.size = agreed
+        self._mailbox.takes_long = agreed is not None
         self._agree()
         return {"limits": {"segment_size": agreed, "segments": self._config.segments}}
+
+    def _adopt_limit(self) -> None:
+        """Take messages as long as whom the client has proved to be may send."""
+        self._limit = self._socket.limit = self._incoming.limit = self.connection.limit
 
     # -- out -----------------------------------------------------------------------------------
 
@@ -253,14 +280,16 @@ class Peer:
         """Send what there is, if the socket takes it."""
         try:
             self._flush()
+            if self._held and not self._full():
+                self._loop.call_soon(self._next_turn)
         except Exception as error:
             self._broken(error)
 
     def _flush(self) -> None:
-        socket = self._socket
+        socket, mailbox = self._socket, self._mailbox
         if not socket.writable:
+            mailbox.hand(socket.buffered)
             return
-        mailbox = self._mailbox
         if self._outgoing.size is not None:
             self._flush_cut(self._outgoing, self._outgoing.size)
         elif not self._plain:
@@ -268,8 +297,11 @@ class Peer:
                 socket.write(messages)
         elif parts := mailbox.collect():
             socket.write_frames(parts)
-        if mailbox.pending and socket.writable:
-            mailbox.mark()
+        if socket.writable:
+            mailbox.hand(0)
+            mailbox.again()
+        else:
+            mailbox.hand(socket.buffered)
         if self.connection.expelled:
             socket.close(_POLICY, "the session has ended or moved")
 
@@ -287,5 +319,5 @@ class Peer:
     def drained(self) -> None:
         """Go on: the client takes again."""
         self.flush()
-        if self._held and len(self._mailbox.control) < self._config.backlog:
+        if self._held and not self._full():
             self._release()

@@ -41,8 +41,15 @@ class NativeSocket(Protocol):
     writable: bool
     """Whether the write buffer has room; `Receiver.drained` tells when it has again."""
     open: bool
+    limit: int
+    """Longest message that is taken once it is put together and inflated."""
     compresses: bool
     """Whether messages are compressed one by one, so that frames cannot be made beforehand."""
+
+    @property
+    def buffered(self) -> int:
+        """Bytes written that the client has not taken."""
+        ...
 
     def attach(self, receiver: Receiver) -> None:
         """Have everything told to `receiver`."""

@@ -64,6 +64,24 @@ class Streams(Wire):
         found = [await client.update(id_) for _ in range(3)]
         assert {u["path"].rpartition("/")[2] for u in found} == {"level", "battery", "note"}
 
+    @proves("stream.pattern-long")
+    async def test_a_long_value_comes_whole_only_to_who_named_its_path(self, world: World) -> None:
+        world.limit(pattern_value=262_144)
+        text = "x" * 300_000
+        for encoding in self.encodings:
+            world.publish("event/note", text)
+            client = await world.client(encoding=encoding)
+            by_pattern = await client.subscribe("/event/*", qos=DEEP)
+            by_name = await client.subscribe("/event/note", paths=["/event/*"], qos=DEEP)
+            world.publish("event/note", text, "short")
+            found = [await client.update(by_pattern) for _ in range(3)]
+            told = [(u.get("truncated"), u.get("body")) for u in found]
+            assert told == [(True, None), (True, None), (None, "short")]
+            assert "body" not in found[0]
+            assert 300_000 <= found[0]["size"] <= 300_010
+            assert [u["seq"] for u in found] == list(range(found[0]["seq"], found[2]["seq"] + 1))
+            assert await bodies(client, by_name, 3) == [text, text, "short"]
+
     @proves("stream.rate")
     async def test_a_rate_lets_the_newest_through_at_its_time(self, world: World) -> None:
         client = await world.client()

@@ -61,6 +61,13 @@ async def test_a_tenant_of_others_is_as_one_that_is_not(gateway: Site) -> None:
         assert answers[0] == answers[1]
 
 
+async def test_a_long_request_of_who_proves_nothing_is_not_read() -> None:
+    async with agent() as site, caller(site, None) as client:
+        asked = {"jsonrpc": "2.0", "id": 9, "method": "ListTasks", "params": {"x": "x" * 100_000}}
+        answer = await client.post("/a2a", json=asked)
+        assert answer.json()["error"]["data"][0]["reason"] == "PAYLOAD_TOO_LARGE", answer.text
+
+
 async def test_who_proves_nothing_is_refused_where_nobody_is_served_without_proof() -> None:
     async with agent(top="anonymous = false") as site, caller(site, None) as client:
         answer = await client.get("/a2a/tasks")

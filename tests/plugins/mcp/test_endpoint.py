@@ -67,6 +67,42 @@ jwks_url = "https://login.example/keys"
         assert told.json()["authorization_servers"] == ["https://login.example"]
 
 
+@pytest.mark.parametrize("chunked", [False, True])
+async def test_a_long_request_is_refused_by_who_sends_it_before_it_is_read(
+    gateway: Site, *, chunked: bool
+) -> None:
+    long = json.dumps({**INITIALIZE, "id": "x" * 200_000}).encode()
+
+    async def parts() -> AsyncIterator[bytes]:
+        yield long[:100_000]
+        yield long[100_000:]
+
+    anonymous = {"accept": HEADERS["accept"], "content-type": "application/json"}
+    async with httpx.AsyncClient(headers=anonymous, trust_env=False) as client:
+        response = await client.post(gateway.url, content=parts() if chunked else long)
+        assert response.status_code == 413, response.text
+        own = {"authorization": HEADERS["authorization"]}
+        taken = await client.post(gateway.url, content=long, headers=own)
+        assert taken.status_code == 200, taken.text
+        more = json.dumps({**INITIALIZE, "id": "x" * 2_000_000}).encode()
+        refused = await client.post(gateway.url, content=more, headers=own)
+        assert refused.status_code == 413
+
+
+async def test_a_long_request_over_the_quota_is_refused_before_it_is_read() -> None:
+    quota = "[quotas.principal]\nrequests = 0.01\nburst = 1"
+    async with site(top=quota) as made, caller(made) as operator:
+        path = "/rcp/v1/context/tenant/alpha/sensor/nothing"
+        await operator.http.get(made.base + path, headers=HEADERS)
+        garbage = b"[" * 200_000
+        headers = HEADERS | {"content-type": "application/json"}
+        response = await operator.http.post(made.url, content=garbage, headers=headers)
+        assert (response.status_code, response.json()["error"]["data"]["code"]) == (
+            429,
+            "rate_limited",
+        )
+
+
 async def test_foreign_names_and_origins_are_refused(gateway: Site) -> None:
     async with httpx.AsyncClient(headers=HEADERS, trust_env=False) as client:
         for header in ({"host": "evil.example"}, {"origin": "https://evil.example"}):

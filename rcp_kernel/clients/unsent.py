@@ -1,0 +1,33 @@
+"""What a client is told in place of a reply that is too long for its queue."""
+
+from __future__ import annotations
+
+from rcp_kernel.errors import QueueFull
+from rcp_kernel.wire import Reply, failure
+
+__all__ = ["ESTOP", "left_out"]
+
+ESTOP = "/system/estop"
+"""The path whose replies are sent however much waits."""
+_ACTS = ("write", "execute")
+
+
+def left_out(reply: Reply, size: int) -> Reply:
+    """Make the reply that says why another one, of `size` bytes, is not sent.
+
+    What was done stays done: the outcome is told, and that it should not be asked for again.
+    """
+    acted = reply.type in _ACTS
+    error = QueueFull(
+        f"the reply of {size} bytes is not sent: too much waits for this client, or for all clients",
+        remedy="Take the messages that wait, then look at what is there before you send it again."
+        if acted
+        else "Take the messages that wait, then ask again.",
+        details={"size": size} | ({"outcome": reply.status} if acted else {}),
+    )
+    told = failure(error, reply.type, reply.id, reply.path, command=reply.command)
+    told.custom = reply.custom
+    if acted and told.error is not None:
+        told.status = "failed"
+        told.error["retryable"] = False
+    return told
