@@ -320,6 +320,11 @@ class Socket(WSListener):
         else:
             self._transport.send(opcode, data)
 
+    @property
+    def reading(self) -> bool:
+        """Whether the transport is to read: not while paused, but in any case up to the close."""
+        return self._reading or not self.open
+
     def pause_reading(self) -> None:
         """Take nothing from the peer until `resume_reading`; frames read already still come."""
         if self.open and self._reading:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-from collections import deque
 from collections.abc import Callable
 from time import perf_counter
 from typing import Any
@@ -19,6 +18,7 @@ from rcp_kernel.values import Encoding
 from rcp_kernel.wire import failure, salvage
 from rcp_ws import segments
 from rcp_ws.config import WsConfig
+from rcp_ws.gate import ReadGate
 from rcp_ws.incoming import Incoming
 from rcp_ws.outgoing import Outgoing
 from rcp_ws.segments import Again
@@ -43,11 +43,10 @@ class Peer:
         "_began",
         "_config",
         "_encoding",
-        "_held",
-        "_inbox",
+        "_gate",
         "_incoming",
         "_limit",
-        "_loop",
+        "_look_at",
         "_mailbox",
         "_outgoing",
         "_patience",
@@ -71,20 +70,25 @@ class Peer:
         self._socket = socket
         self._encoding = encoding
         self._limit = door.limits.message
-        self._loop = door.loop
         principal, tenant = who
         self.connection = door.connect(principal or _NOBODY, encoding, self.flush, tenant, end)
         self.connection.on_hello = self._hello
-        self.connection.incoming = self._whole
         self._mailbox = self.connection.mailbox
         self._receive: Callable[[bytes], None] = self.connection.receive
         self._patience: asyncio.TimerHandle | None = None
         if principal is None:
             self._receive = self._greeting
             self._patience = door.loop.call_later(_PATIENCE, self._turn_away)
-        self._inbox: deque[bytes] = deque()
-        """Messages read before the client was found not to take its replies."""
-        self._held = False
+        self._look_at = min(_LOOK_EVERY, config.backlog)
+        self._gate = ReadGate(
+            door.loop,
+            socket,
+            handle=self._take,
+            settle=self.settled,
+            full=self._full,
+            failed=self._broken,
+        )
+        self.connection.released = self._gate.put_back
         self._began = 0.0
         """When the first of the messages that came together was taken; 0 between such."""
         self._incoming = Incoming(
@@ -109,9 +113,12 @@ class Peer:
 
     def received(self, data: bytes, text: bool) -> None:  # noqa: FBT001 - see Receiver
         """Take a message of the client."""
-        if self._held:
-            self._inbox.append(data)
-            return
+        if self._gate.paused:
+            self._gate.keep(data)
+        else:
+            self._take(data)
+
+    def _take(self, data: bytes) -> None:
         # Not marked for the coming tick: `settled` sends the answers to all that was read at once.
         self._mailbox.dirty = True
         if not self._began:
@@ -123,13 +130,15 @@ class Peer:
         except Exception as error:
             # Else the client would wait for its answer for ever.
             self.connection.stumbled(data, error)
-        if len(self._mailbox.control) >= _LOOK_EVERY:
+        if len(self._mailbox.control) >= self._look_at:
             self.flush()
-            if len(self._mailbox.control) >= self._config.backlog:
-                self._hold()
-        if perf_counter() - self._began > _TURN and not self._held:
-            self._hold()
-            self._loop.call_soon(self._next_turn)
+            self._gate.review()
+        if perf_counter() - self._began > _TURN:
+            self._gate.end_turn()
+
+    def _full(self) -> bool:
+        """Tell whether the client does not take its replies; `drained` follows if so."""
+        return not self._socket.writable and len(self._mailbox.control) >= self._config.backlog
 
     def settled(self) -> None:
         """Send what there is to say to the messages that came together."""
@@ -153,39 +162,21 @@ class Peer:
         self.connection.receive(data)
 
     def _turn_away(self) -> None:
-        self._socket.close(_POLICY, "no proof of identity")
+        self._close(_POLICY, "no proof of identity")
 
     def _end_patience(self) -> None:
         if self._patience is not None:
             self._patience.cancel()
             self._patience = None
 
-    def _hold(self) -> None:
-        """Read nothing more until the client has taken what it asked for."""
-        self._held = True
-        self._socket.pause_reading()
-
-    def _next_turn(self) -> None:
-        """Go on with what came together and took too long, so that an e-stop came in between."""
-        if self._held and not self.gone.is_set():
-            try:
-                if len(self._mailbox.control) < self._config.backlog:
-                    self._release()
-                self.settled()
-            except Exception as error:
-                self._broken(error)
-
-    def _release(self) -> None:
-        self._held = False
-        while self._inbox and not self._held:
-            self.received(self._inbox.popleft(), False)
-        if not self._held:
-            self._socket.resume_reading()
-
     def _broken(self, error: Exception) -> None:
         """Close a connection that cannot go on: what it was told may have gaps."""
         log.error("websocket_failed", session=self.connection.session.id, exc_info=error)
-        self._socket.close(_INTERNAL, "the gateway failed; its log has the reason")
+        self._close(_INTERNAL, "the gateway failed; its log has the reason")
+
+    def _close(self, code: int, reason: str) -> None:
+        self._gate.close()
+        self._socket.close(code, reason)
 
     def garbled(self, data: bytes) -> None:
         """Answer text that is not UTF-8, before the socket closes for it."""
@@ -203,7 +194,7 @@ class Peer:
     def lost(self, code: int) -> None:
         """Let go; the session waits for the client's return."""
         self._end_patience()
-        self._inbox.clear()
+        self._gate.close()
         self._incoming.close()
         self._outgoing.close()
         self.connection.close()
@@ -253,11 +244,15 @@ class Peer:
         """Send what there is, if the socket takes it."""
         try:
             self._flush()
+            if self._gate.paused:
+                self._gate.review()
         except Exception as error:
             self._broken(error)
 
     def _flush(self) -> None:
         socket = self._socket
+        if self.connection.expelled:
+            self._gate.close()
         if not socket.writable:
             return
         mailbox = self._mailbox
@@ -271,7 +266,7 @@ class Peer:
         if mailbox.pending and socket.writable:
             mailbox.mark()
         if self.connection.expelled:
-            socket.close(_POLICY, "the session has ended or moved")
+            self._close(_POLICY, "the session has ended or moved")
 
     def _flush_cut(self, outgoing: Outgoing, size: int) -> None:
         busy = outgoing.busy
@@ -287,5 +282,3 @@ class Peer:
     def drained(self) -> None:
         """Go on: the client takes again."""
         self.flush()
-        if self._held and len(self._mailbox.control) < self._config.backlog:
-            self._release()
