@@ -184,7 +184,9 @@ class Visitor:
                         found[told["id"]] = told
                     self.counts[told["type"]] += 1
         except TimeoutError:
-            raise AssertionError(f"deaf: {len(waiting)} of {len(ids)} have no answer; {self.counts}")
+            raise AssertionError(
+                f"deaf: {len(waiting)} of {len(ids)} have no answer; {self.counts}"
+            )
         return found
 
 

@@ -124,9 +124,8 @@ class Peer:
         if not self._began:
             self._began = perf_counter()
         try:
-            if _SEGMENT in data and self._segment(data):
-                return
-            self._receive(data)
+            if _SEGMENT not in data or not self._segment(data):
+                self._receive(data)
         except Exception as error:
             # Else the client would wait for its answer for ever.
             self.connection.stumbled(data, error)
