@@ -2,6 +2,7 @@
 
 Each life of the gateway is a fork of this process, as in crash.py, and ends by SIGKILL while a burst
 of requests is under way. In between the client is cut off as a killed one is, and comes back too.
+By hand: `python tests/durability/resumes.py FOLDER CYCLES SEED`.
 """
 
 from __future__ import annotations
@@ -46,7 +47,7 @@ key = "operator-operator"
 path = "{path}"
 """
 CUTS = 4  # of the client, in each life of the gateway
-BURST = 400  # requests at once
+BURST = 300  # commands under way when the connection is cut: more than `backlog`
 BOUND = 10.0  # s that an answer may take
 FINAL = ("completed", "failed", "rejected", "cancelled")
 
@@ -103,6 +104,10 @@ def live(folder: Path, ready: int) -> None:
         runner.run(main())
 
 
+class Deaf(Exception):
+    """The gateway answers no more."""
+
+
 class Visitor:
     """One client, over all lives of the gateway."""
 
@@ -111,9 +116,10 @@ class Visitor:
         self._hello: dict[str, Any] = {}
         self._number = 0
 
-    async def visit(self, port: int, kill: Any) -> None:
+    async def visit(self, port: int, gateway: int) -> None:
         """Come back a few times; the last time the gateway is killed under a burst."""
         for cut in range(CUTS):
+            self.counts["cycles"] += 1
             async with connect(
                 f"ws://127.0.0.1:{port}/rcp/v1/ws",
                 additional_headers={"Authorization": f"Bearer {KEY}"},
@@ -127,10 +133,9 @@ class Visitor:
                 await self._send(socket, BURST, execute=True)
                 await asyncio.sleep(random.uniform(0, 0.05))
                 if cut == CUTS - 1:
-                    kill()
+                    os.kill(gateway, signal.SIGKILL)
                 else:
                     socket.transport.abort()
-            self.counts["cuts"] += 1
 
     async def _greet(self, socket: ClientConnection) -> None:
         """Say `hello` and the first requests in one breath."""
@@ -165,7 +170,7 @@ class Visitor:
         return ids
 
     async def _burst(self, socket: ClientConnection, *, execute: bool) -> None:
-        for count in (1, 1, 20, 100 if execute else BURST):
+        for count in (1, 1, 20, 100):
             ids = await self._send(socket, count, execute=execute)
             await self._reply(socket, ids)
         await socket.send(json.dumps({"type": "ping", "id": "ping"}))
@@ -184,38 +189,40 @@ class Visitor:
                         found[told["id"]] = told
                     self.counts[told["type"]] += 1
         except TimeoutError:
-            raise AssertionError(
-                f"deaf: {len(waiting)} of {len(ids)} have no answer; {self.counts}"
-            )
+            raise Deaf(f"{len(waiting)} of {len(ids)} requests have no answer") from None
         return found
 
 
-def main(folder: Path, lives: int, seed: int) -> None:
+def begun(folder: Path) -> tuple[int, int]:
+    """Begin a life; return its process and port."""
+    told, ready = os.pipe()
+    pid = os.fork()
+    if pid == 0:
+        try:
+            live(folder, ready)
+        finally:
+            os._exit(1)
+    os.close(ready)
+    with os.fdopen(told) as pipe:
+        return pid, int(pipe.readline())
+
+
+def main(folder: Path, cycles: int, seed: int) -> None:
+    """Come back until it was often enough."""
     random.seed(seed)
     visitor = Visitor()
-    deaf = 0
-    for _ in range(lives):
-        told, ready = os.pipe()
-        pid = os.fork()
-        if pid == 0:
-            try:
-                live(folder, ready)
-            finally:
-                os._exit(1)
-        os.close(ready)
-        with os.fdopen(told) as pipe:
-            port = int(pipe.readline())
+    while visitor.counts["cycles"] < cycles:
+        pid, port = begun(folder)
         try:
             with suppress(ConnectionClosed):
-                asyncio.run(visitor.visit(port, lambda: os.kill(pid, signal.SIGKILL)))
-        except AssertionError as error:
-            deaf += 1
-            print(error, file=sys.stderr)
-            with suppress(ProcessLookupError):
-                os.kill(pid, signal.SIGKILL)
-        os.waitpid(pid, 0)
-    visitor.counts["deaf"] = deaf
-    print(json.dumps(visitor.counts))
+                asyncio.run(visitor.visit(port, pid))
+        except Deaf as error:
+            visitor.counts["deaf"] += 1
+            sys.stderr.write(f"{error}\n")
+        finally:
+            os.kill(pid, signal.SIGKILL)
+            os.waitpid(pid, 0)
+    sys.stdout.write(json.dumps(visitor.counts))
 
 
 if __name__ == "__main__":

@@ -14,7 +14,7 @@ from contextlib import AsyncExitStack, asynccontextmanager
 from typing import Any
 
 import pytest
-from hypothesis import HealthCheck, settings
+from hypothesis import HealthCheck, Phase, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, rule, run_state_machine_as_test
 
@@ -37,6 +37,7 @@ NEVER = 1000.0  # s of a turn that is not used up
 SPEED = settings(
     deadline=None,
     stateful_step_count=40,
+    phases=(Phase.explicit, Phase.generate),
     suppress_health_check=[HealthCheck.too_slow, HealthCheck.filter_too_much],
 )
 OTHERS = "replayed"
@@ -70,8 +71,6 @@ class Script:
         self.inbound: deque[bytes] = deque()
         """What the client has sent and nobody has read."""
         self.replies: list[dict[str, Any]] = []
-        self.fills = False
-        """The next write is more than the client takes for now."""
         self.code: int | None = None
 
     def attach(self, receiver: Any) -> None:
@@ -80,8 +79,6 @@ class Script:
     def write(self, messages: list[bytes]) -> None:
         assert self.open
         self.replies += map(json.loads, messages)
-        if self.fills:
-            self.fills = self.writable = False
 
     def reply(self, data: bytes) -> None:
         self.write([data])
@@ -175,6 +172,7 @@ class Reading(RuleBasedStateMachine):
     """One client that sends, stalls, takes, is cut off, and comes back."""
 
     place: Place
+    """Set by `run`."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -247,8 +245,9 @@ class ScriptedReading(Reading):
         reply = next(m for m in self.socket.replies if m["type"] == "hello")
         self.greeted(reply)
 
-    @initialize(segmented=st.booleans())
-    def begin(self, segmented: bool) -> None:
+    @initialize(segmented=st.booleans(), used_up=st.booleans())
+    def begin(self, segmented: bool, used_up: bool) -> None:
+        self.pace(used_up)
         self.connect(segmented=segmented)
         self.socket.inbound.append(self.request(type="subscribe", path="/sensor/text"))
 
@@ -256,9 +255,11 @@ class ScriptedReading(Reading):
     def ask(self, count: int) -> None:
         self.socket.inbound.extend(self.request() for _ in range(count))
 
-    @rule(most=st.integers(1, 2 * BACKLOG))
-    def read(self, most: int) -> None:
+    @rule(most=st.integers(1, 2 * BACKLOG), committed=st.sampled_from([0, 1, 2 * BACKLOG]))
+    def read(self, most: int, committed: int) -> None:
+        """Read, and have what the last requests waited for come in the same turn."""
         self.socket.read(most)
+        replayed(self.session, committed)
 
     @rule()
     def one_turn(self) -> None:
@@ -266,12 +267,43 @@ class ScriptedReading(Reading):
 
     @rule()
     def stall(self) -> None:
-        """What is written next is more than the client takes."""
-        self.socket.fills = True
+        """What was written last is more than the client takes."""
+        self.socket.writable = False
 
     @rule()
     def take(self) -> None:
         self.socket.take()
+
+    @rule()
+    def is_not_deaf(self) -> None:
+        """Left alone, a client that takes everything is read from."""
+        self.turn(TURNS + len(self.asked))  # turns that are used up by one message each
+        if self.socket.writable:
+            assert self.socket.reading
+
+    @rule()
+    def all_is_answered(self) -> None:
+        """Once it takes everything, each of its requests has exactly one answer."""
+        for _ in range(2):
+            self.socket.take()
+            self.socket.read(len(self.asked))
+            self.turn(TURNS + len(self.asked))
+        assert not self.socket.inbound
+        assert answers(self.socket.replies, self.asked) == Counter(self.asked)
+
+    def teardown(self) -> None:
+        if not hasattr(self, "socket"):
+            return
+        try:
+            self.all_is_answered()
+        finally:
+            self.socket.open = False
+            self.socket.receiver.lost(1000)
+            self.place.server.gateway.sessions.drop(self.session)
+
+
+class ScriptedReturning(ScriptedReading):
+    """The client also loses its connection, and comes back to its session."""
 
     @rule(segmented=st.booleans(), late=st.integers(0, 3))
     def come_back(self, segmented: bool, late: int) -> None:
@@ -291,24 +323,6 @@ class ScriptedReading(Reading):
         old.receiver.lost(1006)
 
     @rule()
-    def is_not_deaf(self) -> None:
-        """Left alone, a client that takes everything is read from."""
-        self.turn(TURNS + len(self.asked))  # turns that are used up by one message each
-        if self.socket.writable:
-            assert self.socket.reading
-
-    @rule()
-    def all_is_answered(self) -> None:
-        """Once it takes everything, each of its requests has exactly one answer."""
-        self.socket.fills = False
-        for _ in range(2):
-            self.socket.take()
-            self.socket.read(len(self.asked))
-            self.turn(TURNS + len(self.asked))
-        assert not self.socket.inbound
-        assert answers(self.socket.replies, self.asked) == Counter(self.asked)
-
-    @rule()
     def leave(self) -> None:
         """Nothing is carried out for a client that is gone; it comes back."""
         old, before = self.socket, self.asked
@@ -321,21 +335,19 @@ class ScriptedReading(Reading):
         self.turn(3)
         assert not answers(self.socket.replies, before)
 
-    def teardown(self) -> None:
-        if not hasattr(self, "socket"):
-            return
-        try:
-            self.all_is_answered()
-        finally:
-            self.socket.open = False
-            self.socket.receiver.lost(1000)
-            self.place.server.gateway.sessions.drop(self.session)
 
-
-def test_a_scripted_client_is_read_from_and_answered_once(place: Place) -> None:
-    class Bound(ScriptedReading):
-        pass
-
-    Bound.place = place
+@pytest.mark.parametrize("model", [ScriptedReading, ScriptedReturning])
+def test_a_scripted_client_is_read_from_and_answered_once(
+    place: Place, model: type[ScriptedReading]
+) -> None:
     place.serve(WITHOUT_SOCKET + ROBOT)
-    run_state_machine_as_test(Bound, settings=settings(SPEED, max_examples=60))
+    run(model, place, 60)
+
+
+def run(model: type[Reading], place: Place, examples: int) -> None:
+    def made() -> Reading:
+        machine = model()
+        machine.place = place
+        return machine
+
+    run_state_machine_as_test(made, settings=settings(SPEED, max_examples=examples))
