@@ -374,7 +374,9 @@ class Socket(WSListener):
             self._unanswered = 0
         elif self._unanswered >= _UNANSWERED:
             if self.open and self.writable and not self._reading:
-                log.error("websocket_not_read", seconds=_UNANSWERED * self._settings.door.limits.heartbeat)
+                log.error(
+                    "websocket_not_read", seconds=_UNANSWERED * self._settings.door.limits.heartbeat
+                )
             self.code = _GONE
             self.abort()
             return

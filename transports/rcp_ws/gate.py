@@ -17,7 +17,7 @@ class ReadGate:
     Two reasons stop it: the client has used up its turn of the loop, or `full` says that it does
     not take its replies. Neither is undone by whoever brought it about: `review` asks both again,
     and has to be called after everything that may have changed `full`. What was kept is handled
-    in order, before anything newer; after `close`, nothing is.
+    in order, before anything newer; once this or the socket is closed, nothing is.
     """
 
     __slots__ = (
@@ -104,7 +104,7 @@ class ReadGate:
         self._apply()
 
     def _stopped(self) -> bool:
-        return self._turn_over or self._full()
+        return self._turn_over or not self._socket.open or self._full()
 
     def _apply(self) -> None:
         waits = not self._closed and (bool(self._kept) or self._stopped())
