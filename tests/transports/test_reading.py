@@ -78,8 +78,8 @@ class Script:
         self.receiver = receiver
 
     def write(self, messages: list[bytes]) -> None:
-        assert self.open
-        self.replies += map(json.loads, messages)
+        if self.open:
+            self.replies += map(json.loads, messages)
 
     def reply(self, data: bytes) -> None:
         self.write([data])
@@ -343,6 +343,12 @@ class ScriptedReturning(ScriptedReading):
         assert not answers(self.socket.replies, before)
 
 
+def _reading_of(raw: Raw) -> asyncio.Transport:
+    transport = raw.writer.transport
+    assert isinstance(transport, asyncio.Transport)
+    return transport
+
+
 class RealReading(Reading):
     """The same over a socket, whose buffers and loop nobody directs."""
 
@@ -367,7 +373,7 @@ class RealReading(Reading):
 
     async def until(self, asked: set[str]) -> None:
         """Take what comes until some requests have their replies."""
-        self.raw.writer.transport.resume_reading()
+        _reading_of(self.raw).resume_reading()
         while answers(self.told, asked).keys() != asked:
             opcode, payload = await self.raw.frame()
             if opcode & 0x0F == TEXT:
@@ -395,7 +401,7 @@ class RealReading(Reading):
     @rule()
     def stall(self) -> None:
         """Take nothing, so that the buffers fill."""
-        self.raw.writer.transport.pause_reading()
+        _reading_of(self.raw).pause_reading()
         self.publish(4_000_000)
 
     @rule()
