@@ -47,7 +47,7 @@ key = "operator-operator"
 path = "{path}"
 """
 CUTS = 4  # of the client, in each life of the gateway
-BURST = 300  # commands under way when the connection is cut: more than `backlog`
+BURST = 400  # commands under way when the connection is cut: more than `backlog`
 BOUND = 10.0  # s that an answer may take
 FINAL = ("completed", "failed", "rejected", "cancelled")
 
@@ -141,7 +141,8 @@ class Visitor:
         """Say `hello` and the first requests in one breath."""
         body = self._hello
         await socket.send(json.dumps({"type": "hello", "id": "hello", "body": body}))
-        reply = await self._reply(socket, {"hello"})
+        ids = await self._send(socket, BURST, execute=False)
+        reply = await self._reply(socket, {"hello"} | ids)
         told = reply["hello"]
         if told["status"] != "completed":
             assert told["error"]["code"] == "gap", told
@@ -170,7 +171,7 @@ class Visitor:
         return ids
 
     async def _burst(self, socket: ClientConnection, *, execute: bool) -> None:
-        for count in (1, 1, 20, 100):
+        for count in (1, 1, 20, 100 if execute else BURST):
             ids = await self._send(socket, count, execute=execute)
             await self._reply(socket, ids)
         await socket.send(json.dumps({"type": "ping", "id": "ping"}))
