@@ -93,7 +93,7 @@ class Gateway:
         interceptors: list[Callable[[Handler], Handler]] | None = None,
     ) -> None:
         self.config, self.limits, self.loop = config, config.limits, loop
-        self.registry, self.turns = Registry(), Turns()
+        self.registry, self.turns = Registry(), Turns(loop)
         self.hub = Hub(self.registry, loop, config.limits.pattern_value)
         self.conditions, self.visibility = Conditions(self.hub), Visibility(self.registry)
         self.admission = Admission(self)

@@ -51,7 +51,8 @@ class _Queue:
 class Turns:
     """Shares the time of each turn out, in steps: one of each owner after the other."""
 
-    def __init__(self) -> None:
+    def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
+        self._loop = loop
         self._spent = 0.0
         self._scheduled = False
         self._queues: dict[Hashable, _Queue] = {}
@@ -86,7 +87,7 @@ class Turns:
 
     def place(self, owner: Hashable) -> asyncio.Future[None]:
         """Return what is done as soon as there is a turn for it."""
-        place = asyncio.get_running_loop().create_future()
+        place = self._loop.create_future()
         self._queues.setdefault(owner, _Queue()).places.append(place)
         self._schedule()
         return place
@@ -108,7 +109,7 @@ class Turns:
     def _schedule(self) -> None:
         if not self._scheduled:
             self._scheduled = True
-            asyncio.get_running_loop().call_soon(self._turn)
+            self._loop.call_soon(self._turn)
 
     def _turn(self) -> None:
         self._spent = 0.0

@@ -113,7 +113,6 @@ class App:
                 trouble, id_ = error.trouble, id_ or error.id
             await refuse(send, trouble, place.binding, id_, wait=told.retry_after)
 
-
     async def _look(self, scope: Scope) -> tuple[int, RcpError | None]:
         """Return how long a body the caller may send, and why it is not served, if so.
 

@@ -73,10 +73,10 @@ class Connection:
         "encoding",
         "expelled",
         "greetings",
-        "incoming",
         "mailbox",
         "on_hello",
         "peer",
+        "released",
         "session",
     )
 
@@ -99,8 +99,8 @@ class Connection:
         self.greetings = 0
         self.on_hello: Callable[[Hello], dict[str, Any]] | None = None
         """The transport's part of `hello`: what it adopts, and the limits it answers with."""
-        self.incoming: Callable[[bytes], None] = self.receive
-        """Takes what came while `hello` waited; a transport that looks at messages first sets its own."""
+        self.released: Callable[[deque[bytes]], None] = self._receive_all
+        """Takes what came while `hello` waited; a transport that takes turns sets its own."""
         self._held: deque[bytes] | None = None
         """Messages since a `hello` that is not answered yet."""
         self._identifying: asyncio.Task[None] | None = None
@@ -119,7 +119,12 @@ class Connection:
         return self._held is not None
 
     def receive(self, data: bytes) -> None:
-        """Handle one whole message from the client; every reply goes through the mailbox."""
+        """Handle one whole message from the client; every reply goes through the mailbox.
+
+        One that comes after `close` is nobody's: the session may be another connection's by now.
+        """
+        if self.closed:
+            return
         if self._held is not None:
             self._hold(data)
             return
@@ -247,15 +252,11 @@ class Connection:
         except Exception as error:
             self._unwelcome(request, error)
         held, self._held = self._held or deque(), None
-        while held and not self.closed:
-            data = held.popleft()
-            try:
-                self.incoming(data)
-            except Exception as error:
-                self.stumbled(data, error)
-            if self._held is not None:  # another `hello` that has to wait
-                self._held.extend(held)
-                return
+        self.released(held)
+
+    def _receive_all(self, messages: deque[bytes]) -> None:
+        for data in messages:
+            self.receive(data)
 
     def _hold(self, data: bytes) -> None:
         held = self._held

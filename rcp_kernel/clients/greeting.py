@@ -33,7 +33,7 @@ class Greeting:
     def offered(self, hello: Hello) -> str | None:
         """Return the token of `hello` that is to prove who it is, if there is one.
 
-        A resume token in its place proves the session alone.
+        A resume token in its place says which session, and proves nobody.
         """
         returning = self._returning(hello)
         if hello.token is None or (returning and _proves(hello.token, returning)):
@@ -45,7 +45,7 @@ class Greeting:
     ) -> dict[str, Any]:
         """Carry out `hello`, whose token proved `principal`: resume or keep the session, agree.
 
-        :raises Unauthenticated: the resume token is not known.
+        :raises Unauthenticated: the session is somebody else's, or the resume token is wrong.
         :raises Gap: the session is not there any more.
         """
         gateway = self._gateway
@@ -115,10 +115,14 @@ class Greeting:
         offered = (hello.resume_token, hello.token, hello.session)
         proof = next((t for t in offered if t is not None and _proves(t, session)), None)
         present = connection.session.principal
-        known = same(session.principal, present)
-        if proof is None and (hello.resume_token is not None or not known):
+        if not same(session.principal, present):
             raise Unauthenticated(
-                "the session belongs to somebody else, or the resume token is wrong",
+                "the session belongs to somebody else",
+                remedy="Prove who you are as when the session began; a resume token alone is no proof.",
+            )
+        if proof is None and hello.resume_token is not None:
+            raise Unauthenticated(
+                "the resume token is wrong",
                 remedy="Send the `resume_token` that the first `hello` was answered with.",
             )
         if isinstance(session, Kept):
@@ -129,7 +133,7 @@ class Greeting:
         have = hello.resume_from
         if isinstance(have, int):
             have = _for_all(session, have)
-        if known and present != session.principal:
+        if present != session.principal:
             self._sessions.renew(session, present)
         self._replace(connection, session)
         self._attach(session, connection, have)
@@ -137,12 +141,8 @@ class Greeting:
     def _revive(self, connection: Connection, hello: Hello, kept: Kept, proof: str | None) -> None:
         """Make a session again of what is kept of one of an earlier run."""
         gateway = self._gateway
-        principal = gateway.returning.take(kept)
-        present = connection.session.principal
-        if same(kept.principal, present):
-            principal = present
-        if principal is None:
-            raise _gone()
+        gateway.returning.take(kept)
+        principal = connection.session.principal
         tenant = kept.tenant if kept.tenant in gateway.identities.tenants_of(principal) else None
         tenant = gateway.identities.tenant_for(principal, tenant)
         session = Session(principal, gateway.rules.rights(principal), tenant, kept.transport)

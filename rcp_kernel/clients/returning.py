@@ -156,11 +156,9 @@ class Returning:
         found = self._kept.get(text)
         return found or next((kept for kept in self._kept.values() if _same(kept, text)), None)
 
-    def take(self, kept: Kept) -> Principal | None:
-        """Let a session go that comes back, or has nobody any more; return whose it is now."""
-        name = next(name for name, other in self._kept.items() if other is kept)
-        self._expire(name)
-        return self._gateway.identities.renewed(kept.principal)
+    def take(self, kept: Kept) -> None:
+        """Let a session go that comes back."""
+        self._expire(next(name for name, other in self._kept.items() if other is kept))
 
     def _expire(self, name: str) -> None:
         kept = self._kept.pop(name, None)

@@ -36,19 +36,19 @@ async def until_there_are(done: list[str], count: int) -> int:
 
 
 async def test_others_have_their_turn_between_the_steps_of_what_is_dear() -> None:
-    turns, done = Turns(), list[str]()
+    turns, done = Turns(asyncio.get_running_loop()), list[str]()
     turns.run("one", busy(done, "dear", steps=60))
     assert await until_there_are(done, 1) >= 15  # of at most three steps each
 
 
 async def test_what_costs_next_to_nothing_is_done_at_once() -> None:
-    turns, done = Turns(), list[str]()
+    turns, done = Turns(asyncio.get_running_loop()), list[str]()
     turns.run("one", busy(done, "cheap", seconds=0.0))
     assert done == ["cheap"]
 
 
 async def test_who_sends_little_does_not_wait_for_all_of_one_who_sends_much() -> None:
-    turns, done = Turns(), list[str]()
+    turns, done = Turns(asyncio.get_running_loop()), list[str]()
     for number in range(100):
         turns.run("much", busy(done, f"much {number}"))
     turns.run("little", busy(done, "little"))
@@ -58,7 +58,7 @@ async def test_who_sends_little_does_not_wait_for_all_of_one_who_sends_much() ->
 
 
 async def test_one_has_only_so_much_waiting() -> None:
-    turns, done = Turns(), list[str]()
+    turns, done = Turns(asyncio.get_running_loop()), list[str]()
     turns.run("much", busy(done, "much"))
     for _ in range(1023):
         turns.run("much", busy(done, "much", 1, 0.0), size=1)
@@ -70,7 +70,7 @@ async def test_one_has_only_so_much_waiting() -> None:
 
 
 async def test_one_has_only_so_many_bytes_waiting() -> None:
-    turns, done, most = Turns(), list[str](), 16 * 1024 * 1024
+    turns, done, most = Turns(asyncio.get_running_loop()), list[str](), 16 * 1024 * 1024
     turns.run("much", busy(done, "much"), size=2 * most + 1)
     with pytest.raises(QueueFull):
         turns.run("much", busy(done, "much"), size=most)
@@ -86,7 +86,7 @@ async def test_work_may_have_more_work_done() -> None:
         turns.run("one", busy(done, "inner"))
         yield
 
-    turns, done = Turns(), list[str]()
+    turns, done = Turns(asyncio.get_running_loop()), list[str]()
     turns.run("one", outer())
     turns.run("two", busy(done, "other"))
     await until_there_are(done, 3)
@@ -97,7 +97,7 @@ async def test_work_that_fails_keeps_nothing_else_from_its_turn() -> None:
         yield from busy(done, "before", steps=5)
         raise ZeroDivisionError
 
-    turns, done = Turns(), list[str]()
+    turns, done = Turns(asyncio.get_running_loop()), list[str]()
     turns.run("one", failing())
     turns.run("one", busy(done, "after"))
     await until_there_are(done, 2)
@@ -105,7 +105,7 @@ async def test_work_that_fails_keeps_nothing_else_from_its_turn() -> None:
 
 
 async def test_a_coroutine_waits_for_a_turn_with_time_left() -> None:
-    turns, done = Turns(), list[str]()
+    turns, done = Turns(asyncio.get_running_loop()), list[str]()
     await asyncio.wait_for(turns.wait("two"), BOUND)
     turns.run("one", busy(done, "dear", steps=50))
     await asyncio.wait_for(turns.wait("two"), BOUND)
@@ -121,7 +121,11 @@ async def test_work_keeps_the_context_of_whoever_sent_it() -> None:
         yield from busy([], "", steps=5)
         seen.append(who.get())
 
-    who, seen, turns = ContextVar("who", default="nobody"), list[str](), Turns()
+    who, seen, turns = (
+        ContextVar("who", default="nobody"),
+        list[str](),
+        Turns(asyncio.get_running_loop()),
+    )
     token = who.set("somebody")
     turns.run("one", look())
     who.reset(token)

@@ -326,6 +326,11 @@ class Socket(WSListener):
         else:
             self._transport.send(opcode, data)
 
+    @property
+    def reading(self) -> bool:
+        """Whether the transport is to read: not while paused, but in any case up to the close."""
+        return self._reading or not self.open
+
     def pause_reading(self) -> None:
         """Take nothing from the peer until `resume_reading`; frames read already still come."""
         if self.open and self._reading:
@@ -374,6 +379,10 @@ class Socket(WSListener):
         if self._heard:
             self._unanswered = 0
         elif self._unanswered >= _UNANSWERED:
+            if self.open and self.writable and not self._reading:
+                log.error(
+                    "websocket_not_read", seconds=_UNANSWERED * self._settings.door.limits.heartbeat
+                )
             self.code = _GONE
             self.abort()
             return

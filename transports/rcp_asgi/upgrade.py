@@ -221,7 +221,8 @@ class Upgrade(asyncio.Protocol):
         if self._rest:
             _feed(protocol, self._rest)
             self._rest = b""
-        self._transport.resume_reading()
+        if self.socket.reading:  # what came with the handshake may have been enough for now
+            self._transport.resume_reading()
 
     def _agree_on_deflate(self, subprotocol: str | None) -> str | None:
         wish = self._settings.config.compression

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-from collections import deque
 from collections.abc import Callable
 from time import perf_counter
 from typing import Any
@@ -20,6 +19,7 @@ from rcp_kernel.values import Encoding
 from rcp_kernel.wire import failure, salvage
 from rcp_ws import segments
 from rcp_ws.config import WsConfig
+from rcp_ws.gate import ReadGate
 from rcp_ws.incoming import Incoming
 from rcp_ws.outgoing import Outgoing
 from rcp_ws.segments import Again
@@ -45,11 +45,10 @@ class Peer:
         "_began",
         "_config",
         "_encoding",
-        "_held",
-        "_inbox",
+        "_gate",
         "_incoming",
         "_limit",
-        "_loop",
+        "_look_at",
         "_mailbox",
         "_outgoing",
         "_patience",
@@ -73,21 +72,26 @@ class Peer:
         self._socket = socket
         self._encoding = encoding
         self._limit = 0
-        self._loop = door.loop
         principal, tenant = who
         self.connection = door.connect(principal or _NOBODY, encoding, self.flush, tenant, end)
         self.connection.on_hello = self._hello
         self.connection.mailbox.backlog.cut = self._cut_off
-        self.connection.incoming = self._sort
         self._mailbox = self.connection.mailbox
         self._receive: Callable[[bytes], None] = self.connection.receive
         self._patience: asyncio.TimerHandle | None = None
         if principal is None:
             self._receive = self._greeting
             self._patience = door.loop.call_later(_PATIENCE, self._turn_away)
-        self._inbox: deque[bytes] = deque()
-        """Messages read before the client was found not to take its replies."""
-        self._held = False
+        self._look_at = min(_LOOK_EVERY, config.backlog)
+        self._gate = ReadGate(
+            door.loop,
+            socket,
+            handle=self._take,
+            settle=self.settled,
+            full=self._full,
+            failed=self._broken,
+        )
+        self.connection.released = self._gate.put_back
         self._began = 0.0
         """When the first of the messages that came together was taken; 0 between such."""
         self._incoming = Incoming(config, whole=self._whole, again=self._again, failed=self._fail)
@@ -113,9 +117,12 @@ class Peer:
 
     def received(self, data: bytes, text: bool) -> None:  # noqa: FBT001 - see Receiver
         """Take a message of the client."""
-        if self._held:
-            self._inbox.append(data)
-            return
+        if self._gate.paused:
+            self._gate.keep(data)
+        else:
+            self._take(data)
+
+    def _take(self, data: bytes) -> None:
         if len(data) > self._limit:
             self.oversized(len(data))
             return
@@ -124,22 +131,17 @@ class Peer:
         if not self._began:
             self._began = perf_counter()
         try:
-            self._sort(data)
+            # Nobody's segments are put together.
+            if _SEGMENT not in data or self._patience is not None or not self._segment(data):
+                self._receive(data)
         except Exception as error:
             # Else the client would wait for its answer for ever.
             self.connection.stumbled(data, error)
-        if len(self._mailbox.control) >= _LOOK_EVERY or self._mailbox.waiting > SHARE:
+        if len(self._mailbox.control) >= self._look_at or self._mailbox.waiting > SHARE:
             self.flush()
-            if self._full():
-                self._hold()
-        if perf_counter() - self._began > _TURN and not self._held:
-            self._hold()
-            self._loop.call_soon(self._next_turn)
-
-    def _sort(self, data: bytes) -> None:
-        """Take a segment apart from a whole message; nobody's segments are put together."""
-        if _SEGMENT not in data or self._patience is not None or not self._segment(data):
-            self._receive(data)
+            self._gate.review()
+        if perf_counter() - self._began > _TURN:
+            self._gate.end_turn()
 
     def _full(self) -> bool:
         """Tell whether the client does not take what it asked for; a flush follows if so."""
@@ -171,42 +173,24 @@ class Peer:
 
     def _cut_off(self) -> None:
         """Close a client that does not take what waits for it, so that there is room for others."""
-        self._socket.close(_TRY_LATER, "too much waits that is not taken")
+        self._close(_TRY_LATER, "too much waits that is not taken")
 
     def _turn_away(self) -> None:
-        self._socket.close(_POLICY, "no proof of identity")
+        self._close(_POLICY, "no proof of identity")
 
     def _end_patience(self) -> None:
         if self._patience is not None:
             self._patience.cancel()
             self._patience = None
 
-    def _hold(self) -> None:
-        """Read nothing more until the client has taken what it asked for."""
-        self._held = True
-        self._socket.pause_reading()
-
-    def _next_turn(self) -> None:
-        """Go on with what came together and took too long, so that an e-stop came in between."""
-        if self._held and not self.gone.is_set():
-            try:
-                if not self._full():
-                    self._release()
-                self.settled()
-            except Exception as error:
-                self._broken(error)
-
-    def _release(self) -> None:
-        self._held = False
-        while self._inbox and not self._held:
-            self.received(self._inbox.popleft(), False)
-        if not self._held:
-            self._socket.resume_reading()
-
     def _broken(self, error: Exception) -> None:
         """Close a connection that cannot go on: what it was told may have gaps."""
         log.error("websocket_failed", session=self.connection.session.id, exc_info=error)
-        self._socket.close(_INTERNAL, "the gateway failed; its log has the reason")
+        self._close(_INTERNAL, "the gateway failed; its log has the reason")
+
+    def _close(self, code: int, reason: str) -> None:
+        self._gate.close()
+        self._socket.close(code, reason)
 
     def garbled(self, data: bytes) -> None:
         """Answer text that is not UTF-8, before the socket closes for it."""
@@ -224,7 +208,7 @@ class Peer:
     def lost(self, code: int) -> None:
         """Let go; the session waits for the client's return."""
         self._end_patience()
-        self._inbox.clear()
+        self._gate.close()
         self._incoming.close()
         self._outgoing.close()
         self.connection.close()
@@ -280,13 +264,15 @@ class Peer:
         """Send what there is, if the socket takes it."""
         try:
             self._flush()
-            if self._held and not self._full():
-                self._loop.call_soon(self._next_turn)
+            if self._gate.paused:
+                self._gate.review()
         except Exception as error:
             self._broken(error)
 
     def _flush(self) -> None:
         socket, mailbox = self._socket, self._mailbox
+        if self.connection.expelled:
+            self._gate.close()
         if not socket.writable:
             mailbox.hand(socket.buffered)
             return
@@ -303,7 +289,7 @@ class Peer:
         else:
             mailbox.hand(socket.buffered)
         if self.connection.expelled:
-            socket.close(_POLICY, "the session has ended or moved")
+            self._close(_POLICY, "the session has ended or moved")
 
     def _flush_cut(self, outgoing: Outgoing, size: int) -> None:
         busy = outgoing.busy
@@ -319,5 +305,3 @@ class Peer:
     def drained(self) -> None:
         """Go on: the client takes again."""
         self.flush()
-        if self._held and not self._full():
-            self._release()

@@ -158,3 +158,18 @@ class Sessions(Wire):
             "hello", body={"session": session, "resume_token": "guessed"}
         )
         assert guess["error"]["code"] == "unauthenticated"
+
+    @proves("session.bound")
+    async def test_a_resume_token_is_no_use_to_anybody_else(self, world: World) -> None:
+        client = await world.client()
+        facts = await _hello(client)
+        await _cut(world, client)
+        for token in (None, LOCAL):
+            for body in (
+                {"session": facts["session"], "resume_token": facts["resume_token"]},
+                {"session": facts["resume_token"]},
+            ):
+                thief = await (await world.client(token)).request("hello", body=body)
+                assert thief["error"]["code"] == "unauthenticated"
+        back = await _hello(await world.client(), session=facts["resume_token"])
+        assert (back["session"], back["principal"]) == (facts["session"], facts["principal"])

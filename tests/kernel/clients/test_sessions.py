@@ -93,12 +93,31 @@ async def test_nobody_else_comes_back_to_a_session(world: World) -> None:
     assert guess["error"]["code"] == "unauthenticated"
 
 
-async def test_the_resume_token_alone_brings_a_client_back(world: World) -> None:
+async def test_a_resume_token_brings_nobody_back_but_whose_session_it_is(world: World) -> None:
     client = world.client()
     facts = await greeted(client)
     client.connection.close()
-    back = await greeted(world.client(None), session=facts["resume_token"])
+    token = facts["resume_token"]
+    for key in (None, "admin-admin-admin"):
+        for body in (
+            {"session": token},
+            {"session": facts["session"], "resume_token": token},
+            {"session": facts["session"], "token": token},
+        ):
+            thief = world.client(key)
+            refused = await thief.ask(type="hello", body=body)
+            assert refused["error"]["code"] == "unauthenticated", body
+            assert thief.connection.session.id != facts["session"]
+    back = await greeted(world.client(), session=token)
     assert (back["session"], back["principal"]) == (facts["session"], "operator")
+
+
+async def test_who_proves_nothing_comes_back_to_a_session_begun_so(world: World) -> None:
+    client = world.client(None)
+    facts = await greeted(client)
+    client.connection.close()
+    back = await greeted(world.client(None), session=facts["resume_token"])
+    assert back["session"] == facts["session"]
 
 
 async def test_a_session_that_was_never_greeted_ends_with_its_connection(world: World) -> None:
