@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
+from weakref import WeakValueDictionary
 
 from rcp_kernel.clock import now
 from rcp_kernel.errors import Overrun, RcpError
@@ -27,8 +28,14 @@ SHARED = 16_384  # bytes; a longer update is not copied into a frame that its re
 _MSGPACK_MAP = 0x80
 
 
-_shares: dict[Any, object] = {}
-_MANY = 100_000  # after which sharing starts afresh: it costs a frame, no more
+class _Share:
+    """What all feeds have in common whose updates are the same bytes."""
+
+    __slots__ = ("__weakref__",)
+
+
+_shares: WeakValueDictionary[Any, _Share] = WeakValueDictionary()
+"""By what makes the bytes; each is gone with the last of its feeds."""
 
 
 class Feed:
@@ -315,9 +322,7 @@ class Feed:
         if self.native:
             facts["encoding"] = "native"
         head = encode_frame(facts, b"", encoding)
-        self.share = _shares.setdefault((head, self.fields, self.mailbox.framing), object())
-        if len(_shares) > _MANY:
-            _shares.clear()
+        self.share = _shares.setdefault((head, self.fields, self.mailbox.framing), _Share())
         if encoding is Encoding.JSON:
             head = head[:-1] + b","
             self._heads = encoding, head, head

@@ -16,6 +16,7 @@ from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import ConnectionClosed, ConnectionClosedError
 from websockets.typing import Subprotocol
 
+from rcp_kernel.streaming import feeds
 from transports.raw import TEXT, frame, handshake, opened
 from transports.robot import BOUND, KEY, Site, site, until
 
@@ -240,3 +241,16 @@ async def test_nothing_more_is_written_once_a_socket_is_found_broken(
     await until(lambda: not any(session.connection for session in sessions.known.values()))
     log.removeHandler(caplog.handler)
     assert not [record for record in caplog.records if "socket.send" in record.getMessage()]
+
+
+async def test_receivers_that_have_gone_leave_nothing_behind(gateway: Site) -> None:
+    before = len(feeds._shares)
+    path = "/tenant/alpha/sensor/text"
+    async with client(gateway) as peer:
+        for n in range(50):  # each by a name of its own, as every event stream has
+            await peer.send(type="subscribe", id=f"s{n}", path=path)
+            while (await peer.next())["type"] != "update":
+                pass
+            await peer.ask(type="unsubscribe", id=f"u{n}", body={"subscription": f"s{n}"})
+            gateway.robot.host.publish("sensor/text", f"the next is {n}")  # nothing holds the last
+    assert len(feeds._shares) < before + 25
