@@ -87,17 +87,17 @@ async def growth(resources: int, subscriptions: int) -> tuple[float, float, floa
             host.publish(f"sensor/group{i % 100}/pose{i}", value)
         memory = (rss() - before) / resources
         principal = server.gateway.identities.anonymous()
-        connection = server.door.connect(principal, Encoding.JSON, lambda: None)
+        connection = server.client_api.connect(principal, Encoding.JSON, lambda: None)
         for i in range(subscriptions):
             path = f"/sensor/group{i % 100}/pose{i}"
             text = f'{{"type":"subscribe","id":"s{i}","path":"{path}"}}'
             connection.receive(text.encode())
-        connection.mailbox.collect(1 << 30)
+        connection.outbox.collect(1 << 30)
         names = [f"sensor/group{i % 100}/pose{i}" for i in range(subscriptions)]
         started = time.perf_counter()
         for i in range(MESSAGES):
             host.publish(names[i % subscriptions], value)
-            connection.mailbox.collect()
+            connection.outbox.collect()
         publish = (time.perf_counter() - started) / MESSAGES * 1e6
         requests = [
             f'{{"type":"read","id":"r","path":"/tenant/t/{name}"}}'.encode() for name in names
@@ -105,7 +105,7 @@ async def growth(resources: int, subscriptions: int) -> tuple[float, float, floa
         started = time.perf_counter()
         for i in range(MESSAGES):
             connection.receive(requests[i % subscriptions])
-            connection.mailbox.collect()
+            connection.outbox.collect()
         read = (time.perf_counter() - started) / MESSAGES * 1e6
         connection.close()
         return publish, read, memory
@@ -119,9 +119,9 @@ async def session_memory(count: int) -> float:
         before = rss()
         kept = []
         for _ in range(count):
-            connection = server.door.connect(principal, Encoding.JSON, lambda: None)
+            connection = server.client_api.connect(principal, Encoding.JSON, lambda: None)
             connection.receive(b'{"type":"subscribe","id":"s","path":"/sensor/group0/pose0"}')
-            connection.mailbox.collect()
+            connection.outbox.collect()
             kept.append(connection)
         return (rss() - before) / count
 

@@ -8,8 +8,8 @@ from math import ceil
 from typing import Any
 
 from rcp_kernel.access.peer import UNKNOWN, Peer
+from rcp_kernel.client_api import ClientApi
 from rcp_kernel.clients.session import Session
-from rcp_kernel.door import Door
 from rcp_kernel.errors import BY_CODE, BadRequest, DeadlineExceeded, PayloadTooLarge, RcpError
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import Reply, encode_reply, failure
@@ -111,7 +111,7 @@ def too_large(limit: int) -> PayloadTooLarge:
     return PayloadTooLarge(f"the body is longer than {limit} bytes", details={"limit": limit})
 
 
-async def session_of(door: Door, scope: Scope, tenant: str | None = None) -> Session:
+async def session_of(client_api: ClientApi, scope: Scope, tenant: str | None = None) -> Session:
     """Return the stateless session of the caller; `X-RCP-Tenant` names one of its tenants.
 
     :raises Unauthenticated: the token is not good, or there has to be one.
@@ -122,7 +122,7 @@ async def session_of(door: Door, scope: Scope, tenant: str | None = None) -> Ses
         tenant = named.decode("latin-1")
     token = bearer(header(scope, b"authorization"))
     peer = peer_of(scope)
-    return door.session(await door.identify(token, peer), tenant, peer)
+    return client_api.session(await client_api.identify(token, peer), tenant, peer)
 
 
 def status_of(reply: Reply) -> int:

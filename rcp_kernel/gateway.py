@@ -18,12 +18,12 @@ from rcp_kernel.access.approvals import Approvals
 from rcp_kernel.access.conditions import Conditions
 from rcp_kernel.access.identities import Identities
 from rcp_kernel.access.identity import Principal
-from rcp_kernel.access.meter import free
-from rcp_kernel.access.quotas import Accounts
-from rcp_kernel.access.resolving import Resolver
+from rcp_kernel.access.quotas import QuotaTracker
+from rcp_kernel.access.resolver import Resolver
+from rcp_kernel.access.token_bucket import is_exempt
 from rcp_kernel.access.visibility import Visibility
 from rcp_kernel.clients.outbound import Outbound
-from rcp_kernel.clients.returning import Returning
+from rcp_kernel.clients.resume import SessionResume
 from rcp_kernel.clients.session import Answer, Handler, Session
 from rcp_kernel.clients.sessions import Sessions
 from rcp_kernel.clock import iso, now
@@ -35,41 +35,41 @@ from rcp_kernel.errors import (
     UnsupportedOperation,
 )
 from rcp_kernel.model import Operation, Pattern
-from rcp_kernel.motion.envelopes import Envelopes
 from rcp_kernel.motion.latches import Latches
 from rcp_kernel.motion.leases import Leases
+from rcp_kernel.motion.motion_limits import MotionLimits
 from rcp_kernel.motion.safety import Deadman
 from rcp_kernel.operations.admission import Admission
-from rcp_kernel.operations.batching import Batching
+from rcp_kernel.operations.batch import BatchHandler
 from rcp_kernel.operations.catalogue import CataloguePage
 from rcp_kernel.operations.commands import Commands
 from rcp_kernel.operations.discovery import Discovery
-from rcp_kernel.operations.executing import EstopLane, Executing, Service
+from rcp_kernel.operations.execute import EstopLane, ExecuteHandler, Service
 from rcp_kernel.operations.idempotency import Keys
 from rcp_kernel.operations.inflight import InFlight
-from rcp_kernel.operations.intercepting import intercepted
+from rcp_kernel.operations.interceptors import intercepted
 from rcp_kernel.operations.pages import room
 from rcp_kernel.operations.parts import expected
-from rcp_kernel.operations.pending import crash
-from rcp_kernel.operations.reading import Reading
-from rcp_kernel.operations.subscribing import Subscribing
-from rcp_kernel.operations.writing import Writing
+from rcp_kernel.operations.pending import to_internal_error
+from rcp_kernel.operations.read import ReadHandler
+from rcp_kernel.operations.subscribe import SubscribeHandler
+from rcp_kernel.operations.write import WriteHandler
 from rcp_kernel.plans.resource import PATH as PLANS
 from rcp_kernel.plans.resource import Plans
 from rcp_kernel.process.metrics import Histogram
 from rcp_kernel.record.audit import Audit
+from rcp_kernel.record.audit_writer import ACTS, DENIALS, AuditWriter, Recorded
 from rcp_kernel.record.disclosure import Disclosure
 from rcp_kernel.record.history import History
-from rcp_kernel.record.keeping import Keeping
-from rcp_kernel.record.recording import ACTS, DENIALS, Recorded, Recording
+from rcp_kernel.record.retention import Retention
 from rcp_kernel.record.store import Store
 from rcp_kernel.registry import Entry, Registry
 from rcp_kernel.safety.partners import Partners
 from rcp_kernel.safety.stop import StopController
+from rcp_kernel.streaming.conditional import ConditionalSubscriptions
 from rcp_kernel.streaming.filters import Options
 from rcp_kernel.streaming.hub import Hub
 from rcp_kernel.streaming.samples import READ_PIECE
-from rcp_kernel.streaming.standing import Standing
 from rcp_kernel.turns import Turns
 from rcp_kernel.wire import Reply, Request, failure
 
@@ -101,19 +101,19 @@ class Gateway:
         """What survives the process."""
         self.audit = Audit(self.store, loop, config.audit)
         self.disclosure = Disclosure(self.visibility, lambda: self.rules.roles)
-        self.keeping = Keeping(self.audit, self.store, loop, config.audit)
-        self.recording = Recording(self)
+        self.retention = Retention(self.audit, self.store, loop, config.audit)
+        self.audit_writer = AuditWriter(self)
         history = self.history = History(self.store)
-        self.commands = Commands(self.admission.confirm, Recorded(self.recording, history))
+        self.commands = Commands(self.admission.confirm, Recorded(self.audit_writer, history))
         self.rules = Rules(config.roles, self.conditions)
         self.commands.remember(history.load())
         self.outbound = Outbound(loop, config.limits)
-        self.accounts, self.sessions = Accounts(self), Sessions(self)
-        self.standing = Standing(self.hub)
+        self.quota_tracker, self.sessions = QuotaTracker(self), Sessions(self)
+        self.conditional_subscriptions = ConditionalSubscriptions(self.hub)
         self.deadman, self.partners = Deadman(loop), Partners(self.registry)
-        self.deadman.note = self.recording.dead_man
+        self.deadman.note = self.audit_writer.dead_man
         self.deadman.untaken = self.partners.halt
-        self.envelopes = Envelopes(self)
+        self.envelopes = MotionLimits(self)
         self.discovery = Discovery(self.registry, self.envelopes)
         self.closing = False
         self.counts: dict[tuple[str, str, str], int] = {}
@@ -124,20 +124,20 @@ class Gateway:
         self.later, self.claim, self.place = inflight.later, inflight.claim, inflight.place
         self.keys = Keys(self.store, loop)
         self.keys.load(self.commands.find)
-        self.returning = Returning(self)
+        self.session_resume = SessionResume(self)
         self.views: dict[str, Callable[[Session], Any]] = {}
         """Resources whose value depends on who asks, by path."""
-        self.sieves: dict[str, Callable[[Session, Any], Any]] = {}
+        self.visibility_filters: dict[str, Callable[[Session, Any], Any]] = {}
         """Resources of whose samples everybody sees their own only, and what they see of them: by
         path, what returns None for a sample that is hidden."""
         self.estop: EstopLane | None = None
         self.services: dict[str, Service] = {}
         """What else of the gateway's own branch can be executed, by path."""
         self.latches, self.leases = Latches(self.store), Leases(self)
-        self.stops = StopController(loop, self.recording.stop_step)
+        self.stops = StopController(loop, self.audit_writer.stop_step)
         self.approvals, self.plans = Approvals(self), Plans(self)
-        self.executing, self._subscribing = Executing(self), Subscribing(self)
-        self._reading, self._writing = Reading(self), Writing(self)
+        self.executing, self._subscribing = ExecuteHandler(self), SubscribeHandler(self)
+        self._reading, self._writing = ReadHandler(self), WriteHandler(self)
         self._table: dict[str, Callable[[Session, Request, Answer], Reply | None]] = {
             "read": self._read,
             "write": self._writing.write,
@@ -146,7 +146,7 @@ class Gateway:
             "cancel": self.executing.cancel,
             "status": self._status,
             "ping": self._ping,
-            "batch": Batching(self, self.turns).batch,
+            "batch": BatchHandler(self, self.turns).batch,
             "hello": self._hello,
         }
         self.handle: Handler = intercepted(interceptors, self._admit)
@@ -166,10 +166,10 @@ class Gateway:
     def _admit(self, session: Session, request: Request, answer: Answer) -> None:
         started = perf_counter()
         try:
-            meter = session.meter
+            meter = session.token_bucket
             if (
                 meter is not None
-                and not free(request)
+                and not is_exempt(request)
                 and not meter.take(started)
                 # Its parts pay for themselves, and one may be a stop.
                 and request.type != "batch"
@@ -217,12 +217,12 @@ class Gateway:
 
         One that kept the error would be a cycle: for a flood of refusals, garbage without end.
         """
-        told = crash(error, type=request.type, path=request.path)
+        told = to_internal_error(error, type=request.type, path=request.path)
         path = told.path or _full(request.path, session.tenant)
         reply = failure(told, request.type, request.id, path)
         reply.custom = request.custom
         if told.code in DENIALS or request.type in ACTS:
-            answer = self.recording.refused(session, request, reply, answer)
+            answer = self.audit_writer.refused(session, request, reply, answer)
         return reply, answer
 
     def conclude(self, session: Session, reply: Reply, started: float) -> None:
@@ -235,12 +235,12 @@ class Gateway:
         except KeyError:
             self.counts[key] = 1
 
-    def pay(self, session: Session) -> None:
+    def charge(self, session: Session) -> None:
         """Count a request that comes in no envelope.
 
         :raises RateLimited: a quota does not allow it now.
         """
-        meter = session.meter
+        meter = session.token_bucket
         if meter is not None and not meter.take(moment := perf_counter()):
             raise meter.refusal(moment)
 
@@ -251,7 +251,7 @@ class Gateway:
 
         :raises RateLimited: a quota does not allow one now.
         """
-        meter = session.meter
+        meter = session.token_bucket
         if meter is not None and not meter.allows(moment := perf_counter()):
             raise meter.refusal(moment)
 
@@ -315,7 +315,7 @@ class Gateway:
             piece = sample.tails.get(READ_PIECE) or sample.read_piece()
         except RcpError:
             return None
-        if (meter := session.meter) is not None and not meter.take(started):
+        if (meter := session.token_bucket) is not None and not meter.take(started):
             return None
         id_ = b"" if request.id is None else b'"id":%b,' % _to_json(request.id)
         state = b"stale" if entry.deadline is not None and entry.stale else b"fresh"
@@ -378,7 +378,7 @@ class Gateway:
         self.hub.pattern_value = config.limits.pattern_value
         self.rules = Rules(config.roles, self.conditions)
         self.identities.reconfigure(config)
-        self.keeping.config = config.audit
+        self.retention.config = config.audit
         self.envelopes.configure(config.envelopes)
         self.sessions.review()
 
@@ -398,7 +398,7 @@ class Gateway:
         self.closing = True
         self.leases.close()
         self.stops.close()
-        self.accounts.close()
+        self.quota_tracker.close()
         self.sessions.relief.close()
         self.outbound.close()
         self.deadman.close()

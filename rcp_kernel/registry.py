@@ -30,7 +30,7 @@ from rcp_kernel.streaming.samples import Sample
 from rcp_kernel.values import ValueType, value_type
 
 if TYPE_CHECKING:
-    from rcp_kernel.motion.units import Unit
+    from rcp_kernel.motion.stop_group import StopGroup
 
 __all__ = ["Entry", "Listener", "Owner", "Registry"]
 
@@ -69,11 +69,11 @@ class Owner(Protocol):
         ...
 
     @property
-    def units(self) -> list[Unit]:
+    def units(self) -> list[StopGroup]:
         """What an e-stop can stop alone, each."""
         ...
 
-    def unit(self, robot: str | None) -> Unit:
+    def unit(self, robot: str | None) -> StopGroup:
         """Return what an e-stop stops: one of its robots, or all of them."""
         ...
 

@@ -2,7 +2,7 @@
 
 A robot-facing plugin offers `BackendKind` records and implements `Backend` (through
 `BaseBackend`); a client-facing one offers `TransportKind` or `AdapterKind` records and talks to
-the gateway through `Door` and `Session` only. Nothing here runs by itself: hooks declare,
+the gateway through `ClientApi` and `Session` only. Nothing here runs by itself: hooks declare,
 context managers live, method calls work.
 """
 
@@ -19,8 +19,8 @@ from rcp_kernel.model import Resource
 from rcp_kernel.safety.fence import check_fence, fenced_off, unfenced
 
 if TYPE_CHECKING:
+    from rcp_kernel.client_api import ClientApi
     from rcp_kernel.config.file import GatewayConfig
-    from rcp_kernel.door import Door
 
 __all__ = [
     "AdapterKind",
@@ -348,14 +348,14 @@ class BackendKind(msgspec.Struct, frozen=True):
 class TransportKind(msgspec.Struct, frozen=True):
     """A wire that clients come in by; offered by the hook `rcp_transports`.
 
-    `open(config, door)` is an async context manager: entered, it accepts clients; left, it has
+    `open(config, client_api)` is an async context manager: entered, it accepts clients; left, it has
     let go of them. It is yielded to as a mapping of facts for `/system/status` (its address).
     """
 
     name: str
     """Its table in the configuration: `[transports.<name>]`."""
     config: type[msgspec.Struct]
-    open: Callable[[Any, Door], AbstractAsyncContextManager[dict[str, Any]]]
+    open: Callable[[Any, ClientApi], AbstractAsyncContextManager[dict[str, Any]]]
     description: str = ""
     check: Callable[[Any, GatewayConfig], None] | None = None
     """Raise `ConfigError` for what this table and the rest of the configuration must not say
@@ -373,5 +373,5 @@ class AdapterKind(msgspec.Struct, frozen=True):
     name: str
     """Its table in the configuration: `[plugins.<name>]`."""
     config: type[msgspec.Struct]
-    open: Callable[[Any, Door], AbstractAsyncContextManager[dict[str, Any]]]
+    open: Callable[[Any, ClientApi], AbstractAsyncContextManager[dict[str, Any]]]
     description: str = ""

@@ -22,9 +22,9 @@ from rcp_kernel.plans.model import PATH as PLANS
 from rcp_kernel.process.guard import GuardLink
 from rcp_kernel.process.log import Recent
 from rcp_kernel.process.metrics import Histogram, Metrics, counter, gauge, histogram
-from rcp_kernel.process.supervisor import WIRE_STATE, Slot
+from rcp_kernel.process.supervisor import WIRE_STATE, BackendSupervisor
 from rcp_kernel.registry import Entry
-from rcp_kernel.streaming.streams import Subscription
+from rcp_kernel.streaming.subscription import Subscription
 
 __all__ = ["StatusReport", "gateway_version"]
 
@@ -42,9 +42,11 @@ def gateway_version() -> str:
 class StatusReport:
     """Looks at the whole gateway and says how it is."""
 
-    def __init__(self, gateway: Gateway, slots: list[Slot], recent: Recent) -> None:
+    def __init__(
+        self, gateway: Gateway, supervisors: list[BackendSupervisor], recent: Recent
+    ) -> None:
         self._gateway = gateway
-        self._slots = slots
+        self._supervisors = supervisors
         self._recent = recent
         self.transports: list[dict[str, Any]] = []
         self.adapters: list[dict[str, Any]] = []
@@ -77,7 +79,10 @@ class StatusReport:
 
     def ready(self) -> tuple[bool, dict[str, str]]:
         """Tell whether every backend is ready, and each one's state."""
-        states = {slot.name: WIRE_STATE.get(slot.state, "down") for slot in self._slots}
+        states = {
+            supervisor.name: WIRE_STATE.get(supervisor.state, "down")
+            for supervisor in self._supervisors
+        }
         return all(state in ("ready", "degraded") for state in states.values()), states
 
     def plain(self, rights: Rights | None = None) -> dict[str, Any]:
@@ -85,8 +90,8 @@ class StatusReport:
         gateway = self._gateway
         every = rights is None or "*" in rights.tenants
         tenants = ("*",) if rights is None else rights.tenants
-        slots = [s for s in self._slots if every or s.tenant in tenants]
-        robots = [_robot(slot, rights) for slot in slots]
+        supervisors = [s for s in self._supervisors if every or s.tenant in tenants]
+        robots = [_robot(supervisor, rights) for supervisor in supervisors]
         states = [robot["state"] for robot in robots]
         adapters = [*self.adapters, *gateway.identities.facts]
         parts = [*self.transports, *adapters]
@@ -112,7 +117,7 @@ class StatusReport:
             "transports": self.transports if every else [_part(one) for one in self.transports],
             "adapters": adapters if every else [_part(one) for one in self.adapters],
             "envelopes": faults,
-            "guard": self._guarded(slots, rights),
+            "guard": self._guarded(supervisors, rights),
             "sessions": len(sessions),
             "subscriptions": sum(len(session.subscriptions) for session in sessions),
             "resources": sum(1 for path in entries if rights is None or rights.mask(path)),
@@ -130,11 +135,13 @@ class StatusReport:
             }
         return report
 
-    def _guarded(self, slots: list[Slot], rights: Rights | None) -> dict[str, Any] | None:
+    def _guarded(
+        self, supervisors: list[BackendSupervisor], rights: Rights | None
+    ) -> dict[str, Any] | None:
         """Tell what stops the robots without the gateway: of backends that are seen as a whole."""
         if self.guard is None:
             return None
-        return self.guard.plain(s for s in slots if rights is None or not _hidden(s, rights))
+        return self.guard.plain(s for s in supervisors if rights is None or not _hidden(s, rights))
 
     def concerns(self, record: dict[str, Any], rights: Rights | None) -> bool:
         """Tell whether a log record is of somebody's tenants, and names nothing that is hidden."""
@@ -146,8 +153,8 @@ class StatusReport:
         texts = [record["message"], *(text for text in facts.values() if isinstance(text, str))]
         if self._gateway.visibility.names_hidden(rights, self.tenant_of(record), names_in(texts)):
             return False
-        slot = next((s for s in self._slots if s.name == _backend(facts)), None)
-        hidden = [] if slot is None else _hidden(slot, rights)
+        supervisor = next((s for s in self._supervisors if s.name == _backend(facts)), None)
+        hidden = [] if supervisor is None else _hidden(supervisor, rights)
         return not any(e.name in text for e in hidden for text in texts)
 
     def tenant_of(self, record: dict[str, Any]) -> str | None:
@@ -157,7 +164,9 @@ class StatusReport:
         if isinstance(path, str) and path.startswith("/tenant/"):
             return tenant_of(path)
         name = _backend(facts)
-        return next((slot.tenant for slot in self._slots if slot.name == name), None)
+        return next(
+            (supervisor.tenant for supervisor in self._supervisors if supervisor.name == name), None
+        )
 
     def _sessions(self, tenants: tuple[str, ...]) -> list[Session]:
         known = self._gateway.sessions.known.values()
@@ -199,7 +208,7 @@ class StatusReport:
     def _queues(self, tenants: tuple[str, ...]) -> dict[str, Any]:
         gateway = self._gateway
         sessions = self._sessions(tenants)
-        boxes = {s.id[:8]: s.connection.mailbox for s in sessions if s.connection is not None}
+        boxes = {s.id[:8]: s.connection.outbox for s in sessions if s.connection is not None}
         waiting = {id_: box.depth for id_, box in boxes.items()}
         if "*" in tenants:
             dropped = sum(gateway.hub.dropped.values()) + _conflated(gateway.hub.subscriptions)
@@ -233,7 +242,7 @@ class StatusReport:
             "rcp_backend_up",
             "Whether a backend is ready.",
             ("backend", "tenant"),
-            [([s.name, s.tenant], float(s.backend is not None)) for s in self._slots],
+            [([s.name, s.tenant], float(s.backend is not None)) for s in self._supervisors],
         )
         yield counter(
             "rcp_requests",
@@ -248,7 +257,7 @@ class StatusReport:
             "rcp_samples",
             "Samples that a backend published.",
             ("backend",),
-            [([s.name], s.samples) for s in self._slots],
+            [([s.name], s.samples) for s in self._supervisors],
         )
         yield counter("rcp_updates", "Updates sent.", ("transport",), self._updates())
         dropped = {**gateway.hub.dropped}
@@ -271,7 +280,7 @@ class StatusReport:
             "rcp_quota_refused",
             "What a quota did not allow.",
             ("quota", "tenant", "what"),
-            [(list(key), count) for key, count in gateway.accounts.refused().items()],
+            [(list(key), count) for key, count in gateway.quota_tracker.refused().items()],
         )
         yield counter(
             "rcp_commands",
@@ -337,7 +346,7 @@ class StatusReport:
         for session in self._gateway.sessions.known.values():
             if session.connection is not None:
                 name = session.transport
-                sums[name] = sums.get(name, 0) + session.connection.mailbox.updates
+                sums[name] = sums.get(name, 0) + session.connection.outbox.updates
         return [([name], count) for name, count in sums.items()]
 
 
@@ -350,12 +359,12 @@ def _part(facts: dict[str, Any]) -> dict[str, Any]:
     return {key: facts[key] for key in ("name", "state") if key in facts}
 
 
-def _robot(slot: Slot, rights: Rights | None) -> dict[str, Any]:
+def _robot(supervisor: BackendSupervisor, rights: Rights | None) -> dict[str, Any]:
     """Describe a backend without what somebody may not know to be there."""
-    facts = slot.plain()
+    facts = supervisor.plain()
     if rights is None:
         return facts
-    hidden = _hidden(slot, rights)
+    hidden = _hidden(supervisor, rights)
     facts["resources"] -= len(hidden)
     for key in ("detail", "last_error"):
         text = facts[key]
@@ -364,8 +373,8 @@ def _robot(slot: Slot, rights: Rights | None) -> dict[str, Any]:
     return facts
 
 
-def _hidden(slot: Slot, rights: Rights) -> list[Entry]:
-    return [e for e in slot.entries.values() if not rights.mask(e.path)]
+def _hidden(supervisor: BackendSupervisor, rights: Rights) -> list[Entry]:
+    return [e for e in supervisor.entries.values() if not rights.mask(e.path)]
 
 
 def _by_status(counts: dict[tuple[str, str], int]) -> list[tuple[list[str], float]]:

@@ -15,12 +15,12 @@ from rcp_kernel.errors import RcpError, UnknownPath
 from rcp_kernel.gateway import Gateway
 from rcp_kernel.model import Operation, Resource
 from rcp_kernel.motion.estop import LONGEST_WAIT, Estop, EstopRequest, EstopState
-from rcp_kernel.motion.leasing import LeaseRequest, LeaseState, Leasing
-from rcp_kernel.motion.units import Unit
+from rcp_kernel.motion.lease_service import LeaseRequest, LeaseService, LeaseState
+from rcp_kernel.motion.stop_group import StopGroup
 from rcp_kernel.plans.examples import EXAMPLES
 from rcp_kernel.plans.model import Plan, PlanResult, PlanState, StepState
 from rcp_kernel.process.log import Recent
-from rcp_kernel.process.supervisor import Slot
+from rcp_kernel.process.supervisor import BackendSupervisor
 from rcp_kernel.record.disclosure import PATH
 from rcp_kernel.registry import Entry
 from rcp_kernel.spi import Backend, BaseBackend, Progress
@@ -57,15 +57,19 @@ class System(BaseBackend):
     on_loss = "continue"
 
     def __init__(
-        self, gateway: Gateway, slots: list[Slot], status: StatusReport, recent: Recent
+        self,
+        gateway: Gateway,
+        supervisors: list[BackendSupervisor],
+        status: StatusReport,
+        recent: Recent,
     ) -> None:
         self._gateway = gateway
         self._status = status
         self.samples = 0
-        self._unit = Unit(self, None)
-        self._estop = estop = Estop(gateway, slots, gateway.stops)
+        self._unit = StopGroup(self, None)
+        self._estop = estop = Estop(gateway, supervisors, gateway.stops)
         self._estop_due: asyncio.TimerHandle | None = None
-        leasing = Leasing(gateway)
+        leasing = LeaseService(gateway)
         self.latency: float | None = None
         self.entries = {entry.path: entry for entry in map(self._place, _resources())}
         gateway.views.update(
@@ -79,8 +83,8 @@ class System(BaseBackend):
                 "/system/approvals": gateway.approvals.view,
             }
         )
-        gateway.sieves[PATH] = gateway.disclosure.shown
-        gateway.sieves[_LOG] = self._shown
+        gateway.visibility_filters[PATH] = gateway.disclosure.shown
+        gateway.visibility_filters[_LOG] = self._shown
         self._open_audit(self.entries[PATH])
         gateway.hub.keep(self.entries[_LOG])
         gateway.estop = estop
@@ -119,12 +123,12 @@ class System(BaseBackend):
         """The gateway is always there."""
         return self
 
-    def unit(self, robot: str | None) -> Unit:
+    def unit(self, robot: str | None) -> StopGroup:
         """Return what no e-stop holds."""
         return self._unit
 
     @property
-    def units(self) -> list[Unit]:
+    def units(self) -> list[StopGroup]:
         """There is nothing to stop."""
         return []
 
@@ -182,7 +186,7 @@ class System(BaseBackend):
         report = self._status.plain(session.rights)
         return report | {
             "record": audit.state(head=self._gateway.disclosure.concerns(session, {})),
-            "quotas": self._gateway.accounts.plain(session),
+            "quotas": self._gateway.quota_tracker.plain(session),
         }
 
     def _sessions(self, session: Session) -> list[dict[str, Any]]:

@@ -2,7 +2,7 @@
 
 A body stays the bytes it came in (`msgspec.Raw`) until the resource's own type decodes it, and a
 body that goes out may be bytes already: envelopes are spliced around what was encoded once.
-CBOR has no raw splice in its library, so a CBOR request is turned to MessagePack at the door.
+CBOR has no raw splice in its library, so a CBOR request is turned to MessagePack where it comes in.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ __all__ = [
     "error_body",
     "failure",
     "fields_of",
-    "salvage",
+    "peek_header",
 ]
 
 VERSION = "1"
@@ -261,7 +261,7 @@ def _malformed(data: bytes, encoding: Encoding, error: Exception) -> str:
     return f"malformed envelope in {encoding.value}: {error}"
 
 
-def salvage(data: bytes, encoding: Encoding) -> tuple[str, str | None]:
+def peek_header(data: bytes, encoding: Encoding) -> tuple[str, str | None]:
     """Return type and id of an envelope that could not be decoded, as far as they can be read.
 
     Of a long one only the beginning is looked at, and only in JSON.

@@ -128,5 +128,5 @@ async def issuing() -> AsyncGenerator[Issuer]:
 
 
 async def who(world: World, token: str) -> Any:
-    """Return whom a token makes somebody at a gateway's door."""
-    return await world.server.door.identify(token)
+    """Return whom a token makes somebody at a gateway's client_api."""
+    return await world.server.client_api.identify(token)

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import structlog
 
 from rcp_can import motor_messages as m
-from rcp_can import switching, views
+from rcp_can import power_switch, views
 from rcp_can.bus import Bus
 from rcp_can.codec import clamp
 from rcp_can.config_motor import MotorConfig
@@ -387,8 +387,8 @@ class Axis:
         self.show()
 
     async def enable(self) -> None:
-        """Switch on, at rest; see `switching.enable`."""
-        await switching.enable(self)
+        """Switch on, at rest; see `power_switch.enable`."""
+        await power_switch.enable(self)
 
     async def disable(self) -> None:
         """Switch off."""

@@ -13,8 +13,8 @@ from rcp_can import messages as m
 from rcp_can.condition import read_error
 from rcp_can.config import BusConfig
 from rcp_can.health import Health
+from rcp_can.interface import open_interface
 from rcp_can.load import seconds_on_the_bus
-from rcp_can.opening import open_interface
 from rcp_can.wire import Wire
 from rcp_kernel.errors import AdapterUnavailable, QueueFull
 from rcp_kernel.spi import Host

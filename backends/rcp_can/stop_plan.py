@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from rcp_can.config import BusConfig, CanConfig
 from rcp_can.drive import StopFrame
-from rcp_can.opening import arguments
+from rcp_can.interface import arguments
 from rcp_kernel.spi import StopPlan
 
 if TYPE_CHECKING:

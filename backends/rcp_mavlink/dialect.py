@@ -13,7 +13,7 @@ import msgspec
 
 from rcp_kernel.errors import ConfigError
 from rcp_kernel.types import quantity
-from rcp_mavlink.making import Field, making
+from rcp_mavlink.message_builder import Field, making
 from rcp_mavlink.units import converted
 from rcp_mavlink.xml_dialect import module_of
 

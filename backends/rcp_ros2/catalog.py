@@ -16,6 +16,7 @@ from rcp_kernel.errors import AdapterUnavailable, ConfigError, PluginError, RcpE
 from rcp_kernel.model import Kind, Resource, kind_of
 from rcp_ros2.actions import Run
 from rcp_ros2.assets import Assets
+from rcp_ros2.atomic_parameters import AtomicParameters
 from rcp_ros2.binding import Absent, Binding, Construct, Offer, Shared
 from rcp_ros2.calls import Calls, calls_of
 from rcp_ros2.clock import Clock
@@ -32,7 +33,6 @@ from rcp_ros2.parameters import Events, NodeParameters, Setting
 from rcp_ros2.pictures import Pictures
 from rcp_ros2.sensors import Commanded, Observed
 from rcp_ros2.services import Called
-from rcp_ros2.together import Together
 from rcp_ros2.transforms import Transforms
 from rcp_ros2.view import GraphView
 from rcp_ros2.wanted import Wanted, type_of
@@ -255,7 +255,7 @@ class Catalog:
         self._events.follow(mapping.target, partial(self._changed, mapping.target))
         if mapping.parameters:
             settable = [one for one in found if not one.read_only]
-            return Together(self._shared, name, mapping, node, settable)
+            return AtomicParameters(self._shared, name, mapping, node, settable)
         return Setting(self._shared, name, mapping, node, found[0], self._events)
 
     async def _node(self, name: str) -> NodeParameters:

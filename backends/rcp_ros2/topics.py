@@ -21,7 +21,7 @@ from rcp_ros2.outbox import Outbox
 from rcp_ros2.qos import Profile, clash, for_subscription
 from rcp_ros2.ros import Ros, guarded
 
-__all__ = ["PROFILE", "Feed", "Feeds", "Tap"]
+__all__ = ["PROFILE", "Feeds", "Tap", "TopicSubscription"]
 
 log = structlog.get_logger("rcp.ros2")
 _LARGE = 262_144  # bytes: two of these fill what Fast DDS has by default
@@ -47,7 +47,7 @@ class Tap:
 
 
 @dataclass(slots=True)
-class Feed:
+class TopicSubscription:
     """One subscription."""
 
     topic: str
@@ -71,7 +71,7 @@ class Feeds:
         self._ros = ros
         self._outbox = outbox
         self._complain = complain
-        self._feeds: dict[str, Feed] = {}
+        self._feeds: dict[str, TopicSubscription] = {}
         self._sweeper: Any = None
         self.now: Callable[[], int | None] = lambda: None
         """The time of what carries none, ns; None is the time of receipt."""
@@ -80,7 +80,7 @@ class Feeds:
         """Let a path take from a topic, or change its rate."""
         feed = self._feeds.get(topic)
         if feed is None:
-            feed = self._feeds[topic] = Feed(topic, cls, qos)
+            feed = self._feeds[topic] = TopicSubscription(topic, cls, qos)
         elif feed.cls is not cls:  # the topic has another type now, and its other paths too
             self._drop(feed)
             feed.taps.clear()
@@ -110,7 +110,7 @@ class Feeds:
         for feed in self._feeds.values():
             self._match(feed)
 
-    def _match(self, feed: Feed) -> None:
+    def _match(self, feed: TopicSubscription) -> None:
         found = self._ros.node.get_publishers_info_by_topic(feed.topic)
         type_ = full_name(feed.cls)
         publishers = [one for one in found if one.topic_type == type_]  # others are never heard
@@ -128,12 +128,12 @@ class Feeds:
         assert feed.profile is not None
         self._complain(feed.topic, clash(feed.topic, feed.profile, publishers))
 
-    def _drop(self, feed: Feed) -> None:
+    def _drop(self, feed: TopicSubscription) -> None:
         if feed.subscription is not None:
             self._ros.node.destroy_subscription(feed.subscription)
             feed.subscription = None
 
-    def _hearer(self, feed: Feed) -> Callable[[bytes], None]:
+    def _hearer(self, feed: TopicSubscription) -> Callable[[bytes], None]:
         taps = feed.taps
         monotonic = time.monotonic
 
@@ -181,7 +181,7 @@ class Feeds:
                     self._send(tap, tap.held, now)
 
 
-def _advise(feed: Feed, size: int) -> None:
+def _advise(feed: TopicSubscription, size: int) -> None:
     feed.advised = True
     if feed.profile is None or feed.profile.reliable or _PROFILES in os.environ:
         return

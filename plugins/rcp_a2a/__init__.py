@@ -10,7 +10,7 @@ from importlib import import_module
 from typing import Any
 
 from rcp_a2a.config import A2aConfig
-from rcp_kernel.door import Door
+from rcp_kernel.client_api import ClientApi
 from rcp_kernel.hookspecs import hookimpl
 from rcp_kernel.spi import AdapterKind
 
@@ -18,7 +18,7 @@ __all__ = ["A2aConfig", "open_a2a", "rcp_adapters"]
 
 
 @asynccontextmanager
-async def open_a2a(config: A2aConfig, door: Door) -> AsyncGenerator[dict[str, Any]]:
+async def open_a2a(config: A2aConfig, client_api: ClientApi) -> AsyncGenerator[dict[str, Any]]:
     """Offer the agent to the listener while entered.
 
     :raises ConfigError: a key or CA cannot be read, or a network of `push` is none.
@@ -27,8 +27,8 @@ async def open_a2a(config: A2aConfig, door: Door) -> AsyncGenerator[dict[str, An
     # the robots that are open by now do not wait meanwhile.
     # Its spans would be of streams that are left from another context, which it complains about.
     os.environ.setdefault("OTEL_INSTRUMENTATION_A2A_SDK_ENABLED", "false")
-    loaded = await asyncio.to_thread(import_module, "rcp_a2a.serving")
-    async with loaded.serving(config, door) as facts:
+    loaded = await asyncio.to_thread(import_module, "rcp_a2a.app_lifespan")
+    async with loaded.serving(config, client_api) as facts:
         yield facts
 
 

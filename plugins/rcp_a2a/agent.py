@@ -13,7 +13,7 @@ from a2a.utils.errors import TaskNotCancelableError
 from rcp_a2a.callers import caller_of
 from rcp_a2a.messages import asked, stamp
 from rcp_a2a.run import Run
-from rcp_kernel.door import Door
+from rcp_kernel.client_api import ClientApi
 
 __all__ = ["Agent"]
 
@@ -23,8 +23,8 @@ log = structlog.get_logger("rcp.a2a")
 class Agent(AgentExecutor):
     """Carries out messages."""
 
-    def __init__(self, door: Door, patience: float) -> None:
-        self._door = door
+    def __init__(self, client_api: ClientApi, patience: float) -> None:
+        self._client_api = client_api
         self._patience = patience
         self._runs: dict[str, Run] = {}
 
@@ -36,7 +36,7 @@ class Agent(AgentExecutor):
         if task is None:
             task = _begun(context)
             await event_queue.enqueue_event(task)
-            run = self._runs[task.id] = Run(self._door, task, self._patience, self._forget)
+            run = self._runs[task.id] = Run(self._client_api, task, self._patience, self._forget)
             run.listen(event_queue)
             run.start(caller, wanted)
         else:

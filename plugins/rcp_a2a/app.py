@@ -32,9 +32,9 @@ from rcp_kernel.asgi import (
     read_body,
     session_of,
 )
-from rcp_kernel.door import Asgi, Door
+from rcp_kernel.client_api import Asgi, ClientApi
 from rcp_kernel.errors import BadRequest, Forbidden, RcpError
-from rcp_kernel.operations.pending import crash
+from rcp_kernel.operations.pending import to_internal_error
 
 __all__ = ["App"]
 
@@ -59,11 +59,11 @@ class App:
     """Serves the cards and both bindings."""
 
     def __init__(
-        self, config: A2aConfig, door: Door, cards: Cards, handler: RequestHandler
+        self, config: A2aConfig, client_api: ClientApi, cards: Cards, handler: RequestHandler
     ) -> None:
         old = config.compatible
-        self._limit = min(config.message, door.limits.message)
-        self._door = door
+        self._limit = min(config.message, client_api.limits.message)
+        self._client_api = client_api
         self._cards = cards
         callers = Callers()
         routes = [
@@ -96,18 +96,18 @@ class App:
                 if refusal is not None:
                     raise refusal
             _check_state(scope, place, call)
-            session = await session_of(self._door, scope, _tenant(place, call))
-            self._door.pay(session)
+            session = await session_of(self._client_api, scope, _tenant(place, call))
+            self._client_api.charge(session)
             inner = {
                 **scope,
                 "path": place.rest,
                 "root_path": "",
                 CALLER: Caller(session, self._cards.base(scope)),
             }
-            await _Exchange(self._door, inner, receive, send, body).run(self._sdk)
+            await _Exchange(self._client_api, inner, receive, send, body).run(self._sdk)
         except Exception as error:
-            told = crash(error, path=scope["path"])
-            self._door.refused("a2a", told.code)
+            told = to_internal_error(error, path=scope["path"])
+            self._client_api.refused("a2a", told.code)
             trouble, id_ = trouble_of(told), call.id
             if isinstance(error, _Malformed):
                 trouble, id_ = error.trouble, id_ or error.id
@@ -120,9 +120,11 @@ class App:
         """
         try:
             token = bearer(header(scope, b"authorization"))
-            return self._door.longest(await self._door.identify(token, peer_of(scope))), None
+            return self._client_api.longest(
+                await self._client_api.identify(token, peer_of(scope))
+            ), None
         except RcpError as error:
-            return self._door.limits.unproved, error
+            return self._client_api.limits.unproved, error
 
 
 class _Malformed(BadRequest):
@@ -213,8 +215,10 @@ async def _not_here(request: Request, error: Exception) -> Response:
 class _Exchange:
     """One request as the SDK gets it: the body at once, then the client's leaving or our end."""
 
-    def __init__(self, door: Door, scope: Scope, receive: Receive, send: Send, body: bytes) -> None:
-        self._door = door
+    def __init__(
+        self, client_api: ClientApi, scope: Scope, receive: Receive, send: Send, body: bytes
+    ) -> None:
+        self._client_api = client_api
         self._scope = scope
         self._receive = receive
         self._send = send
@@ -226,7 +230,7 @@ class _Exchange:
     async def run(self, app: Asgi) -> None:
         """Have the SDK answer; a stream ends with the proof of its client, or with the gateway."""
         closing: set[Any] = self._scope.get("extensions", {}).get("rcp.closing", set())
-        keep = self._door.until_end(self._scope[CALLER].session, self._expired)
+        keep = self._client_api.until_end(self._scope[CALLER].session, self._expired)
         closing.add(self._over.set)
         try:
             await app(self._scope, self._next, self._passed)

@@ -30,8 +30,8 @@ from rcp_a2a.refusals import NOT_FOUND, NOT_TAKEN, refuse
 from rcp_a2a.signing import CardKey
 from rcp_a2a.skills import skills_of
 from rcp_kernel.asgi import JSON, Headers, Scope, Send, header, respond
+from rcp_kernel.client_api import ClientApi
 from rcp_kernel.clients.session import Session
-from rcp_kernel.door import Door
 from rcp_kernel.errors import Forbidden, Unauthenticated
 from rcp_kernel.status import gateway_version
 
@@ -50,13 +50,13 @@ _DESCRIPTION = (
 class Cards:
     """Makes cards, and serves the public ones."""
 
-    def __init__(self, config: A2aConfig, door: Door) -> None:
+    def __init__(self, config: A2aConfig, client_api: ClientApi) -> None:
         """Read the key, if there is one.
 
         :raises ConfigError: it cannot be read.
         """
         self._config = config
-        self._door = door
+        self._client_api = client_api
         self._key = None if config.card_key is None else CardKey(config.card_key)
         self._ready: dict[tuple[Any, ...], tuple[bytes, bytes]] = {}
 
@@ -97,9 +97,9 @@ class Cards:
 
     def _public(self, base: str, tenant: str | None) -> tuple[bytes, bytes]:
         session = self._stranger(tenant)
-        generation = None if session is None else self._door.generation(session)
+        generation = None if session is None else self._client_api.generation(session)
         rights = None if session is None else session.rights
-        key = (base, tenant, generation, rights, self._door.proofs)
+        key = (base, tenant, generation, rights, self._client_api.proofs)
         if key not in self._ready:
             if len(self._ready) >= _KEPT:
                 self._ready.pop(next(iter(self._ready)))
@@ -111,10 +111,10 @@ class Cards:
 
     def _stranger(self, tenant: str | None) -> Session | None:
         """Return what those have who prove nothing; nothing for a tenant that is not theirs."""
-        if not self._door.proofs.anonymous:
+        if not self._client_api.proofs.anonymous:
             return None
         try:
-            return self._door.session(self._door.authenticate(None), tenant)
+            return self._client_api.session(self._client_api.authenticate(None), tenant)
         except (Unauthenticated, Forbidden):
             return None
 
@@ -144,7 +144,7 @@ class Cards:
 
     def _make(self, base: str, session: Session | None, tenant: str | None) -> AgentCard:
         config = self._config
-        name = config.name or self._door.title
+        name = config.name or self._client_api.title
         card = AgentCard(
             name=name if tenant is None else f"{name} ({tenant})",
             description=config.description or _DESCRIPTION,
@@ -158,7 +158,7 @@ class Cards:
             ),
             default_input_modes=INPUT_MODES,
             default_output_modes=OUTPUT_MODES,
-            skills=skills_of(self._door, session),
+            skills=skills_of(self._client_api, session),
         )
         if config.provider is not None:
             given = config.provider
@@ -181,7 +181,7 @@ class Cards:
         return made
 
     def _secure(self, card: AgentCard) -> None:
-        proofs = self._door.proofs
+        proofs = self._client_api.proofs
         schemes: dict[str, SecurityScheme] = {}
         if proofs.bearer:
             schemes["bearer"] = SecurityScheme(

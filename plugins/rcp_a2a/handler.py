@@ -24,7 +24,7 @@ from a2a.utils.errors import PushNotificationNotSupportedError, UnsupportedOpera
 from rcp_a2a.callers import caller_of
 from rcp_a2a.masking import Mask
 from rcp_a2a.messages import check
-from rcp_kernel.door import Door
+from rcp_kernel.client_api import ClientApi
 
 __all__ = ["Handler"]
 
@@ -35,9 +35,9 @@ _UNDER_WAY = (TaskState.TASK_STATE_SUBMITTED, TaskState.TASK_STATE_WORKING)
 class Handler(DefaultRequestHandler):
     """Checks the form of messages before a task is made of them; tells of tasks what may be seen."""
 
-    def __init__(self, door: Door, *args: Any, **options: Any) -> None:
+    def __init__(self, client_api: ClientApi, *args: Any, **options: Any) -> None:
         super().__init__(*args, **options)
-        self._door = door
+        self._client_api = client_api
 
     async def _check(self, params: SendMessageRequest, context: ServerCallContext) -> None:
         check(params.message)
@@ -52,7 +52,7 @@ class Handler(DefaultRequestHandler):
             raise PushNotificationNotSupportedError
 
     def _mask(self, context: ServerCallContext, own: Iterable[Message] = ()) -> Mask:
-        return Mask(self._door, caller_of(context).session, own)
+        return Mask(self._client_api, caller_of(context).session, own)
 
     async def _told(self, task: Task, context: ServerCallContext) -> Task:
         # The one that is told may be without its history, and so without what was asked for.

@@ -17,8 +17,8 @@ from a2a.types.a2a_pb2 import (
 from google.protobuf.json_format import MessageToDict
 
 from rcp_kernel.access.visibility import EVERYTHING, names_in
+from rcp_kernel.client_api import ClientApi
 from rcp_kernel.clients.session import Session
-from rcp_kernel.door import Door
 
 __all__ = ["Mask"]
 
@@ -26,8 +26,10 @@ __all__ = ["Mask"]
 class Mask:
     """Leaves out what is hidden from one caller; what the caller itself has named is no secret."""
 
-    def __init__(self, door: Door, session: Session, own: Iterable[Message] = ()) -> None:
-        self._door = door
+    def __init__(
+        self, client_api: ClientApi, session: Session, own: Iterable[Message] = ()
+    ) -> None:
+        self._client_api = client_api
         self._session = session
         self._own: set[str] = set()
         for message in own:
@@ -79,7 +81,7 @@ class Mask:
         return self._hides({name for name in _names(message) if _short(name) not in self._own})
 
     def _hides(self, names: Iterable[str]) -> bool:
-        return self._door.hides(self._session, names)
+        return self._client_api.hides(self._session, names)
 
     def _learn(self, message: Message) -> None:
         if message.role == Role.ROLE_USER:

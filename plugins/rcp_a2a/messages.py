@@ -15,14 +15,14 @@ from google.protobuf.struct_pb2 import Struct, Value
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import Reply, encode_reply
 
-__all__ = ["Asked", "asked", "check", "data_part", "plain", "stamp", "told"]
+__all__ = ["TaskRequest", "asked", "check", "data_part", "plain", "stamp", "told"]
 
 _DATA = "application/json"
 _TEXT = "text/plain"
 _EXACT = 2**53
 
 
-class Asked(msgspec.Struct, frozen=True):
+class TaskRequest(msgspec.Struct, frozen=True):
     """What a message wants."""
 
     body: Any
@@ -51,7 +51,7 @@ def check(message: Message) -> None:
         raise InvalidParamsError("a message has one plan: send one data part")
 
 
-def asked(request: SendMessageRequest) -> Asked:
+def asked(request: SendMessageRequest) -> TaskRequest:
     """Read a message; where it has a data part, its text is for people."""
     message = request.message
     options = {**plain(request.metadata), **plain(message.metadata)}
@@ -65,7 +65,7 @@ def asked(request: SendMessageRequest) -> Asked:
         body = _written(body)
     deadline = options.get("deadline")
     good = isinstance(deadline, (int, float)) and deadline > 0
-    return Asked(
+    return TaskRequest(
         body,
         dry_run=options.get("dry_run") is True,
         deadline=float(deadline) if good else None,  # pyright: ignore[reportArgumentType]

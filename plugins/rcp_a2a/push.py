@@ -25,7 +25,7 @@ from rcp_a2a.addresses import Addresses, Unfit, Unknown
 from rcp_a2a.callers import owner_of
 from rcp_a2a.config import PushConfig
 from rcp_kernel.errors import ConfigError
-from rcp_kernel.record.shelf import Shelf
+from rcp_kernel.record.plugin_store import PluginStore
 
 __all__ = ["Notifier", "Subscribers"]
 
@@ -37,7 +37,7 @@ _TEXT = 1024  # characters of a token or of credentials
 class Subscribers(InMemoryPushNotificationConfigStore):
     """The addresses of each task, kept as long as the task is."""
 
-    def __init__(self, shelf: Shelf, most: int) -> None:
+    def __init__(self, shelf: PluginStore, most: int) -> None:
         super().__init__(owner_of)
         self._shelf = shelf
         self._most = most

@@ -7,7 +7,7 @@ from typing import Any, Literal
 
 import msgspec
 
-from rcp_a2a.messages import Asked
+from rcp_a2a.messages import TaskRequest
 from rcp_kernel.plans.lines import from_lines
 
 __all__ = [
@@ -85,7 +85,7 @@ def _missing(fault: Node) -> Node | None:
     }
 
 
-def is_plan(answer: Asked) -> bool:
+def is_plan(answer: TaskRequest) -> bool:
     """Tell whether an answer is a plan by itself; free text is none."""
     body = answer.body
     if not isinstance(body, dict) or not _NOTATIONS & body.keys():
@@ -94,7 +94,7 @@ def is_plan(answer: Asked) -> bool:
     return bool(words) and words[0].lower() in _COMMANDS
 
 
-def decision_of(answer: Asked) -> Decision | None:
+def decision_of(answer: TaskRequest) -> Decision | None:
     """Return how an answer decides on an approval; None if it says something else."""
     body = answer.body
     if isinstance(body, dict):
@@ -106,7 +106,7 @@ def decision_of(answer: Asked) -> Decision | None:
     return None
 
 
-def mended(plan: Asked, question: Question, answer: Asked) -> Asked | None:
+def mended(plan: TaskRequest, question: Question, answer: TaskRequest) -> TaskRequest | None:
     """Return the plan with what an answer gives: a whole plan, or the parameters that lack.
 
     Parameters come by the id of their step, or alone if only one step lacks any. None: the answer

@@ -16,7 +16,7 @@ from a2a.types.a2a_pb2 import Message, Part, Task, TaskState
 from msgspec import Raw
 
 from rcp_a2a.callers import Caller
-from rcp_a2a.messages import Asked, data_part, stamp, told
+from rcp_a2a.messages import TaskRequest, data_part, stamp, told
 from rcp_a2a.questions import (
     Decision,
     Question,
@@ -26,8 +26,8 @@ from rcp_a2a.questions import (
     question_of,
     with_schemas,
 )
+from rcp_kernel.client_api import ClientApi
 from rcp_kernel.clients.session import Session
-from rcp_kernel.door import Door
 from rcp_kernel.errors import Forbidden, RcpError, UnknownPath
 from rcp_kernel.operations.discovery import Query
 from rcp_kernel.wire import Reply, Request
@@ -50,15 +50,15 @@ class Run:
     """A plan under way."""
 
     def __init__(
-        self, door: Door, task: Task, patience: float, forget: Callable[[str], object]
+        self, client_api: ClientApi, task: Task, patience: float, forget: Callable[[str], object]
     ) -> None:
-        self._door = door
+        self._client_api = client_api
         self._patience = patience
         self._forget = forget
         self.task = task
         self.question: Question | None = None
         """What the client was asked for, while the task waits for it."""
-        self._plan: Asked
+        self._plan: TaskRequest
         self._session: Session
         self._lapse: asyncio.TimerHandle | None = None
         self.command: str | None = None
@@ -76,7 +76,7 @@ class Run:
 
     # -- the gateway's side --------------------------------------------------------------------
 
-    def start(self, caller: Caller, plan: Asked, approval: str | None = None) -> None:
+    def start(self, caller: Caller, plan: TaskRequest, approval: str | None = None) -> None:
         """Have the gateway check the plan and begin it."""
         self._plan, self._session = plan, caller.session
         request = Request(
@@ -88,9 +88,9 @@ class Run:
             approval=approval,
             body=Raw(msgspec.json.encode(plan.body)),
         )
-        self._door.submit(caller.session, request, self._take)
+        self._client_api.submit(caller.session, request, self._take)
 
-    def answer(self, caller: Caller, answer: Asked) -> str | None:
+    def answer(self, caller: Caller, answer: TaskRequest) -> str | None:
         """Go on with what a client answered; return what is still to be told if that is no use."""
         question = self.question
         assert question is not None
@@ -104,12 +104,12 @@ class Run:
         return None
 
     def _decide(
-        self, caller: Caller, approval: str, decision: Decision | None, answer: Asked
+        self, caller: Caller, approval: str, decision: Decision | None, answer: TaskRequest
     ) -> str | None:
         if decision is None:
             return "Answer with the decision `approve` or `reject`, or with another plan."
         try:
-            self._door.approve(caller.session, approval, decision, _reason(answer))
+            self._client_api.approve(caller.session, approval, decision, _reason(answer))
         except Forbidden as error:
             if decision == "reject":
                 return error.message
@@ -149,7 +149,7 @@ class Run:
         await self._known.wait()
         if self.command is not None and not self.ended.is_set():
             request = Request(type="cancel", path=PLANS, command=self.command)
-            await self._door.ask(caller.session, request)
+            await self._client_api.ask(caller.session, request)
         await self.ended.wait()
 
     # -- the client's side ---------------------------------------------------------------------
@@ -225,7 +225,7 @@ class Run:
         text = facts.get("message") or f"The plan has {status}."
         if status == "completed" and not facts.get("dry_run"):
             text = "The plan was carried out."
-        if status == "cancelled" and not self.cancelled and self._door.closing:
+        if status == "cancelled" and not self.cancelled and self._client_api.closing:
             state, text = TaskState.TASK_STATE_FAILED, "The gateway was stopped in mid-task."
         if facts.get("dry_run"):
             parts = [self._data(facts.get("body"))]
@@ -237,7 +237,7 @@ class Run:
 
     def _schema(self, path: str) -> Any:
         """Return the schema of what a path takes, as its caller may see it."""
-        page = self._door.discover(self._session, path, Query(limit=1))
+        page = self._client_api.discover(self._session, path, Query(limit=1))
         schemas = page["resources"][0]["schemas"] if page["resources"] else {}
         return schemas.get("input") or schemas.get("value")
 
@@ -297,6 +297,6 @@ def _line(id_: str, step: dict[str, Any]) -> str:
     return f"Step {id_}, {what}: {step.get('state')}" + (f", {why}" if why and not ended else "")
 
 
-def _reason(answer: Asked) -> str | None:
+def _reason(answer: TaskRequest) -> str | None:
     reason: Any = answer.body.get("reason") if isinstance(answer.body, dict) else None
     return reason[:500] if isinstance(reason, str) else None

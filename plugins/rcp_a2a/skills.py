@@ -7,8 +7,8 @@ from typing import Any
 import msgspec
 from a2a.types.a2a_pb2 import AgentSkill
 
+from rcp_kernel.client_api import ClientApi
 from rcp_kernel.clients.session import Session
-from rcp_kernel.door import Door
 from rcp_kernel.operations.discovery import Query
 
 __all__ = ["PLAN", "STOP", "skills_of"]
@@ -55,18 +55,18 @@ _STOPPING = ("/system/plans", "/system/estop")  # who stops by a task runs a pla
 _MAY = Query(op="execute", limit=1)
 
 
-def skills_of(door: Door, session: Session | None) -> list[AgentSkill]:
+def skills_of(client_api: ClientApi, session: Session | None) -> list[AgentSkill]:
     """List what a session may execute in its tenant; without one, what reveals nothing."""
     if session is None or session.tenant is None:
         return [PLAN]
     root = f"/tenant/{session.tenant}"
     found: list[AgentSkill] = [PLAN]
-    if all(door.discover(session, path, _MAY)["resources"] for path in _STOPPING):
+    if all(client_api.discover(session, path, _MAY)["resources"] for path in _STOPPING):
         found.append(STOP)
     cursor: str | None = None
     while True:
         query = Query(op="execute", limit=_PAGE, cursor=cursor)
-        page = door.discover(session, f"{root}/**", query)
+        page = client_api.discover(session, f"{root}/**", query)
         found += [_skill(resource, root) for resource in page["resources"]]
         cursor = page.get("cursor")
         if cursor is None:

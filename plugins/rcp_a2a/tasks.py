@@ -21,7 +21,7 @@ from rcp_a2a.callers import owner_of
 from rcp_a2a.config import A2aConfig
 from rcp_a2a.messages import stamp
 from rcp_kernel.clock import now
-from rcp_kernel.record.shelf import Shelf
+from rcp_kernel.record.plugin_store import PluginStore
 
 __all__ = ["ENDED", "Tasks"]
 
@@ -41,7 +41,7 @@ _CUT_OFF = "the gateway was restarted while the task was under way; the robot wa
 class Tasks(InMemoryTaskStore):
     """The SDK's store, whose every task is also kept on a shelf."""
 
-    def __init__(self, shelf: Shelf, config: A2aConfig) -> None:
+    def __init__(self, shelf: PluginStore, config: A2aConfig) -> None:
         super().__init__(owner_of)
         self._shelf = shelf
         self._most = config.tasks

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from rcp_client.blocking import Robot
     from rcp_client.client import Client
     from rcp_client.command import CommandHandle, Feedback
-    from rcp_client.connecting import connect
+    from rcp_client.connection import connect
     from rcp_client.credentials import token_path
     from rcp_client.errors import ConnectionLost
     from rcp_client.lease import Lease

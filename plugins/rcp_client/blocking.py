@@ -15,7 +15,7 @@ from anyio.from_thread import BlockingPortal, start_blocking_portal
 
 from rcp_client.client import Client
 from rcp_client.command import CommandHandle, Feedback
-from rcp_client.connecting import connect
+from rcp_client.connection import connect
 from rcp_client.lease import Lease
 from rcp_client.messages import Notice, Reply, ResourceInfo, Update
 from rcp_client.subscription import Subscription

@@ -11,7 +11,7 @@ from rcp_dashboard.config import DashboardConfig
 from rcp_dashboard.layouts import Layouts
 from rcp_dashboard.openapi import described
 from rcp_dashboard.pages import STATIC, Pages
-from rcp_kernel.door import Door, Mount
+from rcp_kernel.client_api import ClientApi, Mount
 from rcp_kernel.hookspecs import hookimpl
 from rcp_kernel.spi import AdapterKind
 
@@ -19,21 +19,23 @@ __all__ = ["DashboardConfig", "open_dashboard", "rcp_adapters"]
 
 
 @asynccontextmanager
-async def open_dashboard(config: DashboardConfig, door: Door) -> AsyncGenerator[dict[str, Any]]:
+async def open_dashboard(
+    config: DashboardConfig, client_api: ClientApi
+) -> AsyncGenerator[dict[str, Any]]:
     """Offer the pages and the API to the listener while entered."""
     pages = Pages(STATIC)
-    api = Api(door, config, Layouts(door.shelf("layouts"), config))
+    api = Api(client_api, config, Layouts(client_api.shelf("layouts"), config))
     mounts = (
         Mount(name="dashboard", prefix="/", app=pages),
         Mount(name="dashboard api", prefix=PREFIX, app=api, openapi=described),
     )
     for mount in mounts:
-        door.mount(mount)
+        client_api.mount(mount)
     try:
         yield {"path": "/", **pages.facts()}
     finally:
         for mount in mounts:
-            door.unmount(mount)
+            client_api.unmount(mount)
         api.close()
 
 

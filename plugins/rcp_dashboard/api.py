@@ -4,31 +4,31 @@ from __future__ import annotations
 
 from collections.abc import Awaitable, Callable
 
-from rcp_dashboard.asked import Asked
 from rcp_dashboard.camera import Cameras
 from rcp_dashboard.config import DashboardConfig
 from rcp_dashboard.layouts import Layouts
+from rcp_dashboard.request import DashboardRequest
 from rcp_dashboard.telemetry import Telemetry
 from rcp_kernel.asgi import Headers, Receive, Scope, Send, refuse, respond
-from rcp_kernel.door import Door
+from rcp_kernel.client_api import ClientApi
 from rcp_kernel.errors import UnknownPath, UnsupportedOperation
-from rcp_kernel.operations.pending import crash
+from rcp_kernel.operations.pending import to_internal_error
 
 __all__ = ["PREFIX", "Api"]
 
 PREFIX = "/dashboard/api"
 _NO_STORE: Headers = [(b"cache-control", b"no-store")]
-Handler = Callable[[Asked, Receive, Send], Awaitable[None]]
+Handler = Callable[[DashboardRequest, Receive, Send], Awaitable[None]]
 
 
 class Api:
     """Serves it."""
 
-    def __init__(self, door: Door, config: DashboardConfig, layouts: Layouts) -> None:
-        self._door = door
+    def __init__(self, client_api: ClientApi, config: DashboardConfig, layouts: Layouts) -> None:
+        self._client_api = client_api
         self._limit = config.layout_size
-        self._telemetry = Telemetry(door, config)
-        self._cameras = Cameras(door, config)
+        self._telemetry = Telemetry(client_api, config)
+        self._cameras = Cameras(client_api, config)
         self._layouts = layouts
         self._handlers: dict[str, dict[str, Handler]] = {
             "/series": {"GET": self._series},
@@ -55,7 +55,7 @@ class Api:
                 known = ", ".join(PREFIX + rest for rest in self._handlers)
                 raise UnknownPath(f"nothing is at {path}", remedy=f"There are {known}.")
             allowed = _allowed(handlers)
-            asked = Asked(scope)
+            asked = DashboardRequest(scope)
             if asked.method == "OPTIONS":
                 await respond(send, 204, b"", headers=[(b"allow", allowed)])
                 return
@@ -66,31 +66,31 @@ class Api:
                     f"{path} does not take {asked.method}",
                     remedy=f"Use {' or '.join(handlers)}.",
                 )
-            await asked.identify(self._door)
+            await asked.identify(self._client_api)
             await handler(asked, receive, sending)
         except Exception as error:
             if begun:
                 raise
-            told = crash(error, path=path)
-            self._door.refused("dashboard", told.code)
+            told = to_internal_error(error, path=path)
+            self._client_api.refused("dashboard", told.code)
             await refuse(send, told, headers=headers)
 
-    async def _series(self, asked: Asked, _: Receive, send: Send) -> None:
+    async def _series(self, asked: DashboardRequest, _: Receive, send: Send) -> None:
         await respond(send, 200, await self._telemetry.series(asked), headers=_NO_STORE)
 
-    async def _latest(self, asked: Asked, _: Receive, send: Send) -> None:
+    async def _latest(self, asked: DashboardRequest, _: Receive, send: Send) -> None:
         await respond(send, 200, await self._telemetry.latest(asked), headers=_NO_STORE)
 
-    async def _layout(self, asked: Asked, _: Receive, send: Send) -> None:
+    async def _layout(self, asked: DashboardRequest, _: Receive, send: Send) -> None:
         asked.allow()
         await respond(send, 200, self._layouts.get(asked.principal), headers=_NO_STORE)
 
-    async def _save(self, asked: Asked, receive: Receive, send: Send) -> None:
+    async def _save(self, asked: DashboardRequest, receive: Receive, send: Send) -> None:
         asked.allow()
         self._layouts.put(asked.principal, await asked.body(receive, self._limit))
         await respond(send, 204, b"", headers=_NO_STORE)
 
-    async def _forget(self, asked: Asked, _: Receive, send: Send) -> None:
+    async def _forget(self, asked: DashboardRequest, _: Receive, send: Send) -> None:
         asked.allow()
         self._layouts.delete(asked.principal)
         await respond(send, 204, b"", headers=_NO_STORE)

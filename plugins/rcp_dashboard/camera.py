@@ -10,14 +10,14 @@ from typing import Any, Protocol
 import msgspec
 from msgspec import Raw
 
-from rcp_dashboard.asked import Asked
 from rcp_dashboard.config import DashboardConfig
 from rcp_dashboard.picture import Picture, picture
-from rcp_dashboard.watching import checked
+from rcp_dashboard.request import DashboardRequest
+from rcp_dashboard.watchers import checked
 from rcp_kernel.asgi import Headers, Receive, Send, respond
+from rcp_kernel.client_api import ClientApi
 from rcp_kernel.clients.connections import Connection
 from rcp_kernel.clock import now, parse_time
-from rcp_kernel.door import Door
 from rcp_kernel.errors import QueueFull, RcpError
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import Request, encode_reply
@@ -61,16 +61,16 @@ class Body(Protocol):
 class Cameras:
     """Answers questions for pictures."""
 
-    def __init__(self, door: Door, config: DashboardConfig) -> None:
-        self._door = door
+    def __init__(self, client_api: ClientApi, config: DashboardConfig) -> None:
+        self._client_api = client_api
         self._config = config
         self._pool = ThreadPoolExecutor(2, "dashboard jpeg")
         self._streams = 0
 
     async def _picture(self, value: Any, quality: int) -> Picture:
-        return await self._door.loop.run_in_executor(self._pool, picture, value, quality)
+        return await self._client_api.loop.run_in_executor(self._pool, picture, value, quality)
 
-    async def snapshot(self, asked: Asked, send: Send) -> None:
+    async def snapshot(self, asked: DashboardRequest, send: Send) -> None:
         """Answer with the newest picture; `x-rcp-age` says how old it is, in s.
 
         :raises RcpError: the caller may not have it, or it is none.
@@ -78,7 +78,7 @@ class Cameras:
         asked.allow("path", "quality")
         quality = asked.whole("quality", 1, 100, self._config.jpeg_quality)
         request = Request(type="read", path=asked.path())
-        reply = checked(await self._door.ask(asked.session, request))
+        reply = checked(await self._client_api.ask(asked.session, request))
         seen = _decode(encode_reply(reply, Encoding.MSGPACK))
         made = await self._picture(seen.body, quality)
         age = (now() - parse_time(seen.source_timestamp)) / 1e9
@@ -90,7 +90,7 @@ class Cameras:
         ]
         await respond(send, 200, made.data, made.media, headers)
 
-    async def stream(self, asked: Asked, receive: Receive, send: Send) -> None:
+    async def stream(self, asked: DashboardRequest, receive: Receive, send: Send) -> None:
         """Send pictures until the client leaves or may not have them any more.
 
         :raises RcpError: nothing was sent yet, and nothing will be.
@@ -107,7 +107,7 @@ class Cameras:
         self._streams += 1
         stream = Stream(asked, receive, send)
         try:
-            connection = self._door.connect(
+            connection = self._client_api.connect(
                 asked.principal, Encoding.MSGPACK, stream.wake, asked.tenant, asked.peer
             )
             try:
@@ -117,7 +117,7 @@ class Cameras:
                     body["rate"] = rate
                 raw = Raw(msgspec.json.encode(body))
                 request = Request(type="subscribe", path=path, id="camera", body=raw)
-                checked(await self._door.ask(connection.session, request))
+                checked(await self._client_api.ask(connection.session, request))
                 await stream.run(connection, lambda value: self._picture(value, quality))
             finally:
                 connection.close()
@@ -132,7 +132,7 @@ class Cameras:
 class Stream:
     """One endless response: a picture is taken when the last one was, so that none piles up."""
 
-    def __init__(self, asked: Asked, receive: Receive, send: Send) -> None:
+    def __init__(self, asked: DashboardRequest, receive: Receive, send: Send) -> None:
         extensions = asked.scope["extensions"]
         self._out: Body = extensions["rcp.stream"]
         self._closing: set[Callable[[], None]] = extensions["rcp.closing"]
@@ -194,7 +194,7 @@ class Stream:
 
     async def _next(self, connection: Connection, make: Callable[[Any], Any]) -> None:
         newest: _Seen | None = None
-        for data in connection.mailbox.collect():
+        for data in connection.outbox.collect():
             seen = _decode(data)
             if seen.type == "update":
                 newest = seen
@@ -207,7 +207,7 @@ class Stream:
             stamp = newest.timestamp.encode()
             if not self._ended:
                 self._out.write(_PART % (made.media, len(made.data), stamp, made.data))
-        if connection.mailbox.more:
+        if connection.outbox.more:
             self._woken.set()
         elif connection.expelled or not connection.session.subscriptions:
             self.finish()

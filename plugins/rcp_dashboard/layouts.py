@@ -7,7 +7,7 @@ import msgspec
 from rcp_dashboard.config import DashboardConfig
 from rcp_kernel.access.identity import Principal
 from rcp_kernel.errors import BadRequest, Forbidden, QueueFull, UnknownPath
-from rcp_kernel.record.shelf import Shelf
+from rcp_kernel.record.plugin_store import PluginStore
 
 __all__ = ["Layouts"]
 
@@ -15,7 +15,7 @@ __all__ = ["Layouts"]
 class Layouts:
     """The layouts of all users."""
 
-    def __init__(self, shelf: Shelf, config: DashboardConfig) -> None:
+    def __init__(self, shelf: PluginStore, config: DashboardConfig) -> None:
         self._shelf = shelf
         self._config = config
         self._found: dict[str, bytes] = {

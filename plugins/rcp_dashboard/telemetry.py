@@ -6,12 +6,12 @@ from typing import Any
 
 import msgspec
 
-from rcp_dashboard.asked import Asked
 from rcp_dashboard.config import DashboardConfig
 from rcp_dashboard.downsample import METHODS
-from rcp_dashboard.watching import Watchers, checked
+from rcp_dashboard.request import DashboardRequest
+from rcp_dashboard.watchers import Watchers, checked
+from rcp_kernel.client_api import ClientApi
 from rcp_kernel.clock import iso, now, parse_time
-from rcp_kernel.door import Door
 from rcp_kernel.errors import BadRequest
 from rcp_kernel.values import Encoding, dump
 from rcp_kernel.wire import Request, encode_reply
@@ -25,12 +25,12 @@ _POINTS = 5000  # of one series
 class Telemetry:
     """Answers questions for values."""
 
-    def __init__(self, door: Door, config: DashboardConfig) -> None:
-        self._door = door
-        self._watchers = Watchers(door, config)
+    def __init__(self, client_api: ClientApi, config: DashboardConfig) -> None:
+        self._client_api = client_api
+        self._watchers = Watchers(client_api, config)
         self._samples = config.samples
 
-    async def series(self, asked: Asked) -> bytes:
+    async def series(self, asked: DashboardRequest) -> bytes:
         """Return fields of one resource over time, with so many points as can be drawn.
 
         :raises RcpError: the caller may not have it, or a field is no number.
@@ -67,7 +67,7 @@ class Telemetry:
         body = {"path": path, "capacity": self._samples, "now": now() / 1e9, "series": found}
         return msgspec.json.encode(body)
 
-    async def latest(self, asked: Asked) -> bytes:
+    async def latest(self, asked: DashboardRequest) -> bytes:
         """Return the present value of every resource that matches, long ones left out.
 
         What does not fit in one page is `truncated`, and the `cursor` leads to the rest.
@@ -79,7 +79,7 @@ class Telemetry:
         request = Request(type="read", path=asked.path(pattern=True))
         if (cursor := asked.text("cursor")) is not None:
             request.body = msgspec.Raw(msgspec.json.encode({"cursor": cursor}))
-        reply = checked(await self._door.ask(asked.session, request))
+        reply = checked(await self._client_api.ask(asked.session, request))
         present = now()
         read = msgspec.json.decode(encode_reply(reply, Encoding.JSON))
         several = read["body"] if "*" in (request.path or "") else [read]

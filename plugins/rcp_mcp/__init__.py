@@ -9,7 +9,7 @@ from importlib import import_module
 from importlib.util import find_spec
 from typing import Any
 
-from rcp_kernel.door import Door
+from rcp_kernel.client_api import ClientApi
 from rcp_kernel.hookspecs import hookimpl
 from rcp_kernel.spi import AdapterKind
 from rcp_mcp.config import McpConfig
@@ -21,14 +21,14 @@ if find_spec("mcp") is None:
 
 
 @asynccontextmanager
-async def _open(config: McpConfig, door: Door) -> AsyncGenerator[dict[str, Any]]:
+async def _open(config: McpConfig, client_api: ClientApi) -> AsyncGenerator[dict[str, Any]]:
     """Open the adapter.
 
     The SDK takes half a second to import: only who serves it pays for that, and the robots that
     are being opened do not wait meanwhile.
     """
-    loaded = await asyncio.to_thread(import_module, "rcp_mcp.serving")
-    async with loaded.open_mcp(config, door) as facts:
+    loaded = await asyncio.to_thread(import_module, "rcp_mcp.server_lifespan")
+    async with loaded.open_mcp(config, client_api) as facts:
         yield facts
 
 

@@ -8,8 +8,8 @@ from weakref import WeakKeyDictionary
 from mcp import types
 
 from rcp_kernel.access.acl import Rights
+from rcp_kernel.client_api import ClientApi
 from rcp_kernel.clients.session import Session
-from rcp_kernel.door import Door
 from rcp_kernel.model import Pattern, tenant_of
 from rcp_kernel.operations.discovery import Query
 from rcp_mcp.config import McpConfig
@@ -44,9 +44,9 @@ class _Seen:
 class Catalogue:
     """The trees as callers see them."""
 
-    def __init__(self, config: McpConfig, door: Door) -> None:
+    def __init__(self, config: McpConfig, client_api: ClientApi) -> None:
         self._config = config
-        self._door = door
+        self._client_api = client_api
         self._seen: WeakKeyDictionary[Rights, _Seen] = WeakKeyDictionary()
 
     def all(self, session: Session) -> list[Facts]:
@@ -79,7 +79,7 @@ class Catalogue:
         return made
 
     def _of(self, session: Session) -> _Seen:
-        generation = self._door.generation(session)
+        generation = self._client_api.generation(session)
         seen = self._seen.get(session.rights)
         if seen is None or seen.generation != generation:
             seen = self._seen[session.rights] = _Seen(generation, self._read(session))
@@ -89,7 +89,7 @@ class Catalogue:
         facts: list[Facts] = []
         cursor: str | None = None
         while True:
-            page = self._door.discover(session, "/**", Query(limit=_PAGE, cursor=cursor))
+            page = self._client_api.discover(session, "/**", Query(limit=_PAGE, cursor=cursor))
             facts += page["resources"]
             cursor = page.get("cursor")
             if cursor is None:

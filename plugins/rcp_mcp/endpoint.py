@@ -26,10 +26,10 @@ from rcp_kernel.asgi import (
     session_of,
     too_large,
 )
+from rcp_kernel.client_api import ClientApi
 from rcp_kernel.clients.session import Session
-from rcp_kernel.door import Door
 from rcp_kernel.errors import RcpError
-from rcp_kernel.operations.pending import crash
+from rcp_kernel.operations.pending import to_internal_error
 from rcp_kernel.wire import error_body
 from rcp_mcp.caller import SESSION
 from rcp_mcp.config import McpConfig
@@ -45,20 +45,20 @@ class Endpoint:
     """The ASGI application."""
 
     def __init__(
-        self, config: McpConfig, door: Door, manager: StreamableHTTPSessionManager
+        self, config: McpConfig, client_api: ClientApi, manager: StreamableHTTPSessionManager
     ) -> None:
         self._config = config
-        self._door = door
+        self._client_api = client_api
         self._manager = manager
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Serve one request as its caller."""
         try:
-            session = await session_of(self._door, scope)
+            session = await session_of(self._client_api, scope)
             self._check_length(session, scope)
         except Exception as error:
-            told = crash(error, path=scope["path"])
-            self._door.refused("request", told.code)
+            told = to_internal_error(error, path=scope["path"])
+            self._client_api.refused("request", told.code)
             await _refuse(self._config, scope, send, told)
             return
         scope[SESSION] = session
@@ -74,7 +74,7 @@ class Endpoint:
         :raises PayloadTooLarge: it says so itself.
         :raises RateLimited: it may be long, and a quota does not allow one now.
         """
-        limit = self._door.longest(session.principal)
+        limit = self._client_api.longest(session.principal)
         told = header(scope, b"content-length")
         if told is not None and told.isdigit():
             size = int(told)
@@ -82,8 +82,8 @@ class Endpoint:
             size = limit if header(scope, b"transfer-encoding") is not None else 0
         if size > limit:
             raise too_large(limit)
-        if size > self._door.limits.unproved:
-            self._door.check_pace(session)
+        if size > self._client_api.limits.unproved:
+            self._client_api.check_pace(session)
 
     async def _serve(self, session: Session, scope: Scope, receive: Receive, send: Send) -> None:
         """Let the SDK answer, for as long as the caller's proof is good and the listener open."""
@@ -99,9 +99,9 @@ class Endpoint:
         with anyio.CancelScope() as serving:
             closing: set[Callable[[], None]] = scope["extensions"]["rcp.closing"]
             closing.add(serving.cancel)
-            forget = self._door.until_end(session, lambda _error: serving.cancel())
+            forget = self._client_api.until_end(session, lambda _error: serving.cancel())
             try:
-                limit = self._door.longest(session.principal)
+                limit = self._client_api.longest(session.principal)
                 bounded = RequestBodyLimitMiddleware(self._manager.handle_request, limit)
                 await bounded(scope, receive, sent)
             finally:
@@ -116,9 +116,9 @@ class Endpoint:
 class Metadata:
     """Where tokens for the endpoint come from: RFC 9728."""
 
-    def __init__(self, config: McpConfig, door: Door) -> None:
+    def __init__(self, config: McpConfig, client_api: ClientApi) -> None:
         self._config = config
-        self._door = door
+        self._client_api = client_api
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Answer; it is told to everybody."""
@@ -130,7 +130,7 @@ class Metadata:
             "resource_name": "RCP gateway",
             "bearer_methods_supported": ["header"],
         }
-        if issuers := self._door.issuers:
+        if issuers := self._client_api.issuers:
             facts["authorization_servers"] = issuers
         headers = [(b"cache-control", b"max-age=300"), (b"access-control-allow-origin", b"*")]
         await respond(send, 200, msgspec.json.encode(facts), headers=headers)

@@ -9,41 +9,41 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 
+from rcp_kernel.client_api import ClientApi
 from rcp_kernel.clients.session import Session
-from rcp_kernel.door import Door
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import Reply, Request
 
 if TYPE_CHECKING:
-    from rcp_kernel.streaming.feeds import Feed as KernelFeed
+    from rcp_kernel.streaming.path_subscription import PathSubscription as KernelFeed
     from rcp_kernel.streaming.samples import Sample
 
-__all__ = ["Feed"]
+__all__ = ["ResourceFeed"]
 
 _HELD = 1000  # updates that wait for who listens
 
 
-class Feed:
+class ResourceFeed:
     """Updates of some paths, in the order in which they came."""
 
-    def __init__(self, door: Door, session: Session) -> None:
-        self._door = door
+    def __init__(self, client_api: ClientApi, session: Session) -> None:
+        self._client_api = client_api
         self._news = asyncio.Event()
         self._updates: deque[tuple[str, bytes]] = deque(maxlen=_HELD)
         self.ended = False
         """Nothing comes any more: the session's proof is over, or nothing is subscribed."""
-        self._connection = door.connect(
+        self._connection = client_api.connect(
             session.principal, Encoding.JSON, self._flush, session.tenant
         )
-        self._connection.mailbox.alone = True
+        self._connection.outbox.alone = True
         self._connection.session.listening = True
 
     def _flush(self) -> None:
         connection = self._connection
-        connection.mailbox.collect(wrap=self._take)
+        connection.outbox.collect(wrap=self._take)
         if connection.expelled or not connection.session.subscriptions:
             self.ended = True
-        connection.mailbox.again()
+        connection.outbox.again()
         self._news.set()
 
     def _take(self, data: bytes, feed: KernelFeed | None, sample: Sample | None) -> bytes:
@@ -56,7 +56,7 @@ class Feed:
         body = {"paths": list(paths[1:]), **options}
         raw = msgspec.Raw(msgspec.json.encode(body))
         request = Request(type="subscribe", path=paths[0], body=raw)
-        return await self._door.ask(self._connection.session, request)
+        return await self._client_api.ask(self._connection.session, request)
 
     async def next(self) -> list[tuple[str, bytes]]:
         """Wait for updates; return the path of each and its envelope. None at all: it has ended."""

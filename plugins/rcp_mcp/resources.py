@@ -9,8 +9,8 @@ import msgspec
 from mcp import types
 from mcp.shared.exceptions import MCPError
 
+from rcp_kernel.client_api import ClientApi
 from rcp_kernel.clients.session import Session
-from rcp_kernel.door import Door
 from rcp_kernel.wire import Request
 from rcp_mcp.answers import body_of
 from rcp_mcp.catalogue import Catalogue, Facts
@@ -35,9 +35,9 @@ BRANCHES = {
 class Resources:
     """The values that a caller may read."""
 
-    def __init__(self, config: McpConfig, door: Door, catalogue: Catalogue) -> None:
+    def __init__(self, config: McpConfig, client_api: ClientApi, catalogue: Catalogue) -> None:
         self._config = config
-        self._door = door
+        self._client_api = client_api
         self._catalogue = catalogue
 
     def all(self, session: Session) -> list[types.Resource]:
@@ -73,7 +73,7 @@ class Resources:
         path = path_of(uri)
         if path is None:
             return None
-        reply = await self._door.ask(session, Request(type="read", path=path))
+        reply = await self._client_api.ask(session, Request(type="read", path=path))
         if reply.error is not None:
             if reply.error["code"] in _HIDDEN:
                 return None

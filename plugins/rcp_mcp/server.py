@@ -16,7 +16,7 @@ from mcp.shared.exceptions import MCPError
 
 from rcp_kernel.status import gateway_version
 from rcp_mcp.caller import modern, session_of
-from rcp_mcp.listening import Listening
+from rcp_mcp.listeners import ListenerRegistry
 from rcp_mcp.offers import Context, Offer
 
 __all__ = ["McpServer"]
@@ -39,7 +39,7 @@ Params = types.PaginatedRequestParams | None
 class McpServer(Server[dict[str, Any]]):
     """One for the whole endpoint; what it tells depends on who asks."""
 
-    def __init__(self, name: str, offers: Sequence[Offer], listening: Listening) -> None:
+    def __init__(self, name: str, offers: Sequence[Offer], listening: ListenerRegistry) -> None:
         self._offers = offers
         super().__init__(
             "rcp-gateway",

@@ -13,8 +13,8 @@ from typing import Any
 from mcp import types
 from mcp.shared.exceptions import MCPError
 
+from rcp_kernel.client_api import ClientApi
 from rcp_kernel.clock import iso
-from rcp_kernel.door import Door
 from rcp_kernel.errors import RcpError, UnknownPath
 from rcp_kernel.operations.command import Command
 from rcp_kernel.wire import Request
@@ -41,9 +41,9 @@ class _UpdateParams(_TaskParams):
 class Tasks:
     """The handlers."""
 
-    def __init__(self, config: McpConfig, door: Door) -> None:
+    def __init__(self, config: McpConfig, client_api: ClientApi) -> None:
         self._config = config
-        self._door = door
+        self._client_api = client_api
 
     def methods(self) -> Sequence[Method]:
         """List the requests of the extension."""
@@ -55,7 +55,7 @@ class Tasks:
 
     def created(self, ctx: Context, id_: str) -> dict[str, Any]:
         """Answer a call with the task that it has begun."""
-        command = self._door.command(session_of(ctx), id_)
+        command = self._client_api.command(session_of(ctx), id_)
         return {"resultType": "task", **_base(command), "status": "working"}
 
     async def get(self, ctx: Context, params: _TaskParams) -> dict[str, Any]:
@@ -85,7 +85,7 @@ class Tasks:
         command = self._found(ctx, params)
         if not command.final:
             request = Request(type="cancel", command=command.id)
-            reply = await self._door.ask(session_of(ctx), request)
+            reply = await self._client_api.ask(session_of(ctx), request)
             if reply.error is not None:
                 raise MCPError(types.INVALID_REQUEST, reply.message or "", reply.error)
         return {"resultType": "complete"}
@@ -108,7 +108,7 @@ class Tasks:
             raise MCPError(types.HEADER_MISMATCH, "mcp-name does not match the task's id")
         session = session_of(ctx)
         try:
-            command = self._door.command(session, params.task_id)
+            command = self._client_api.command(session, params.task_id)
             if (command.principal, command.proof) != session.principal.identity:
                 raise UnknownPath(f"there is no command '{params.task_id[:64]}'")
         except UnknownPath:

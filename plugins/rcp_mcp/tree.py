@@ -9,23 +9,23 @@ import structlog
 from mcp import types
 from mcp.shared.exceptions import MCPError
 
+from rcp_kernel.client_api import ClientApi
 from rcp_kernel.clients.session import Session
-from rcp_kernel.door import Door
 from rcp_kernel.errors import InvalidValue, RcpError
-from rcp_kernel.operations.pending import crash
+from rcp_kernel.operations.pending import to_internal_error
 from rcp_kernel.wire import error_body
 from rcp_mcp.answers import refused
 from rcp_mcp.caller import TASKS, session_of
 from rcp_mcp.catalogue import Catalogue
-from rcp_mcp.commanding import Commanding
-from rcp_mcp.completing import Completing
+from rcp_mcp.command_tools import CommandTools
+from rcp_mcp.completion import Completion
 from rcp_mcp.config import McpConfig
 from rcp_mcp.fixed import FIXED, Fixed
-from rcp_mcp.looking import Looking
 from rcp_mcp.offers import Context, Method, Offer, Outcome
 from rcp_mcp.prompts import PROMPTS, written
+from rcp_mcp.read_tools import ReadTools
 from rcp_mcp.resources import Resources
-from rcp_mcp.watching import Watching
+from rcp_mcp.watch_tools import WatchTools
 
 __all__ = ["Tree"]
 
@@ -48,13 +48,13 @@ def _taken(one: Fixed, arguments: dict[str, Any]) -> Any:
 class Tree(Offer):
     """What the callers' rights show of the robots."""
 
-    def __init__(self, config: McpConfig, door: Door, commanding: Commanding) -> None:
-        self._door = door
+    def __init__(self, config: McpConfig, client_api: ClientApi, commanding: CommandTools) -> None:
+        self._client_api = client_api
         self._catalogue = commanding.catalogue
         self._commanding = commanding
-        self._resources = Resources(config, door, self._catalogue)
-        self._completing = Completing(self._catalogue)
-        looking = Looking(config, door, self._catalogue)
+        self._resources = Resources(config, client_api, self._catalogue)
+        self._completing = Completion(self._catalogue)
+        looking = ReadTools(config, client_api, self._catalogue)
         self._handlers: dict[str, Handler] = {
             "discover": looking.discover,
             "read": looking.read,
@@ -62,7 +62,7 @@ class Tree(Offer):
             "write": commanding.write,
             "execute": commanding.execute,
             "cancel": commanding.cancel,
-            "watch": Watching(config, door).watch,
+            "watch": WatchTools(config, client_api).watch,
         }
 
     @property
@@ -102,7 +102,7 @@ class Tree(Offer):
         except RcpError as error:
             return refused(error)
         except Exception as error:
-            return refused(crash(error, tool=params.name))
+            return refused(to_internal_error(error, tool=params.name))
 
     async def resources(self, ctx: Context) -> Sequence[types.Resource]:
         """List what the caller may read."""
@@ -141,7 +141,7 @@ class Tree(Offer):
         """
         session = session_of(ctx)
         try:
-            self._door.pay(session)
+            self._client_api.charge(session)
         except RcpError as error:
             told = {key: item for key, item in error_body(error).items() if key != "trace_id"}
             raise MCPError(

@@ -36,7 +36,7 @@ _MAX_KNOWN = 200_000  # paths whose masks are kept, of all sets of roles togethe
 _MAX_COMPILED = 1000  # sets of roles whose rights are kept at hand
 _NAMED = re.compile(r"/tenant/[\w./-]+")
 _RESOURCE = 4  # slashes of the path of a resource at least; what is shorter is a scope
-_PERHAPS = 8  # bits by which operations are shifted that hang on a condition
+_CONDITIONAL_SHIFT = 8  # bits by which operations are shifted that hang on a condition
 
 
 class Rule(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -119,7 +119,7 @@ class _Terms(NamedTuple):
 
 def reach(mask: int) -> int:
     """Return the operations that a mask allows under some condition or none."""
-    return (mask | mask >> _PERHAPS) & _ALL
+    return (mask | mask >> _CONDITIONAL_SHIFT) & _ALL
 
 
 class Rights:
@@ -229,7 +229,7 @@ class Rights:
         """
         mask = self.masks.get(path)
         if mask is None:
-            mask = self.weigh(path)
+            mask = self.compute_mask(path)
             self.remember(path, mask)
         return mask
 
@@ -237,7 +237,9 @@ class Rights:
         """Tell whether a text names a path, of a resource or of none, that is hidden."""
         for found in _NAMED.findall(text):
             path = found.rstrip(".")
-            if path.count("/") >= _RESOURCE and not (self.masks.get(path) or self.weigh(path)):
+            if path.count("/") >= _RESOURCE and not (
+                self.masks.get(path) or self.compute_mask(path)
+            ):
                 return True
         return False
 
@@ -247,7 +249,7 @@ class Rights:
             self._room.take()
         self.masks[path] = mask
 
-    def weigh(self, path: str) -> int:
+    def compute_mask(self, path: str) -> int:
         """Work the mask of a path out, whether it exists or not."""
         allow, deny = self._matching(self._allow, path), self._matching(self._deny, path)
         sure = _bits(r for r in allow if r.when is None)
@@ -259,7 +261,7 @@ class Rights:
             return 0
         sure &= ~denied & ~_bits(r for r in deny if r.when is not None)
         perhaps = possible & ~sure & ~Operation.DISCOVER
-        return int(sure | Operation.DISCOVER) | int(perhaps) << _PERHAPS
+        return int(sure | Operation.DISCOVER) | int(perhaps) << _CONDITIONAL_SHIFT
 
     @staticmethod
     def _matching(rules: list[_Reach], path: str) -> list[_Reach]:
@@ -271,13 +273,16 @@ class Rights:
         mask = self.mask(entry.path)
         if mask & operation:
             return True
-        return bool(mask >> _PERHAPS & operation) and self.hindrance(entry, operation) is None
+        return (
+            bool(mask >> _CONDITIONAL_SHIFT & operation)
+            and self.blocking_condition(entry, operation) is None
+        )
 
     def depends(self, entry: Entry, operation: Operation) -> bool:
         """Tell whether it hangs on a condition whether an operation is allowed."""
-        return bool(self.mask(entry.path) >> _PERHAPS & operation)
+        return bool(self.mask(entry.path) >> _CONDITIONAL_SHIFT & operation)
 
-    def hindrance(self, entry: Entry, operation: Operation) -> Condition | None:
+    def blocking_condition(self, entry: Entry, operation: Operation) -> Condition | None:
         """Return the condition for want of which an operation that hangs on one is refused now."""
         conditions = self._conditions
         terms = self._terms_of(entry.path)

@@ -20,7 +20,7 @@ from rcp_kernel.errors import ApprovalRequired, Forbidden, QueueFull, RcpError, 
 from rcp_kernel.model import Kind, tenant_of
 from rcp_kernel.motion.safety import safe_value
 from rcp_kernel.record.audit import bounded, hashed
-from rcp_kernel.record.recording import ID
+from rcp_kernel.record.audit_writer import ID
 from rcp_kernel.registry import Entry
 from rcp_kernel.types import Time
 from rcp_kernel.values import Encoding, dump, to_plain
@@ -307,7 +307,7 @@ class Approvals:
     def answer(
         self, session: Session, id_: str, decision: Decision, reason: str | None
     ) -> ApprovalState:
-        """Decide as the person who sits at the client of a session: see `Door.approve`.
+        """Decide as the person who sits at the client of a session: see `ClientApi.approve`.
 
         :raises UnknownPath, Forbidden: as `request` does; its own needs a role with `approve_own`.
         """

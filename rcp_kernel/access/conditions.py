@@ -353,7 +353,7 @@ class Conditions:
 
     def _known(self, entry: Entry) -> bool:
         return not entry.stale and (
-            entry.live or entry.kind == "actuator" or self._hub.watches.holds(entry)
+            entry.live or entry.kind == "actuator" or self._hub.demand.holds(entry)
         )
 
     @staticmethod

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import structlog
 
 from rcp_kernel.access.acl import BUILTIN_ROLES
-from rcp_kernel.access.attempts import Attempts
+from rcp_kernel.access.auth_throttle import AuthThrottle
 from rcp_kernel.access.certificates import Certificates
 from rcp_kernel.access.identity import Grants, Keyring, Principal, check_time, fingerprint
 from rcp_kernel.access.issuers import Issuer, Issuers
@@ -72,7 +72,7 @@ class Identities:
         self._certificates = Certificates(config.certificates)
         self._issuers = Issuers(config.jwt, config.tenant_names)
         self._keyring = _keyring(config, self._tokens)
-        self._attempts = Attempts(config.limits.failed_logins, gateway.loop.time)
+        self._attempts = AuthThrottle(config.limits.failed_logins, gateway.loop.time)
         self._running = False
 
     # -- its own time --------------------------------------------------------------------------

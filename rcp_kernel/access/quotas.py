@@ -12,8 +12,8 @@ from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
 from rcp_kernel.access.identity import Principal
-from rcp_kernel.access.meter import NONE, SWEEP, Account, Meter, Owner
-from rcp_kernel.clients.waiting import shed, waiting_bytes
+from rcp_kernel.access.token_bucket import NONE, SWEEP, Owner, QuotaUsage, TokenBucket
+from rcp_kernel.clients.backpressure import shed, waiting_bytes
 from rcp_kernel.config.limits import Quota
 from rcp_kernel.errors import QueueFull
 
@@ -22,19 +22,19 @@ if TYPE_CHECKING:
     from rcp_kernel.gateway import Gateway
     from rcp_kernel.operations.command import Command
 
-__all__ = ["Accounts"]
+__all__ = ["QuotaTracker"]
 
 _PLANS = "/system/plans"
 _MANY = 10_000  # accounts, before idle ones are let go
 
 
-class Accounts:
+class QuotaTracker:
     """The accounts of all tenants and principals that have a quota."""
 
     def __init__(self, gateway: Gateway) -> None:
         self._gateway = gateway
-        self._known: dict[tuple[Owner, Any], Account] = {}
-        self._charged: dict[str, tuple[Account, ...]] = {}
+        self._known: dict[tuple[Owner, Any], QuotaUsage] = {}
+        self._charged: dict[str, tuple[QuotaUsage, ...]] = {}
         self._timer: asyncio.TimerHandle | None = None
 
     # -- who has which quota -------------------------------------------------------------------
@@ -42,7 +42,7 @@ class Accounts:
     def attach(self, session: Session) -> None:
         """Give a session its meter, or none if no quota concerns it."""
         config = self._gateway.config
-        accounts: list[Account] = []
+        accounts: list[QuotaUsage] = []
         principal = session.principal
         quota = self._quota_of(principal)
         if quota != NONE:
@@ -51,16 +51,16 @@ class Accounts:
         if tenant is not None and tenant.quota is not None:
             name = session.tenant or ""
             accounts.append(self._account("tenant", name, name, tenant.quota))
-        known = session.meter.accounts if session.meter is not None else ()
+        known = session.token_bucket.accounts if session.token_bucket is not None else ()
         if known != tuple(accounts):
-            session.meter = Meter(tuple(accounts)) if accounts else None
+            session.token_bucket = TokenBucket(tuple(accounts)) if accounts else None
 
-    def _account(self, owner: Owner, key: Any, name: str, quota: Quota) -> Account:
+    def _account(self, owner: Owner, key: Any, name: str, quota: Quota) -> QuotaUsage:
         account = self._known.get((owner, key))
         if account is None:
             if len(self._known) >= _MANY:
                 self._prune()
-            account = self._known[owner, key] = Account(owner, name, quota)
+            account = self._known[owner, key] = QuotaUsage(owner, name, quota)
         elif account.quota != quota:
             account.adopt(quota)
         if quota.queue_bytes is not None and self._timer is None:
@@ -89,14 +89,14 @@ class Accounts:
         :raises QueueFull: as many as allowed are connected.
         """
         self.attach(session)
-        if session.meter is None:
+        if session.token_bucket is None:
             return
-        for account in session.meter.accounts:
+        for account in session.token_bucket.accounts:
             self._check_session(account)
-        for account in session.meter.accounts:
+        for account in session.token_bucket.accounts:
             account.sessions.add(session)
 
-    def _check_session(self, account: Account) -> None:
+    def _check_session(self, account: QuotaUsage) -> None:
         limit = account.quota.sessions
         if limit is None:
             return
@@ -108,16 +108,16 @@ class Accounts:
 
     def leave(self, session: Session) -> None:
         """Count a session no more."""
-        if session.meter is not None:
-            for account in session.meter.accounts:
+        if session.token_bucket is not None:
+            for account in session.token_bucket.accounts:
                 account.sessions.discard(session)
 
     def move(self, session: Session) -> None:
         """Bring a session under the quotas that concern it now."""
         self.leave(session)
         self.attach(session)
-        if session.meter is not None and session.id in self._gateway.sessions.known:
-            for account in session.meter.accounts:
+        if session.token_bucket is not None and session.id in self._gateway.sessions.known:
+            for account in session.token_bucket.accounts:
                 account.sessions.add(session)
 
     def change_tenant(self, session: Session, tenant: str | None) -> None:
@@ -128,10 +128,12 @@ class Accounts:
         before, session.tenant = session.tenant, tenant
         if before == tenant:
             return
-        old = session.meter.accounts if session.meter is not None else ()
+        old = session.token_bucket.accounts if session.token_bucket is not None else ()
         self.move(session)
         try:
-            for account in session.meter.accounts if session.meter is not None else ():
+            for account in (
+                session.token_bucket.accounts if session.token_bucket is not None else ()
+            ):
                 limit = account.quota.sessions
                 if account not in old and limit is not None and account.connected > limit:
                     raise account.full("sessions", limit)
@@ -145,8 +147,8 @@ class Accounts:
 
         :raises QueueFull: its tenant or principal has as many as it may.
         """
-        if session.meter is not None:
-            for account in session.meter.accounts:
+        if session.token_bucket is not None:
+            for account in session.token_bucket.accounts:
                 limit = account.quota.subscriptions
                 if limit is not None and account.subscriptions >= limit:
                     raise account.full("subscriptions", limit)
@@ -156,9 +158,9 @@ class Accounts:
 
         :raises QueueFull: its tenant or principal has as many as it may.
         """
-        if session.meter is None or (path.startswith("/system/") and path != _PLANS):
+        if session.token_bucket is None or (path.startswith("/system/") and path != _PLANS):
             return
-        for account in session.meter.accounts:
+        for account in session.token_bucket.accounts:
             what, limit, held = "commands", account.quota.commands, account.commands
             if path == _PLANS:
                 what, limit, held = "plans", account.quota.plans, account.plans
@@ -167,11 +169,11 @@ class Accounts:
 
     def charge(self, session: Session, command: Command) -> None:
         """Count a command until it ends."""
-        if session.meter is None:
+        if session.token_bucket is None:
             return
         id_ = command.id
-        self._charged[id_] = session.meter.accounts
-        for account in session.meter.accounts:
+        self._charged[id_] = session.token_bucket.accounts
+        for account in session.token_bucket.accounts:
             (account.plans if command.path == _PLANS else account.commands).add(id_)
         command.followers.append(lambda reply: self._release(id_) if reply.final else None)
 
@@ -229,12 +231,12 @@ class Accounts:
                 sums[key] = sums.get(key, 0) + count
         return sums
 
-    def of(self, owner: Owner) -> Iterable[Account]:
+    def of(self, owner: Owner) -> Iterable[QuotaUsage]:
         """Go through the accounts of tenants or principals."""
         return [account for account in self._known.values() if account.owner == owner]
 
 
-def _weigh(account: Account, limit: int) -> None:
+def _weigh(account: QuotaUsage, limit: int) -> None:
     """Have the slowest clients give way until what waits is within the quota, or ask no more."""
     held = sorted(((waiting_bytes(s), s) for s in account.sessions), key=_by_size, reverse=True)
     total = sum(size for size, _ in held)
@@ -248,7 +250,7 @@ def _weigh(account: Account, limit: int) -> None:
         if over > 0:
             account.refused["queue_bytes"] = account.refused.get("queue_bytes", 0) + 1
             over -= size - shed(session, reason)
-        meter = session.meter
+        meter = session.token_bucket
         if meter is None:
             continue
         left = over > 0 and waiting_bytes(session) > 0

@@ -141,7 +141,7 @@ class Visibility:
         within = [*islice(self._below(path), MOST_TOUCHES)] if slashes >= _ROBOT else []
         if within:
             return not any(map(rights.mask, within))
-        return slashes >= _RESOURCE and not (rights.masks.get(path) or rights.weigh(path))
+        return slashes >= _RESOURCE and not (rights.masks.get(path) or rights.compute_mask(path))
 
     def _below(self, path: str) -> Iterator[str]:
         index, prefix = self._registry.index, path + "/"

@@ -13,12 +13,12 @@ from msgspec import Meta
 
 from rcp_kernel.access.identity import Principal
 from rcp_kernel.access.peer import UNKNOWN, Peer
-from rcp_kernel.clients.mailbox import Mailbox
 from rcp_kernel.clients.outbound import SHARE, SMALL
+from rcp_kernel.clients.outbox import Outbox
 from rcp_kernel.clients.unsent import ESTOP, left_out
 from rcp_kernel.clock import iso, now
 from rcp_kernel.errors import QueueFull, RcpError
-from rcp_kernel.operations.pending import crash
+from rcp_kernel.operations.pending import to_internal_error
 from rcp_kernel.values import Encoding, value_type
 from rcp_kernel.wire import (
     NO_BODY,
@@ -28,7 +28,7 @@ from rcp_kernel.wire import (
     decode_request,
     encode_reply,
     failure,
-    salvage,
+    peek_header,
 )
 
 if TYPE_CHECKING:
@@ -61,7 +61,7 @@ class Connection:
     """The gateway's end of one client connection.
 
     The transport feeds `receive` with whole messages, is called by `flush` when there is
-    something to send, and takes it with `mailbox.collect`. All on the event loop's thread.
+    something to send, and takes it with `outbox.collect`. All on the event loop's thread.
     """
 
     __slots__ = (
@@ -73,8 +73,8 @@ class Connection:
         "encoding",
         "expelled",
         "greetings",
-        "mailbox",
         "on_hello",
+        "outbox",
         "peer",
         "released",
         "session",
@@ -91,7 +91,7 @@ class Connection:
         self._gateway = gateway
         self.peer = peer
         self.encoding = encoding
-        self.mailbox = Mailbox(gateway.hub.ticker, encoding, flush, gateway.outbound.open())
+        self.outbox = Outbox(gateway.hub.flush_scheduler, encoding, flush, gateway.outbound.open())
         self.session = session
         self.closed = False
         self.expelled = False
@@ -119,7 +119,7 @@ class Connection:
         return self._held is not None
 
     def receive(self, data: bytes) -> None:
-        """Handle one whole message from the client; every reply goes through the mailbox.
+        """Handle one whole message from the client; every reply goes through the outbox.
 
         One that comes after `close` is nobody's: the session may be another connection's by now.
         """
@@ -141,7 +141,7 @@ class Connection:
                 gateway.check_pace(self.session)
             request = decode_request(data, self.encoding)
         except RcpError as error:
-            type_, id_ = salvage(data, self.encoding)
+            type_, id_ = peek_header(data, self.encoding)
             gateway.count(self.session.transport, type_, error.code)
             self.send(failure(error, type_, id_))
             return
@@ -149,20 +149,20 @@ class Connection:
             self._hello(request)
             return
         session = self.session
-        mailbox = self.mailbox
-        if request.type == "read" and self._splices and mailbox.waiting <= SHARE:
+        outbox = self.outbox
+        if request.type == "read" and self._splices and outbox.waiting <= SHARE:
             reply = gateway.read_at_once(session, request)
             if reply is not None:
-                if len(reply) > SMALL and mailbox.backlog.refuses(len(reply)):
+                if len(reply) > SMALL and outbox.backlog.refuses(len(reply)):
                     reply = self._left_out(request, len(reply))
-                mailbox.put(reply)
+                outbox.put(reply)
                 return
         gateway.handle(session, request, session.deliver)
 
     def stumbled(self, data: bytes, error: Exception) -> None:
         """Answer a message that nothing else could be done with, and log why."""
-        told = crash(error, session=self.session.id)
-        type_, id_ = salvage(data, self.encoding)
+        told = to_internal_error(error, session=self.session.id)
+        type_, id_ = peek_header(data, self.encoding)
         self._gateway.count(self.session.transport, type_, told.code)
         self.send(failure(told, type_, id_))
 
@@ -170,19 +170,19 @@ class Connection:
         """Queue a reply; feedback that a slow client has not taken yet gives way to newer."""
         if self.closed:
             return
-        mailbox = self.mailbox
+        outbox = self.outbox
         if reply.command is not None:
             if reply.status == "in_progress":
-                mailbox.feedback[reply.command] = partial(self._encode_feedback, reply)
-                mailbox.mark()
+                outbox.feedback[reply.command] = partial(self._encode_feedback, reply)
+                outbox.mark()
                 return
-            last = mailbox.feedback.pop(reply.command, None)
+            last = outbox.feedback.pop(reply.command, None)
             if last is not None:
-                mailbox.put(last())
+                outbox.put(last())
         data = self.encode(reply)
-        if reply.path != ESTOP and mailbox.backlog.refuses(len(data)):
+        if reply.path != ESTOP and outbox.backlog.refuses(len(data)):
             data = self.encode(left_out(reply, len(data)))
-        mailbox.put(data)
+        outbox.put(data)
 
     def _left_out(self, request: Request, size: int) -> bytes:
         """Write what is told in place of the answer to a read, which is counted already."""
@@ -194,7 +194,7 @@ class Connection:
         try:
             return encode_reply(reply, self.encoding)
         except Exception as error:
-            told = crash(error, path=reply.path)
+            told = to_internal_error(error, path=reply.path)
             said = failure(told, reply.type, reply.id, reply.path, command=reply.command)
             return encode_reply(said, self.encoding)
 
@@ -203,7 +203,7 @@ class Connection:
         try:
             return encode_reply(reply, self.encoding)
         except Exception as error:
-            crash(error, path=reply.path)
+            to_internal_error(error, path=reply.path)
             reply.body, reply.custom = NO_BODY, None
             return encode_reply(reply, self.encoding)
 
@@ -212,7 +212,7 @@ class Connection:
         try:
             self.greetings += 1
             if self.greetings > 1:  # the first one is free: who wants to stop a robot must get in
-                gateway.pay(self.session)
+                gateway.charge(self.session)
             hello = request.decode_body(_HELLO, "hello") if request.body else Hello()
             token = gateway.sessions.greeting.offered(hello)
             principal = None
@@ -234,14 +234,14 @@ class Connection:
         gateway.count(self.session.transport, "hello", "ok")
         reply = Reply(type="hello", id=request.id, body=body, timestamp=iso(now()))
         # Ahead of what a resumed session has to say: the client must know first whose it is.
-        self.mailbox.put_first(encode_reply(reply, self.encoding))
+        self.outbox.put_first(encode_reply(reply, self.encoding))
 
     def _unwelcome(self, request: Request, error: Exception) -> None:
         gateway = self._gateway
-        told = crash(error)
+        told = to_internal_error(error)
         gateway.count(self.session.transport, "hello", told.code)
         reply = failure(told, "hello", request.id)
-        gateway.recording.unwelcome(self.session, reply, self.send)(reply)
+        gateway.audit_writer.unwelcome(self.session, reply, self.send)(reply)
 
     async def _identify(self, request: Request, hello: Hello, token: str) -> None:
         """Find out whose token it is, while what the client says next waits for that."""
@@ -264,7 +264,7 @@ class Connection:
         if len(held) < _HELD and sum(map(len, held)) + len(data) <= self.limit:
             held.append(data)
             return
-        type_, id_ = salvage(data, self.encoding)
+        type_, id_ = peek_header(data, self.encoding)
         self._gateway.count(self.session.transport, type_, QueueFull.code)
         self.send(failure(QueueFull("`hello` is not answered yet"), type_, id_))
 
@@ -275,5 +275,5 @@ class Connection:
             if self._identifying is not None:
                 self._identifying.cancel()
             self._gateway.sessions.tally(self)
-            self.mailbox.close()
+            self.outbox.close()
             self._gateway.sessions.cut(self.session)

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import structlog
 
 if TYPE_CHECKING:
-    from rcp_kernel.clients.mailbox import Mailbox
+    from rcp_kernel.clients.outbox import Outbox
     from rcp_kernel.config.limits import Limits
 
 __all__ = ["SHARE", "SMALL", "Backlog", "Outbound"]
@@ -83,14 +83,14 @@ class Backlog:
             return True
         return False
 
-    def wait(self, mailbox: Mailbox) -> None:
-        """Have a mailbox flushed when there is room in the total again."""
-        self._outbound.wait(mailbox)
+    def wait(self, outbox: Outbox) -> None:
+        """Have an outbox flushed when there is room in the total again."""
+        self._outbound.wait(outbox)
 
-    def close(self, mailbox: Mailbox | None = None) -> None:
-        """Count nothing any more, and flush the mailbox no more that it belongs to."""
-        if mailbox is not None:
-            self._outbound.forget(mailbox)
+    def close(self, outbox: Outbox | None = None) -> None:
+        """Count nothing any more, and flush the outbox no more that it belongs to."""
+        if outbox is not None:
+            self._outbound.forget(outbox)
         self.cut = None
         self.set(0)
         self._closed = True
@@ -102,7 +102,7 @@ class Outbound:
     def __init__(self, loop: asyncio.AbstractEventLoop, limits: Limits) -> None:
         self._loop = loop
         self._holders: set[Backlog] = set()
-        self._waiting: dict[Mailbox, None] = {}
+        self._waiting: dict[Outbox, None] = {}
         self._timer: asyncio.TimerHandle | None = None
         self.total = 0
         """Bytes, without the clients' own shares."""
@@ -142,19 +142,19 @@ class Outbound:
         self.refused += 1
         return False
 
-    def wait(self, mailbox: Mailbox) -> None:
-        """Have a mailbox flushed when there is room again."""
-        self._waiting[mailbox] = None
+    def wait(self, outbox: Outbox) -> None:
+        """Have an outbox flushed when there is room again."""
+        self._waiting[outbox] = None
         self._watch()
 
-    def forget(self, mailbox: Mailbox) -> None:
-        """Flush a mailbox no more."""
-        self._waiting.pop(mailbox, None)
+    def forget(self, outbox: Outbox) -> None:
+        """Flush an outbox no more."""
+        self._waiting.pop(outbox, None)
 
     def _wake(self) -> None:
         waiting, self._waiting = self._waiting, {}
-        for mailbox in waiting:
-            mailbox.again()
+        for outbox in waiting:
+            outbox.again()
 
     def _watch(self) -> None:
         if self._timer is None:

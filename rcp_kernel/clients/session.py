@@ -13,12 +13,12 @@ from rcp_kernel.access.identity import Principal
 from rcp_kernel.clock import iso, now
 from rcp_kernel.errors import RcpError
 from rcp_kernel.streaming.notices import notice
-from rcp_kernel.streaming.streams import Subscription
+from rcp_kernel.streaming.subscription import Subscription
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import Reply, Request, encode_reply
 
 if TYPE_CHECKING:
-    from rcp_kernel.access.meter import Meter
+    from rcp_kernel.access.token_bucket import TokenBucket
     from rcp_kernel.clients.connections import Connection
     from rcp_kernel.clients.outbound import Backlog
     from rcp_kernel.operations.command import Command
@@ -56,7 +56,6 @@ class Session:
         "inflight",
         "lapse",
         "listening",
-        "meter",
         "missed",
         "missed_bytes",
         "news",
@@ -68,6 +67,7 @@ class Session:
         "shared",
         "subscriptions",
         "tenant",
+        "token_bucket",
         "transport",
     )
 
@@ -103,7 +103,7 @@ class Session:
         """The client knows the session's id, so it may come back to it."""
         self.listening = False
         """Its connection takes no requests (SSE): it is told things, and commands nothing."""
-        self.meter: Meter | None = None
+        self.token_bucket: TokenBucket | None = None
         """What its requests are counted by; None if no quota concerns it."""
         self.missed: deque[tuple[Reply, int]] = deque()
         """Replies for a client that is away, and about how long each is."""
@@ -139,8 +139,8 @@ class Session:
         """How many bytes wait for the client, but for samples."""
         if self.connection is None:
             return self.missed_bytes
-        mailbox = self.connection.mailbox
-        return mailbox.waiting + mailbox.parked + mailbox.buffered
+        outbox = self.connection.outbox
+        return outbox.waiting + outbox.parked + outbox.buffered
 
     def deliver(self, reply: Reply) -> None:
         """Send a reply now, or keep it for the client's return."""
@@ -180,7 +180,7 @@ class Session:
     def tell(self, code: str, **facts: Any) -> None:
         """Send a notice now, or keep it for the client's return."""
         if self.connection is not None:
-            notice(self.connection.mailbox, code, **facts)
+            notice(self.connection.outbox, code, **facts)
         elif self.cut is not None:
             self.news.append((code, facts))
 
@@ -195,7 +195,7 @@ class Session:
             "created": iso(self.created),
             "subscriptions": len(self.subscriptions),
             "commands": sum(1 for c in self.commands.values() if not c.final),
-            "backlog": self.connection.mailbox.depth if self.connection else len(self.missed),
+            "backlog": self.connection.outbox.depth if self.connection else len(self.missed),
         }
 
 

@@ -10,12 +10,12 @@ from collections import Counter
 from typing import TYPE_CHECKING, Any
 
 from rcp_kernel.access.acl import Rights
+from rcp_kernel.access.credential_expiry import CredentialExpiry
 from rcp_kernel.access.identity import Principal, same
-from rcp_kernel.access.lapsing import Lapsing
 from rcp_kernel.access.peer import UNKNOWN, Peer
-from rcp_kernel.clients.greeting import Greeting
+from rcp_kernel.clients.backpressure import Relief
+from rcp_kernel.clients.handshake import Handshake
 from rcp_kernel.clients.session import Session
-from rcp_kernel.clients.waiting import Relief
 from rcp_kernel.clock import now
 from rcp_kernel.errors import TokenExpired
 from rcp_kernel.streaming.notices import notice
@@ -39,8 +39,8 @@ class Sessions:
         self.updates: dict[str, int] = {}
         """Updates sent over connections that are closed, by transport."""
         self._stateless: dict[tuple[Principal, str | None, str], Session] = {}
-        self._lapsing = Lapsing(gateway.loop, self._expel)
-        self.greeting = Greeting(gateway, self)
+        self._lapsing = CredentialExpiry(gateway.loop, self._expel)
+        self.greeting = Handshake(gateway, self)
         self.relief = Relief(gateway.loop, self.known.values, gateway.outbound)
 
     def open(
@@ -61,7 +61,7 @@ class Sessions:
             self._make_room()
         gateway.check_sessions(len(self.known))
         session = Session(principal, gateway.rules.rights(principal), chosen, transport)
-        gateway.accounts.enter(session)
+        gateway.quota_tracker.enter(session)
         self.known[session.id] = session
         self.relief.start()
         self.logged_in(session, peer)
@@ -119,7 +119,7 @@ class Sessions:
             chosen = gateway.identities.tenant_for(principal, tenant)
             rights = gateway.rules.rights(principal)
             session = Session(principal, rights, chosen, transport, shared=True)
-            gateway.accounts.attach(session)
+            gateway.quota_tracker.attach(session)
             if len(self._stateless) >= _STATELESS:
                 self._lapsing.forget(self._stateless.pop(next(iter(self._stateless))))
             self._stateless[key] = session
@@ -137,7 +137,7 @@ class Sessions:
                 )
         shared = list(self._stateless.items())
         self._stateless.clear()
-        gateway.accounts.recount()
+        gateway.quota_tracker.recount()
         for (_, tenant, transport), session in shared:
             if self._reviewed(session):
                 tenants = gateway.identities.tenants_of(session.principal)
@@ -167,7 +167,7 @@ class Sessions:
         tenants = gateway.identities.tenants_of(principal)
         if session.tenant not in tenants:
             session.tenant = tenants[0] if tenants else None
-        gateway.accounts.move(session)
+        gateway.quota_tracker.move(session)
         gateway.drop_forbidden(session)
         self._lapsing.watch(session)
 
@@ -178,7 +178,7 @@ class Sessions:
         if connection is not None:
             for id_ in session.subscriptions:
                 notice(
-                    connection.mailbox,
+                    connection.outbox,
                     "subscription_ended",
                     id=id_,
                     reason=told.code,
@@ -187,7 +187,7 @@ class Sessions:
                 )
             connection.send(failure(told, "hello"))
             connection.expelled = True
-            connection.mailbox.mark()
+            connection.outbox.mark()
         for ending in list(session.endings):
             ending(told)
         session.rights = Rights((), {})  # for what is under way to the gateway
@@ -204,7 +204,7 @@ class Sessions:
     def tally(self, connection: Connection) -> None:
         """Add a closing connection's updates to its transport's sum."""
         name = connection.session.transport
-        self.updates[name] = self.updates.get(name, 0) + connection.mailbox.updates
+        self.updates[name] = self.updates.get(name, 0) + connection.outbox.updates
 
     def cut(self, session: Session) -> None:
         """Take notice that the connection is gone; the session waits if its client knows it."""
@@ -222,14 +222,14 @@ class Sessions:
         for subscription in session.subscriptions.values():
             self._gateway.hub.detach(subscription)
         session.expiry = gateway.hub.loop.call_later(gateway.limits.session_ttl, self.drop, session)
-        gateway.returning.note(session)
+        gateway.session_resume.note(session)
 
     def drop(self, session: Session) -> None:
         """End a session and its leases; its commands go on."""
         self.known.pop(session.id, None)
         self._gateway.leases.ended(session)
-        self._gateway.returning.forget(session)
-        self._gateway.accounts.leave(session)
+        self._gateway.session_resume.forget(session)
+        self._gateway.quota_tracker.leave(session)
         self._lapsing.forget(session)
         if session.expiry is not None:
             session.expiry.cancel()

@@ -20,8 +20,8 @@ from rcp_kernel.errors import DeviceTimeout, Forbidden, UnknownPath
 from rcp_kernel.gateway import Gateway
 from rcp_kernel.motion.latches import GATEWAY, tenant_key
 from rcp_kernel.motion.scope import Scope
-from rcp_kernel.motion.units import Unit
-from rcp_kernel.process.supervisor import Slot
+from rcp_kernel.motion.stop_group import StopGroup
+from rcp_kernel.process.supervisor import BackendSupervisor
 from rcp_kernel.safety.stop import Stop, StopController
 from rcp_kernel.wire import Request
 
@@ -58,11 +58,13 @@ class EstopState(msgspec.Struct, frozen=True):
 class Estop:
     """Latches, halts and resets."""
 
-    def __init__(self, gateway: Gateway, slots: list[Slot], stops: StopController) -> None:
+    def __init__(
+        self, gateway: Gateway, supervisors: list[BackendSupervisor], stops: StopController
+    ) -> None:
         self._gateway = gateway
-        self._slots = slots
+        self._supervisors = supervisors
         self._stops = stops
-        self._due: list[tuple[list[Unit], str, str | None]] = []
+        self._due: list[tuple[list[StopGroup], str, str | None]] = []
         """E-stops after which what ran has not been ended yet."""
         self._ending: set[asyncio.Task[None]] = set()
 
@@ -79,12 +81,12 @@ class Estop:
 
     def everything(self) -> EstopState:
         """Return all that is latched."""
-        units = [unit for slot in self._slots for unit in slot.units]
+        units = [unit for supervisor in self._supervisors for unit in supervisor.units]
         wide = {key: latch.plain() for key, latch in self._wide().items()}
         return self._state_of(units, wide, tuple(self._groups()))
 
     def _state_of(
-        self, units: list[Unit], wide: dict[str, dict[str, Any]], groups: tuple[str, ...]
+        self, units: list[StopGroup], wide: dict[str, dict[str, Any]], groups: tuple[str, ...]
     ) -> EstopState:
         robots: dict[str, dict[str, Any]] = {}
         for unit in units:
@@ -99,13 +101,13 @@ class Estop:
     def _wide(self) -> dict[str, Any]:
         return self._gateway.latches.wide
 
-    def _visible(self, session: Session) -> list[Unit]:
+    def _visible(self, session: Session) -> list[StopGroup]:
         """List the robots that a session may see, one by one."""
         seen = session.rights.mask
         return [
             unit
-            for slot in self._slots
-            for unit in slot.units
+            for supervisor in self._supervisors
+            for unit in supervisor.units
             if any(seen(entry.path) for entry in unit.own.values())
         ]
 
@@ -123,7 +125,7 @@ class Estop:
         keys, robots = self.check(session, asked)
         if asked.reset:
             freed = self._reset(keys, robots)
-            self._gateway.recording.estop(session, sent, asked, keys, freed)
+            self._gateway.audit_writer.estop(session, sent, asked, keys, freed)
             return self._state_now(session)
         latches, by = self._gateway.latches, session.principal.name
         fresh = [robot for robot in robots if robot.latch is None]
@@ -135,12 +137,12 @@ class Estop:
         # After the halts: the latch keeps everything that waits from the robots meanwhile.
         self._due.append((robots, by, asked.reason))
         self._gateway.loop.call_soon(self._end_due)
-        self._gateway.recording.estop(session, sent, asked, keys, fresh)
+        self._gateway.audit_writer.estop(session, sent, asked, keys, fresh)
         return self._halted(session, stops, sent.deadline)
 
     def check(
         self, session: Session, asked: EstopRequest
-    ) -> tuple[dict[str, str | None], list[Unit]]:
+    ) -> tuple[dict[str, str | None], list[StopGroup]]:
         """Return the latches and robots that a request means; refuse it as `request` does."""
         keys, robots = self._meant(session, asked.scope)
         if not asked.reset:
@@ -162,7 +164,7 @@ class Estop:
         seen = set(self._visible(session))
         return sorted(robot.name for robot in robots if robot in seen)
 
-    def _reset(self, keys: dict[str, str | None], robots: list[Unit]) -> list[Unit]:
+    def _reset(self, keys: dict[str, str | None], robots: list[StopGroup]) -> list[StopGroup]:
         """Let go of robots; return those that were held."""
         self._end_due()
         freed = [robot for robot in robots if robot.latch is not None]
@@ -181,7 +183,7 @@ class Estop:
 
     def _meant(
         self, session: Session, scope: str | None
-    ) -> tuple[dict[str, str | None], list[Unit]]:
+    ) -> tuple[dict[str, str | None], list[StopGroup]]:
         """Return the keys of the latches that a scope means, with their tenants, and the robots."""
         tenants = self._gateway.identities.tenants_of(session.principal)
         if scope is None and not session.rights.may_stop_all():
@@ -221,29 +223,29 @@ class Estop:
             )
         return tenant_key(session.tenant)
 
-    def _members(self, session: Session, group: str) -> list[Unit]:
+    def _members(self, session: Session, group: str) -> list[StopGroup]:
         """List the robots of a group that a session may see."""
-        found: dict[Unit, None] = {}
+        found: dict[StopGroup, None] = {}
         for scope in self._groups()[group]:
             found |= dict.fromkeys(self._in(session, Scope(scope)))
         return list(found)
 
-    def _in(self, session: Session, scope: Scope) -> list[Unit]:
+    def _in(self, session: Session, scope: Scope) -> list[StopGroup]:
         return [unit for unit in self._visible(session) if self._within(session, unit, scope)]
 
-    def _with_partners(self, units: list[Unit]) -> list[Unit]:
+    def _with_partners(self, units: list[StopGroup]) -> list[StopGroup]:
         """Add what else fronts the same robots: other backends, whoever may see their resources."""
         meant = {unit.identity for unit in units}
         partners = (
             unit
-            for slot in self._slots
-            for unit in slot.units
+            for supervisor in self._supervisors
+            for unit in supervisor.units
             if unit.identity in meant and unit.own
         )
         return list(dict.fromkeys((*units, *partners)))
 
     def _widest(
-        self, session: Session, tenants: list[str], robots: list[Unit]
+        self, session: Session, tenants: list[str], robots: list[StopGroup]
     ) -> dict[str, str | None]:
         """Mean whole tenants where the session sees all their robots, else the robots it sees."""
         keys: dict[str, str | None] = {}
@@ -256,12 +258,17 @@ class Estop:
 
     def _hidden(self, session: Session, tenant: str | None) -> bool:
         """Tell whether there is a robot that the session may not see, or none at all to go by."""
-        units = [u for slot in self._slots for u in slot.units if tenant in (None, slot.tenant)]
+        units = [
+            u
+            for supervisor in self._supervisors
+            for u in supervisor.units
+            if tenant in (None, supervisor.tenant)
+        ]
         visible = self._visible(session)
         return not units or any(unit.own and unit not in visible for unit in units)
 
     @staticmethod
-    def _within(session: Session, unit: Unit, scope: Scope) -> bool:
+    def _within(session: Session, unit: StopGroup, scope: Scope) -> bool:
         if unit.tenant != scope.tenant:
             return False
         if scope.whole or (scope.robot is not None and scope.robot == unit.place):
@@ -275,7 +282,7 @@ class Estop:
         while self._due:
             self._end_all(*self._due.pop())
 
-    def _end_all(self, robots: list[Unit], by: str, reason: str | None) -> None:
+    def _end_all(self, robots: list[StopGroup], by: str, reason: str | None) -> None:
         """End what runs, waits or is under way on stopped robots, and the leases on them."""
         gateway = self._gateway
         ending: list[asyncio.Task[Any]] = []
@@ -284,7 +291,7 @@ class Estop:
             for entry in robot.entries.values():
                 paths.add(entry.path)
                 if entry.moves:
-                    ending += gateway.deadman.ground(entry)
+                    ending += gateway.deadman.cancel_writes(entry)
         for command in list(gateway.commands.running.values()):
             if command.path in paths or not paths.isdisjoint(command.touches):
                 if command.task is not None:
@@ -296,7 +303,7 @@ class Estop:
         why = "emergency stop" + (f": {reason}" if reason else "")
         gateway.leases.drop_on(paths, by, why)
 
-    async def _again(self, robots: list[Unit], ending: list[asyncio.Task[Any]]) -> None:
+    async def _again(self, robots: list[StopGroup], ending: list[asyncio.Task[Any]]) -> None:
         """Halt once more when all that was cancelled has ended.
 
         Backends fence it off, but for those that do not, the halt must be what came last.
@@ -333,7 +340,7 @@ class Estop:
         )
 
 
-def _merged(units: list[Unit]) -> list[Unit]:
+def _merged(units: list[StopGroup]) -> list[StopGroup]:
     """Have backends halt as a whole of which all robots are to stop."""
     meant = set(units)
     return list(
@@ -344,7 +351,7 @@ def _merged(units: list[Unit]) -> list[Unit]:
     )
 
 
-def _keys(units: list[Unit]) -> dict[str, str | None]:
+def _keys(units: list[StopGroup]) -> dict[str, str | None]:
     """Return the keys of the latches for robots, those of whole backends where they can be."""
     names = {unit.name: unit.tenant for unit in _merged(units)}
     return names | {unit.identity: unit.tenant for unit in units}

@@ -16,7 +16,7 @@ from rcp_kernel.model import Kind
 if TYPE_CHECKING:
     from rcp_kernel.clients.session import Session
     from rcp_kernel.gateway import Gateway
-    from rcp_kernel.motion.envelopes import Bound
+    from rcp_kernel.motion.motion_limits import Bound
     from rcp_kernel.streaming.samples import Sample
 
 __all__ = ["FenceGuard"]

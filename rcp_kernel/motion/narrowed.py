@@ -8,7 +8,7 @@ from typing import Any
 from rcp_kernel._plain import is_list, is_map
 from rcp_kernel.config.envelopes import Bound
 from rcp_kernel.fields import Field
-from rcp_kernel.motion.envelope import within
+from rcp_kernel.motion.motion_limit import within
 
 __all__ = ["narrowed"]
 

@@ -12,8 +12,8 @@ from typing import Any
 
 from rcp_kernel.clock import iso, now, parse_time
 from rcp_kernel.errors import BadRequest, EstopActive, StaleCommand
-from rcp_kernel.motion.insist import insist
 from rcp_kernel.motion.latches import Latch
+from rcp_kernel.motion.retry import retry_until_confirmed
 from rcp_kernel.registry import Entry
 from rcp_kernel.safety.fence import unfenced
 from rcp_kernel.wire import Request
@@ -135,12 +135,12 @@ class Deadman:
             )
         return request.valid_for
 
-    def flight(self, entry: Entry) -> _Flight:
+    def in_flight(self, entry: Entry) -> _Flight:
         """Have the present task known as one that writes to an entry, for `ground` to cancel."""
         self.began(entry)
         return _Flight(self._flights, entry.path)
 
-    def ground(self, entry: Entry) -> list[asyncio.Task[Any]]:
+    def cancel_writes(self, entry: Entry) -> list[asyncio.Task[Any]]:
         """Cut what commands an entry whose robot is brought to rest as a whole.
 
         Return the writes that were cancelled and have not ended yet.
@@ -258,7 +258,7 @@ class Deadman:
             self.sending(entry, safe)
             await backend.write(entry.name, safe)
 
-        await insist(once, "deadman_stop_failed", path=entry.path)
+        await retry_until_confirmed(once, "deadman_stop_failed", path=entry.path)
         self.at_rest(entry, safe)
         entry.publish(safe, None)
         self.note(entry, "ok")

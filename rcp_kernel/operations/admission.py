@@ -48,7 +48,7 @@ class Admission:
         self.check_thaw(entry)
         self._gateway.leases.check(session, entry)
         self._gateway.check_open()
-        self._gateway.recording.check()
+        self._gateway.audit_writer.check()
         if entry.owner.backend is None:
             raise entry.owner.unavailable()
         self._gateway.envelopes.check(session, entry, value)

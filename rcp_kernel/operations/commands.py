@@ -35,7 +35,7 @@ from rcp_kernel.wire import FINAL, NO_BODY, error_body
 if TYPE_CHECKING:
     from rcp_kernel.clients.session import Session
 
-__all__ = ["Commands", "Keeper"]
+__all__ = ["CommandObserver", "Commands"]
 
 Confirm = Callable[["Session", Entry, Any, "str | float | None"], Backend]
 _QUEUE = 16  # commands that wait for one path
@@ -43,7 +43,7 @@ _HISTORY = 64  # replies kept of one command; first and last are always among th
 _CANCEL_GRACE = 5.0  # s a backend has to bring a cancelled command to rest
 
 
-class Keeper(Protocol):
+class CommandObserver(Protocol):
     """Where commands are written down so that a restart finds them."""
 
     def save(self, command: Command) -> None:
@@ -58,7 +58,7 @@ class Keeper(Protocol):
 class Commands:
     """Every command of the gateway: running, queued, and the recently finished."""
 
-    def __init__(self, confirm: Confirm, keeper: Keeper) -> None:
+    def __init__(self, confirm: Confirm, keeper: CommandObserver) -> None:
         self.running: dict[str, Command] = {}
         self.finished = Finished(keeper.forget)
         self.counts: dict[tuple[str, str], int] = {}

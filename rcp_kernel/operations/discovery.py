@@ -13,7 +13,7 @@ from rcp_kernel.access.acl import Rights, reach
 from rcp_kernel.clock import now
 from rcp_kernel.errors import BadRequest
 from rcp_kernel.model import Kind, Operation, Pattern, Resource, operation_names
-from rcp_kernel.motion.envelopes import Envelopes
+from rcp_kernel.motion.motion_limits import MotionLimits
 from rcp_kernel.operations.catalogue import CataloguePage, Description
 from rcp_kernel.operations.pages import LONGEST, MOST, cursor_of, place_of
 from rcp_kernel.registry import Entry, Registry
@@ -56,7 +56,7 @@ _QUERY = value_type(Query | None)
 class Discovery:
     """Answers `discover` from the registry; descriptions are written once for each entry."""
 
-    def __init__(self, registry: Registry, envelopes: Envelopes) -> None:
+    def __init__(self, registry: Registry, envelopes: MotionLimits) -> None:
         self._registry = registry
         self._envelopes = envelopes
         self._known: dict[str, tuple[Entry, Description]] = {}

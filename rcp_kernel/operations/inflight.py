@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from rcp_kernel.clients.session import Answer, Session
 from rcp_kernel.errors import DuplicateRequest, QueueFull, RcpError
-from rcp_kernel.operations.pending import Pace, Pending, crash
+from rcp_kernel.operations.pending import Pace, Pending, to_internal_error
 from rcp_kernel.wire import Reply, Request, failure
 
 if TYPE_CHECKING:
@@ -56,7 +56,7 @@ class InFlight:
             try:
                 reply = make(result) if error is None else None
             except Exception as trouble:
-                reply, error = None, crash(trouble, path=path)
+                reply, error = None, to_internal_error(trouble, path=path)
             if reply is None:
                 assert error is not None
                 reply = failure(error, request.type, request.id, path)

@@ -10,7 +10,7 @@ from typing import Any
 
 from rcp_kernel.errors import DeadlineExceeded
 from rcp_kernel.operations.parts import Parts
-from rcp_kernel.operations.pending import crash
+from rcp_kernel.operations.pending import to_internal_error
 from rcp_kernel.registry import Entry
 from rcp_kernel.streaming.samples import Sample, project
 from rcp_kernel.turns import Turns
@@ -113,7 +113,7 @@ class PatternRead:
             return self._failed(entry, error)
 
     def _failed(self, entry: Entry, error: Exception) -> bool:
-        told = crash(error, path=entry.path)
+        told = to_internal_error(error, path=entry.path)
         facts = {"path": entry.path, "status": told.status, "error": error_body(told)}
         return self._page.add(facts, NO_BODY, self._room)
 

@@ -18,7 +18,7 @@ from rcp_kernel.errors import (
     RcpError,
 )
 
-__all__ = ["Pace", "Pending", "blame", "crash"]
+__all__ = ["Pace", "Pending", "attribute_error", "to_internal_error"]
 
 log = structlog.get_logger("rcp.gateway")
 _TURN = 16  # requests that begin in one turn of the loop
@@ -26,7 +26,7 @@ _TURN = 16  # requests that begin in one turn of the loop
 Settle = Callable[[Any, RcpError | None], None]
 
 
-def crash(error: BaseException, **facts: Any) -> RcpError:
+def to_internal_error(error: BaseException, **facts: Any) -> RcpError:
     """Turn an exception that nobody expected into the error a client may see, and log the rest."""
     if isinstance(error, RcpError):
         return error
@@ -38,9 +38,9 @@ def crash(error: BaseException, **facts: Any) -> RcpError:
     return failure
 
 
-def blame(error: Exception, origin: str, path: str) -> RcpError:
+def attribute_error(error: Exception, origin: str, path: str) -> RcpError:
     """Turn what a backend raised, and no client may see, into an error that says whose it is."""
-    told = crash(error, backend=origin, path=path)
+    told = to_internal_error(error, backend=origin, path=path)
     told.origin = origin
     return told
 
@@ -140,4 +140,4 @@ class Pending:
         if error is None:
             self._finish(task.result(), None)
         else:
-            self._finish(None, crash(error, path=self.path))
+            self._finish(None, to_internal_error(error, path=self.path))

@@ -26,8 +26,8 @@ from rcp_kernel.plans.limit import paced_timeout
 from rcp_kernel.plans.looking import looked_at, refuse_excess
 from rcp_kernel.plans.model import Group, Operate, Parallel, Retry, Wait
 from rcp_kernel.plans.node import Checked, Node, every
-from rcp_kernel.plans.sending import Sending
-from rcp_kernel.plans.telling import Telling
+from rcp_kernel.plans.progress import ProgressReport
+from rcp_kernel.plans.requests import StepRequests
 from rcp_kernel.wire import Request, error_body
 
 if TYPE_CHECKING:
@@ -43,14 +43,19 @@ class Engine:
     """One run of one plan."""
 
     def __init__(
-        self, gateway: Gateway, session: Session, checked: Checked, command: str, telling: Telling
+        self,
+        gateway: Gateway,
+        session: Session,
+        checked: Checked,
+        command: str,
+        telling: ProgressReport,
     ) -> None:
         self._gateway = gateway
         self._session = session
         self._checked = checked
         self._telling = telling
         nodes = list(every(checked.nodes))
-        self._sending = Sending(gateway, session, {node.id: node for node in nodes}, command)
+        self._sending = StepRequests(gateway, session, {node.id: node for node in nodes}, command)
         self._part = f"plan {command}"
         self._asked: set[str] = set()
         self._turns, self._owner = gateway.turns, session.principal.identity

@@ -12,11 +12,11 @@ from rcp_kernel.clock import iso
 from rcp_kernel.errors import PayloadTooLarge, QueueFull
 from rcp_kernel.model import Operation
 from rcp_kernel.operations.command import Command
-from rcp_kernel.plans.checking import check_plan, read_conditions
+from rcp_kernel.plans.checks import check_plan, read_conditions
 from rcp_kernel.plans.engine import Engine
 from rcp_kernel.plans.model import PATH, Plan, PlanState
 from rcp_kernel.plans.node import Checked, every
-from rcp_kernel.plans.telling import Telling
+from rcp_kernel.plans.progress import ProgressReport
 from rcp_kernel.registry import Entry
 from rcp_kernel.spi import Progress
 from rcp_kernel.values import to_plain
@@ -40,7 +40,7 @@ class Work:
         self.asked = tuple(n.path or "" for n in every(checked.nodes) if n.id in checked.asks)
         self.touches = tuple(dict.fromkeys(checked.touches))
         self.tenant = session.tenant
-        self.telling = Telling(checked, self._changed)
+        self.telling = ProgressReport(checked, self._changed)
 
     def _changed(self) -> None:
         self._gateway.plans.changed()

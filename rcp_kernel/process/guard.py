@@ -19,9 +19,9 @@ import msgspec
 import structlog
 
 from rcp_kernel.errors import StaleCommand
-from rcp_kernel.motion.insist import insist
+from rcp_kernel.motion.retry import retry_until_confirmed
 from rcp_kernel.process.guard_process import GuardProcess
-from rcp_kernel.process.supervisor import Slot
+from rcp_kernel.process.supervisor import BackendSupervisor
 from rcp_kernel.registry import Entry
 
 if TYPE_CHECKING:
@@ -41,21 +41,21 @@ _HOLD = 10.0  # s that a robot is told to rest after a stop by the guard
 class GuardLink:
     """Arms and feeds the guard, and says in the status what stops each robot without the gateway."""
 
-    def __init__(self, gateway: Gateway, slots: Sequence[Slot]) -> None:
+    def __init__(self, gateway: Gateway, supervisors: Sequence[BackendSupervisor]) -> None:
         self._gateway = gateway
-        self._slots = slots
+        self._supervisors = supervisors
         safety = gateway.config.safety
         self._on = safety.guard and os.name == "posix"
         self._after = safety.guard_after
         self._period = min(_PERIOD, safety.guard_after / 5)
         self._process = GuardProcess(gateway.loop, safety, self._told)
-        self._moved: dict[Slot, float] = {}
+        self._moved: dict[BackendSupervisor, float] = {}
         """When a backend that may move was last told to."""
         self._armed: frozenset[str] = frozenset()
         self._plans: dict[str, dict[str, Any]] = {}
         self._seen: list[tuple[str, int]] = []
         self._senders: dict[str, tuple[str, str]] = {}
-        self._ready: dict[Slot, float] = {}
+        self._ready: dict[BackendSupervisor, float] = {}
         self._warned: set[tuple[str, str | None]] = set()
         self._holds: set[asyncio.Task[None]] = set()
         self._timer: asyncio.TimerHandle | None = None
@@ -88,12 +88,12 @@ class GuardLink:
 
     def arm(self, entry: Entry) -> None:
         """Arm the guard before something moves; does next to nothing where it is armed."""
-        slot = entry.owner
-        if not entry.barred or not isinstance(slot, Slot):
+        supervisor = entry.owner
+        if not entry.barred or not isinstance(supervisor, BackendSupervisor):
             return
-        self._moved[slot] = self._gateway.loop.time()
-        if slot.name not in self._armed:
-            self._armed |= {slot.name}
+        self._moved[supervisor] = self._gateway.loop.time()
+        if supervisor.name not in self._armed:
+            self._armed |= {supervisor.name}
             self._process.arm(self._armed)
 
     def check_thaw(self, entry: Entry) -> None:
@@ -103,12 +103,17 @@ class GuardLink:
 
         :raises StaleCommand: the loop stood still until just now.
         """
-        slot = entry.owner
-        if not self._on or not entry.barred or not isinstance(slot, Slot) or not slot.plans:
+        supervisor = entry.owner
+        if (
+            not self._on
+            or not entry.barred
+            or not isinstance(supervisor, BackendSupervisor)
+            or not supervisor.plans
+        ):
             return
         self._look_for_freeze()
         left = self._thawed + _THAW - time.monotonic()
-        if left > 0 and slot.name in self._frozen:
+        if left > 0 and supervisor.name in self._frozen:
             raise StaleCommand(
                 "the gateway stood still and the guard has stopped the robot: this may be older",
                 path=entry.path,
@@ -133,25 +138,35 @@ class GuardLink:
         self._next()
         try:
             self._look()
-            self._armed = frozenset(slot.name for slot in self._slots if self._may_move(slot))
+            self._armed = frozenset(
+                supervisor.name for supervisor in self._supervisors if self._may_move(supervisor)
+            )
         except Exception:  # a heartbeat that fails would have the robots stopped
             log.exception("guard_link_failed")
         self._process.beat(self._armed)
 
     def _look(self) -> None:
         """Take over plans that changed, and warn of robots that nothing would stop."""
-        seen = [(slot.name, slot.plans_changed) for slot in self._slots]
+        seen = [(supervisor.name, supervisor.plans_changed) for supervisor in self._supervisors]
         if self._on and seen != self._seen:
             self._seen = seen
-            self._moved = {slot: at for slot, at in self._moved.items() if slot in self._slots}
-            self._ready = {slot: at for slot, at in self._ready.items() if slot in self._slots}
+            self._moved = {
+                supervisor: at
+                for supervisor, at in self._moved.items()
+                if supervisor in self._supervisors
+            }
+            self._ready = {
+                supervisor: at
+                for supervisor, at in self._ready.items()
+                if supervisor in self._supervisors
+            }
             self._replace(dict(self._plans_now()))
-        for slot in self._slots:
-            if slot not in self._ready:
-                if slot.backend is not None:
-                    self._ready[slot] = self._gateway.loop.time()
-            elif self._gateway.loop.time() - self._ready[slot] > _SETTLE:
-                self._warn(slot)
+        for supervisor in self._supervisors:
+            if supervisor not in self._ready:
+                if supervisor.backend is not None:
+                    self._ready[supervisor] = self._gateway.loop.time()
+            elif self._gateway.loop.time() - self._ready[supervisor] > _SETTLE:
+                self._warn(supervisor)
 
     def _replace(self, plans: dict[str, dict[str, Any]]) -> None:
         held = self._plans
@@ -163,48 +178,50 @@ class GuardLink:
         self._process.replace_plans(plans)
 
     def _plans_now(self) -> Iterable[tuple[str, dict[str, Any]]]:
-        for slot in self._slots:
-            for name, plan in slot.plans.items():
+        for supervisor in self._supervisors:
+            for name, plan in supervisor.plans.items():
                 try:
                     plain = json.loads(json.dumps(msgspec.structs.asdict(plan)))
                 except (TypeError, ValueError) as error:
-                    slot.fault(f"the stop plan '{name}' is not plain data: {error}")
+                    supervisor.fault(f"the stop plan '{name}' is not plain data: {error}")
                     continue
-                yield f"{slot.name}/{name}", {"group": slot.name, **plain}
+                yield f"{supervisor.name}/{name}", {"group": supervisor.name, **plain}
 
-    def _may_move(self, slot: Slot) -> bool:
-        if any(unit.latch is not None for unit in slot.units):
+    def _may_move(self, supervisor: BackendSupervisor) -> bool:
+        if any(unit.latch is not None for unit in supervisor.units):
             return True
-        moved = self._moved.get(slot)
+        moved = self._moved.get(supervisor)
         if moved is None:
             return False
         now = self._gateway.loop.time()
-        if self._is_commanded(slot):
-            self._moved[slot] = now
+        if self._is_commanded(supervisor):
+            self._moved[supervisor] = now
             return True
-        if now - moved > _LINGER and self._rests(slot, now - moved):
-            del self._moved[slot]
+        if now - moved > _LINGER and self._rests(supervisor, now - moved):
+            del self._moved[supervisor]
             return False
         return True
 
-    def _is_commanded(self, slot: Slot) -> bool:
+    def _is_commanded(self, supervisor: BackendSupervisor) -> bool:
         gateway = self._gateway
         entries = gateway.registry.entries
         running = gateway.commands.running.values()
         return any(
-            (entry := entries.get(path)) is not None and entry.owner is slot
+            (entry := entries.get(path)) is not None and entry.owner is supervisor
             for path in gateway.deadman.paths
-        ) or any(c.entry is not None and c.entry.owner is slot and c.entry.barred for c in running)
+        ) or any(
+            c.entry is not None and c.entry.owner is supervisor and c.entry.barred for c in running
+        )
 
-    def _rests(self, slot: Slot, since: float) -> bool:
+    def _rests(self, supervisor: BackendSupervisor, since: float) -> bool:
         """Tell whether a backend rests, as it measures, or else as far as anybody can know."""
-        backend, state = slot.backend, None
+        backend, state = supervisor.backend, None
         if backend is not None:
             with suppress(Exception):
                 state = backend.motion(None)
         if state is not None and state.at_rest is not None:
             return state.at_rest
-        if any(self._gateway.deadman.holds(entry) for entry in slot.entries.values()):
+        if any(self._gateway.deadman.holds(entry) for entry in supervisor.entries.values()):
             return False
         measures_nothing = backend is not None and state is None
         return measures_nothing or since > _UNKNOWN
@@ -220,10 +237,10 @@ class GuardLink:
                     log.warning("guard_sender", backend=backend, plan=plan, reason=detail)
             case {"event": "stopped", "groups": [*groups], "reason": str(reason)}:
                 self.stops += 1
-                for slot in self._slots:
-                    if slot.name in groups and slot.plans:
-                        log.error("guard_stopped_robot", backend=slot.name, reason=reason)
-                        self._end(slot, reason)
+                for supervisor in self._supervisors:
+                    if supervisor.name in groups and supervisor.plans:
+                        log.error("guard_stopped_robot", backend=supervisor.name, reason=reason)
+                        self._end(supervisor, reason)
             case {"event": "released", "reason": str(reason)}:
                 log.warning("guard_released_robots", reason=reason)
             case {"event": "ended"}:
@@ -231,21 +248,29 @@ class GuardLink:
             case _:
                 pass
 
-    def _end(self, slot: Slot, reason: str) -> None:
+    def _end(self, supervisor: BackendSupervisor, reason: str) -> None:
         """End what ran on a backend that the guard has stopped: nothing is to resume by itself."""
         gateway = self._gateway
         if gateway.closing:
             return
-        gateway.audit.note("guard", principal=None, tenant=slot.tenant, robots=[slot.name])
-        slot.whole.count_stop()
-        for entry in slot.entries.values():
+        gateway.audit.note(
+            "guard", principal=None, tenant=supervisor.tenant, robots=[supervisor.name]
+        )
+        supervisor.whole.count_stop()
+        for entry in supervisor.entries.values():
             if entry.moves:
-                gateway.deadman.ground(entry)
+                gateway.deadman.cancel_writes(entry)
         for command in list(gateway.commands.running.values()):
-            if command.entry is not None and command.entry.owner is slot and command.entry.barred:
+            if (
+                command.entry is not None
+                and command.entry.owner is supervisor
+                and command.entry.barred
+            ):
                 gateway.commands.cancel(command, f"the guard has stopped the robot: {reason}")
-        if slot.backend is not None:
-            hold = insist(slot.whole.hold, "hold_failed", backend=slot.name)
+        if supervisor.backend is not None:
+            hold = retry_until_confirmed(
+                supervisor.whole.hold, "hold_failed", backend=supervisor.name
+            )
             self._holds.add(hold)
             hold.add_done_callback(self._holds.discard)
             gateway.loop.call_later(_HOLD, hold.cancel)
@@ -266,10 +291,10 @@ class GuardLink:
             return "degraded"
         return "starting" if "opening" in states else "ready"
 
-    def plain(self, slots: Iterable[Slot]) -> dict[str, Any]:
+    def plain(self, supervisors: Iterable[BackendSupervisor]) -> dict[str, Any]:
         """Write the part of `/system/status` about some backends."""
-        shown = list(slots)
-        names = {slot.name for slot in shown}
+        shown = list(supervisors)
+        names = {supervisor.name for supervisor in shown}
         plans: list[dict[str, Any]] = []
         for name, plan in self._plans.items():
             if plan["group"] in names:
@@ -283,36 +308,38 @@ class GuardLink:
             "stops": self.stops,
             "plans": plans,
             "watchdogs": [
-                {"backend": slot.name, **msgspec.to_builtins(watchdog)}
-                for slot in shown
-                for watchdog in _watchdogs(slot)
+                {"backend": supervisor.name, **msgspec.to_builtins(watchdog)}
+                for supervisor in shown
+                for watchdog in _watchdogs(supervisor)
             ],
         }
 
-    def _warn(self, slot: Slot) -> None:
-        if slot.plans and self._on:
+    def _warn(self, supervisor: BackendSupervisor) -> None:
+        if supervisor.plans and self._on:
             return
-        verified = [one for one in _watchdogs(slot) if one.verified and one.within is not None]
-        for unit in slot.units:
-            key = slot.name, unit.robot
+        verified = [
+            one for one in _watchdogs(supervisor) if one.verified and one.within is not None
+        ]
+        for unit in supervisor.units:
+            key = supervisor.name, unit.robot
             moves = any(entry.moves for entry in unit.own.values())
             stopped = any(one.robot in (None, unit.robot) for one in verified)
             if moves and not stopped and key not in self._warned:
                 self._warned.add(key)
                 log.warning(
                     "robot_without_watchdog",
-                    backend=slot.name,
+                    backend=supervisor.name,
                     robot=unit.place,
                     detail="if the gateway freezes or is killed, nothing is known to stop it",
                 )
 
 
-def _watchdogs(slot: Slot) -> Sequence[Any]:
-    backend = slot.backend
+def _watchdogs(supervisor: BackendSupervisor) -> Sequence[Any]:
+    backend = supervisor.backend
     if backend is None:
         return ()
     try:
         return backend.watchdogs()
     except Exception as error:
-        slot.fault(f"watchdogs: {error}")
+        supervisor.fault(f"watchdogs: {error}")
         return ()

@@ -62,14 +62,22 @@ async def apply(server: Server, prepared: Prepared) -> None:
             gateway.audit.note("reload", principal=None, outcome="superseded")
             return
         new = prepared.config
-        gone = [slot for slot in server.slots if slot.config not in new.backends]
+        gone = [
+            supervisor for supervisor in server.supervisors if supervisor.config not in new.backends
+        ]
         await retire(server, gone)
         if turn.newest is not prepared or gateway.closing:
             gateway.audit.note("reload", principal=None, outcome="superseded")
             return
-        kept = {slot.config.name for slot in server.slots}
+        kept = {supervisor.config.name for supervisor in server.supervisors}
         for backend, table in zip(new.backends, prepared.backends, strict=True):
             if backend.name not in kept:
                 start_backend(server, prepared, backend, table)
-    gateway.audit.note("reload", principal=None, backends=[slot.name for slot in server.slots])
-    log.info("reloaded", backends=len(server.slots), stopped=[slot.name for slot in gone])
+    gateway.audit.note(
+        "reload", principal=None, backends=[supervisor.name for supervisor in server.supervisors]
+    )
+    log.info(
+        "reloaded",
+        backends=len(server.supervisors),
+        stopped=[supervisor.name for supervisor in gone],
+    )

@@ -11,15 +11,15 @@ import msgspec
 import structlog
 
 from rcp_kernel.access.identities import check_proofs, store_file
+from rcp_kernel.client_api import ClientApi
 from rcp_kernel.config.file import BackendConfig, GatewayConfig, decode_table
-from rcp_kernel.door import Door
 from rcp_kernel.errors import ConfigError
 from rcp_kernel.gateway import Gateway
-from rcp_kernel.motion.insist import insist
+from rcp_kernel.motion.retry import retry_until_confirmed
 from rcp_kernel.plugins import Missing, Plugins
 from rcp_kernel.process.guard import GuardLink
 from rcp_kernel.process.log import Recent
-from rcp_kernel.process.supervisor import Slot
+from rcp_kernel.process.supervisor import BackendSupervisor
 from rcp_kernel.record.store import DiskStore, Store
 from rcp_kernel.spi import AdapterKind, TransportKind
 from rcp_kernel.status import StatusReport, gateway_version
@@ -66,9 +66,9 @@ class Server(msgspec.Struct, frozen=True):
     """A gateway that is up."""
 
     gateway: Gateway
-    door: Door
+    client_api: ClientApi
     status: StatusReport
-    slots: list[Slot]
+    supervisors: list[BackendSupervisor]
     tasks: dict[str, asyncio.Task[None]]
     """Of the backends, by name."""
     reloading: Reloading = msgspec.field(default_factory=Reloading)
@@ -133,27 +133,29 @@ async def running(prepared: Prepared, recent: Recent | None = None) -> AsyncGene
             authenticator=plugins.authenticator,
             interceptors=plugins.interceptors,
         )
-        slots: list[Slot] = []
-        status = StatusReport(gateway, slots, recent)
-        System(gateway, slots, status, recent)
+        supervisors: list[BackendSupervisor] = []
+        status = StatusReport(gateway, supervisors, recent)
+        System(gateway, supervisors, status, recent)
         _keep_record(stack, gateway)
         stack.callback(setattr, recent, "told", None)
         status.start()
         stack.callback(status.stop)
         stack.push_async_callback(gateway.close)
         await stack.enter_async_context(gateway.identities.running())
-        door = Door(gateway, status, "gateway")
-        server = Server(gateway, door, status, slots, {})
-        status.guard = GuardLink(gateway, slots)
+        client_api = ClientApi(gateway, status, "gateway")
+        server = Server(gateway, client_api, status, supervisors, {})
+        status.guard = GuardLink(gateway, supervisors)
         status.guard.start()
         stack.push_async_callback(status.guard.close)
         await stack.enter_async_context(_backends(server, prepared))
         first = loop.time() + _FIRST_OPEN
-        await _open_all(stack, door, prepared.adapters, plugins.adapters, status.adapters)
-        await _settled(slots, first - loop.time())
-        await _open_all(stack, door, prepared.transports, plugins.transports, status.transports)
+        await _open_all(stack, client_api, prepared.adapters, plugins.adapters, status.adapters)
+        await _settled(supervisors, first - loop.time())
+        await _open_all(
+            stack, client_api, prepared.transports, plugins.transports, status.transports
+        )
         _report_missing(plugins.missing, status)
-        stack.push_async_callback(_rest, gateway, slots)
+        stack.push_async_callback(_rest, gateway, supervisors)
         yield server
 
 
@@ -161,13 +163,13 @@ def _keep_record(stack: AsyncExitStack, gateway: Gateway) -> None:
     audit = gateway.audit
     audit.start(name=gateway.config.name, version=gateway_version())
     for command in gateway.history.cut_off:
-        gateway.recording.ended(command)
-    gateway.keeping.start()
-    gateway.returning.start()
+        gateway.audit_writer.ended(command)
+    gateway.retention.start()
+    gateway.session_resume.start()
 
     def stop() -> None:
-        gateway.keeping.stop()
-        gateway.returning.stop()
+        gateway.retention.stop()
+        gateway.session_resume.stop()
         audit.close()
         audit.note("stop", principal=None)
 
@@ -176,13 +178,15 @@ def _keep_record(stack: AsyncExitStack, gateway: Gateway) -> None:
 
 async def _open_all(
     stack: AsyncExitStack,
-    door: Door,
+    client_api: ClientApi,
     tables: dict[str, Any],
     kinds: dict[str, TransportKind] | dict[str, AdapterKind],
     facts: list[dict[str, Any]],
 ) -> None:
     for name in sorted(tables, key=lambda n: getattr(kinds[n], "listens", False)):
-        opened = await stack.enter_async_context(kinds[name].open(tables[name], door.renamed(name)))
+        opened = await stack.enter_async_context(
+            kinds[name].open(tables[name], client_api.renamed(name))
+        )
         facts.append({"name": name, "state": "ready", **(opened or {})})
 
 
@@ -202,12 +206,14 @@ async def _backends(server: Server, prepared: Prepared) -> AsyncGenerator[None]:
     try:
         yield
     finally:
-        await asyncio.gather(*(stop_backend(server, slot) for slot in list(server.slots)))
+        await asyncio.gather(
+            *(stop_backend(server, supervisor) for supervisor in list(server.supervisors))
+        )
 
 
-async def _settled(slots: Sequence[Slot], within: float) -> None:
+async def _settled(supervisors: Sequence[BackendSupervisor], within: float) -> None:
     """Wait for backends that are quick to open, so that they are there for the first client."""
-    waiters = [asyncio.ensure_future(slot.settled.wait()) for slot in slots]
+    waiters = [asyncio.ensure_future(supervisor.settled.wait()) for supervisor in supervisors]
     if waiters:
         _, late = await asyncio.wait(waiters, timeout=max(0.0, within))
         for waiter in late:
@@ -216,63 +222,63 @@ async def _settled(slots: Sequence[Slot], within: float) -> None:
 
 def start_backend(server: Server, prepared: Prepared, config: BackendConfig, table: Any) -> None:
     """Start the life of one backend."""
-    slot = Slot(server.gateway, config)
-    server.slots.append(slot)
+    supervisor = BackendSupervisor(server.gateway, config)
+    server.supervisors.append(supervisor)
     missing = prepared.plugins.is_missing("backends", config.use)
     if missing is not None:
-        slot.fail("unavailable", f"{missing.reason}; try: {missing.remedy}")
+        supervisor.fail("unavailable", f"{missing.reason}; try: {missing.remedy}")
         return
     kind = prepared.plugins.backends[config.use]
-    name = f"backend {slot.name}"
-    server.tasks[slot.name] = asyncio.create_task(slot.run(kind, table), name=name)
+    name = f"backend {supervisor.name}"
+    server.tasks[supervisor.name] = asyncio.create_task(supervisor.run(kind, table), name=name)
 
 
-async def stop_backend(server: Server, slot: Slot) -> None:
+async def stop_backend(server: Server, supervisor: BackendSupervisor) -> None:
     """Close one backend, within a bound, and take what it declared out of the tree."""
-    slot.close()
-    task = server.tasks.pop(slot.name, None)
+    supervisor.close()
+    task = server.tasks.pop(supervisor.name, None)
     if task is not None:
         _, late = await asyncio.wait([task], timeout=_CLOSE_WAIT)
         if late:
-            log.error("backend_does_not_close", backend=slot.name)
+            log.error("backend_does_not_close", backend=supervisor.name)
             task.cancel()
-    for entry in slot.entries.values():
+    for entry in supervisor.entries.values():
         server.gateway.deadman.begin(entry)  # there is nobody left to be told to stop
-    slot.withdraw(*list(slot.entries))
-    if slot in server.slots:
-        server.slots.remove(slot)
+    supervisor.withdraw(*list(supervisor.entries))
+    if supervisor in server.supervisors:
+        server.supervisors.remove(supervisor)
 
 
-async def _rest(gateway: Gateway, slots: list[Slot]) -> None:
+async def _rest(gateway: Gateway, supervisors: list[BackendSupervisor]) -> None:
     """Bring everything that moves to rest before anything closes."""
     gateway.closing = True
-    _ground(gateway, slots)
-    halts = _halts(slots)
+    _ground(gateway, supervisors)
+    halts = _halts(supervisors)
     await gateway.commands.close()
     await _halted(halts)
 
 
-def _ground(gateway: Gateway, slots: list[Slot]) -> None:
-    for slot in slots:
-        for entry in slot.entries.values():
+def _ground(gateway: Gateway, supervisors: list[BackendSupervisor]) -> None:
+    for supervisor in supervisors:
+        for entry in supervisor.entries.values():
             if entry.moves:
-                gateway.deadman.ground(entry)
+                gateway.deadman.cancel_writes(entry)
 
 
-async def retire(server: Server, slots: list[Slot]) -> None:
+async def retire(server: Server, supervisors: list[BackendSupervisor]) -> None:
     """Bring backends to rest that the gateway goes on without, then close them."""
-    for slot in slots:
-        slot.retire()
-    _ground(server.gateway, slots)
-    await _halted(_halts(slots))
-    await asyncio.gather(*(stop_backend(server, slot) for slot in slots))
+    for supervisor in supervisors:
+        supervisor.retire()
+    _ground(server.gateway, supervisors)
+    await _halted(_halts(supervisors))
+    await asyncio.gather(*(stop_backend(server, supervisor) for supervisor in supervisors))
 
 
-def _halts(slots: Sequence[Slot]) -> list[asyncio.Task[None]]:
+def _halts(supervisors: Sequence[BackendSupervisor]) -> list[asyncio.Task[None]]:
     return [
-        insist(slot.whole.halt, "halt_failed", backend=slot.name)
-        for slot in slots
-        if slot.backend is not None
+        retry_until_confirmed(supervisor.whole.halt, "halt_failed", backend=supervisor.name)
+        for supervisor in supervisors
+        if supervisor.backend is not None
     ]
 
 

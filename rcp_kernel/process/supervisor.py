@@ -23,7 +23,7 @@ from rcp_kernel.errors import AdapterUnavailable, ConfigError, NotReady, PluginE
 from rcp_kernel.gateway import Gateway
 from rcp_kernel.model import Resource, full_path
 from rcp_kernel.motion.latches import Latch
-from rcp_kernel.motion.units import Unit
+from rcp_kernel.motion.stop_group import StopGroup
 from rcp_kernel.operations.command import Command
 from rcp_kernel.process.containment import ContainedBackend, contained
 from rcp_kernel.registry import Entry
@@ -32,7 +32,7 @@ from rcp_kernel.safety.hold import hold_resource
 from rcp_kernel.safety.loss import tell_cut_off
 from rcp_kernel.spi import Backend, BackendKind, BaseBackend, Publication, StopPlan
 
-__all__ = ["Slot", "State"]
+__all__ = ["BackendSupervisor", "State"]
 
 log = structlog.get_logger("rcp.supervisor")
 State = Literal[
@@ -51,7 +51,7 @@ WIRE_STATE = {
 """The states of `/system/status`; every other one is `down` there."""
 
 
-class Slot:
+class BackendSupervisor:
     """One backend of the configuration, over all its lives. It is the `Host` of its plugin."""
 
     def __init__(self, gateway: Gateway, config: BackendConfig) -> None:
@@ -72,11 +72,11 @@ class Slot:
         """What stops its robots without the gateway, by name."""
         self.plans_changed = 0
         """How often they have changed."""
-        self._units: dict[str, Unit] = {}
-        self._recoveries: dict[Unit, asyncio.Task[None]] = {}
+        self._units: dict[str, StopGroup] = {}
+        self._recoveries: dict[StopGroup, asyncio.Task[None]] = {}
         self._cut_off: list[Command] = []
         """Commands that an earlier gateway began, of which the policy is not told yet."""
-        self.whole = Unit(self, gateway.latches)
+        self.whole = StopGroup(self, gateway.latches)
         self.entries: dict[str, Entry] = {}
         self.settled = asyncio.Event()
         """Set once the first attempt to open has ended, well or not."""
@@ -94,13 +94,13 @@ class Slot:
         """The open backend, or None while there is none that works."""
         return self._backend if self.state in ("ready", "degraded", "closing") else None
 
-    def unit(self, robot: str | None) -> Unit:
+    def unit(self, robot: str | None) -> StopGroup:
         """Return what an e-stop stops: one of the backend's robots, or all of them."""
         if robot is None:
             return self.whole
         unit = self._units.get(robot)
         if unit is None:
-            unit = self._units[robot] = Unit(self, self._gateway.latches, robot)
+            unit = self._units[robot] = StopGroup(self, self._gateway.latches, robot)
             if self._backend is not None and unit.latch is not None:
                 self._gateway.stops.resume(unit)
         return unit
@@ -111,7 +111,7 @@ class Slot:
         return self._on_loss
 
     @property
-    def units(self) -> list[Unit]:
+    def units(self) -> list[StopGroup]:
         """The robots that can be stopped one by one, and all of the backend if more than they move."""
         alone = [unit for unit in self._units.values() if unit.own]
         if not alone or any(entry.moves for entry in self.whole.own.values()):
@@ -148,7 +148,7 @@ class Slot:
                 self._offer_hold(entry.unit)
                 self._find_lost(entry)
 
-    def _offer_hold(self, unit: Unit) -> None:
+    def _offer_hold(self, unit: StopGroup) -> None:
         """Give a robot that moves the verb that brings it to rest, unless it has one of its own."""
         name = _hold_name(unit.robot)
         if name in self.entries:
@@ -192,7 +192,7 @@ class Slot:
                 self._gateway.registry.withdraw(entry.path)
                 self._take_hold_back(entry.unit)
 
-    def _take_hold_back(self, unit: Unit) -> None:
+    def _take_hold_back(self, unit: StopGroup) -> None:
         """Withdraw the verb of a robot with nothing left that moves."""
         name = _hold_name(unit.robot)
         entry = self.entries.get(name)
@@ -217,7 +217,7 @@ class Slot:
 
     def call_soon(self, function: Callable[..., object], *args: Any) -> None:
         """Run a function on the event loop, from any thread."""
-        gather = self._gateway.hub.ticker.gather
+        gather = self._gateway.hub.flush_scheduler.gather
         self._gateway.loop.call_soon_threadsafe(gather, self._call, function, *args)
 
     def _call(self, function: Callable[..., object], *args: Any) -> None:
@@ -315,7 +315,7 @@ class Slot:
                     self._enter("down", self.detail or "the backend stopped")
         self._backend = None
 
-    def _regain(self, unit: Unit) -> None:
+    def _regain(self, unit: StopGroup) -> None:
         """Stop a latched robot that is there again; else settle what it was left with."""
         if self.backend is None:
             return
@@ -326,7 +326,7 @@ class Slot:
             self._recoveries[unit] = task
             task.add_done_callback(lambda _: self._recoveries.pop(unit, None))
 
-    async def _recover(self, unit: Unit) -> None:
+    async def _recover(self, unit: StopGroup) -> None:
         """Do with a robot what its policy says of a lost command, unless it has a new one."""
         wait = _FIRST_RETRY
         while (lost := unit.lost) is not None and (backend := self.backend) is not None:
@@ -348,7 +348,7 @@ class Slot:
             else:
                 unit.lost = None
                 log.warning("recovered", backend=unit.name, command=lost, done=done)
-                self._gateway.recording.recovered(unit, lost, done)
+                self._gateway.audit_writer.recovered(unit, lost, done)
 
     def _down(self, error: Exception) -> None:
         self._backend = None
@@ -388,7 +388,7 @@ class Slot:
         level = log.warning if state in ("degraded", "down", "failed", "unavailable") else log.info
         level("backend_state", backend=self.name, state=state, detail=detail)
         if not self._gateway.closing:
-            self._gateway.hub.watches.backend_changed(list(self.entries.values()))
+            self._gateway.hub.demand.backend_changed(list(self.entries.values()))
 
     def retire(self) -> None:
         """Let nothing move any more: the configuration has this backend no longer."""

@@ -21,7 +21,7 @@ from rcp_kernel.clock import iso, now
 from rcp_kernel.config.file import AuditConfig
 from rcp_kernel.model import tenant_of
 from rcp_kernel.record.chain import GENESIS, Head, link, written
-from rcp_kernel.record.flood import Flood
+from rcp_kernel.record.denial_throttle import DenialThrottle
 from rcp_kernel.record.store import Store
 from rcp_kernel.values import Encoding, dump, parse
 from rcp_kernel.wire import Request
@@ -43,7 +43,7 @@ class Audit:
         last = store.rows(1)
         self.head: Head = (last[0][0], last[0][1]) if last else (0, GENESIS)
         """The last record made; not necessarily committed yet."""
-        self._flood = Flood(loop, config.denials, self._sum_up)
+        self._flood = DenialThrottle(loop, config.denials, self._sum_up)
         self.told: Callable[[dict[str, Any]], object] | None = None
         """Called with each record once it is committed."""
 

@@ -7,7 +7,7 @@ from typing import Any
 import structlog
 
 from rcp_kernel.access.visibility import EVERYTHING
-from rcp_kernel.clients.returning import hashed
+from rcp_kernel.clients.resume import hashed
 from rcp_kernel.clock import now
 from rcp_kernel.errors import InternalError
 from rcp_kernel.operations.command import Command, Record

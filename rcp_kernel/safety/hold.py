@@ -9,7 +9,7 @@ import msgspec
 
 from rcp_kernel.errors import DeviceTimeout
 from rcp_kernel.model import Resource
-from rcp_kernel.motion.units import Unit
+from rcp_kernel.motion.stop_group import StopGroup
 from rcp_kernel.safety.fence import unfenced
 from rcp_kernel.spi import MotionState, Progress
 from rcp_kernel.wire import NO_BODY
@@ -46,7 +46,7 @@ def hold_resource(name: str, robot: str | None) -> Resource:
 class Hold:
     """The work of one hold."""
 
-    def __init__(self, units: list[Unit], commands: Commands, deadman: Deadman) -> None:
+    def __init__(self, units: list[StopGroup], commands: Commands, deadman: Deadman) -> None:
         self._units, self._commands, self._deadman = units, commands, deadman
 
     async def run(self, command: Command, session: Session, progress: Progress) -> Held:
@@ -75,7 +75,7 @@ class Hold:
         ending: list[asyncio.Task[Any]] = []
         moving = [e for unit in self._units for e in unit.entries.values() if e.moves]
         for entry in moving:
-            ending += self._deadman.ground(entry)
+            ending += self._deadman.cancel_writes(entry)
         paths = {entry.path for entry in moving}
         for other in list(self._commands.running.values()):
             if other.path in paths:

@@ -6,8 +6,8 @@ import asyncio
 
 import structlog
 
-from rcp_kernel.motion.insist import insist
-from rcp_kernel.motion.units import Unit
+from rcp_kernel.motion.retry import retry_until_confirmed
+from rcp_kernel.motion.stop_group import StopGroup
 from rcp_kernel.registry import Entry, Registry
 
 __all__ = ["Partners"]
@@ -21,7 +21,7 @@ class Partners:
     def __init__(self, registry: Registry) -> None:
         self._registry = registry
 
-    def of(self, entry: Entry) -> list[Unit]:
+    def of(self, entry: Entry) -> list[StopGroup]:
         """List the other parts of the robot that an entry belongs to, as far as they move."""
         found = (
             other.unit
@@ -38,4 +38,6 @@ class Partners:
         if units:
             names = [unit.name for unit in units]
             log.warning("halted_by_partners", path=entry.path, backends=names)
-        return [insist(unit.halt, "halt_failed", backend=unit.name) for unit in units]
+        return [
+            retry_until_confirmed(unit.halt, "halt_failed", backend=unit.name) for unit in units
+        ]

@@ -19,8 +19,8 @@ import structlog
 
 from rcp_kernel.clock import iso, now
 from rcp_kernel.errors import AdapterUnavailable, DeviceTimeout, RcpError
-from rcp_kernel.motion.insist import insist
-from rcp_kernel.motion.units import Unit
+from rcp_kernel.motion.retry import retry_until_confirmed
+from rcp_kernel.motion.stop_group import StopGroup
 from rcp_kernel.safety.fence import unfenced
 from rcp_kernel.spi import MotionState
 
@@ -36,7 +36,7 @@ _ALONE = 0.25  # s that the halt of a whole backend may take before its robots a
 class StopRecord(Protocol):
     """Where the steps of a stop are written down."""
 
-    def __call__(self, unit: Unit, step: str, detail: str | None, /) -> None:
+    def __call__(self, unit: StopGroup, step: str, detail: str | None, /) -> None:
         """Note that a robot's stop was confirmed, or that it moves again; must not block."""
         ...
 
@@ -58,7 +58,7 @@ class Stop:
         "unit",
     )
 
-    def __init__(self, unit: Unit) -> None:
+    def __init__(self, unit: StopGroup) -> None:
         self.unit = unit
         self.requested = now()
         self.commanded: int | None = None
@@ -103,7 +103,7 @@ class StopController:
     def __init__(self, loop: asyncio.AbstractEventLoop, record: StopRecord) -> None:
         self._loop = loop
         self._record = record
-        self._stops: dict[Unit, Stop] = {}
+        self._stops: dict[StopGroup, Stop] = {}
         self._timer: asyncio.TimerHandle | None = None
         self._watchers: list[Callable[[], None]] = []
         self.alarms = 0
@@ -113,13 +113,13 @@ class StopController:
         """Have a function called after every change of a stop's state."""
         self._watchers.append(changed)
 
-    def of(self, unit: Unit) -> Stop | None:
+    def of(self, unit: StopGroup) -> Stop | None:
         """Return the stop of a robot, if there is one."""
         return self._stops.get(unit)
 
     # -- begin, go on, end ---------------------------------------------------------------------
 
-    def begin(self, units: Sequence[Unit]) -> list[Stop]:
+    def begin(self, units: Sequence[StopGroup]) -> list[Stop]:
         """Stop robots now; return their stops. The backends are called before anything else runs."""
         stops = [self._fresh(unit) for unit in units]
         for whole, together in _by_halt(stops):
@@ -130,21 +130,21 @@ class StopController:
         self._schedule()
         return stops
 
-    def resume(self, unit: Unit) -> None:
+    def resume(self, unit: StopGroup) -> None:
         """Stop a latched robot that is there again: the stop goes out from within this call."""
         stop = self._fresh(unit)
         self._assert(stop)
         self._halt(stop)
         self._schedule()
 
-    def again(self, units: Iterable[Unit]) -> None:
+    def again(self, units: Iterable[StopGroup]) -> None:
         """Halt robots once more: what was cancelled has ended, and may have sent something last."""
         for unit in units:
             stop = self._stops.get(unit)
             if stop is not None and unit.latch is not None:
                 self._halt(stop)
 
-    def end(self, units: Iterable[Unit]) -> None:
+    def end(self, units: Iterable[StopGroup]) -> None:
         """Let go of robots whose latch was reset; a halt that is under way ends by itself."""
         for unit in units:
             stop = self._stops.pop(unit, None)
@@ -176,7 +176,7 @@ class StopController:
 
     # -- the halts -----------------------------------------------------------------------------
 
-    def _fresh(self, unit: Unit) -> Stop:
+    def _fresh(self, unit: StopGroup) -> Stop:
         """Return the stop of a robot that is under way, or a new one that is to be confirmed."""
         old = self._stops.get(unit)
         if old is not None and old.confirmed is None:
@@ -197,7 +197,9 @@ class StopController:
         task.add_done_callback(_forget)
 
     def _insist(self, stop: Stop) -> None:
-        task = insist(partial(self._attempt, stop), "halt_failed", backend=stop.unit.name)
+        task = retry_until_confirmed(
+            partial(self._attempt, stop), "halt_failed", backend=stop.unit.name
+        )
         stop.tasks.add(task)
         task.add_done_callback(stop.tasks.discard)
 
@@ -217,7 +219,7 @@ class StopController:
         if stop.confirmed is None and not stop.released:
             raise DeviceTimeout(f"{stop.unit.name} is not at rest: {stop.detail}")
 
-    def _halt_together(self, whole: Unit, stops: list[Stop]) -> None:
+    def _halt_together(self, whole: StopGroup, stops: list[Stop]) -> None:
         """Halt all robots of a backend by one call; one by one where that fails or takes long."""
 
         def alone(_: object = None) -> None:
@@ -231,7 +233,7 @@ class StopController:
         late = self._loop.call_later(_ALONE, alone)
         task.add_done_callback(alone)
 
-    async def _attempt_together(self, whole: Unit, stops: list[Stop]) -> None:
+    async def _attempt_together(self, whole: StopGroup, stops: list[Stop]) -> None:
         try:
             for stop in stops:
                 stop.attempts += 1
@@ -344,10 +346,10 @@ def _forget(task: asyncio.Task[None]) -> None:
         task.exception()
 
 
-def _by_halt(stops: list[Stop]) -> list[tuple[Unit, list[Stop]]]:
+def _by_halt(stops: list[Stop]) -> list[tuple[StopGroup, list[Stop]]]:
     """Group stops by the one call that halts them: that of a whole backend where all are meant."""
     meant = {stop.unit for stop in stops}
-    groups: dict[Unit, list[Stop]] = {}
+    groups: dict[StopGroup, list[Stop]] = {}
     for stop in stops:
         unit = stop.unit
         together = unit.whole in meant or meant.issuperset(unit.owner.units)

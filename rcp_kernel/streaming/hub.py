@@ -10,15 +10,20 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-from rcp_kernel.clients.mailbox import Mailbox, Ticker
+from rcp_kernel.clients.outbox import FlushScheduler, Outbox
 from rcp_kernel.registry import Entry, Listener, Registry
-from rcp_kernel.streaming.chorus import ChorusFeed, feeds_of, join, part
-from rcp_kernel.streaming.feeds import Feed
+from rcp_kernel.streaming.deadline_monitor import DeadlineMonitor
+from rcp_kernel.streaming.demand import AbsentListener, DemandTracker, absent_listener
 from rcp_kernel.streaming.notices import notice
+from rcp_kernel.streaming.path_subscription import PathSubscription
 from rcp_kernel.streaming.samples import Sample
-from rcp_kernel.streaming.silence import Silence
-from rcp_kernel.streaming.streams import Subscription
-from rcp_kernel.streaming.watches import Keeper, Watches, keeper_of
+from rcp_kernel.streaming.shared_fanout import (
+    SharedPathSubscription,
+    join_fanout,
+    leave_fanout,
+    path_subscriptions_of,
+)
+from rcp_kernel.streaming.subscription import Subscription
 from rcp_kernel.timers import Timers
 
 __all__ = ["Hub"]
@@ -36,13 +41,13 @@ class Hub:
         self.loop = loop
         self.pattern_value = pattern_value
         """Longest value, bytes, that is sent whole to a subscription that did not name its path."""
-        self.ticker = Ticker(loop)
+        self.flush_scheduler = FlushScheduler(loop)
         self.subscriptions: set[Subscription] = set()
         self.dropped: dict[str, int] = {"conflated": 0, "overrun": 0, "gap": 0}
         self._timers = Timers(loop)
         self.later = self._timers.later
-        self.silence = Silence(registry, loop)
-        self.watches = Watches(registry, loop, self.later)
+        self.deadline_monitor = DeadlineMonitor(registry, loop)
+        self.demand = DemandTracker(registry, loop, self.later)
         registry.on_added.append(self._added)
         registry.on_removed.append(self._removed)
 
@@ -69,13 +74,13 @@ class Hub:
                 min(options.duration, _LONGEST), subscription.end, subscription, "duration", None
             )
 
-    def _first(self, feed: Feed, sample: Sample) -> None:
+    def _first(self, feed: PathSubscription, sample: Sample) -> None:
         if not feed.subscription.options.initial:
             feed.prime(sample)
         elif feed.admit(sample):
             feed.replay((sample,))
-        if self.silence.known(feed.entry):
-            self.silence.tell(feed)
+        if self.deadline_monitor.known(feed.entry):
+            self.deadline_monitor.tell(feed)
 
     def remove(self, subscription: Subscription) -> None:
         """End a subscription; what it has queued is forgotten."""
@@ -88,85 +93,85 @@ class Hub:
             self.dropped["conflated"] += feed.skipped
         subscription.feeds.clear()
 
-    def _link(self, subscription: Subscription, entry: Entry) -> Feed:
+    def _link(self, subscription: Subscription, entry: Entry) -> PathSubscription:
         feed = subscription.feed(entry)
         subscription.feeds[entry.path] = feed
-        if subscription.mailbox is None:
+        if subscription.outbox is None:
             self._keep(feed)
         else:
             self._relink(feed)
             if feed.priority != 4:
-                subscription.mailbox.prioritised = True
+                subscription.outbox.prioritised = True
         subscription.placed(feed)
         return feed
 
     def join(self, subscription: Subscription, entry: Entry) -> None:
         """Add an entry to a subscription that stands, and tell its client."""
         feed = self._link(subscription, entry)
-        notice(subscription.mailbox, "resource_added", id=subscription.id, path=entry.path)
+        notice(subscription.outbox, "resource_added", id=subscription.id, path=entry.path)
         if entry.latest is not None and not feed.paused:
             self._first(feed, entry.latest)
 
-    def pause(self, feed: Feed) -> None:
+    def pause(self, feed: PathSubscription) -> None:
         """Send nothing more of a path for now; what waits is forgotten."""
-        if feed.subscription.mailbox is None:
+        if feed.subscription.outbox is None:
             self._unkeep(feed)
         self.unlink(feed)
         feed.leave()
-        feed.mailbox = feed.subscription.mailbox
+        feed.outbox = feed.subscription.outbox
         feed.paused = True
 
-    def unpause(self, feed: Feed) -> None:
+    def unpause(self, feed: PathSubscription) -> None:
         """Go on with the present value; what came meanwhile is not missed."""
         entry = feed.entry
         feed.paused = False
         feed.sent = entry.seq
         if entry.path not in self.registry.entries:
             return
-        if feed.subscription.mailbox is None:
+        if feed.subscription.outbox is None:
             self._keep(feed)
             return
         self._relink(feed)
         if entry.latest is not None:
             self._first(feed, entry.latest)
 
-    def _keep(self, feed: Feed) -> None:
+    def _keep(self, feed: PathSubscription) -> None:
         """Have the history of a path kept for a client that is away."""
         entry = feed.entry
-        entry.listeners.append(keeper_of(feed))
+        entry.listeners.append(absent_listener(feed))
         if len(entry.listeners) == 1:
             entry.size_ring()
-        self.watches.retune(entry)
+        self.demand.retune(entry)
 
-    def _relink(self, feed: Feed) -> None:
+    def _relink(self, feed: PathSubscription) -> None:
         entry = feed.entry
-        if isinstance(feed, ChorusFeed):
-            join(feed, entry)
+        if isinstance(feed, SharedPathSubscription):
+            join_fanout(feed, entry)
         else:
             entry.listeners.append(feed)
         if len(entry.listeners) == 1:
             entry.size_ring()
         feed.heard = time.monotonic()
         if entry.deadline is not None or feed.subscription.options.qos.deadline is not None:
-            self.silence.follow(entry)
-        self.watches.retune(entry)
+            self.deadline_monitor.follow(entry)
+        self.demand.retune(entry)
 
-    def unlink(self, feed: Feed) -> None:
+    def unlink(self, feed: PathSubscription) -> None:
         """Offer a feed nothing more."""
         if self._cut(feed):
             self._left(feed.entry)
 
     def _left(self, entry: Entry) -> None:
         if not entry.listeners:
-            self.silence.forget(entry)
+            self.deadline_monitor.forget(entry)
             entry.size_ring()
-        self.watches.retune(entry)
+        self.demand.retune(entry)
 
     @staticmethod
-    def _cut(feed: Feed) -> bool:
+    def _cut(feed: PathSubscription) -> bool:
         """Take a feed from its entry's listeners; tell whether it was among them."""
-        if isinstance(feed, ChorusFeed):
-            return part(feed, feed.entry)
+        if isinstance(feed, SharedPathSubscription):
+            return leave_fanout(feed, feed.entry)
         entry = feed.entry
         if feed not in entry.listeners:
             return False
@@ -175,17 +180,19 @@ class Hub:
         return True
 
     @staticmethod
-    def plain_feed(subscription: Subscription, entry: Entry, mailbox: Mailbox | None) -> Feed:
+    def plain_feed(
+        subscription: Subscription, entry: Entry, outbox: Outbox | None
+    ) -> PathSubscription:
         """Make the feed of a subscription that wants every sample as it comes."""
         options = subscription.options
-        alone = options.qos.reliability == "reliable" or (mailbox is not None and mailbox.alone)
-        kind = Feed if alone or options.count is not None else ChorusFeed
-        return kind(subscription, entry, mailbox)
+        alone = options.qos.reliability == "reliable" or (outbox is not None and outbox.alone)
+        kind = PathSubscription if alone or options.count is not None else SharedPathSubscription
+        return kind(subscription, entry, outbox)
 
     @staticmethod
     def keep(entry: Entry) -> None:
         """Have the whole history of a path kept although nobody may be listening."""
-        entry.listeners.append(Keeper(0.0))
+        entry.listeners.append(AbsentListener(0.0))
         entry.size_ring()
 
     def listen(self, entry: Entry, listener: Listener) -> None:
@@ -194,7 +201,7 @@ class Hub:
             entry.listeners.append(listener)
             if len(entry.listeners) == 1:
                 entry.size_ring()
-        self.watches.retune(entry)
+        self.demand.retune(entry)
 
     def unlisten(self, entry: Entry, listener: Listener) -> None:
         """Offer a listener nothing more."""
@@ -206,7 +213,7 @@ class Hub:
 
     def detach(self, subscription: Subscription) -> None:
         """Stop sending: the connection is gone. The history of its paths goes on being kept."""
-        subscription.mailbox = None
+        subscription.outbox = None
         for path, feed in subscription.feeds.items():
             feed.leave()
             if path in self.registry.entries and not feed.paused:
@@ -214,12 +221,12 @@ class Hub:
             self.unlink(feed)
 
     def attach(
-        self, subscription: Subscription, mailbox: Mailbox, missed_from: dict[str, int] | None
+        self, subscription: Subscription, outbox: Outbox, missed_from: dict[str, int] | None
     ) -> None:
         """Go on sending, what was missed first; `missed_from` is what the client has, by path."""
-        subscription.mailbox = mailbox
+        subscription.outbox = outbox
         for path, feed in subscription.feeds.items():
-            feed.mailbox = mailbox
+            feed.outbox = outbox
             if feed.paused:
                 continue
             known = feed.sent if missed_from is None else missed_from.get(path, feed.sent)
@@ -228,9 +235,9 @@ class Hub:
                 self._relink(feed)
             self._unkeep(feed)
             if feed.priority != 4:
-                mailbox.prioritised = True
+                outbox.prioritised = True
 
-    def _replay(self, feed: Feed, known: int) -> None:
+    def _replay(self, feed: PathSubscription, known: int) -> None:
         ring = feed.entry.ring
         if feed.entry.seq <= known:
             return
@@ -239,7 +246,7 @@ class Hub:
             lost = oldest - known - 1
             self.dropped["gap"] += lost
             notice(
-                feed.mailbox,
+                feed.outbox,
                 "gap",
                 id=feed.subscription.id,
                 path=feed.entry.path,
@@ -252,22 +259,22 @@ class Hub:
 
     def forget(self, subscription: Subscription) -> None:
         """Let go of a detached subscription whose session has expired."""
-        if subscription.mailbox is None:
+        if subscription.outbox is None:
             for feed in subscription.feeds.values():
                 self._unkeep(feed)
         self.remove(subscription)
 
-    def drop(self, feed: Feed) -> None:
+    def drop(self, feed: PathSubscription) -> None:
         """Take one path out of a subscription."""
         subscription = feed.subscription
         del subscription.feeds[feed.entry.path]
-        if subscription.mailbox is None:
+        if subscription.outbox is None:
             self._unkeep(feed)
         self.unlink(feed)
         feed.leave()
 
-    def _unkeep(self, feed: Feed) -> None:
-        entry, keeper = feed.entry, keeper_of(feed)
+    def _unkeep(self, feed: PathSubscription) -> None:
+        entry, keeper = feed.entry, absent_listener(feed)
         if keeper in entry.listeners:
             entry.listeners.remove(keeper)
             self._left(entry)
@@ -276,7 +283,7 @@ class Hub:
         """Have an entry published at `rate` Hz at least, whoever listens; 0.0: no more."""
         if entry.sustained != rate:
             entry.sustained = rate
-            self.watches.retune(entry)
+            self.demand.retune(entry)
 
     # -- the tree changes ----------------------------------------------------------------------
 
@@ -288,35 +295,33 @@ class Hub:
                 known.entry = entry
                 if known.paused:
                     continue
-                if subscription.mailbox is None:
+                if subscription.outbox is None:
                     if returned:
                         self._keep(known)
-                elif known not in feeds_of(entry):
+                elif known not in path_subscriptions_of(entry):
                     self._relink(known)
                     notice(
-                        subscription.mailbox, "resource_added", id=subscription.id, path=entry.path
+                        subscription.outbox, "resource_added", id=subscription.id, path=entry.path
                     )
             elif subscription.wants(entry):
                 self.join(subscription, entry)
         if entry.listeners:
             if entry.deadline is not None:
-                self.silence.follow(entry)
-            self.watches.retune(entry)
+                self.deadline_monitor.follow(entry)
+            self.demand.retune(entry)
 
     def _removed(self, entry: Entry) -> None:
-        for feed in list(feeds_of(entry)):
+        for feed in list(path_subscriptions_of(entry)):
             if self._cut(feed):
                 subscription = feed.subscription
-                notice(
-                    subscription.mailbox, "resource_removed", id=subscription.id, path=entry.path
-                )
-        self.silence.forget(entry)
+                notice(subscription.outbox, "resource_removed", id=subscription.id, path=entry.path)
+        self.deadline_monitor.forget(entry)
         entry.listeners = []
         entry.sustained = 0.0
-        self.watches.retune(entry)
+        self.demand.retune(entry)
 
     async def close(self) -> None:
         """Leave every watch and stop the timers."""
         self._timers.close()
-        self.silence.close()
-        await self.watches.close()
+        self.deadline_monitor.close()
+        await self.demand.close()

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 from typing import Any
 
-from rcp_kernel.clients.mailbox import Mailbox
+from rcp_kernel.clients.outbox import Outbox
 from rcp_kernel.clock import iso, now
 from rcp_kernel.wire import encode_frame
 
 __all__ = ["notice"]
 
 
-def notice(mailbox: Mailbox | None, code: str, **facts: Any) -> None:
+def notice(outbox: Outbox | None, code: str, **facts: Any) -> None:
     """Tell a client something it did not ask for; without a connection nobody is told."""
-    if mailbox is None:
+    if outbox is None:
         return
     kept = {key: value for key, value in facts.items() if value is not None}
     fields = {"type": "notice", "code": code, **kept, "timestamp": iso(now())}
-    mailbox.put(encode_frame(fields, b"", mailbox.encoding))
+    outbox.put(encode_frame(fields, b"", outbox.encoding))

@@ -12,7 +12,7 @@ from typing import Any, NoReturn
 import cbor2
 import msgspec
 
-from rcp_kernel.door import Door
+from rcp_kernel.client_api import ClientApi
 from rcp_kernel.values import Encoding
 
 __all__ = ["BOUND", "Client", "MemoryClient", "Message", "decode", "encode"]
@@ -158,12 +158,14 @@ def _answers(message: Message, id_: str | None) -> bool:
 class MemoryClient(Client):
     """A client without a socket: the gateway's own connection, message by message."""
 
-    def __init__(self, door: Door, token: str | None, encoding: Encoding = Encoding.JSON) -> None:
+    def __init__(
+        self, client_api: ClientApi, token: str | None, encoding: Encoding = Encoding.JSON
+    ) -> None:
         super().__init__(encoding)
-        self.connection = door.connect(door.authenticate(token), encoding, self._flush)
+        self.connection = client_api.connect(client_api.authenticate(token), encoding, self._flush)
 
     def _flush(self) -> None:
-        while self.reading.is_set() and (batch := self.connection.mailbox.collect()):
+        while self.reading.is_set() and (batch := self.connection.outbox.collect()):
             for data in batch:
                 self.received(decode(data, self.encoding))
 

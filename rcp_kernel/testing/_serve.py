@@ -15,7 +15,7 @@ from rcp_kernel.config.safety import Safety
 from rcp_kernel.plugins import Plugins
 from rcp_kernel.process.log import Recent
 from rcp_kernel.process.server import Prepared, Server, running
-from rcp_kernel.process.supervisor import Slot
+from rcp_kernel.process.supervisor import BackendSupervisor
 from rcp_kernel.spi import Backend, BackendKind, Host
 from rcp_kernel.testing._client import MemoryClient
 from rcp_kernel.testing._recorder import Recorder
@@ -51,7 +51,7 @@ class Served:
     def __init__(self, server: Server, lives: list[Life]) -> None:
         self.server = server
         self.lives = lives
-        self._first = server.slots[0].config.use if server.slots else None
+        self._first = server.supervisors[0].config.use if server.supervisors else None
 
     @property
     def life(self) -> Life:
@@ -64,13 +64,13 @@ class Served:
         return next(life for life in reversed(self.lives) if life.kind == name)
 
     @property
-    def slot(self) -> Slot:
+    def supervisor(self) -> BackendSupervisor:
         """The supervisor's side of the first backend."""
-        return self.server.slots[0]
+        return self.server.supervisors[0]
 
     def client(self, token: str | None = None, encoding: Encoding = Encoding.JSON) -> MemoryClient:
         """Connect a client in memory; without a token it is anonymous."""
-        return MemoryClient(self.server.door, token, encoding)
+        return MemoryClient(self.server.client_api, token, encoding)
 
 
 @asynccontextmanager

@@ -18,7 +18,7 @@ from conformance.wires import HttpClient, WebSocketClient
 from rcp_kernel.config.file import parse
 from rcp_kernel.errors import DeviceRejected
 from rcp_kernel.model import Resource
-from rcp_kernel.motion import inforce
+from rcp_kernel.motion import commanded_values
 from rcp_kernel.spi import BackendKind, BaseBackend, Host, Progress
 from rcp_kernel.testing import Client, MemoryClient, serve
 from rcp_kernel.types import Real
@@ -323,7 +323,7 @@ class Bench:
 @asynccontextmanager
 async def running(wire: str, monkeypatch: pytest.MonkeyPatch) -> AsyncGenerator[Bench]:
     clock = Clock()
-    monkeypatch.setattr(inforce, "clock", lambda: clock.now)
+    monkeypatch.setattr(commanded_values, "clock", lambda: clock.now)
     made: list[Recorder] = []
 
     @asynccontextmanager
@@ -338,7 +338,7 @@ async def running(wire: str, monkeypatch: pytest.MonkeyPatch) -> AsyncGenerator[
         async def connect(who: str, encoding: Encoding) -> Client:
             server, token = served.server, AGENT if who == "agent" else OPERATOR
             if wire == "memory":
-                client: Client = MemoryClient(server.door, token, encoding)
+                client: Client = MemoryClient(server.client_api, token, encoding)
             elif wire == "http":
                 client = HttpClient(server, token, encoding)
             else:

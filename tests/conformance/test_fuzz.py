@@ -130,7 +130,7 @@ every = pytest.mark.parametrize("client", list(Encoding), indirect=True)
 
 class TestInMemory(Fuzz):
     async def connect(self, server: Server, token: str | None, encoding: Encoding) -> Client:
-        return MemoryClient(server.door, token, encoding)
+        return MemoryClient(server.client_api, token, encoding)
 
     @every
     @few

@@ -270,7 +270,7 @@ def test_a_transport_is_asked_for_what_it_offers_and_nothing_else() -> None:
         offers = frozenset[str]()
 
         async def connect(self, server: Server, token: str | None, encoding: Encoding) -> Client:
-            return MemoryClient(server.door, token, encoding)
+            return MemoryClient(server.client_api, token, encoding)
 
     assert Plain.test_who_comes_back_gets_what_was_missed_and_nothing_twice is None
     assert Plain.test_a_ping_is_answered is TransportSuite.test_a_ping_is_answered

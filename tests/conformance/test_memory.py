@@ -9,4 +9,4 @@ from rcp_kernel.values import Encoding
 
 class TestMemory(TransportSuite):
     async def connect(self, server: Server, token: str | None, encoding: Encoding) -> Client:
-        return MemoryClient(server.door, token, encoding)
+        return MemoryClient(server.client_api, token, encoding)

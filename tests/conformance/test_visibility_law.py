@@ -112,7 +112,7 @@ async def bench(request: pytest.FixtureRequest) -> AsyncGenerator[Bench]:
         gardens.sort(key=lambda garden: garden.host.tenant)
         server = served.server
         if wire == "memory":
-            client: Client = MemoryClient(server.door, TOKEN)
+            client: Client = MemoryClient(server.client_api, TOKEN)
         elif wire == "websocket":
             client = await WebSocketClient.connected(server, TOKEN, Encoding.MSGPACK)
         else:
@@ -442,7 +442,7 @@ async def asked(bench: Bench, model: Model) -> None:
             assert plainly(reply, path) == plainly(none, ghost(path))
         else:
             check(model, path, str(part["type"]), reply)
-    # One by one too: a batch is a door of its own.
+    # One by one too: a batch is a way in of its own.
     for path in named[:: len(SHAPES) // 2]:
         reply = await bench.client.request("read", path)
         if path not in model.visible():

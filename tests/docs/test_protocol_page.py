@@ -16,7 +16,7 @@ from rcp_kernel.errors import BY_CODE
 from rcp_kernel.gateway import Gateway
 from rcp_kernel.model import BRANCHES, Policy, operation_names
 from rcp_kernel.operations.discovery import Query
-from rcp_kernel.operations.reading import ReadOptions
+from rcp_kernel.operations.read import ReadOptions
 from rcp_kernel.process.log import Recent
 from rcp_kernel.status import StatusReport
 from rcp_kernel.streaming.filters import Options, Qos

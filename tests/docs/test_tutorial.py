@@ -51,13 +51,13 @@ async def test_the_turntable_of_the_page_turns(turntable: Any) -> None:
     )
     prepared = Prepared(config, plugins, (turntable.TurntableConfig(speed=2.0),), {}, {})
     async with running(prepared) as server:
-        door = server.door
-        session = door.session(door.authenticate("a-key-for-this-test"))
+        client_api = server.client_api
+        session = client_api.session(client_api.authenticate("a-key-for-this-test"))
 
         async def turn_to(angle: float) -> Reply:
             body = {"angle": angle}
             request = {"type": "execute", "path": "/action/turn_to", "body": body}
-            return await door.ask(
+            return await client_api.ask(
                 session, decode_request(dump(request, Encoding.JSON), Encoding.JSON)
             )
 

@@ -144,8 +144,8 @@ class Client:
 
     def __init__(self, server: Server, told: Journal, sent: Journal, work: Iterator[Sent]) -> None:
         self._told, self._sent, self._work = told, sent, work
-        principal = server.door.authenticate("operator-operator")
-        self.connection = server.door.connect(principal, Encoding.JSON, self._flush)
+        principal = server.client_api.authenticate("operator-operator")
+        self.connection = server.client_api.connect(principal, Encoding.JSON, self._flush)
 
     def greet(self, hello: dict[str, Any]) -> None:
         """Come back to a session, or begin one, with a subscription in it."""
@@ -162,7 +162,7 @@ class Client:
 
     def _flush(self) -> None:
         ended = 0
-        for data in self.connection.mailbox.collect():
+        for data in self.connection.outbox.collect():
             reply = json.loads(data)
             if reply["type"] != "update":
                 self._told.write(reply)
@@ -176,8 +176,8 @@ class Guard:
     def __init__(self, server: Server, journal: Journal, life: int) -> None:
         self._journal = journal
         self._steps = self._plan(life)
-        principal = server.door.authenticate("admin-admin-admin")
-        self.connection = server.door.connect(principal, Encoding.JSON, self._flush)
+        principal = server.client_api.authenticate("admin-admin-admin")
+        self.connection = server.client_api.connect(principal, Encoding.JSON, self._flush)
         self._next(None)
 
     def _plan(self, life: int) -> Generator[dict[str, Any], dict[str, Any]]:
@@ -199,7 +199,7 @@ class Guard:
         self.connection.receive(json.dumps({"id": "g", **envelope}).encode())
 
     def _flush(self) -> None:
-        for data in self.connection.mailbox.collect():
+        for data in self.connection.outbox.collect():
             reply = json.loads(data)
             if reply.get("status") in FINAL:
                 self._journal.write({"told": reply})

@@ -13,7 +13,7 @@ from kernel.world import CONFIG as PLAIN
 from kernel.world import Client, Robot, World, prepared, world_of
 from rcp_kernel.config.file import parse
 from rcp_kernel.model import Resource
-from rcp_kernel.motion import inforce
+from rcp_kernel.motion import commanded_values
 from rcp_kernel.process.reload import apply
 from rcp_kernel.spi import Progress
 from rcp_kernel.types import Int64, Pose, Real, Twist, quantity
@@ -181,7 +181,7 @@ class Clock:
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.now = 1000.0
-        monkeypatch.setattr(inforce, "clock", lambda: self.now)
+        monkeypatch.setattr(commanded_values, "clock", lambda: self.now)
 
 
 def goal(x: Any, y: Any = 1.0, **more: Any) -> dict[str, Any]:

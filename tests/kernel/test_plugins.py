@@ -138,7 +138,7 @@ def test_an_interceptor_sees_every_request_and_may_refuse_it() -> None:
 
     async def run() -> None:
         async with running(made) as server:
-            await Client(server.door).ask(type="ping")
+            await Client(server.client_api).ask(type="ping")
 
     asyncio.run(run())
     assert seen == ["ping"]

@@ -12,7 +12,7 @@ from kernel.world import World
 from rcp_kernel.clock import iso, parse_time
 from rcp_kernel.errors import BY_CODE, BadRequest, RcpError, VersionUnsupported
 from rcp_kernel.values import Encoding, parse
-from rcp_kernel.wire import Reply, decode_request, encode_reply, failure, salvage
+from rcp_kernel.wire import Reply, decode_request, encode_reply, failure, peek_header
 
 ENCODE = {
     Encoding.JSON: msgspec.json.encode,
@@ -71,7 +71,7 @@ def test_an_unknown_version_is_answered_with_those_that_are_known() -> None:
     [b'{"type":"write","id":"c-7","body":NaN}', b'{"id":"c-7","type":"write","body":"\xff"}'],
 )
 def test_the_id_of_a_broken_message_is_found_where_it_can_be(text: bytes) -> None:
-    assert salvage(text, Encoding.JSON)[1] == "c-7"
+    assert peek_header(text, Encoding.JSON)[1] == "c-7"
 
 
 @given(st.binary(max_size=200), st.sampled_from(list(Encoding)))
@@ -79,7 +79,7 @@ def test_random_bytes_are_a_request_or_a_typed_refusal(data: bytes, encoding: En
     try:
         decode_request(data, encoding)
     except RcpError as error:
-        type_, id_ = salvage(data, encoding)
+        type_, id_ = peek_header(data, encoding)
         encode_reply(failure(error, type_, id_), encoding)
 
 

@@ -12,8 +12,8 @@ from typing import Any
 
 import msgspec
 
+from rcp_kernel.client_api import ClientApi
 from rcp_kernel.config.file import GatewayConfig, parse
-from rcp_kernel.door import Door
 from rcp_kernel.errors import DeviceRejected
 from rcp_kernel.model import Resource
 from rcp_kernel.process.log import configure
@@ -136,15 +136,17 @@ class Robot(BaseBackend):
 class Client:
     """A client in memory: sends envelopes as JSON, sorts what comes back."""
 
-    def __init__(self, door: Door, token: str | None = None) -> None:
+    def __init__(self, client_api: ClientApi, token: str | None = None) -> None:
         self.inbox: list[dict[str, Any]] = []
         self._arrived = asyncio.Event()
-        self.connection = door.connect(door.authenticate(token), Encoding.JSON, self._flush)
+        self.connection = client_api.connect(
+            client_api.authenticate(token), Encoding.JSON, self._flush
+        )
         self._count = 0
 
     def _flush(self) -> None:
-        self.inbox += [json.loads(data) for data in self.connection.mailbox.collect()]
-        self.connection.mailbox.again()
+        self.inbox += [json.loads(data) for data in self.connection.outbox.collect()]
+        self.connection.outbox.again()
         self._arrived.set()
 
     def send(self, **envelope: Any) -> str:
@@ -197,7 +199,7 @@ class World:
 
     def client(self, token: str | None = "operator-operator") -> Client:
         """Connect a client."""
-        return Client(self.server.door, token)
+        return Client(self.server.client_api, token)
 
 
 CONFIG = """

@@ -10,7 +10,7 @@ import pytest
 from structlog.testing import capture_logs
 
 from rcp_kernel.clients.session import Answer, Handler, Session
-from rcp_kernel.operations.intercepting import intercepted
+from rcp_kernel.operations.interceptors import intercepted
 from rcp_kernel.wire import Request
 from transports.raw import opened
 from transports.robot import BOUND, KEY, Site
@@ -129,7 +129,7 @@ async def test_a_bug_while_a_message_is_taken_is_answered(
     async with asyncio.timeout(BOUND), opened(gateway, authorization=AUTH) as raw:
         for target in (
             "rcp_kernel.clients.connections.decode_request",
-            "rcp_ws.peer.segments.read",
+            "rcp_ws.client.segments.read",
         ):
             with monkeypatch.context() as patched, capture_logs() as said:
                 patched.setattr(target, broken)
@@ -145,8 +145,8 @@ async def test_a_bug_while_a_message_is_taken_is_answered(
     "target",
     [
         "rcp_kernel.clients.connections.Connection.stumbled",
-        "rcp_kernel.clients.mailbox.Mailbox.collect",
-        "rcp_ws.peer.Peer.settled",
+        "rcp_kernel.clients.outbox.Outbox.collect",
+        "rcp_ws.client.Peer.settled",
     ],
 )
 async def test_where_not_even_an_answer_can_be_made_the_connection_is_closed_with_a_code(

@@ -45,7 +45,7 @@ class Clients:
     @property
     def robot(self) -> WireRobot:
         """The robot of tenant alpha."""
-        backend = getattr(self._server.slots[0].backend, "inner", None)
+        backend = getattr(self._server.supervisors[0].backend, "inner", None)
         assert isinstance(backend, WireRobot)
         return backend
 

@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 
 from certs import Authority
 from rcp_asgi.config import AsgiConfig
+from rcp_asgi.connection_limiter import ConnectionLimiter
 from rcp_asgi.proxies import Proxies
-from rcp_asgi.seats import Seats
 from transports.raw import BOUND, Raw, answer, connected, frame, opened
 from transports.robot import KEY, Site, site, until
 
@@ -95,7 +95,7 @@ async def test_over_tls_one_too_many_is_cut_before_the_handshake(tmp_path: Path)
 
 
 def test_the_limits_are_those_of_the_address_not_of_its_spelling() -> None:
-    seats = Seats(AsgiConfig(connections_per_address=1), NONE)
+    seats = ConnectionLimiter(AsgiConfig(connections_per_address=1), NONE)
     assert seats.take("192.0.2.1", 0).refusal is None
     assert seats.take("::ffff:192.0.2.1", 0).refusal is not None
     assert seats.take("2001:db8::1", 0).refusal is None
@@ -105,7 +105,7 @@ def test_the_limits_are_those_of_the_address_not_of_its_spelling() -> None:
 
 
 def test_this_machines_own_connections_are_not_limited_unless_it_is_said() -> None:
-    seats = Seats(AsgiConfig(connections=10_000), Proxies(["192.0.2.128/25"]))
+    seats = ConnectionLimiter(AsgiConfig(connections=10_000), Proxies(["192.0.2.128/25"]))
     for address, allowed in (
         ("127.0.0.1", 1_000),
         ("::1", 1_000),
@@ -125,7 +125,9 @@ def test_this_machines_own_connections_are_not_limited_unless_it_is_said() -> No
 def test_seats_are_counted_right_and_the_rate_is_kept(
     steps: list[tuple[str, float, bool]],
 ) -> None:
-    seats = Seats(AsgiConfig(connections=8, connections_per_address=5, connection_rate=4), NONE)
+    seats = ConnectionLimiter(
+        AsgiConfig(connections=8, connections_per_address=5, connection_rate=4), NONE
+    )
     now, held, made = 0.0, [], {"192.0.2.1": 0, "192.0.2.2": 0}
     for address, wait, leave in steps:
         now += wait

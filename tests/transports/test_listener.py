@@ -9,7 +9,7 @@ import pytest
 
 from rcp_asgi import AsgiConfig
 from rcp_kernel.asgi import respond
-from rcp_kernel.door import Mount
+from rcp_kernel.client_api import Mount
 from rcp_kernel.errors import ConfigError, PluginError
 from transports.raw import TEXT, answer, connected, frame, opened
 from transports.robot import KEY, Site, site, until
@@ -202,14 +202,14 @@ def _told(word: str) -> Any:
 async def test_the_longest_prefix_wins_and_a_suffix_before_it(
     http: httpx.AsyncClient, gateway: Site
 ) -> None:
-    door = gateway.server.door
+    client_api = gateway.server.client_api
     root = Mount(name="root", prefix="/", app=_told("root"))
     deep = Mount(name="deep", prefix="/page/deep", app=_told("deep"))
     tail = Mount(name="tail", prefix="/page", suffix=".css", app=_told("tail"))
     for mount in (root, deep, tail):
-        door.mount(mount)
+        client_api.mount(mount)
     with pytest.raises(PluginError, match="both serve"):
-        door.mount(Mount(name="again", prefix="/page/deep", app=_told("again")))
+        client_api.mount(Mount(name="again", prefix="/page/deep", app=_told("again")))
 
     async def get(path: str) -> str:
         return (await http.get(path)).text
@@ -222,7 +222,7 @@ async def test_the_longest_prefix_wins_and_a_suffix_before_it(
     assert (await http.get("/healthz")).json() == {"status": "ok"}
     assert (await http.get(POSE)).json()["status"] == "completed"
     for mount in (root, deep, tail):
-        door.unmount(mount)
+        client_api.unmount(mount)
     assert (await http.get("/page/deep")).status_code == 404
 
 
@@ -232,7 +232,7 @@ async def test_a_mount_that_fails_is_internal_without_a_traceback(
     async def fails(scope: Any, receive: Any, send: Any) -> None:
         raise ZeroDivisionError
 
-    gateway.server.door.mount(Mount(name="fails", prefix="/fails", app=fails))
+    gateway.server.client_api.mount(Mount(name="fails", prefix="/fails", app=fails))
     response = await http.get("/fails")
     assert (response.status_code, response.json()["error"]["code"]) == (500, "internal")
     assert "ZeroDivision" not in response.text
@@ -265,7 +265,7 @@ async def test_a_websocket_of_another_plugin_speaks_plain_asgi(gateway: Site) ->
             body = {"bytes": message["bytes"]} if text is None else {"text": text}
             await send({"type": "websocket.send", **body})
 
-    gateway.server.door.mount(Mount(name="echo", prefix="/echo", kind="websocket", app=echo))
+    gateway.server.client_api.mount(Mount(name="echo", prefix="/echo", kind="websocket", app=echo))
     from websockets.asyncio.client import connect
     from websockets.exceptions import ConnectionClosed
 
@@ -287,7 +287,9 @@ async def test_a_websocket_that_fails_closes_with_1011(gateway: Site) -> None:
             await send({"type": "websocket.accept"})
         raise ZeroDivisionError
 
-    gateway.server.door.mount(Mount(name="fails", prefix="/fails", kind="websocket", app=fails))
+    gateway.server.client_api.mount(
+        Mount(name="fails", prefix="/fails", kind="websocket", app=fails)
+    )
     from transports.raw import handshake
 
     async with connected(gateway) as raw:

@@ -7,8 +7,8 @@ import pytest
 
 from rcp_asgi.proxies import Proxies
 from rcp_kernel.asgi import peer_of, respond
+from rcp_kernel.client_api import Mount
 from rcp_kernel.config.file import parse
-from rcp_kernel.door import Mount
 from rcp_kernel.errors import ConfigError
 from rcp_kernel.process.server import prepare
 from transports.robot import Site, site
@@ -49,12 +49,12 @@ async def test_a_listed_proxy_says_whom_it_speaks_for(
     forwarded: tuple[str, ...], expected: str
 ) -> None:
     async with site(asgi='proxies = ["127.0.0.1", "10.0.0.0/8"]') as gateway:
-        gateway.server.door.mount(Mount(name="who", prefix="/who", app=who))
+        gateway.server.client_api.mount(Mount(name="who", prefix="/who", app=who))
         assert await seen(gateway, *forwarded) == expected
 
 
 async def test_nobody_else_is_believed(gateway: Site) -> None:
-    gateway.server.door.mount(Mount(name="who", prefix="/who", app=who))
+    gateway.server.client_api.mount(Mount(name="who", prefix="/who", app=who))
     assert await seen(gateway, "203.0.113.7") == "127.0.0.1"
 
 

@@ -18,7 +18,7 @@ from hypothesis import HealthCheck, Phase, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, rule, run_state_machine_as_test
 
-import rcp_ws.peer
+import rcp_ws.client
 from rcp_kernel.access.peer import UNKNOWN
 from rcp_kernel.clients.session import Session
 from rcp_kernel.config.file import parse
@@ -27,8 +27,8 @@ from rcp_kernel.spi import BackendKind, Host
 from rcp_kernel.testing import Served, serve
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import Reply
+from rcp_ws.client import WsClient
 from rcp_ws.config import WsConfig
-from rcp_ws.peer import Peer
 from transports.raw import TEXT, Raw, frame, opened
 from transports.robot import BOUND, KEY, NoOptions, Robot, Site
 
@@ -42,7 +42,7 @@ SPEED = settings(
     suppress_health_check=[HealthCheck.too_slow, HealthCheck.filter_too_much],
 )
 OTHERS = "replayed"
-USUAL = rcp_ws.peer._TURN
+USUAL = rcp_ws.client._TURN
 ROBOT = f"""
 [[backends]]
 use = "robot"
@@ -171,7 +171,7 @@ def place() -> Generator[Place]:
     made = Place()
     yield made
     made.close()
-    rcp_ws.peer._TURN = USUAL
+    rcp_ws.client._TURN = USUAL
 
 
 class Reading(RuleBasedStateMachine):
@@ -182,7 +182,7 @@ class Reading(RuleBasedStateMachine):
 
     def __init__(self) -> None:
         super().__init__()
-        rcp_ws.peer._TURN = NEVER
+        rcp_ws.client._TURN = NEVER
         self.number = 0
         self.asked: set[str] = set()
         """The requests of the present connection."""
@@ -209,7 +209,7 @@ class Reading(RuleBasedStateMachine):
     @rule(used_up=st.booleans())
     def pace(self, *, used_up: bool) -> None:
         """Have every message use up its turn, or none."""
-        rcp_ws.peer._TURN = -1.0 if used_up else NEVER
+        rcp_ws.client._TURN = -1.0 if used_up else NEVER
 
     @rule(count=st.integers(1, 3 * BACKLOG))
     def commit(self, count: int) -> None:
@@ -240,10 +240,10 @@ class ScriptedReading(Reading):
     def connect(self, *, segmented: bool) -> None:
         self.socket = Script()
         self.asked = set()
-        door = self.place.server.door
-        who = (door.authenticate(KEY), None)
+        client_api = self.place.server.client_api
+        who = (client_api.authenticate(KEY), None)
         config = WsConfig(backlog=BACKLOG)
-        self.socket.attach(Peer(door, config, who, Encoding.JSON, self.socket, UNKNOWN))
+        self.socket.attach(WsClient(client_api, config, who, Encoding.JSON, self.socket, UNKNOWN))
         self.socket.receiver.opened()
         self.socket.inbound.append(self.greeting(segmented=segmented))
         self.socket.read(1)

@@ -191,7 +191,7 @@ async def test_a_client_that_does_not_read_costs_no_memory(gateway: Site) -> Non
             await asyncio.sleep(0)
         held = _connections(gateway)
         assert len(held) == 1
-        assert held[0].mailbox.depth == 1
+        assert held[0].outbox.depth == 1
         tail = b""
         async with asyncio.timeout(BOUND):
             while b'"body":"399:' not in tail:

@@ -13,7 +13,7 @@ import pytest
 
 from rcp_kernel.errors import BadRequest, PayloadTooLarge
 from rcp_kernel.values import Encoding, dump
-from rcp_kernel.wire import decode_request, salvage
+from rcp_kernel.wire import decode_request, peek_header
 from transports.raw import BINARY, TEXT, frame, opened
 from transports.robot import KEY, Site, site
 
@@ -142,7 +142,7 @@ def test_an_envelope_of_many_fields_is_refused_by_its_length(encoding: Encoding,
 def test_of_a_long_message_the_beginning_is_looked_at(
     head: bytes, told: tuple[str, str | None]
 ) -> None:
-    assert salvage(head + b"x" * 100_000, Encoding.JSON) == told
+    assert peek_header(head + b"x" * 100_000, Encoding.JSON) == told
 
 
 async def test_a_binary_frame_of_a_stranger_is_as_long_as_a_text(gateway: Site) -> None:

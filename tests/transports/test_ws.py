@@ -16,7 +16,7 @@ from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import ConnectionClosed, ConnectionClosedError
 from websockets.typing import Subprotocol
 
-from rcp_kernel.streaming import feeds
+from rcp_kernel.streaming import path_subscription
 from transports.raw import TEXT, frame, handshake, opened
 from transports.robot import BOUND, KEY, Site, site, until
 
@@ -182,13 +182,13 @@ async def test_from_a_client_that_takes_no_replies_nothing_more_is_read(gateway:
         await raw.reply()
         session = next(iter(gateway.server.gateway.sessions.known.values()))
         assert session.connection is not None
-        control = session.connection.mailbox.control
+        control = session.connection.outbox.control
         from transports.raw import TEXT, frame
 
         one = frame(TEXT, ask.encode())
         raw.send(*([one] * 20_000))
         await asyncio.sleep(0.2)
-        assert len(session.connection.mailbox.control) < 1000
+        assert len(session.connection.outbox.control) < 1000
         assert len(control) < 1000
         for _ in range(500):
             assert (await raw.reply())["id"] == "r"
@@ -244,7 +244,7 @@ async def test_nothing_more_is_written_once_a_socket_is_found_broken(
 
 
 async def test_receivers_that_have_gone_leave_nothing_behind(gateway: Site) -> None:
-    before = len(feeds._shares)
+    before = len(path_subscription._shares)
     path = "/tenant/alpha/sensor/text"
     async with client(gateway) as peer:
         for n in range(50):  # each by a name of its own, as every event stream has
@@ -253,4 +253,4 @@ async def test_receivers_that_have_gone_leave_nothing_behind(gateway: Site) -> N
                 pass
             await peer.ask(type="unsubscribe", id=f"u{n}", body={"subscription": f"s{n}"})
             gateway.robot.host.publish("sensor/text", f"the next is {n}")  # nothing holds the last
-    assert len(feeds._shares) < before + 25
+    assert len(path_subscription._shares) < before + 25

@@ -10,7 +10,7 @@ from functools import partial
 
 import structlog
 
-from rcp_asgi.seats import Seat, Seats
+from rcp_asgi.connection_limiter import ConnectionLimiter, Seat
 from rcp_asgi.settings import Settings
 from rcp_asgi.tls import Tls
 
@@ -60,8 +60,8 @@ class Acceptor:
         self._settings = settings
         self._tls = tls
         self._make = make
-        self._seats = Seats(settings.config, settings.proxies)
-        self._loop = settings.door.loop
+        self._seats = ConnectionLimiter(settings.config, settings.proxies)
+        self._loop = settings.client_api.loop
         self._opening: set[asyncio.Task[None]] = set()
         self._resume: asyncio.TimerHandle | None = None
         self._told = 0.0
@@ -100,7 +100,7 @@ class Acceptor:
     def _take(self, made: socket.socket, address: str) -> None:
         seat = self._seats.take(address, self._loop.time())
         if seat.refusal is not None:
-            self._settings.door.refused("connection", seat.refusal.code)
+            self._settings.client_api.refused("connection", seat.refusal.code)
             if self._tls is not None:  # to tell would take the handshake that is to be saved
                 seat.leave()
                 made.close()
@@ -139,7 +139,7 @@ class Acceptor:
             log.error("connection_failed", peer=guest.address, exc_info=error)
 
     def _tell(self, error: Exception, address: str) -> None:
-        self._settings.door.refused("connection", "tls")
+        self._settings.client_api.refused("connection", "tls")
         now = self._loop.time()
         if now - self._told > _TELL:
             self._told = now

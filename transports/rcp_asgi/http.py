@@ -19,6 +19,7 @@ from uvicorn.protocols.http.flow_control import HIGH_WATER_LIMIT
 from uvicorn.protocols.http.httptools_impl import STATUS_LINE, HttpToolsProtocol
 from uvicorn.server import ServerState
 
+from rcp_asgi.connection_limiter import Seat
 from rcp_asgi.endless import Endless
 from rcp_asgi.flow import ReadFlow
 from rcp_asgi.request_head import (
@@ -28,13 +29,12 @@ from rcp_asgi.request_head import (
     UnknownMethod,
     check_head,
 )
-from rcp_asgi.seats import Seat
 from rcp_asgi.settings import Settings
 from rcp_asgi.upgrade import Upgrade
 from rcp_kernel.access.certificates import read_certificate
 from rcp_kernel.access.peer import UNKNOWN, Peer
+from rcp_kernel.client_api import Asgi
 from rcp_kernel.clients.outbound import Backlog
-from rcp_kernel.door import Asgi
 from rcp_kernel.errors import RcpError
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import encode_reply, failure
@@ -92,7 +92,7 @@ class HttpProtocol(HttpToolsProtocol):
         super().connection_made(transport)
         self.flow = self._reading = ReadFlow(transport)
         self._body = Endless(transport)
-        self._backlog = self._settings.door.outbound.open(transport.abort)
+        self._backlog = self._settings.client_api.outbound.open(transport.abort)
         self._extensions = {"rcp.stream": self._body, "rcp.closing": self._settings.closing}
         refusal = self._seat.refusal
         if refusal is not None:
@@ -354,7 +354,7 @@ class HttpProtocol(HttpToolsProtocol):
         self._unread = b""
         if self.transport.is_closing():
             return
-        self._settings.door.refused("request", error.code)
+        self._settings.client_api.refused("request", error.code)
         cycle = self.cycle
         if self._in_body and self.pipeline:
             self.pipeline.popleft()  # the newest, which is the broken one

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from html import escape
 
-from rcp_kernel.door import Door
+from rcp_kernel.client_api import ClientApi
 
 __all__ = ["index_page"]
 
@@ -20,12 +20,12 @@ _PLACES = (
 )
 
 
-def index_page(door: Door, *, html: bool) -> str:
+def index_page(client_api: ClientApi, *, html: bool) -> str:
     """Write the page as HTML or plain text."""
     known = {path for path, _ in _PLACES}
     others = [
         (mount.prefix, mount.name)
-        for mount in door.mounts
+        for mount in client_api.mounts
         if mount.kind == "http" and not mount.prefix.startswith("/rcp/v1")
     ]
     places = [*_PLACES, *(pair for pair in others if pair[0] not in known)]

@@ -13,18 +13,18 @@ import structlog
 from uvicorn import Config, Server
 
 from rcp_asgi.acceptor import Acceptor
+from rcp_asgi.builtin_app import OWN, builtin_app
 from rcp_asgi.config import AsgiConfig
-from rcp_asgi.front import FrontDoor
-from rcp_asgi.house import OWN, house
+from rcp_asgi.connection_limiter import Seat
 from rcp_asgi.http import HttpProtocol
+from rcp_asgi.mount_router import MountRouter
 from rcp_asgi.origins import Origins
 from rcp_asgi.proxies import Proxies
 from rcp_asgi.safe import check_door
-from rcp_asgi.seats import Seat
 from rcp_asgi.settings import Settings
 from rcp_asgi.tls import Tls
 from rcp_asgi.upgrade import Upgrade
-from rcp_kernel.door import Door
+from rcp_kernel.client_api import ClientApi
 from rcp_kernel.errors import ConfigError
 
 __all__ = ["open_asgi"]
@@ -40,25 +40,25 @@ _HEADERS = [  # for pages of other origins that embed what they may not read
 
 
 @asynccontextmanager
-async def open_asgi(config: AsgiConfig, door: Door) -> AsyncGenerator[dict[str, Any]]:
+async def open_asgi(config: AsgiConfig, client_api: ClientApi) -> AsyncGenerator[dict[str, Any]]:
     """Listen while entered.
 
     :raises ConfigError: what is configured is not safe, or the address cannot be listened on.
     """
-    check_door(config, door)
+    check_door(config, client_api)
     tls = None if config.tls is None else Tls(config.tls)
     listening = _bind(config)
     host, port = listening.getsockname()[:2]
-    settings = Settings(config, door, Proxies(config.proxies))
+    settings = Settings(config, client_api, Proxies(config.proxies))
     origins = Origins(config.host, config.origins, config.hosts)
-    front = FrontDoor(door, origins, house(door), OWN, config.root_path)
+    front = MountRouter(client_api, origins, builtin_app(client_api), OWN, config.root_path)
     server = _server(settings, front)
     acceptor = Acceptor(listening, settings, tls, partial(_protocol, server, settings))
     await server.on_tick(0)
     if tls is not None:
         tls.warn()
-        door.revoke(tls.revoked)
-    ticking = asyncio.create_task(_tick(server, acceptor, tls, door), name="asgi clock")
+        client_api.revoke(tls.revoked)
+    ticking = asyncio.create_task(_tick(server, acceptor, tls, client_api), name="asgi clock")
     acceptor.open()
     shown = f"[{host}]" if ":" in host else host
     url = f"{'http' if tls is None else 'https'}://{shown}:{port}"
@@ -94,7 +94,7 @@ def _bind(config: AsgiConfig) -> socket.socket:
     return made
 
 
-def _server(settings: Settings, front: FrontDoor) -> Server:
+def _server(settings: Settings, front: MountRouter) -> Server:
     """Make what the connections share; it never listens itself."""
     uvicorn_config = Config(
         front,
@@ -119,17 +119,17 @@ def _protocol(server: Server, settings: Settings, seat: Seat) -> HttpProtocol:
         config=server.config,
         server_state=server.server_state,
         app_state={},
-        _loop=settings.door.loop,
+        _loop=settings.client_api.loop,
     )
 
 
-async def _tick(server: Server, acceptor: Acceptor, tls: Tls | None, door: Door) -> None:
+async def _tick(server: Server, acceptor: Acceptor, tls: Tls | None, client_api: ClientApi) -> None:
     while True:
         await asyncio.sleep(_TICK)
         await server.on_tick(0)
         acceptor.sweep()
         if tls is not None and tls.refresh():
-            door.revoke(tls.revoked)
+            client_api.revoke(tls.revoked)
 
 
 async def _close(server: Server, settings: Settings) -> None:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
+from rcp_kernel.client_api import ClientApi
 from rcp_kernel.clients.session import Session
-from rcp_kernel.door import Door
 from rcp_kernel.status import gateway_version
 
 __all__ = ["document"]
@@ -13,18 +13,18 @@ __all__ = ["document"]
 _TITLE = "RCP gateway"
 
 
-def document(door: Door, session: Session) -> dict[str, Any]:
+def document(client_api: ClientApi, session: Session) -> dict[str, Any]:
     """Write the document for what a session sees.
 
     :raises RateLimited: a quota does not allow it now.
     """
-    door.pay(session)
+    client_api.charge(session)
     paths: dict[str, Any] = {}
-    schemes = _schemes(door)
+    schemes = _schemes(client_api)
     components: dict[str, dict[str, Any]] = {"securitySchemes": schemes}
     # What an operation may do without proof it says itself, where that is not this.
-    free: list[dict[str, Any]] = [{}] if door.proofs.anonymous else []
-    for mount in door.mounts:
+    free: list[dict[str, Any]] = [{}] if client_api.proofs.anonymous else []
+    for mount in client_api.mounts:
         if mount.openapi is None:
             continue
         part = mount.openapi(session)
@@ -45,15 +45,15 @@ def document(door: Door, session: Session) -> dict[str, Any]:
     }
 
 
-def _schemes(door: Door) -> dict[str, Any]:
+def _schemes(client_api: ClientApi) -> dict[str, Any]:
     """Describe by what a client may prove who it is."""
     found: dict[str, Any] = {}
-    if door.proofs.bearer:
+    if client_api.proofs.bearer:
         found["bearer"] = {
             "type": "http",
             "scheme": "bearer",
             "description": "A key, a token of `rcpd token`, or a JSON Web Token of an issuer.",
         }
-    if door.proofs.certificates:
+    if client_api.proofs.certificates:
         found["certificate"] = {"type": "mutualTLS", "description": "A client certificate."}
     return found

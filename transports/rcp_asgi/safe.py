@@ -6,8 +6,8 @@ from rcp_asgi.config import AsgiConfig
 from rcp_asgi.origins import is_loopback
 from rcp_asgi.proxies import Proxies
 from rcp_asgi.tls import Tls
+from rcp_kernel.client_api import ClientApi
 from rcp_kernel.config.file import GatewayConfig
-from rcp_kernel.door import Door
 from rcp_kernel.errors import ConfigError
 
 __all__ = ["check_door", "check_open"]
@@ -27,12 +27,12 @@ def check_open(config: AsgiConfig, gateway: GatewayConfig) -> None:
     _check(config, closed=gateway.closed, served=gateway.serves or elsewhere)
 
 
-def check_door(config: AsgiConfig, door: Door) -> None:
+def check_door(config: AsgiConfig, client_api: ClientApi) -> None:
     """Do as `check_open` does, when it is known what the plugins do.
 
     :raises ConfigError: likewise.
     """
-    _check(config, closed=door.secure, served=door.serves)
+    _check(config, closed=client_api.secure, served=client_api.serves)
 
 
 def _check(config: AsgiConfig, *, closed: bool, served: bool) -> None:

@@ -82,7 +82,7 @@ class Socket(WSListener):
         self._loop = loop
         self._transport: WSTransport
         self._raw: asyncio.Transport
-        self.limit = settings.door.limits.message
+        self.limit = settings.client_api.limits.message
         """Longest message that is taken once it is put together and inflated."""
         self._threshold = settings.config.compress_above
         self._parts: list[bytes] | None = None
@@ -373,7 +373,7 @@ class Socket(WSListener):
     # -- keepalive -----------------------------------------------------------------------------
 
     def _rest(self) -> None:
-        self._timer = self._loop.call_later(self._settings.door.limits.heartbeat, self._beat)
+        self._timer = self._loop.call_later(self._settings.client_api.limits.heartbeat, self._beat)
 
     def _beat(self) -> None:
         if self._heard:
@@ -381,7 +381,8 @@ class Socket(WSListener):
         elif self._unanswered >= _UNANSWERED:
             if self.open and self.writable and not self._reading:
                 log.error(
-                    "websocket_not_read", seconds=_UNANSWERED * self._settings.door.limits.heartbeat
+                    "websocket_not_read",
+                    seconds=_UNANSWERED * self._settings.client_api.limits.heartbeat,
                 )
             self.code = _GONE
             self.abort()

@@ -25,13 +25,13 @@ from picows.picows import WSProtocol  # type: ignore[attr-defined] - pinned, see
 from uvicorn.protocols.http.httptools_impl import STATUS_LINE
 from uvicorn.server import ServerState
 
+from rcp_asgi.connection_limiter import Seat
 from rcp_asgi.deflate import accept_offer
 from rcp_asgi.origins import is_loopback
-from rcp_asgi.seats import Seat
 from rcp_asgi.settings import Settings
 from rcp_asgi.socket import Socket
 from rcp_kernel.asgi import Scope
-from rcp_kernel.door import Asgi
+from rcp_kernel.client_api import Asgi
 from rcp_kernel.errors import BadRequest, InternalError
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import encode_reply, failure
@@ -210,7 +210,7 @@ class Upgrade(asyncio.Protocol):
             WSAutoPingStrategy.PING_WHEN_IDLE,
             False,  # auto pong
             # Twice the limit is read, so that the sender can be told, and its connection kept.
-            2 * self._settings.door.limits.message,
+            2 * self._settings.client_api.limits.message,
             None,
             _READ_BUFFER,
         )

@@ -9,7 +9,7 @@ from typing import Any
 from rcp_http.app import PREFIX, HttpApp
 from rcp_http.config import HttpConfig
 from rcp_http.openapi import Described
-from rcp_kernel.door import Door, Mount
+from rcp_kernel.client_api import ClientApi, Mount
 from rcp_kernel.hookspecs import hookimpl
 from rcp_kernel.spi import TransportKind
 
@@ -17,15 +17,15 @@ __all__ = ["HttpConfig", "open_http", "rcp_transports"]
 
 
 @asynccontextmanager
-async def open_http(config: HttpConfig, door: Door) -> AsyncGenerator[dict[str, Any]]:
+async def open_http(config: HttpConfig, client_api: ClientApi) -> AsyncGenerator[dict[str, Any]]:
     """Offer the calls to the listener while entered."""
-    app, described = HttpApp(config, door), Described(door)
+    app, described = HttpApp(config, client_api), Described(client_api)
     mount = Mount(name="http", prefix=PREFIX, app=app, openapi=described.part)
-    door.mount(mount)
+    client_api.mount(mount)
     try:
         yield {"path": PREFIX}
     finally:
-        door.unmount(mount)
+        client_api.unmount(mount)
 
 
 @hookimpl

@@ -6,14 +6,14 @@ import secrets
 from collections.abc import Iterable
 from typing import Any
 
-from rcp_http.asked import Asked
 from rcp_http.compress import compress
 from rcp_http.config import HttpConfig
 from rcp_http.negotiate import coding
+from rcp_http.request import HttpRequest
 from rcp_kernel.asgi import MEDIA, Headers, Send, retry_after, status_of
 from rcp_kernel.clients.outbound import SHARE, Outbound
 from rcp_kernel.clients.unsent import left_out
-from rcp_kernel.operations.pending import crash
+from rcp_kernel.operations.pending import to_internal_error
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import Reply, encode_reply, failure
 
@@ -37,7 +37,7 @@ class Answers:
         self._threshold = config.compress_above
 
     async def reply(
-        self, send: Send, asked: Asked, reply: Reply, headers: Headers | None = None
+        self, send: Send, asked: HttpRequest, reply: Reply, headers: Headers | None = None
     ) -> None:
         """Answer with an envelope."""
         etag = None
@@ -69,7 +69,7 @@ class Answers:
     async def body(
         self,
         send: Send,
-        asked: Asked,
+        asked: HttpRequest,
         status: int,
         data: bytes,
         headers: Headers,
@@ -95,7 +95,7 @@ class Answers:
             backlog.close()
 
 
-def matches(asked: Asked, etag: bytes) -> bool:
+def matches(asked: HttpRequest, etag: bytes) -> bool:
     """Tell whether the client named this validator in If-None-Match."""
     named = asked.found.get("if_none_match")
     if named is None:
@@ -111,7 +111,7 @@ def _encode(reply: Reply, encoding: Encoding) -> tuple[Reply, bytes]:
     try:
         return reply, encode_reply(reply, encoding)
     except Exception as error:
-        told = crash(error, path=reply.path)
+        told = to_internal_error(error, path=reply.path)
         failed = failure(told, reply.type, reply.id, reply.path, command=reply.command)
         return failed, encode_reply(failed, encoding)
 
@@ -121,7 +121,7 @@ def methods_of(operations: Iterable[str]) -> list[str]:
     return [*(m for name in operations for m in _METHODS.get(name, ())), "OPTIONS"]
 
 
-def _error_headers(status: int, error: dict[str, Any], asked: Asked) -> Headers:
+def _error_headers(status: int, error: dict[str, Any], asked: HttpRequest) -> Headers:
     headers: Headers = []
     if status == 401:
         headers.append((b"www-authenticate", b"Bearer"))

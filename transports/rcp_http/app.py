@@ -7,16 +7,16 @@ from collections.abc import Awaitable, Callable
 import structlog
 
 from rcp_http.answers import Answers
-from rcp_http.asked import Asked
 from rcp_http.calls import Calls
 from rcp_http.config import HttpConfig
 from rcp_http.context import Context
 from rcp_http.octets import range_headers
+from rcp_http.request import HttpRequest
 from rcp_kernel.asgi import MEDIA, Headers, Receive, Scope, Send, respond, retry_after
+from rcp_kernel.client_api import ClientApi
 from rcp_kernel.clients.session import Session
-from rcp_kernel.door import Door
 from rcp_kernel.errors import InvalidPath, RcpError, UnknownPath, UnsupportedOperation
-from rcp_kernel.operations.pending import crash
+from rcp_kernel.operations.pending import to_internal_error
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import encode_reply, failure
 
@@ -26,17 +26,17 @@ log = structlog.get_logger("rcp.http")
 PREFIX = "/rcp/v1"
 _CONTEXT = PREFIX + "/context/"
 _TYPES = {"GET": "read", "PUT": "write", "POST": "execute"}
-Handler = Callable[[Asked, Session, Receive, Send], Awaitable[None]]
+Handler = Callable[[HttpRequest, Session, Receive, Send], Awaitable[None]]
 
 
 class HttpApp:
     """Serves `/rcp/v1`."""
 
-    def __init__(self, config: HttpConfig, door: Door) -> None:
-        self._door = door
-        self._answers = Answers(config, door.outbound)
-        self._context = Context(door, config, self._answers)
-        self._calls = Calls(door, config, self._answers, self._context)
+    def __init__(self, config: HttpConfig, client_api: ClientApi) -> None:
+        self._client_api = client_api
+        self._answers = Answers(config, client_api.outbound)
+        self._context = Context(client_api, config, self._answers)
+        self._calls = Calls(client_api, config, self._answers, self._context)
         calls = self._calls
         self._fixed: dict[str, dict[str, Handler]] = {
             "/messages": {"POST": calls.messages},
@@ -49,20 +49,20 @@ class HttpApp:
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Serve one request; whatever goes wrong is an envelope."""
         path: str = scope["path"]
-        asked: Asked | None = None
+        asked: HttpRequest | None = None
         try:
-            asked = Asked(scope)
+            asked = HttpRequest(scope)
             asked.negotiate()
             if asked.method == "GET" and path.startswith(_CONTEXT):
-                session = asked.session(self._door) or await asked.waited(self._door)
+                session = asked.session(self._client_api) or await asked.waited(self._client_api)
                 await self._context.read(asked, session, path[len(_CONTEXT) - 1 :], send)
             else:
                 await self._route(asked, path, receive, send)
         except Exception as error:
-            told = crash(error, path=path)
+            told = to_internal_error(error, path=path)
             await self._refuse(asked, scope, path, told, send)
 
-    async def _route(self, asked: Asked, path: str, receive: Receive, send: Send) -> None:
+    async def _route(self, asked: HttpRequest, path: str, receive: Receive, send: Send) -> None:
         rest = path[len(PREFIX) :]
         if path.startswith(_CONTEXT):
             await self._on_context(asked, path[len(_CONTEXT) - 1 :], receive, send)
@@ -78,11 +78,13 @@ class HttpApp:
         handler = handlers.get(asked.method)
         if handler is None:
             raise _not_taken(asked, path, _methods(handlers))
-        session = asked.session(self._door) or await asked.waited(self._door)
+        session = asked.session(self._client_api) or await asked.waited(self._client_api)
         await handler(asked, session, receive, send)
 
-    async def _on_context(self, asked: Asked, path: str, receive: Receive, send: Send) -> None:
-        session = asked.session(self._door) or await asked.waited(self._door)
+    async def _on_context(
+        self, asked: HttpRequest, path: str, receive: Receive, send: Send
+    ) -> None:
+        session = asked.session(self._client_api) or await asked.waited(self._client_api)
         if asked.method == "OPTIONS":
             await self._context.options(asked, session, path, send)
         elif asked.method == "PUT":
@@ -114,13 +116,13 @@ class HttpApp:
         return None
 
     async def _refuse(
-        self, asked: Asked | None, scope: Scope, path: str, error: RcpError, send: Send
+        self, asked: HttpRequest | None, scope: Scope, path: str, error: RcpError, send: Send
     ) -> None:
         encoding = Encoding.JSON if asked is None else asked.encoding
         type_ = "error"
         if path.startswith(_CONTEXT):
             type_ = _TYPES.get("GET" if asked is None else asked.method, "error")
-        self._door.refused(type_, error.code)
+        self._client_api.refused(type_, error.code)
         id_ = None if asked is None else _id(asked)
         headers: Headers = range_headers(error) + retry_after(error.retry_after)
         if error.http == 401:
@@ -133,7 +135,7 @@ class HttpApp:
         await respond(send, error.http, body, MEDIA[encoding], headers)
 
 
-def _id(asked: Asked) -> str | None:
+def _id(asked: HttpRequest) -> str | None:
     named = asked.found.get("~id")
     if named is not None and len(named) <= 128:
         return named.decode("latin-1")
@@ -145,7 +147,7 @@ def _methods(handlers: dict[str, Handler]) -> list[str]:
     return [*handlers, *(["HEAD"] if "GET" in handlers else []), "OPTIONS"]
 
 
-def _not_taken(asked: Asked, path: str, methods: list[str]) -> UnsupportedOperation:
+def _not_taken(asked: HttpRequest, path: str, methods: list[str]) -> UnsupportedOperation:
     return UnsupportedOperation(
         f"{path} does not take {asked.method}",
         remedy=f"Use {' or '.join(methods)}.",

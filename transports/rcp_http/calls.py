@@ -9,14 +9,14 @@ import msgspec
 from msgspec import Raw
 
 from rcp_http.answers import BOOT, Answers, matches
-from rcp_http.asked import Asked, count, flag
 from rcp_http.config import HttpConfig
 from rcp_http.context import Context, Follower
 from rcp_http.negotiate import body_encoding
+from rcp_http.request import HttpRequest, count, flag
 from rcp_kernel.asgi import Receive, Send, respond
+from rcp_kernel.client_api import ClientApi
 from rcp_kernel.clients.session import Session
 from rcp_kernel.clock import iso, now
-from rcp_kernel.door import Door
 from rcp_kernel.errors import BadRequest, RcpError, UnknownPath, UnsupportedOperation
 from rcp_kernel.operations.command import Command
 from rcp_kernel.operations.pages import LONGEST, cursor_of, place_of
@@ -29,7 +29,7 @@ from rcp_kernel.wire import (
     decode_request,
     encode_reply,
     failure,
-    salvage,
+    peek_header,
 )
 
 __all__ = ["Calls"]
@@ -42,27 +42,33 @@ _STREAMS = ("subscribe", "unsubscribe", "hello")
 class Calls:
     """The handlers."""
 
-    def __init__(self, door: Door, config: HttpConfig, answers: Answers, context: Context) -> None:
-        self._door = door
+    def __init__(
+        self, client_api: ClientApi, config: HttpConfig, answers: Answers, context: Context
+    ) -> None:
+        self._client_api = client_api
         self._config = config
         self._answers = answers
         self._context = context
 
-    async def _ask(self, asked: Asked, session: Session, request: Request, send: Send) -> None:
+    async def _ask(
+        self, asked: HttpRequest, session: Session, request: Request, send: Send
+    ) -> None:
         follower = Follower(session)
-        self._door.submit(session, request, follower)
+        self._client_api.submit(session, request, follower)
         await self._answers.reply(send, asked, await follower.final())
 
     # -- envelopes -----------------------------------------------------------------------------
 
-    async def messages(self, asked: Asked, session: Session, receive: Receive, send: Send) -> None:
+    async def messages(
+        self, asked: HttpRequest, session: Session, receive: Receive, send: Send
+    ) -> None:
         """POST /messages: any one envelope."""
         asked.allow()
-        door = self._door
-        limit = door.longest(session.principal)
+        client_api = self._client_api
+        limit = client_api.longest(session.principal)
         data = await asked.body(receive, limit, self._config.body_timeout)
-        if len(data) > door.limits.unproved:
-            door.check_pace(session)
+        if len(data) > client_api.limits.unproved:
+            client_api.check_pace(session)
         encoding = body_encoding(asked.found.get("content_type", b"")) or Encoding.JSON
         if "accept" not in asked.found or asked.found["accept"] == b"*/*":
             asked.encoding = encoding
@@ -74,8 +80,8 @@ class Calls:
                     remedy="Use the WebSocket at /rcp/v1/ws, or GET /rcp/v1/events.",
                 )
         except RcpError as error:
-            type_, id_ = salvage(data, encoding)
-            self._door.refused(type_, error.code)
+            type_, id_ = peek_header(data, encoding)
+            self._client_api.refused(type_, error.code)
             await self._answers.reply(send, asked, failure(error, type_, id_))
             return
         if request.type != "execute":
@@ -83,7 +89,7 @@ class Calls:
             return
         await self._context.run(asked, session, request, send, self._patience(asked, request))
 
-    def _patience(self, asked: Asked, request: Request) -> float | None:
+    def _patience(self, asked: HttpRequest, request: Request) -> float | None:
         """How long an execute may hold its answer back: a service is a short call, an action not."""
         if asked.at_once:
             return None
@@ -92,11 +98,11 @@ class Calls:
         if request.deadline is not None:
             return request.deadline + 1.0  # the gateway ends the command in time
         service = request.path is not None and "/service/" in request.path
-        return self._door.limits.deadline if service else None
+        return self._client_api.limits.deadline if service else None
 
     # -- commands ------------------------------------------------------------------------------
 
-    async def commands(self, asked: Asked, session: Session, send: Send) -> None:
+    async def commands(self, asked: HttpRequest, session: Session, send: Send) -> None:
         """GET /commands: the newest first, without their histories."""
         asked.allow("status", "path", "limit", "cursor")
         status, path = asked.one("status"), asked.one("path")
@@ -108,7 +114,7 @@ class Calls:
         after = None if cursor is None else _place(place_of(cursor[:LONGEST]))
         # By when they began, which never changes: a command that ends between two pages stays
         # where it was.
-        listed = sorted(self._door.commands(session), key=_age, reverse=True)
+        listed = sorted(self._client_api.commands(session), key=_age, reverse=True)
         found: list[dict[str, Any]] = []
         last: Command | None = None
         for command in listed:
@@ -129,13 +135,13 @@ class Calls:
         next_ = None if last is None else cursor_of(f"{last.created}:{last.id}")
         await self._plain(asked, send, found, "/system/commands", next_)
 
-    async def command(self, asked: Asked, session: Session, id_: str, send: Send) -> None:
+    async def command(self, asked: HttpRequest, session: Session, id_: str, send: Send) -> None:
         """GET /commands/<id>: the state, with feedback and history."""
         asked.allow()
-        body = self._door.command(session, id_).plain()
+        body = self._client_api.command(session, id_).plain()
         await self._plain(asked, send, body, "/system/commands")
 
-    async def cancel(self, asked: Asked, session: Session, id_: str, send: Send) -> None:
+    async def cancel(self, asked: HttpRequest, session: Session, id_: str, send: Send) -> None:
         """DELETE /commands/<id>: have it cancelled."""
         asked.allow()
         request = asked.request("cancel")
@@ -143,7 +149,7 @@ class Calls:
         await self._ask(asked, session, request, send)
 
     async def _plain(
-        self, asked: Asked, send: Send, body: Any, path: str | None, cursor: str | None = None
+        self, asked: HttpRequest, send: Send, body: Any, path: str | None, cursor: str | None = None
     ) -> None:
         request = asked.request("read")
         reply = Reply(
@@ -160,7 +166,7 @@ class Calls:
 
     # -- catalogue -----------------------------------------------------------------------------
 
-    async def discovery(self, asked: Asked, session: Session, send: Send) -> None:
+    async def discovery(self, asked: HttpRequest, session: Session, send: Send) -> None:
         """GET /discovery: the catalogue."""
         asked.allow("path", "kind", "op", "q", "limit", "cursor", "schemas")
         etag = self._etag(asked, session)
@@ -178,7 +184,7 @@ class Calls:
         request = asked.request("discover", asked.one("path"))
         request.body = Raw(msgspec.json.encode(query))
         follower = Follower(session)
-        self._door.submit(session, request, follower)
+        self._client_api.submit(session, request, follower)
         reply = await follower.final()
         if reply.error is not None:
             await self._answers.reply(send, asked, reply)
@@ -186,7 +192,7 @@ class Calls:
         data = encode_reply(reply, asked.encoding)
         await self._answers.body(send, asked, 200, data, [], etag)
 
-    def _etag(self, asked: Asked, session: Session) -> bytes:
+    def _etag(self, asked: HttpRequest, session: Session) -> bytes:
         """Make the validator of what a session sees of the tree, as it was asked for."""
         seen = (
             session.principal.grants,
@@ -195,22 +201,22 @@ class Calls:
             id(session.rights),
         )
         digest = hashlib.sha256(repr(seen).encode()).hexdigest()[:16].encode()
-        return b'W/"%b.g%d.%b"' % (BOOT, self._door.generation(session), digest)
+        return b'W/"%b.g%d.%b"' % (BOOT, self._client_api.generation(session), digest)
 
-    async def status(self, asked: Asked, session: Session, send: Send) -> None:
+    async def status(self, asked: HttpRequest, session: Session, send: Send) -> None:
         """GET /status: the health report."""
         asked.allow()
         await self._ask(asked, session, asked.request("status"), send)
 
-    async def schemas(self, asked: Asked, session: Session, send: Send) -> None:
+    async def schemas(self, asked: HttpRequest, session: Session, send: Send) -> None:
         """GET /schemas: every schema of what the caller may see, by id."""
         asked.allow()
-        await self._plain(asked, send, self._door.schemas(session), None)
+        await self._plain(asked, send, self._client_api.schemas(session), None)
 
-    async def schema(self, asked: Asked, session: Session, id_: str, send: Send) -> None:
+    async def schema(self, asked: HttpRequest, session: Session, id_: str, send: Send) -> None:
         """GET /schemas/<id>: one; bare for those who accept `application/schema+json`."""
         asked.allow()
-        found = self._door.schemas(session).get(id_.removeprefix("rcp:schema:"))
+        found = self._client_api.schemas(session).get(id_.removeprefix("rcp:schema:"))
         if found is None:
             raise UnknownPath(f"there is no schema '{id_[:80]}'", remedy="List /rcp/v1/schemas.")
         if b"application/schema+json" in asked.found.get("accept", b""):

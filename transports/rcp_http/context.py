@@ -8,12 +8,12 @@ import msgspec
 from msgspec import Raw
 
 from rcp_http.answers import Answers, methods_of
-from rcp_http.asked import Asked, count, flag
 from rcp_http.config import HttpConfig
 from rcp_http.octets import bytes_of, send_octets
+from rcp_http.request import HttpRequest, count, flag
 from rcp_kernel.asgi import Receive, Send, respond
+from rcp_kernel.client_api import ClientApi
 from rcp_kernel.clients.session import Session
-from rcp_kernel.door import Door
 from rcp_kernel.errors import BadRequest, RcpError, UnknownPath
 from rcp_kernel.operations.discovery import Query
 from rcp_kernel.wire import Reply, Request
@@ -77,12 +77,12 @@ class Follower:
 class Context:
     """The handlers of one kind of URL."""
 
-    def __init__(self, door: Door, config: HttpConfig, answers: Answers) -> None:
-        self._door = door
+    def __init__(self, client_api: ClientApi, config: HttpConfig, answers: Answers) -> None:
+        self._client_api = client_api
         self._config = config
         self._answers = answers
 
-    async def read(self, asked: Asked, session: Session, path: str, send: Send) -> None:
+    async def read(self, asked: HttpRequest, session: Session, path: str, send: Send) -> None:
         """GET: the value."""
         if asked.query:
             asked.allow("fields", "fresh", "limit", "cursor")
@@ -90,7 +90,7 @@ class Context:
         if asked.query:
             self._options(asked, request)
         follower = Follower(session)
-        self._door.submit(session, request, follower)
+        self._client_api.submit(session, request, follower)
         reply = follower.latest
         if reply is None or not reply.final:
             reply = await follower.final()
@@ -107,7 +107,7 @@ class Context:
                 )
         await self._answers.reply(send, asked, reply)
 
-    def _options(self, asked: Asked, request: Request) -> None:
+    def _options(self, asked: HttpRequest, request: Request) -> None:
         options: dict[str, object] = {}
         if "fields" in asked.query:
             names = ",".join(asked.query["fields"]).split(",")
@@ -122,7 +122,7 @@ class Context:
             request.body = Raw(msgspec.json.encode(options))
 
     async def write(
-        self, asked: Asked, session: Session, path: str, receive: Receive, send: Send
+        self, asked: HttpRequest, session: Session, path: str, receive: Receive, send: Send
     ) -> None:
         """PUT: the body is the value."""
         asked.allow()
@@ -132,11 +132,11 @@ class Context:
         if not request.body and "PUT" in self.methods(session, path):
             raise BadRequest("the request has no body", remedy="Send the value as the body.")
         follower = Follower(session)
-        self._door.submit(session, request, follower)
+        self._client_api.submit(session, request, follower)
         await self._answers.reply(send, asked, await follower.final())
 
     async def execute(
-        self, asked: Asked, session: Session, path: str, receive: Receive, send: Send
+        self, asked: HttpRequest, session: Session, path: str, receive: Receive, send: Send
     ) -> None:
         """POST: the body is the input; answered at once unless the client says that it waits."""
         asked.allow()
@@ -146,11 +146,11 @@ class Context:
         await self.run(asked, session, request, send, wait)
 
     async def run(
-        self, asked: Asked, session: Session, request: Request, send: Send, wait: float | None
+        self, asked: HttpRequest, session: Session, request: Request, send: Send, wait: float | None
     ) -> None:
         """Submit an execute and answer with its first reply, or its last within `wait` seconds."""
         follower = Follower(session)
-        self._door.submit(session, request, follower)
+        self._client_api.submit(session, request, follower)
         reply = await follower.first()
         headers: list[tuple[bytes, bytes]] = []
         if wait and not reply.final:
@@ -160,17 +160,17 @@ class Context:
         await self._answers.reply(send, asked, reply, headers)
 
     async def _take_body(
-        self, asked: Asked, session: Session, request: Request, receive: Receive
+        self, asked: HttpRequest, session: Session, request: Request, receive: Receive
     ) -> None:
         asked.check_unconditional()
-        door = self._door
-        limit = door.longest(session.principal)
+        client_api = self._client_api
+        limit = client_api.longest(session.principal)
         data = await asked.body(receive, limit, self._config.body_timeout)
-        if len(data) > door.limits.unproved:
-            door.check_pace(session)
+        if len(data) > client_api.limits.unproved:
+            client_api.check_pace(session)
         asked.put_body(request, data)
 
-    async def options(self, asked: Asked, session: Session, path: str, send: Send) -> None:
+    async def options(self, asked: HttpRequest, session: Session, path: str, send: Send) -> None:
         """OPTIONS: what may be done with the resource."""
         methods = self.methods(session, path)
         await respond(send, 204, b"", headers=[(b"allow", ", ".join(methods).encode())])
@@ -181,8 +181,8 @@ class Context:
         :raises UnknownPath: there is none.
         :raises RcpError: the path is none, or a quota does not allow to look.
         """
-        self._door.pay(session)
-        found = self._door.discover(session, path, Query(limit=1, schemas=False))["resources"]
+        self._client_api.charge(session)
+        found = self._client_api.discover(session, path, Query(limit=1, schemas=False))["resources"]
         if not found:
             raise UnknownPath(f"there is no resource {path}", path=path)
         return methods_of(found[0]["operations"])

@@ -6,8 +6,8 @@ import re
 from typing import Any
 
 from rcp_http.answers import BOOT, matches
-from rcp_http.asked import Asked
 from rcp_http.negotiate import OCTETS
+from rcp_http.request import HttpRequest
 from rcp_kernel.asgi import Headers, Send, respond
 from rcp_kernel.errors import BadRequest, RcpError
 from rcp_kernel.streaming.samples import Sample
@@ -38,7 +38,7 @@ def bytes_of(reply: Reply, *, native: bool) -> bytes | None:
     return bytes(body) if isinstance(body, (bytes, bytearray, memoryview)) else None
 
 
-async def send_octets(send: Send, asked: Asked, reply: Reply, data: bytes) -> None:
+async def send_octets(send: Send, asked: HttpRequest, reply: Reply, data: bytes) -> None:
     """Answer with bare bytes.
 
     :raises NotSatisfiable: the range that was asked for lies outside.

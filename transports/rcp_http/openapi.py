@@ -7,8 +7,8 @@ from typing import Any
 from rcp_http.openapi_calls import ERROR, REPLY, calls
 from rcp_http.openapi_responses import COMMAND, READ, refusals, responses
 from rcp_kernel.access.acl import Rights
+from rcp_kernel.client_api import ClientApi
 from rcp_kernel.clients.session import Session
-from rcp_kernel.door import Door
 from rcp_kernel.errors import Unauthenticated
 from rcp_kernel.model import Operation
 from rcp_kernel.operations.discovery import Query
@@ -28,14 +28,14 @@ def _content(schema: Node) -> Node:
 class Described:
     """Describes what a session sees; the last description is kept until the tree changes."""
 
-    def __init__(self, door: Door) -> None:
-        self._door = door
+    def __init__(self, client_api: ClientApi) -> None:
+        self._client_api = client_api
         self._known: tuple[Any, Node] | None = None
 
     def part(self, session: Session) -> Node:
         """Return `paths` and `components` of the OpenAPI document."""
         anyone = self._rights_of_anyone()
-        key = (self._door.generation(session), session.rights, anyone)
+        key = (self._client_api.generation(session), session.rights, anyone)
         if self._known is None or self._known[0] != key:
             self._known = key, self._make(session, anyone)
         return self._known[1]
@@ -43,22 +43,22 @@ class Described:
     def _rights_of_anyone(self) -> Rights | None:
         """Return what those may do who prove nothing; None where nobody is served without proof."""
         try:
-            principal = self._door.known(None)
+            principal = self._client_api.known(None)
         except Unauthenticated:
             return None
-        return None if principal is None else self._door.session(principal).rights
+        return None if principal is None else self._client_api.session(principal).rights
 
     def _make(self, session: Session, anyone: Rights | None) -> Node:
         schemas: Node = {"Reply": REPLY, "Error": ERROR}
         paths: Node = calls()
-        proofs = self._door.proofs
+        proofs = self._client_api.proofs
         proved = [{"bearer": []}] if proofs.bearer else []
         proved += [{"certificate": []}] if proofs.certificates else []
         cursor: str | None = None
         while True:
-            page = self._door.discover(session, "/**", Query(limit=_PAGE, cursor=cursor))
+            page = self._client_api.discover(session, "/**", Query(limit=_PAGE, cursor=cursor))
             for resource in page["resources"]:
-                free = 0 if anyone is None else anyone.weigh(resource["path"])
+                free = 0 if anyone is None else anyone.compute_mask(resource["path"])
                 _describe(resource, paths, schemas, free, proved)
             cursor = page.get("cursor")
             if cursor is None:

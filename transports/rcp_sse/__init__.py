@@ -7,10 +7,10 @@ from contextlib import AsyncExitStack, asynccontextmanager
 from typing import Any
 
 from rcp_kernel.asgi import Receive, Scope, Send, header, refuse, respond, retry_after, status_of
-from rcp_kernel.door import Asgi, Door, Mount
+from rcp_kernel.client_api import Asgi, ClientApi, Mount
 from rcp_kernel.errors import BadRequest, UnknownPath, UnsupportedOperation
 from rcp_kernel.hookspecs import hookimpl
-from rcp_kernel.operations.pending import crash
+from rcp_kernel.operations.pending import to_internal_error
 from rcp_kernel.spi import TransportKind
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import encode_reply
@@ -31,8 +31,8 @@ _ALLOW = b"GET, OPTIONS"
 class _Sse:
     """The ASGI application behind the three mounts."""
 
-    def __init__(self, door: Door, events: Events, replies: Replies) -> None:
-        self._door = door
+    def __init__(self, client_api: ClientApi, events: Events, replies: Replies) -> None:
+        self._client_api = client_api
         self._events = events
         self._replies = replies
 
@@ -48,8 +48,8 @@ class _Sse:
             headers = retry_after((refusal.reply.error or {}).get("retry_after"))
             await respond(send, status_of(refusal.reply), body, headers=headers)
         except Exception as error:
-            told = crash(error, path=scope["path"])
-            self._door.refused("subscribe", told.code)
+            told = to_internal_error(error, path=scope["path"])
+            self._client_api.refused("subscribe", told.code)
             allow = [(b"allow", _ALLOW)] if told.http == 405 else []
             await refuse(send, told, "subscribe", headers=allow)
 
@@ -77,10 +77,10 @@ def _check(scope: Scope) -> None:
 
 
 @asynccontextmanager
-async def open_sse(config: SseConfig, door: Door) -> AsyncGenerator[dict[str, Any]]:
+async def open_sse(config: SseConfig, client_api: ClientApi) -> AsyncGenerator[dict[str, Any]]:
     """Offer the streams to the listener while entered."""
-    events = Events(config, door)
-    app: Asgi = _Sse(door, events, Replies(config, door))
+    events = Events(config, client_api)
+    app: Asgi = _Sse(client_api, events, Replies(config, client_api))
 
     async with AsyncExitStack() as stack:
         stack.callback(events.close)
@@ -89,8 +89,8 @@ async def open_sse(config: SseConfig, door: Door) -> AsyncGenerator[dict[str, An
             Mount(name="sse", prefix=_STATUS, app=app),
             Mount(name="sse", prefix=_COMMANDS, suffix=_TAIL, app=app),
         ):
-            door.mount(mount)
-            stack.callback(door.unmount, mount)
+            client_api.mount(mount)
+            stack.callback(client_api.unmount, mount)
         yield {"path": _EVENTS}
 
 

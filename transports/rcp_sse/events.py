@@ -9,12 +9,12 @@ from msgspec import Raw
 
 from rcp_kernel.access.identity import Principal
 from rcp_kernel.asgi import Receive, Scope, Send, bearer, header, peer_of
+from rcp_kernel.client_api import ClientApi
 from rcp_kernel.clients.connections import Connection, Hello
-from rcp_kernel.clients.mailbox import Wrap
+from rcp_kernel.clients.outbox import Wrap
 from rcp_kernel.clock import iso, now
-from rcp_kernel.door import Door
 from rcp_kernel.errors import Gap, RcpError
-from rcp_kernel.streaming.feeds import Feed
+from rcp_kernel.streaming.path_subscription import PathSubscription
 from rcp_kernel.streaming.samples import Sample
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import Reply, Request, encode_frame
@@ -36,9 +36,9 @@ def event(name: bytes, data: bytes, id_: bytes = b"") -> bytes:
 class Events:
     """The handler."""
 
-    def __init__(self, config: SseConfig, door: Door) -> None:
+    def __init__(self, config: SseConfig, client_api: ClientApi) -> None:
         self._config = config
-        self._door = door
+        self._client_api = client_api
         self._journals = Journals(config.journal)
 
     async def serve(
@@ -51,7 +51,7 @@ class Events:
         query = read_query(scope["query_string"])
         stream = Stream(scope, receive, send, self._config.comment)
         token = bearer(header(scope, b"authorization"))
-        principal = await self._door.identify(token, peer_of(scope))
+        principal = await self._client_api.identify(token, peer_of(scope))
         connection, lost = self._connect(scope, query, stream, principal)
         try:
             if not connection.session.subscriptions:
@@ -64,21 +64,21 @@ class Events:
         self, scope: Scope, query: Query, stream: Stream, principal: Principal
     ) -> tuple[Connection, bool]:
         """Open a connection, with the session of the client's last one if it is still there."""
-        door = self._door
+        client_api = self._client_api
         tenant = query.get("tenant", [None])[0]
         named = header(scope, b"x-rcp-tenant")
         if tenant is None and named is not None:
             tenant = named.decode("latin-1")
         peer = peer_of(scope)
-        connection = door.connect(principal, Encoding.JSON, stream.wake, tenant, peer)
-        connection.mailbox.alone = True
+        connection = client_api.connect(principal, Encoding.JSON, stream.wake, tenant, peer)
+        connection.outbox.alone = True
         sent = header(scope, b"last-event-id")
         text = sent.decode("latin-1") if sent else query.get("last_event_id", [None])[0]
         last = parse_event_id(text)
         lost = False
         try:
             if last is None:
-                door.hello(connection, Hello())
+                client_api.hello(connection, Hello())
             else:
                 lost = not self._return(connection, *last)
         except RcpError:
@@ -91,9 +91,9 @@ class Events:
         journal = self._journals.find(session)
         have = None if journal is None else journal.until(number)
         try:
-            self._door.hello(connection, Hello(session=session, resume_from=have))
+            self._client_api.hello(connection, Hello(session=session, resume_from=have))
         except Gap:
-            self._door.hello(connection, Hello())
+            self._client_api.hello(connection, Hello())
             return False
         return have is not None
 
@@ -101,14 +101,14 @@ class Events:
         first, body = subscription(query, path)
         id_ = query.get("id", [None])[0]
         request = Request(type="subscribe", path=first, id=id_, body=Raw(msgspec.json.encode(body)))
-        reply = await self._door.ask(connection.session, request)
+        reply = await self._client_api.ask(connection.session, request)
         if reply.error is not None:
             raise Refusal(reply)
 
     async def _run(self, connection: Connection, stream: Stream, lost: bool) -> None:  # noqa: FBT001
         session = connection.session
         journal = self._journals.of(session.id)
-        mailbox = connection.mailbox
+        outbox = connection.outbox
 
         def told() -> None:
             stream.last = connection.expelled or not session.subscriptions
@@ -117,13 +117,13 @@ class Events:
         first = [_gap()] if lost else []
 
         def collect() -> list[bytes]:
-            out = mailbox.collect(wrap=wrap)
+            out = outbox.collect(wrap=wrap)
             if first:
                 out.insert(0, first.pop())
             if not out:
                 told()
             else:
-                mailbox.again()
+                outbox.again()
             return out
 
         await stream.run(collect)
@@ -133,7 +133,7 @@ class Events:
         if not session.subscriptions:
             session.greeted = False  # it ended: nobody comes back to it
         connection.close()
-        after = self._door.limits.session_ttl if session.greeted else 0.0
+        after = self._client_api.limits.session_ttl if session.greeted else 0.0
         self._journals.forget(session.id, after)
 
     def close(self) -> None:
@@ -153,7 +153,7 @@ def _wrapper(journal: Journal, session: str, told: Callable[[], None]) -> Wrap:
     note = journal.note
     update = b"id: " + session.encode() + b":%d\nevent: update\ndata: %b\n\n"
 
-    def wrap(data: bytes, feed: Feed | None, sample: Sample | None) -> bytes:
+    def wrap(data: bytes, feed: PathSubscription | None, sample: Sample | None) -> bytes:
         if feed is not None and sample is not None:
             return update % (note(feed.entry.path, sample.seq), data)
         told()  # a subscription that ends says so

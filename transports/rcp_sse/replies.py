@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import deque
 
 from rcp_kernel.asgi import Receive, Scope, Send, header, session_of
-from rcp_kernel.door import Door
+from rcp_kernel.client_api import ClientApi
 from rcp_kernel.errors import RcpError
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import Reply, encode_reply, failure
@@ -21,9 +21,9 @@ __all__ = ["Replies"]
 class Replies:
     """The handler."""
 
-    def __init__(self, config: SseConfig, door: Door) -> None:
+    def __init__(self, config: SseConfig, client_api: ClientApi) -> None:
         self._config = config
-        self._door = door
+        self._client_api = client_api
 
     async def serve(self, scope: Scope, receive: Receive, send: Send, id_: str) -> None:
         """Stream the replies; those that the client has (`Last-Event-ID`) are left out.
@@ -31,8 +31,8 @@ class Replies:
         :raises UnknownPath: there is no such command, or not for this caller.
         """
         query = read_query(scope["query_string"])
-        session = await session_of(self._door, scope, query.get("tenant", [None])[0])
-        command = self._door.command(session, id_)
+        session = await session_of(self._client_api, scope, query.get("tenant", [None])[0])
+        command = self._client_api.command(session, id_)
         sent = header(scope, b"last-event-id")
         last = parse_event_id(sent.decode("latin-1") if sent else None)
         skip = last[1] if last is not None and last[0] == id_ else 0
@@ -63,8 +63,8 @@ class Replies:
             waiting.append(failure(error, "execute", None, command.path, command=command.id))
             stream.wake()
 
-        stop = self._door.follow(command, follow)
-        keep = self._door.until_end(session, lost)
+        stop = self._client_api.follow(command, follow)
+        keep = self._client_api.until_end(session, lost)
         try:
             await stream.run(collect)
         finally:

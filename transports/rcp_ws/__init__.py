@@ -7,13 +7,13 @@ from contextlib import asynccontextmanager
 from typing import Any
 
 from rcp_kernel.asgi import Receive, Scope, Send, peer_of, refuse
-from rcp_kernel.door import Door, Mount
+from rcp_kernel.client_api import ClientApi, Mount
 from rcp_kernel.errors import RcpError, UnsupportedOperation
 from rcp_kernel.hookspecs import hookimpl
 from rcp_kernel.spi import TransportKind
+from rcp_ws.client import WsClient
 from rcp_ws.config import WsConfig
 from rcp_ws.handshake import choose, identify
-from rcp_ws.peer import Peer
 
 __all__ = ["WsConfig", "open_ws", "rcp_transports"]
 
@@ -23,9 +23,9 @@ _PATH = "/rcp/v1/ws"
 class _WebSocket:
     """The ASGI application: it accepts, hands the native handle to a peer, and waits for the end."""
 
-    def __init__(self, config: WsConfig, door: Door) -> None:
+    def __init__(self, config: WsConfig, client_api: ClientApi) -> None:
         self._config = config
-        self._door = door
+        self._client_api = client_api
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         await receive()  # websocket.connect
@@ -34,10 +34,10 @@ class _WebSocket:
                 raise UnsupportedOperation(f"the WebSocket is at {_PATH}")
             subprotocol, encoding = choose(scope["subprotocols"])
             socket = scope["extensions"]["rcp.socket"]
-            who = await identify(self._door, scope)
-            peer = Peer(self._door, self._config, who, encoding, socket, peer_of(scope))
+            who = await identify(self._client_api, scope)
+            peer = WsClient(self._client_api, self._config, who, encoding, socket, peer_of(scope))
         except RcpError as error:
-            self._door.refused("hello", error.code)
+            self._client_api.refused("hello", error.code)
 
             async def denied(message: Any) -> None:
                 await send({**message, "type": "websocket." + message["type"]})
@@ -51,14 +51,14 @@ class _WebSocket:
 
 
 @asynccontextmanager
-async def open_ws(config: WsConfig, door: Door) -> AsyncGenerator[dict[str, Any]]:
+async def open_ws(config: WsConfig, client_api: ClientApi) -> AsyncGenerator[dict[str, Any]]:
     """Offer the WebSocket to the listener while entered."""
-    mount = Mount(name="ws", prefix=_PATH, kind="websocket", app=_WebSocket(config, door))
-    door.mount(mount)
+    mount = Mount(name="ws", prefix=_PATH, kind="websocket", app=_WebSocket(config, client_api))
+    client_api.mount(mount)
     try:
         yield {"path": _PATH}
     finally:
-        door.unmount(mount)
+        client_api.unmount(mount)
 
 
 @hookimpl

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from rcp_kernel.access.identity import Principal
 from rcp_kernel.asgi import Scope, bearer, header, peer_of
-from rcp_kernel.door import Door
+from rcp_kernel.client_api import ClientApi
 from rcp_kernel.errors import BadRequest, Unauthenticated
 from rcp_kernel.values import Encoding
 
@@ -29,7 +29,7 @@ def choose(offered: list[str]) -> tuple[str | None, Encoding]:
     return None, Encoding.JSON
 
 
-async def identify(door: Door, scope: Scope) -> tuple[Principal | None, str | None]:
+async def identify(client_api: ClientApi, scope: Scope) -> tuple[Principal | None, str | None]:
     """Return who connects and the tenant it wants; None has to prove itself in `hello` first.
 
     :raises Unauthenticated: the token of the Authorization header is not good.
@@ -37,7 +37,7 @@ async def identify(door: Door, scope: Scope) -> tuple[Principal | None, str | No
     token = bearer(header(scope, b"authorization"))
     tenant = header(scope, b"x-rcp-tenant")
     try:
-        principal = await door.identify(token, peer_of(scope))
+        principal = await client_api.identify(token, peer_of(scope))
     except Unauthenticated:
         if token is not None:
             raise

@@ -14,9 +14,9 @@ from rcp_mavlink.sim.telemetry import MAKERS
 from rcp_mavlink.sim.wire import mav
 
 if TYPE_CHECKING:
-    from rcp_mavlink.sim.peer import Peer
+    from rcp_mavlink.sim.ground_station import GroundStation
 
-__all__ = ["KNOWN", "Asked", "run"]
+__all__ = ["KNOWN", "CommandRequest", "run"]
 
 _OK, _FAILED, _DENIED = (
     mav.MAV_RESULT_ACCEPTED,
@@ -36,7 +36,7 @@ _TURNED = frozenset({Mode.GUIDED, Mode.AUTO, Mode.RTL, Mode.LAND})
 _GLOBAL_FRAMES = {0: False, 5: False, 3: True, 6: True}
 
 
-class Asked(msgspec.Struct, frozen=True):
+class CommandRequest(msgspec.Struct, frozen=True):
     """A command as it came, LONG or INT."""
 
     peer: Any
@@ -49,7 +49,7 @@ class Asked(msgspec.Struct, frozen=True):
     sender: tuple[int, int]
 
 
-def run(peer: Peer, message: Any) -> int:
+def run(peer: GroundStation, message: Any) -> int:
     """Do it; return its MAV_RESULT."""
     whole = message.get_type() == "COMMAND_INT"
     if whole:
@@ -66,7 +66,7 @@ def run(peer: Peer, message: Any) -> int:
     p = (message.param1, message.param2, message.param3, message.param4, p5, p6, p7)
     sender = (message.get_srcSystem(), message.get_srcComponent())
     try:
-        return do(Asked(peer, message.command, p, frame, whole, sender))
+        return do(CommandRequest(peer, message.command, p, frame, whole, sender))
     except (ValueError, OverflowError):  # not a number where one is needed
         return _DENIED
 
@@ -75,17 +75,17 @@ def _result(done: bool) -> int:  # noqa: FBT001 - what was done, as a result
     return _OK if done else _FAILED
 
 
-def _arm(c: Asked) -> int:
+def _arm(c: CommandRequest) -> int:
     vehicle = c.peer.vehicle
     return _result(vehicle.arm(c.p[1]) if c.p[0] == 1 else vehicle.disarm(c.p[1]))
 
 
-def _take_off(c: Asked) -> int:
+def _take_off(c: CommandRequest) -> int:
     return _result(c.peer.vehicle.flight.take_off(c.p[6]))
 
 
-def _mode(mode: Mode) -> Callable[[Asked], int]:
-    def change(c: Asked) -> int:
+def _mode(mode: Mode) -> Callable[[CommandRequest], int]:
+    def change(c: CommandRequest) -> int:
         vehicle = c.peer.vehicle
         if mode not in vehicle.kind.modes.values():
             return _UNSUPPORTED
@@ -94,13 +94,13 @@ def _mode(mode: Mode) -> Callable[[Asked], int]:
     return change
 
 
-def _set_mode(c: Asked) -> int:
+def _set_mode(c: CommandRequest) -> int:
     if not int(c.p[0]) & mav.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED:
         return _UNSUPPORTED
     return _result(c.peer.vehicle.set_custom_mode(int(c.p[1])))
 
 
-def _reposition(c: Asked) -> int:
+def _reposition(c: CommandRequest) -> int:
     """Go to a place: a copter reads neither the speed nor the yaw, a plane no speed."""
     vehicle = c.peer.vehicle
     flight = vehicle.flight
@@ -127,7 +127,7 @@ def _reposition(c: Asked) -> int:
     return _OK
 
 
-def _speed(c: Asked) -> int:
+def _speed(c: CommandRequest) -> int:
     """Change a speed, where the mode and what it does in it let it."""
     vehicle = c.peer.vehicle
     kind, speed = c.p[0], c.p[1]
@@ -150,7 +150,7 @@ def _airspeed(vehicle: Any, kind: float, speed: float) -> bool:
     return True
 
 
-def _yaw(c: Asked) -> int:
+def _yaw(c: CommandRequest) -> int:
     """Turn a copter; it stands until the next place or set-point. Others do not know it."""
     vehicle = c.peer.vehicle
     if vehicle.kind.name != "copter":
@@ -165,7 +165,7 @@ def _yaw(c: Asked) -> int:
     return _OK
 
 
-def _home(c: Asked) -> int:
+def _home(c: CommandRequest) -> int:
     vehicle = c.peer.vehicle
     if not vehicle.position_ok:
         return _FAILED
@@ -177,7 +177,7 @@ def _home(c: Asked) -> int:
     return _OK
 
 
-def _start(c: Asked) -> int:
+def _start(c: CommandRequest) -> int:
     vehicle = c.peer.vehicle
     if c.p[0] or c.p[1]:  # a part of a mission is not flown
         return _DENIED
@@ -187,7 +187,7 @@ def _start(c: Asked) -> int:
     return _result(vehicle.flight.mission.running)
 
 
-def _pause(c: Asked) -> int:
+def _pause(c: CommandRequest) -> int:
     mission = c.peer.vehicle.flight.mission
     if c.peer.vehicle.flight.mode is not Mode.AUTO:
         return _FAILED
@@ -195,11 +195,11 @@ def _pause(c: Asked) -> int:
     return _OK
 
 
-def _current(c: Asked) -> int:
+def _current(c: CommandRequest) -> int:
     return _result(c.peer.vehicle.flight.mission.go_to(int(c.p[0])))
 
 
-def _terminate(c: Asked) -> int:
+def _terminate(c: CommandRequest) -> int:
     """Stop the motors of a copter at once; others want AFS_ENABLE for it."""
     vehicle = c.peer.vehicle
     if vehicle.kind.name != "copter":
@@ -211,7 +211,7 @@ def _terminate(c: Asked) -> int:
     return _OK
 
 
-def _reboot(c: Asked) -> int:
+def _reboot(c: CommandRequest) -> int:
     vehicle = c.peer.vehicle
     if c.p[0] not in (1, 3):
         return _DENIED if c.p[0] else _FAILED
@@ -221,7 +221,7 @@ def _reboot(c: Asked) -> int:
     return _OK
 
 
-def _calibrate(c: Asked) -> int:
+def _calibrate(c: CommandRequest) -> int:
     vehicle = c.peer.vehicle
     if vehicle.armed:
         vehicle.say(4, "Disarm to allow calibration")
@@ -236,7 +236,7 @@ def _calibrate(c: Asked) -> int:
     return _OK
 
 
-def _checks(c: Asked) -> int:
+def _checks(c: CommandRequest) -> int:
     vehicle = c.peer.vehicle
     if vehicle.armed:
         return mav.MAV_RESULT_TEMPORARILY_REJECTED
@@ -245,11 +245,11 @@ def _checks(c: Asked) -> int:
     return _OK
 
 
-def _interval(c: Asked) -> int:
+def _interval(c: CommandRequest) -> int:
     return _result(c.peer.streams.every(int(c.p[0]), c.p[1]))
 
 
-def _which_interval(c: Asked) -> int:
+def _which_interval(c: CommandRequest) -> int:
     number = int(c.p[0])
     if not 0 <= number <= _LAST_MESSAGE:
         return _DENIED
@@ -257,7 +257,7 @@ def _which_interval(c: Asked) -> int:
     return _OK
 
 
-def _request(c: Asked) -> int:
+def _request(c: CommandRequest) -> int:
     number = int(c.p[0])
     message = c.peer.vehicle.measure(number) if number in MAKERS else None
     if message is None:
@@ -266,12 +266,12 @@ def _request(c: Asked) -> int:
     return _OK
 
 
-def _version(c: Asked) -> int:
+def _version(c: CommandRequest) -> int:
     c.peer.send(MAKERS[mav.MAVLINK_MSG_ID_AUTOPILOT_VERSION](c.peer.vehicle))
     return _OK
 
 
-def _get_home(c: Asked) -> int:
+def _get_home(c: CommandRequest) -> int:
     message = MAKERS[mav.MAVLINK_MSG_ID_HOME_POSITION](c.peer.vehicle)
     if message is None:
         return _FAILED
@@ -279,24 +279,24 @@ def _get_home(c: Asked) -> int:
     return _OK
 
 
-def _fence(c: Asked) -> int:
+def _fence(c: CommandRequest) -> int:
     if c.p[0] not in (0, 1, 2):
         return _FAILED
     c.peer.vehicle.params.set("FENCE_ENABLE", float(c.p[0] == 1))
     return _OK
 
 
-def _mount(c: Asked) -> int:
+def _mount(c: CommandRequest) -> int:
     pitch, roll, yaw = c.p[:3]
     return _OK if c.peer.vehicle.mount.turn(pitch, yaw, roll=roll) else _DENIED
 
 
-def _pitch_yaw(c: Asked) -> int:
+def _pitch_yaw(c: CommandRequest) -> int:
     locked = bool(int(c.p[4]) & mav.GIMBAL_MANAGER_FLAGS_YAW_LOCK)
     return _OK if c.peer.vehicle.mount.turn(c.p[0], c.p[1], locked=locked) else _DENIED
 
 
-def _take_gimbal(c: Asked) -> int:
+def _take_gimbal(c: CommandRequest) -> int:
     system, component = int(c.p[0]), int(c.p[1])
     if system == _MYSELF:
         system, component = c.sender
@@ -305,17 +305,17 @@ def _take_gimbal(c: Asked) -> int:
     return _OK
 
 
-def _photo(c: Asked) -> int:
+def _photo(c: CommandRequest) -> int:
     c.peer.vehicle.mount.shoot()
     return _OK
 
 
-def _accept(_: Asked) -> int:
+def _accept(_: CommandRequest) -> int:
     return _OK
 
 
 _PLACES = frozenset({16, 17, 18, 19, 21, 22, 82, 179, 192, 195, 201})
-_DOERS: dict[int, Callable[[Asked], int]] = {
+_DOERS: dict[int, Callable[[CommandRequest], int]] = {
     mav.MAV_CMD_COMPONENT_ARM_DISARM: _arm,
     mav.MAV_CMD_NAV_TAKEOFF: _take_off,
     mav.MAV_CMD_NAV_LAND: _mode(Mode.LAND),

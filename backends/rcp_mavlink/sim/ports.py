@@ -9,7 +9,7 @@ from contextlib import asynccontextmanager
 from typing import Any
 
 from rcp_mavlink.sim.faults import Faults
-from rcp_mavlink.sim.peer import Peer
+from rcp_mavlink.sim.ground_station import GroundStation
 from rcp_mavlink.sim.vehicle import Vehicle
 
 __all__ = ["Twin", "fly"]
@@ -26,7 +26,7 @@ class Twin:
         self.vehicle = vehicle
         self.ports: list[tuple[str, int]] = []
         """The addresses it is reached at, in the order they were asked for."""
-        self.peers: list[Peer] = []
+        self.peers: list[GroundStation] = []
         self.on_reboot: list[Callable[[], None]] = []
 
     @property
@@ -43,7 +43,7 @@ class Twin:
     def muted(self, value: bool) -> None:
         self.faults.uplink_cut = self.faults.downlink_cut = value
 
-    def join(self, send_bytes: Callable[[bytes], None]) -> Peer:
+    def join(self, send_bytes: Callable[[bytes], None]) -> GroundStation:
         """Add one to talk to."""
         latency = self.vehicle.options.latency
         loop = asyncio.get_running_loop()
@@ -58,11 +58,11 @@ class Twin:
             if not self.faults.downlink_cut:  # cut meanwhile
                 send_bytes(frame)
 
-        peer = Peer(self.vehicle, send)
+        peer = GroundStation(self.vehicle, send)
         self.peers.append(peer)
         return peer
 
-    def part(self, peer: Peer) -> None:
+    def part(self, peer: GroundStation) -> None:
         """Let go of one."""
         if peer in self.peers:
             self.peers.remove(peer)
@@ -90,7 +90,7 @@ class _Udp(asyncio.DatagramProtocol):
     def __init__(self, twin: Twin, calls: tuple[str, int] | None) -> None:
         self._twin = twin
         self._calls = calls
-        self._peers: dict[Any, Peer] = {}
+        self._peers: dict[Any, GroundStation] = {}
         self._heard: dict[Any, float] = {}
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
@@ -99,7 +99,7 @@ class _Udp(asyncio.DatagramProtocol):
         if self._calls is not None:
             self._peer(self._calls)
 
-    def _peer(self, address: Any) -> Peer:
+    def _peer(self, address: Any) -> GroundStation:
         if address not in self._peers:
             self._drop_silent()
             transport = self._transport
@@ -140,7 +140,7 @@ class _Tcp(asyncio.Protocol):
 
     def __init__(self, twin: Twin, busy: set[_Tcp]) -> None:
         self._twin, self._busy = twin, busy
-        self._peer: Peer | None = None
+        self._peer: GroundStation | None = None
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         self._transport: Any = transport

@@ -9,7 +9,7 @@ from typing import Any
 import click
 
 from rcp_client.client import Client
-from rcp_client.connecting import connect
+from rcp_client.connection import connect
 from rcp_client.console import show, whole
 from rcp_client.console.execute import execute
 from rcp_client.console.output import Output, exit_code

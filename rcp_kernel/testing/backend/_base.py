@@ -77,12 +77,12 @@ class Robot:
     @property
     def faults(self) -> int:
         """How many bad values it has published."""
-        return self.served.slot.faults
+        return self.served.supervisor.faults
 
     @property
     def last_error(self) -> str | None:
         """What its last fault was."""
-        return self.served.slot.last_error
+        return self.served.supervisor.last_error
 
     def having(self, operation: Operation, *kinds: Kind) -> list[Resource]:
         """List the resources that offer an operation, of some kinds or of all."""
@@ -210,11 +210,13 @@ class BackendTests(Suite):
         async with serve_backend(
             self.kind, self.table(), beside=self.beside, store=self.store
         ) as served:
-            self.prompt = served.slot.settled.is_set()
+            self.prompt = served.supervisor.settled.is_set()
             with suppress(TimeoutError):  # it is late on a machine that is busy otherwise
-                await asyncio.wait_for(served.slot.settled.wait(), BOUND)
-            assert served.slot.name == self.kind.name
-            assert served.lives, f"it did not open: {served.slot.state}, {served.slot.detail}"
+                await asyncio.wait_for(served.supervisor.settled.wait(), BOUND)
+            assert served.supervisor.name == self.kind.name
+            assert served.lives, (
+                f"it did not open: {served.supervisor.state}, {served.supervisor.detail}"
+            )
             self.running = Robot(served)
             yield self.running
 

@@ -38,7 +38,9 @@ class LifeTests(BackendTests):
         for _ in range(2):
             async with self.opened() as robot:
                 assert robot.resources, "it declared nothing"
-                assert robot.served.slot.state in ("ready", "degraded"), robot.served.slot.detail
+                assert robot.served.supervisor.state in ("ready", "degraded"), (
+                    robot.served.supervisor.detail
+                )
 
     async def test_it_leaves_no_task_thread_or_socket_behind(self) -> None:
         async with self.opened():  # what a library keeps for the process is kept from here on

@@ -57,7 +57,7 @@ class LinkTests(BackendTests):
         self._needs_a_link()
 
         async def is_ready() -> bool:
-            return robot.served.slot.state == "ready"
+            return robot.served.supervisor.state == "ready"
 
         async def is_not_ready() -> bool:
             return not await is_ready()

@@ -34,7 +34,7 @@ class TreeTests(BackendTests):
 
     async def test_its_paths_are_legal_and_its_own(self, robot: Robot) -> None:
         found = await robot.client.request("discover", body={"limit": 1000})
-        holds = sum(entry.is_hold for entry in robot.served.slot.entries.values())
+        holds = sum(entry.is_hold for entry in robot.served.supervisor.entries.values())
         assert len(found["body"]["resources"]) == min(1000, len(robot.resources) + holds)
         for name, resource in robot.resources.items():
             assert name == resource.name

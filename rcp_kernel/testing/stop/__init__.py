@@ -73,7 +73,10 @@ class StopSuite(InterleavingTests):
     async def _stop(self, case: Situation, robot: Robot, scope: str) -> Message:
         """Request the stop; `completed` may only be said of a device that is at rest."""
         asked = SCOPES[scope]
-        body = {"scope": robot.served.slot.name if asked == "robot" else asked, "reason": "suite"}
+        body = {
+            "scope": robot.served.supervisor.name if asked == "robot" else asked,
+            "reason": "suite",
+        }
         admin = self.admin()
         fields = {} if case.deadline is None else {"deadline": case.deadline}
         id_ = await admin.send(fields, type="execute", path="/system/estop", body=body)

@@ -46,7 +46,7 @@ class _Player:
     async def stop(self) -> None:
         """Request a stop."""
         self.latched = True
-        body = {"scope": self._robot.served.slot.name}
+        body = {"scope": self._robot.served.supervisor.name}
         self._stops.append(await self._admin.send(type="execute", path=_ESTOP, body=body))
 
     async def reset(self) -> None:

@@ -124,8 +124,10 @@ class World:
 
     def robot(self, name: str = "main") -> WireRobot:
         """Return one of the robots by the name of its backend."""
-        slot = next(slot for slot in self.server.slots if slot.name == name)
-        found = getattr(slot.backend, "inner", None)
+        supervisor = next(
+            supervisor for supervisor in self.server.supervisors if supervisor.name == name
+        )
+        found = getattr(supervisor.backend, "inner", None)
         assert isinstance(found, WireRobot)
         return found
 
@@ -137,10 +139,12 @@ class World:
     async def arrive(self) -> None:
         """Have the robot come that was not there; return once it has."""
         Absence.ends = True
-        slot = next(slot for slot in self.server.slots if slot.name == "ghost")
+        supervisor = next(
+            supervisor for supervisor in self.server.supervisors if supervisor.name == "ghost"
+        )
 
         async def is_ready() -> bool:
-            return slot.state == "ready"
+            return supervisor.state == "ready"
 
         await eventually(is_ready, "the robot comes", ARRIVAL)
 

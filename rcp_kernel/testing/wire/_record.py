@@ -41,7 +41,7 @@ class Records(Wire):
 
     @proves("record.acts")
     async def test_a_command_is_on_record_with_what_the_robot_said(self, world: World) -> None:
-        auditor, client = MemoryClient(world.server.door, ADMIN), await world.client()
+        auditor, client = MemoryClient(world.server.client_api, ADMIN), await world.client()
         records = await auditor.subscribe(AUDIT, **RELIABLE)
         reply = await client.request("execute", "/action/go", body={"distance": 3.0})
         told = await auditor.until(

@@ -66,7 +66,7 @@ async def bed(
     }
     with Bench(line, [twin]):
         async with serve_backend(KIND, config) as served:
-            assert served.lives, served.slot.detail
+            assert served.lives, served.supervisor.detail
             yield Bed(served, twin)
 
 

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import Any
 
 from rcp_mavlink.sim import Options, Vehicle
-from rcp_mavlink.sim.peer import Peer
+from rcp_mavlink.sim.ground_station import GroundStation
 from rcp_mavlink.sim.wire import mav
 
 TURN = 0.05  # s
@@ -30,7 +30,7 @@ class Station:
         self.mav: Any = mav.MAVLink(self._out, 255, 190)
         self._in: Any = mav.MAVLink(None)
         self._in.robust_parsing = True
-        self.peer = Peer(self.vehicle, self._hear)
+        self.peer = GroundStation(self.vehicle, self._hear)
 
     def _hear(self, frame: bytes) -> None:
         self.heard.extend(self._in.parse_buffer(frame) or ())

@@ -177,8 +177,8 @@ async def test_a_link_that_is_cut_in_flight_is_told_and_comes_back_by_itself(pil
     assert final["error"]["code"] == "adapter_unavailable"
     assert "nothing heard of vehicle 1" in final["message"]
     pilot.twin.muted = False
-    slot = pilot.served.slot
-    await eventually(lambda: _is(slot.state == "ready"), "it is back")
+    supervisor = pilot.served.supervisor
+    await eventually(lambda: _is(supervisor.state == "ready"), "it is back")
     assert (await pilot.read("sensor/mode")) in ("GUIDED", "BRAKE")
 
 

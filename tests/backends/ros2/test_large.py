@@ -13,7 +13,7 @@ import rcp_ros2
 from rcp_ros2 import topics
 from rcp_ros2.config import Qos
 from rcp_ros2.qos import Profile
-from rcp_ros2.topics import Feed, Feeds
+from rcp_ros2.topics import Feeds, TopicSubscription
 
 
 def logged(
@@ -31,7 +31,7 @@ def logged(
             structlog.PrintLogger(), wrapper_class=structlog.make_filtering_bound_logger(0)
         ),
     )
-    feed = Feed("/camera", Image, Qos(), profile=Profile(reliable, False, 5))
+    feed = TopicSubscription("/camera", Image, Qos(), profile=Profile(reliable, False, 5))
     with capture_logs() as found:
         hear = Feeds(None, None, lambda _key, _detail: None)._hearer(feed)
         for _ in range(2):

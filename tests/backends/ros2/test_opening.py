@@ -80,9 +80,9 @@ async def test_what_is_mapped_with_its_type_is_there_when_the_backend_is_ready(
     keys = '[[keys]]\nname = "a"\nrole = "operator"\nkey = "operator-operator"\n'
     async with serve(MAPPED.format(domain=domain, more=keys), *rcp_backends()) as served:
         async with asyncio.timeout(BOUND):
-            while served.slot.state != "ready":  # noqa: ASYNC110 - nothing tells of it
+            while served.supervisor.state != "ready":  # noqa: ASYNC110 - nothing tells of it
                 await asyncio.sleep(0)
-        there = served.slot.entries.keys()
+        there = served.supervisor.entries.keys()
         assert there >= {"sensor/odom", "actuator/velocity", "service/reset", "action/fibonacci"}
         client = served.client("operator-operator")
         reply = await client.request("subscribe", "/sensor/none")
@@ -106,7 +106,7 @@ async def test_what_was_looked_for_long_enough_is_unknown(domain: int, peer: Pee
                 break
             assert reply["error"]["retryable"] is True, reply
             await asyncio.sleep(0.05)
-        assert "sensor/nowhere" in served.slot.entries
+        assert "sensor/nowhere" in served.supervisor.entries
         await client.close()
 
 

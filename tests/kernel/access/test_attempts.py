@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rcp_kernel.access.attempts import Attempts
+from rcp_kernel.access.auth_throttle import AuthThrottle
 from rcp_kernel.errors import RateLimited
 
 
@@ -19,7 +19,7 @@ class Clock:
 @given(st.lists(st.floats(0, 30), max_size=60), st.integers(1, 20))
 def test_nobody_is_locked_out_for_good(pauses: list[float], allowance: int) -> None:
     clock = Clock()
-    attempts = Attempts(allowance, clock)
+    attempts = AuthThrottle(allowance, clock)
     for pause in pauses:
         clock.now += pause
         attempts.failed("192.0.2.1", "wrong")
@@ -29,7 +29,7 @@ def test_nobody_is_locked_out_for_good(pauses: list[float], allowance: int) -> N
 
 def test_what_is_refused_unseen_does_not_count() -> None:
     clock = Clock()
-    attempts = Attempts(3, clock)
+    attempts = AuthThrottle(3, clock)
     for _ in range(3):
         attempts.failed("192.0.2.1", "wrong")
     for _ in range(1000):
@@ -49,7 +49,7 @@ def test_what_is_refused_unseen_does_not_count() -> None:
     ],
 )
 def test_a_network_of_one_party_counts_as_one(one: str, other: str, *, same: bool) -> None:
-    attempts = Attempts(1, Clock())
+    attempts = AuthThrottle(1, Clock())
     attempts.failed(one, "wrong")
     if same:
         with pytest.raises(RateLimited):
@@ -59,7 +59,7 @@ def test_a_network_of_one_party_counts_as_one(one: str, other: str, *, same: boo
 
 
 def test_what_was_good_and_is_not_any_more_counts_as_wrong() -> None:
-    attempts = Attempts(1, Clock())
+    attempts = AuthThrottle(1, Clock())
     attempts.succeeded("good")
     attempts.failed("192.0.2.1", "wrong")
     attempts.check("192.0.2.1", "good")
@@ -70,7 +70,7 @@ def test_what_was_good_and_is_not_any_more_counts_as_wrong() -> None:
 
 def test_a_signed_token_waits_for_the_last_wrong_signature_alone() -> None:
     clock = Clock()
-    attempts = Attempts(3, clock)
+    attempts = AuthThrottle(3, clock)
     for _ in range(50):
         attempts.failed("192.0.2.1", "wrong")
     with pytest.raises(RateLimited) as limited:
@@ -83,7 +83,7 @@ def test_a_signed_token_waits_for_the_last_wrong_signature_alone() -> None:
 
 
 def test_what_is_known_of_addresses_has_a_bound() -> None:
-    attempts = Attempts(3, Clock())
+    attempts = AuthThrottle(3, Clock())
     for number in range(25_000):
         attempts.failed(f"10.0.{number >> 8}.{number & 255}", "wrong")
     assert len(attempts._spent) == len(attempts._next) == 20_000

@@ -129,7 +129,7 @@ async def test_a_value_past_its_deadline_is_not_known(world: World, entry: Entry
 async def test_nothing_is_known_of_a_robot_that_is_gone(world: World, entry: Entry) -> None:
     fits = Condition("mode == 'auto'")
     assert conditions(world).holds(fits, entry) is True
-    world.server.slots[0].report("unplugged", down=True)
+    world.server.supervisors[0].report("unplugged", down=True)
     assert conditions(world).holds(fits, entry) is None
 
 

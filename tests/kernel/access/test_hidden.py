@@ -118,7 +118,7 @@ async def test_a_fence_does_not_name_the_sensor_that_is_hidden(world: World) -> 
 
 async def test_metrics_do_not_name_what_is_hidden(world: World) -> None:
     world.robot.host.publish("sensor/hush", 1.0)
-    door = world.server.door
+    client_api = world.server.client_api
     client, other = world.client(TOKEN), world.client()
-    assert b"/sensor/hush" in door.metrics(other.connection.session)
-    assert b"/sensor/hush" not in door.metrics(client.connection.session)
+    assert b"/sensor/hush" in client_api.metrics(other.connection.session)
+    assert b"/sensor/hush" not in client_api.metrics(client.connection.session)

@@ -85,7 +85,7 @@ async def test_a_deny_counts_unless_its_condition_certainly_fails(world: World) 
     assert (await client.final(drive(client)))["error"]["code"] == "forbidden"
     mode(world, "auto")
     assert (await client.final(drive(client)))["status"] == "completed"
-    world.server.slots[0].report("unplugged", down=True)
+    world.server.supervisors[0].report("unplugged", down=True)
     assert (await client.final(drive(client)))["error"]["code"] == "forbidden"
 
 

@@ -121,8 +121,10 @@ async def test_the_generation_of_the_tree_is_what_one_sees_of_it(world: World) -
         return [reply["body"]["generation"] for reply in replies]
 
     before = await generations()
-    slot = next(slot for slot in world.server.slots if slot.tenant == "beta")
-    slot.declare(Resource(name="sensor/new", description="New.", value=quantity("m")))
+    supervisor = next(
+        supervisor for supervisor in world.server.supervisors if supervisor.tenant == "beta"
+    )
+    supervisor.declare(Resource(name="sensor/new", description="New.", value=quantity("m")))
     after = await generations()
     assert after[0] == before[0]
     assert after[1] > before[1]

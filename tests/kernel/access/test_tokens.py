@@ -153,15 +153,15 @@ async def test_guessing_is_slowed_and_who_has_a_right_key_comes_in() -> None:
     from rcp_kernel.access.peer import Peer
 
     async with world_of(CONFIG + "[limits]\nfailed_logins = 5\n") as world:
-        door = world.server.door
+        client_api = world.server.client_api
         here, there = Peer("192.0.2.1"), Peer("192.0.2.2")
         for number in range(5):
             with pytest.raises(Unauthenticated):
-                door.authenticate(f"guess-{number}", here)
+                client_api.authenticate(f"guess-{number}", here)
         with pytest.raises(RateLimited) as limited:
-            door.authenticate("guess-again", here)
+            client_api.authenticate("guess-again", here)
         assert 0 < (limited.value.retry_after or 0) <= 12
-        assert door.authenticate("admin-admin-admin", here).name == "admin"
-        assert door.authenticate(None, here).anonymous
+        assert client_api.authenticate("admin-admin-admin", here).name == "admin"
+        assert client_api.authenticate(None, here).anonymous
         with pytest.raises(Unauthenticated):
-            door.authenticate("guess-elsewhere", there)
+            client_api.authenticate("guess-elsewhere", there)

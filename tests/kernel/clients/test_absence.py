@@ -11,7 +11,7 @@ from kernel.world import BOUND, CONFIG, Client, World
 from rcp_kernel.config.file import parse
 from rcp_kernel.errors import AdapterUnavailable
 from rcp_kernel.model import Resource
-from rcp_kernel.streaming import watches
+from rcp_kernel.streaming import demand
 from rcp_kernel.types import quantity
 
 pytestmark = pytest.mark.anyio
@@ -100,7 +100,7 @@ async def test_a_resource_declared_anew_is_not_stale_while_it_publishes(world: W
         while not old.stale:
             world.robot.host.publish("sensor/level", 2.0)
             await client.update(id_)
-    world.server.gateway.hub.silence.look()
+    world.server.gateway.hub.deadline_monitor.poll()
     await client.ask(type="ping")
     assert not [m for m in client.inbox if m.get("code") == "stale"]
     assert (await client.notice("stale"))["path"] == "/tenant/alpha/sensor/level"
@@ -109,7 +109,7 @@ async def test_a_resource_declared_anew_is_not_stale_while_it_publishes(world: W
 async def test_a_watch_that_failed_is_entered_again(
     world: World, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(watches, "_WATCH_RETRY", 0.01)
+    monkeypatch.setattr(demand, "_WATCH_RETRY", 0.01)
     watch, tries = world.robot.watch, 0
 
     def sometimes(name: str, rate: float | None) -> Any:

@@ -117,14 +117,14 @@ async def test_feedback_that_cannot_be_written_goes_without_its_body(world: Worl
 
 
 async def test_a_field_of_ones_own_that_json_cannot_carry_is_refused(world: World) -> None:
-    door = world.server.door
-    connection = door.connect(
-        door.authenticate("operator-operator"), Encoding.MSGPACK, lambda: None
+    client_api = world.server.client_api
+    connection = client_api.connect(
+        client_api.authenticate("operator-operator"), Encoding.MSGPACK, lambda: None
     )
     for odd in (msgspec.msgpack.Ext(5, b"a"), {(1, 2): 3}):
         envelope = {"type": "ping", "id": "1", "x-odd": odd}
         connection.receive(msgspec.msgpack.encode(envelope))
-        [data] = connection.mailbox.collect()
+        [data] = connection.outbox.collect()
         assert msgspec.msgpack.decode(data)["error"]["code"] == "bad_request"
 
 
@@ -172,21 +172,21 @@ async def test_a_count_is_of_the_whole_subscription_not_of_each_path(world: Worl
 async def test_what_waited_at_the_end_of_a_subscription_is_framed_once(world: World) -> None:
     client = world.client()
     id_ = await subscribed(client, qos={"reliability": "reliable"})
-    mailbox = client.connection.mailbox
-    mailbox.framing = lambda _size, _text: b"#"
+    outbox = client.connection.outbox
+    outbox.framing = lambda _size, _text: b"#"
     [subscription] = client.connection.session.subscriptions.values()
     world.robot.host.publish("sensor/level", 1.0)
     subscription.end(subscription, "duration", None)
-    said = b"".join(mailbox.collect())
-    mailbox.framing = None
+    said = b"".join(outbox.collect())
+    outbox.framing = None
     assert [json.loads(part)["type"] for part in said.split(b"#")[1:]] == ["update", "notice"]
     assert id_.encode() in said
 
 
 async def test_hello_where_there_is_no_connection_is_refused_by_name(world: World) -> None:
-    door = world.server.door
-    session = door.session(door.authenticate("operator-operator"))
-    reply = await door.ask(session, Request(type="hello"))
+    client_api = world.server.client_api
+    session = client_api.session(client_api.authenticate("operator-operator"))
+    reply = await client_api.ask(session, Request(type="hello"))
     assert reply.error is not None
     assert reply.error["code"] == "unsupported_operation"
 

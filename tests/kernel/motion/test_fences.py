@@ -136,12 +136,12 @@ async def test_a_stop_at_the_fence_is_on_record_with_whose_drive_it_ended() -> N
 
 async def test_who_drives_by_single_requests_hears_of_the_fence_where_it_listens() -> None:
     async with fenced(EDGE) as world:
-        door, listener = world.server.door, world.client(AGENT)
+        client_api, listener = world.server.client_api, world.client(AGENT)
         world.robot.at(9)
         write = Request(type="write", path="/actuator/drive", encoding=Encoding.JSON)
         write.body = type(write.body)(b'{"linear":{"x":0.5}}')
-        session = door.session(door.authenticate(AGENT))
-        assert (await door.ask(session, write)).status == "completed"
+        session = client_api.session(client_api.authenticate(AGENT))
+        assert (await client_api.ask(session, write)).status == "completed"
         world.robot.at(10.1)
         assert (await listener.notice("fence_left"))["envelope"] == "hall"
 

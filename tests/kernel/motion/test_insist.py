@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 import structlog
 
-from rcp_kernel.motion.insist import insist
+from rcp_kernel.motion.retry import retry_until_confirmed
 
 pytestmark = pytest.mark.anyio
 
@@ -78,7 +78,7 @@ async def stopped(robot: Robot) -> list[str]:
     """Insist, and return what was logged."""
     with structlog.testing.capture_logs() as records:
         async with asyncio.timeout(BOUND):
-            await insist(robot.stop, "stop_failed", backend="rover")
+            await retry_until_confirmed(robot.stop, "stop_failed", backend="rover")
             await robot.clear.wait()
     return [record["error"] for record in records]
 
@@ -91,7 +91,7 @@ async def test_one_that_is_taken_is_not_repeated() -> None:
 
 async def test_the_first_call_is_ahead_of_what_is_scheduled_after_it() -> None:
     robot, seen = Robot(answered), list[int]()
-    stopping = insist(robot.stop, "stop_failed")
+    stopping = retry_until_confirmed(robot.stop, "stop_failed")
     asyncio.get_running_loop().call_soon(lambda: seen.append(robot.calls))
     await stopping
     assert seen == [1]
@@ -117,7 +117,7 @@ async def test_a_slow_answer_to_the_first_one_counts() -> None:
 
 async def test_one_that_gives_up_takes_all_its_calls_with_it() -> None:
     robot = Robot(lost)
-    work = insist(robot.stop, "stop_failed")
+    work = retry_until_confirmed(robot.stop, "stop_failed")
     async with asyncio.timeout(BOUND):
         await robot.third.wait()
         work.cancel()

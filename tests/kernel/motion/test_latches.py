@@ -145,8 +145,8 @@ async def test_a_robot_that_appears_in_a_stopped_tenant_is_stopped_too(world: Wo
     await apply(world.server, prepared(after, world.robots))
     assert len(after.backends) == len(before.backends) + 2
     async with asyncio.timeout(BOUND):
-        for slot in world.server.slots:
-            await slot.settled.wait()
+        for supervisor in world.server.supervisors:
+            await supervisor.settled.wait()
     assert not await moves(admin, "r4")
     assert await moves(admin, "r5", "beta")
     assert (await estop(admin, scope="r4", reset=True))["status"] == "completed"

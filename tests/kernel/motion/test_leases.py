@@ -319,24 +319,24 @@ async def test_a_lease_ends_with_its_session(world: World) -> None:
 
 
 async def test_what_a_request_without_a_session_acquires_is_its_principals(world: World) -> None:
-    door = world.server.door
-    http = door.session(door.authenticate("operator-operator"))
+    client_api = world.server.client_api
+    http = client_api.session(client_api.authenticate("operator-operator"))
     body = b'{"do":"acquire","scope":"/tenant/alpha"}'
     request = Request(type="execute", path="/system/leases", encoding=Encoding.JSON)
     request.body = type(request.body)(body)
-    held = await door.ask(http, request)
+    held = await client_api.ask(http, request)
     assert held.status == "completed"
     assert held.body.session is None
     assert code(await drive(world.client(ADMIN))) == "lease_held"
     mine = world.client()
     assert code(await drive(mine)) == "completed"
-    again = door.renamed("other").session(door.authenticate("operator-operator"))
+    again = client_api.renamed("other").session(client_api.authenticate("operator-operator"))
     write = Request(type="write", path=DRIVE, encoding=Encoding.JSON)
     write.body = type(write.body)(b'{"linear":{"x":1.0}}')
-    assert (await door.ask(again, write)).status == "completed"
+    assert (await client_api.ask(again, write)).status == "completed"
     assert code(await lease(mine, "release")) == "completed"
     assert code(await lease(mine)) == "completed"
-    assert (await door.ask(again, write)).status == "rejected"
+    assert (await client_api.ask(again, write)).status == "rejected"
 
 
 async def test_who_looks_sees_the_leases_of_robots_that_it_sees(world: World) -> None:
@@ -365,11 +365,11 @@ async def test_an_estop_ends_the_leases_on_what_it_stops(world: World) -> None:
 async def test_a_lease_outlives_the_gateway_that_gave_it(tmp_path: Path) -> None:
     text = kept_in(tmp_path / "rcp.db", CONFIG + PEOPLE)
     async with world_of(text) as world:
-        door = world.server.door
-        http = door.session(door.authenticate("operator-operator"))
+        client_api = world.server.client_api
+        http = client_api.session(client_api.authenticate("operator-operator"))
         request = Request(type="execute", path="/system/leases", encoding=Encoding.JSON)
         request.body = type(request.body)(b'{"do":"acquire","scope":"/tenant/alpha","ttl":100}')
-        before = (await door.ask(http, request)).body
+        before = (await client_api.ask(http, request)).body
         await settled(world.server.gateway.store)
     async with world_of(text) as world:
         client = world.client(ADMIN)

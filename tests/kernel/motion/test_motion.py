@@ -11,7 +11,7 @@ from kernel.world import BOUND, CONFIG, Client, World, prepared
 from rcp_kernel.config.file import parse
 from rcp_kernel.errors import DeviceRejected
 from rcp_kernel.motion import safety
-from rcp_kernel.operations import writing
+from rcp_kernel.operations import write
 from rcp_kernel.process.reload import apply
 from rcp_kernel.types import Twist
 
@@ -45,7 +45,7 @@ async def drive(client: Client, **fields: Any) -> dict[str, Any]:
 async def test_a_write_that_is_never_answered_lapses_all_the_same(
     world: World, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(writing, "ANSWER", 0.05)
+    monkeypatch.setattr(write, "ANSWER", 0.05)
     robot = Hanging(world)
     client = world.client()
     client.send(type="write", path="/actuator/drive", body=FORWARD)

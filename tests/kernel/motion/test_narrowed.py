@@ -15,8 +15,8 @@ from kernel.fenced import AGENT, BLIND, OPERATOR, fenced, reconfigured
 from rcp_kernel.config.envelopes import Bound, EnvelopeConfig
 from rcp_kernel.errors import InvalidValue, OutOfRange
 from rcp_kernel.model import Resource
-from rcp_kernel.motion.envelope import Envelope
-from rcp_kernel.motion.inforce import InForce
+from rcp_kernel.motion.commanded_values import CommandedValues
+from rcp_kernel.motion.motion_limit import MotionLimit
 from rcp_kernel.motion.narrowed import narrowed
 from rcp_kernel.registry import Registry
 from rcp_kernel.types import Int64, Real, quantity
@@ -82,10 +82,10 @@ def let_through(type_: Any, bounds: dict[str, Bound], plain: Any) -> bool:
     entry = Registry().declare(owner, resource, tenant="t")
     table = EnvelopeConfig(name="e", paths=("/**",), bounds=bounds)
     nobody: Any = None
-    envelope = Envelope(table, entry, nobody, nobody)
+    envelope = MotionLimit(table, entry, nobody, nobody)
     assert envelope.fault is None
     try:
-        envelope.check(nobody, value_type(type_).convert(plain), InForce())
+        envelope.check(nobody, value_type(type_).convert(plain), CommandedValues())
     except (InvalidValue, OutOfRange):
         return False
     return True

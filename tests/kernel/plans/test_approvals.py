@@ -119,16 +119,16 @@ async def test_who_may_not_decide_or_does_not_see_the_path_learns_nothing_of_it(
 
 async def test_the_person_at_a_client_answers_for_a_role_that_may_approve_its_own() -> None:
     async with world_of(PEOPLE) as world:
-        door = world.server.door
+        client_api = world.server.client_api
         owned, agent = world.client(OWNED), world.client(AGENT)
         own, others = await asked(owned), await asked(agent)
-        state = door.approve(owned.connection.session, own)
+        state = client_api.approve(owned.connection.session, own)
         assert (state.status, state.by) == ("approved", "owned")
         with pytest.raises(Forbidden):
-            door.approve(agent.connection.session, others)
+            client_api.approve(agent.connection.session, others)
         with pytest.raises(UnknownPath):
-            door.approve(owned.connection.session, others)
-        door.approve(agent.connection.session, others, "reject")
+            client_api.approve(owned.connection.session, others)
+        client_api.approve(agent.connection.session, others, "reject")
         world.robot.release.set()
         assert code(await command(owned, approval=own)) == "completed"
 
@@ -256,12 +256,12 @@ async def test_too_many_questions_of_one_principal_are_refused() -> None:
 
 async def test_requests_without_a_session_use_approvals_of_their_principal() -> None:
     async with world_of(PEOPLE) as world:
-        door = world.server.door
+        client_api = world.server.client_api
         id_ = await asked(world.client(AGENT))
         await decide(world.client(GUARD), id_)
         world.robot.release.set()
-        session = door.session(door.authenticate(AGENT))
-        reply = await door.ask(session, _request(world, id_))
+        session = client_api.session(client_api.authenticate(AGENT))
+        reply = await client_api.ask(session, _request(world, id_))
         assert reply.status == "completed"
 
 

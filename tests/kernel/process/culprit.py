@@ -110,7 +110,7 @@ async def main() -> None:
     made = prepared(parse(TEXT, "test"), [])
     made.plugins.backends["culprit"] = BackendKind("culprit", NoOptions, open_culprit)
     async with running(made) as server:
-        client = Client(server.door, "admin-admin-admin")
+        client = Client(server.client_api, "admin-admin-admin")
         await asyncio.sleep(0.2)
         requests: list[dict[str, Any]] = [
             {"type": "read", "path": "/tenant/beta/param/limit"},

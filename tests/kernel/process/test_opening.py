@@ -83,7 +83,7 @@ async def until(client: Client, type_: str, wanted: tuple[str, bool] | None) -> 
 async def test_while_it_opens_every_operation_is_to_be_tried_again_and_then_works() -> None:
     gate = Gate()
     async with gateway(gate) as server:
-        client = Client(server.door)
+        client = Client(server.client_api)
         for type_ in ("read", "write", "execute", "subscribe", "cancel"):
             assert await refusal(client, type_) == WAITS, type_
         assert (await client.ask(type="discover"))["body"]["complete"] is False
@@ -99,8 +99,8 @@ async def test_one_that_is_tried_again_and_again_may_still_come() -> None:
     gate.fate = NotReady("no cable")
     gate.opens.set()
     async with gateway(gate) as server:
-        client = Client(server.door)
-        assert server.slots[0].state == "down"
+        client = Client(server.client_api)
+        assert server.supervisors[0].state == "down"
         assert await refusal(client, "subscribe") == WAITS
         gate.fate = None
         await until(client, "subscribe", None)
@@ -110,7 +110,7 @@ async def test_one_that_has_failed_for_good_leaves_its_paths_unknown() -> None:
     gate = Gate()
     gate.fate = ConfigError("no such port")
     async with gateway(gate) as server:
-        client = Client(server.door)
+        client = Client(server.client_api)
         assert await refusal(client, "read") == WAITS
         gate.opens.set()
         await until(client, "read", UNKNOWN)
@@ -121,7 +121,7 @@ async def test_what_cannot_be_its_path_is_unknown_meanwhile() -> None:
     gate = Gate()
     text = CONFIG.replace('tenant = "alpha"', 'tenant = "alpha"\nrobot = "r1"', 1)
     async with gateway(gate, text) as server:
-        client = Client(server.door)
+        client = Client(server.client_api)
         assert await refusal(client, "read", "/sensor/r1/level") == WAITS
         for path in (LEVEL, "/sensor/r2/level", "/sensor/r1", "/tenant/beta/sensor/r1/level"):
             assert await refusal(client, "read", path) == UNKNOWN, path
@@ -132,7 +132,7 @@ async def test_what_cannot_be_its_path_is_unknown_meanwhile() -> None:
 async def test_a_hidden_path_does_not_tell_that_a_backend_opens() -> None:
     gate = Gate()
     async with gateway(gate) as server:
-        client = Client(server.door, "narrow-narrow-narrow")
+        client = Client(server.client_api, "narrow-narrow-narrow")
         assert await refusal(client, "read") == WAITS  # it could be seen, if it were there
         assert await refusal(client, "read", "/sensor/lazy") == UNKNOWN
         gate.opens.set()
@@ -144,7 +144,7 @@ async def test_what_is_declared_early_can_be_subscribed_to_before_it_is_open() -
     gate = Gate()
     gate.before = lambda host: Robot(host).declare()
     async with gateway(gate) as server:
-        client = Client(server.door)
+        client = Client(server.client_api)
         assert (await client.ask(type="subscribe", path=LEVEL, id="s"))["status"] == "completed"
         assert await refusal(client, "read") == WAITS
         gate.opens.set()
@@ -157,7 +157,7 @@ async def test_an_open_backend_that_still_looks_for_what_it_has_may_find_it() ->
     gate.before = lambda host: host.discovering(active=True)
     gate.opens.set()
     async with gateway(gate) as server:
-        client = Client(server.door)
+        client = Client(server.client_api)
         await until(client, "read", None)
         assert await refusal(client, "read", "/sensor/found") == WAITS
         gate.host.discovering(active=False)

@@ -56,7 +56,7 @@ class Slow:
 
     def lets_in(self, key: str) -> bool:
         try:
-            Client(self.server.door, key)
+            Client(self.server.client_api, key)
         except RcpError:
             return False
         return True
@@ -89,7 +89,7 @@ async def test_the_newer_of_two_reloads_wins_though_the_first_is_slow_to_close()
         await second
         assert not world.lets_in("stranger-stranger")
         assert world.lets_in("operator-operator")
-        assert [slot.name for slot in world.server.slots] == ["robot"]
+        assert [supervisor.name for supervisor in world.server.supervisors] == ["robot"]
         assert world.open == ["robot"], "what only the older configuration had was started"
 
 
@@ -108,7 +108,7 @@ async def test_of_many_reloads_at_once_the_last_is_what_runs() -> None:
         tasks = [asyncio.create_task(apply(world.server, world.prepare(text))) for text in texts]
         world.release.set()
         await asyncio.gather(*tasks)
-        assert [slot.name for slot in world.server.slots] == ["robot", "third"]
+        assert [supervisor.name for supervisor in world.server.supervisors] == ["robot", "third"]
         assert world.lets_in("stranger-stranger")
 
 

@@ -23,7 +23,7 @@ async def state(client: Client) -> dict[str, Any]:
 
 
 async def until_state(server: Server, wanted: str) -> dict[str, Any]:
-    client = Client(server.door)
+    client = Client(server.client_api)
     while (found := await state(client))["state"] != wanted:
         await client.ask(type="ping")
     return found
@@ -105,7 +105,7 @@ async def test_a_reload_starts_and_stops_backends(world: World) -> None:
     text = CONFIG.replace('tenant = "alpha"', 'tenant = "beta"')
     made = prepared(parse(text, "test"), [])
     await apply(world.server, made)
-    client = Client(world.server.door, "operator-operator")
+    client = Client(world.server.client_api, "operator-operator")
     found = await until_state(world.server, "ready")
     assert found["tenant"] == "beta"
     paths = (await client.ask(type="discover", path="/**"))["body"]["resources"]

@@ -14,8 +14,8 @@ from click.testing import CliRunner
 
 from kernel.world import Client, World, kept_in, settled, world_of
 from rcp_kernel.record.cli import audit
+from rcp_kernel.record.denial_throttle import DenialThrottle
 from rcp_kernel.record.examination import examined
-from rcp_kernel.record.flood import Flood
 
 pytestmark = pytest.mark.anyio
 LIMIT = "/tenant/alpha/param/limit"
@@ -451,7 +451,7 @@ async def test_a_flood_that_is_told_of_while_its_window_closes_has_one_window() 
         flood.passes("=who", {}, "/path", "forbidden", full=True)
         told.set()
 
-    flood = Flood(loop, 0, tell)
+    flood = DenialThrottle(loop, 0, tell)
     flood.passes("=who", {}, "/path", "forbidden")
     [first] = flood._windows.values()
     flood._close(first)

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rcp_kernel.record.chain import GENESIS, Head, Row, link, parse_head, verify, written
-from rcp_kernel.record.flood import Flood
+from rcp_kernel.record.denial_throttle import DenialThrottle
 
 
 def chain(count: int, *, after: Head = (0, GENESIS), pruned: bool = False) -> list[Row]:
@@ -134,7 +134,7 @@ def test_a_head_reads_as_it_was_written(seq: int, digest: bytes) -> None:
 def test_a_flood_that_lasts_is_summed_up_in_ever_longer_windows() -> None:
     async def run() -> list[float]:
         told: list[dict[str, float]] = []
-        flood = Flood(asyncio.get_running_loop(), 3, told.append)
+        flood = DenialThrottle(asyncio.get_running_loop(), 3, told.append)
         passed = 0
         for length in (1, 2, 4, 8, 16, 32, 60, 60):
             for _ in range(length * 4):

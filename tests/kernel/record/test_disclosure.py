@@ -328,7 +328,7 @@ async def test_a_record_of_very_many_names_is_cheap_to_judge(world: World) -> No
     many = " ".join(f"/tenant/alpha/sensor/x{n}" for n in range(150))
     session = world.client(PARTIAL).connection.session
     weighed: list[str] = []
-    weigh = type(session.rights).weigh
+    weigh = type(session.rights).compute_mask
 
     def counted(rights: Any, path: str) -> int:
         weighed.append(path)

@@ -152,8 +152,8 @@ async def test_a_reset_ends_the_halts_of_a_robot_that_was_never_confirmed(world:
     await estop(admin, deadline=SHORT)
     await estop(admin, reset=True)
     controller = world.server.gateway.stops
-    (slot,) = world.server.slots
-    assert controller.of(slot.whole) is None
+    (supervisor,) = world.server.supervisors
+    assert controller.of(supervisor.whole) is None
     write = await admin.ask(type="write", path=DRIVE, body=FAST, valid_for=BOUND)
     assert write["status"] == "completed"
     robot.sent.clear()

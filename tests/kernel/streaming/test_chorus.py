@@ -10,7 +10,7 @@ import pytest
 
 from kernel.world import World
 from rcp_kernel.model import Resource
-from rcp_kernel.streaming.chorus import Chorus
+from rcp_kernel.streaming.shared_fanout import SharedFanout
 from rcp_kernel.values import Encoding
 
 pytestmark = pytest.mark.anyio
@@ -23,9 +23,11 @@ class Socket:
     def __init__(
         self, world: World, depth: int, id_: str = "s", path: str = LEVEL, **body: Any
     ) -> None:
-        door = world.server.door
-        self.connection = door.connect(door.authenticate(None), Encoding.JSON, lambda: None)
-        self.connection.mailbox.framing = lambda size, _text: b"%04d" % size
+        client_api = world.server.client_api
+        self.connection = client_api.connect(
+            client_api.authenticate(None), Encoding.JSON, lambda: None
+        )
+        self.connection.outbox.framing = lambda size, _text: b"%04d" % size
         envelope = {
             "type": "subscribe",
             "id": id_,
@@ -37,7 +39,7 @@ class Socket:
 
     def take(self) -> list[Any]:
         """Collect what waits, and cut it where the frames say."""
-        return _cut(b"".join(self.connection.mailbox.collect()))
+        return _cut(b"".join(self.connection.outbox.collect()))
 
 
 def _cut(data: bytes) -> list[Any]:
@@ -57,7 +59,7 @@ def publish(world: World, *values: float) -> None:
 async def test_receivers_of_the_same_bytes_are_served_from_one_ring(world: World) -> None:
     sockets = [Socket(world, 8) for _ in range(3)]
     listeners = world.server.gateway.registry.entries[LEVEL].listeners
-    assert [type(listener) for listener in listeners] == [Chorus]
+    assert [type(listener) for listener in listeners] == [SharedFanout]
     publish(world, 1.0, 2.0)
     taken = [socket.take() for socket in sockets]
     assert [m["body"] for m in taken[0]] == [1.0, 2.0]
@@ -110,7 +112,7 @@ class Direct(Socket):
         super().__init__(world, depth, **body)
         self.got: list[bytes] = []
         self.full = False
-        self.connection.mailbox.direct = self.pass_on
+        self.connection.outbox.direct = self.pass_on
 
     def pass_on(self, parts: list[bytes]) -> bool:
         if not self.full:

@@ -105,7 +105,7 @@ async def answered(client: MemoryClient) -> dict[str, Any]:
 @pytest.mark.parametrize("encoding", list(Encoding))
 async def test_what_is_nested_too_deep_is_refused_and_nothing_worse(encoding: Encoding) -> None:
     async with serve_backend(anything, msgspec.Struct()) as served:
-        client = MemoryClient(served.server.door, OPERATOR, encoding)
+        client = MemoryClient(served.server.client_api, OPERATOR, encoding)
         for kind, head, name in PLACES:
             for depth in DEPTHS:
                 value = nested(encoding, kind, depth)
@@ -124,7 +124,7 @@ async def test_what_is_nested_too_deep_is_refused_and_nothing_worse(encoding: En
 async def test_the_depth_is_the_same_in_every_encoding(encoding: Encoding, kind: str) -> None:
     head = {"type": "write", "path": "/param/node" if kind == "node" else "/param/any"}
     async with serve_backend(anything, msgspec.Struct()) as served:
-        client = MemoryClient(served.server.door, OPERATOR, encoding)
+        client = MemoryClient(served.server.client_api, OPERATOR, encoding)
         for depth, code in ((DEPTH, None), (DEPTH + 2, "bad_request")):
             value = nested(encoding, kind, depth)
             await client.transmit_raw(envelope(encoding, head, "body", value))
@@ -134,6 +134,6 @@ async def test_the_depth_is_the_same_in_every_encoding(encoding: Encoding, kind:
 
 async def test_what_is_broad_is_not_deep() -> None:
     async with serve_backend(anything, msgspec.Struct()) as served:
-        client = MemoryClient(served.server.door, OPERATOR)
+        client = MemoryClient(served.server.client_api, OPERATOR)
         broad = [[{"a": [n]}] for n in range(2_000)]
         assert (await client.request("write", "/param/any", body=broad))["body"] == broad

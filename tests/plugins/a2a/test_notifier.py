@@ -26,7 +26,7 @@ from rcp_a2a.addresses import Addresses
 from rcp_a2a.config import PushConfig
 from rcp_a2a.push import Notifier, Subscribers
 from rcp_kernel.errors import ConfigError
-from rcp_kernel.record.shelf import Shelf
+from rcp_kernel.record.plugin_store import PluginStore
 from rcp_kernel.record.store import Store
 
 pytestmark = pytest.mark.anyio
@@ -37,7 +37,7 @@ LOCAL = ("127.0.0.0/8",)
 async def notifying(url: str, **config: Any) -> AsyncGenerator[Notifier]:
     """Run a notifier of one task with one address."""
     made = PushConfig(private=LOCAL, backoff=0.01, **config)
-    subscribers = Subscribers(Shelf(Store(), "push"), 4)
+    subscribers = Subscribers(PluginStore(Store(), "push"), 4)
     await subscribers.set_info("t", TaskPushNotificationConfig(url=url), called_by("ada"))
     notifier = Notifier(made, Addresses(made), subscribers)
     async with notifier.running():
@@ -138,4 +138,4 @@ async def test_an_end_waits_for_no_address() -> None:
 def test_cas_that_cannot_be_read_are_told_with_their_place(tmp_path: Path) -> None:
     config = PushConfig(ca=str(tmp_path / "none.pem"))
     with pytest.raises(ConfigError, match=r"\[plugins.a2a.push\] ca"):
-        Notifier(config, Addresses(config), Subscribers(Shelf(Store(), "push"), 1))
+        Notifier(config, Addresses(config), Subscribers(PluginStore(Store(), "push"), 1))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from rcp_a2a.messages import Asked
+from rcp_a2a.messages import TaskRequest
 from rcp_a2a.questions import Question, mended, question_of
 
 
@@ -14,7 +14,7 @@ def lacking(*steps: str) -> Question:
 
 
 def after(plan: Any, question: Question, answer: Any) -> Any:
-    found = mended(Asked(plan), question, Asked(answer))
+    found = mended(TaskRequest(plan), question, TaskRequest(answer))
     return None if found is None else found.body
 
 

@@ -21,7 +21,7 @@ from rcp_kernel.access.acl import Rights
 from rcp_kernel.access.identity import Principal
 from rcp_kernel.clients.session import Session
 from rcp_kernel.clock import now
-from rcp_kernel.record.shelf import Shelf
+from rcp_kernel.record.plugin_store import PluginStore
 from rcp_kernel.record.store import DiskStore
 
 pytestmark = pytest.mark.anyio
@@ -31,7 +31,7 @@ NOWHERE = "execute /service/nowhere"
 @asynccontextmanager
 async def kept(path: Path, **config: Any) -> AsyncGenerator[Tasks]:
     store = DiskStore(path / "store.db", asyncio.get_running_loop())
-    tasks = Tasks(Shelf(store, "a2a.tasks"), A2aConfig(**config))
+    tasks = Tasks(PluginStore(store, "a2a.tasks"), A2aConfig(**config))
     tasks.restore()
     try:
         yield tasks

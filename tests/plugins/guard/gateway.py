@@ -144,11 +144,11 @@ class Client:
 
     def __init__(self, server: Server, carts: list[Cart]) -> None:
         self._server, self._carts = server, carts
-        principal = server.door.authenticate("admin-admin-admin")
-        self._connection = server.door.connect(principal, Encoding.JSON, self._flush)
+        principal = server.client_api.authenticate("admin-admin-admin")
+        self._connection = server.client_api.connect(principal, Encoding.JSON, self._flush)
 
     def _flush(self) -> None:
-        for data in self._connection.mailbox.collect():
+        for data in self._connection.outbox.collect():
             reply = json.loads(data)
             tell(reply=reply["type"], status=reply["status"], error=reply.get("error"))
 

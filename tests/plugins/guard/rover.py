@@ -51,16 +51,18 @@ async def main() -> None:
     )
     config = parse(CONFIG, "test")
     async with running(prepare(config, "test"), configure("warning", "json")) as server:
-        door = server.door
+        client_api = server.client_api
 
         def flush() -> None:
-            for data in connection.mailbox.collect():
+            for data in connection.outbox.collect():
                 tell(reply=json.loads(data)["status"], at=time.monotonic())
 
-        connection = door.connect(door.authenticate("admin-admin-admin"), Encoding.JSON, flush)
+        connection = client_api.connect(
+            client_api.authenticate("admin-admin-admin"), Encoding.JSON, flush
+        )
         tell(port=0, ready=os.getpid())
         while line := await reader.readline():
-            backend: Any = getattr(server.slots[0].backend, "inner", None)
+            backend: Any = getattr(server.supervisors[0].backend, "inner", None)
             if b"drive" in line:
                 body = {"linear": {"x": 1.0}, "angular": {}}
                 write = {"type": "write", "id": "w", "path": "/tenant/alpha/actuator/cmd_vel"}

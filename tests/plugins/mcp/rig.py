@@ -11,8 +11,8 @@ from typing import Any
 import httpx
 import msgspec
 
+from rcp_kernel.client_api import ClientApi
 from rcp_kernel.config.file import parse
-from rcp_kernel.door import Door
 from rcp_kernel.errors import DeviceRejected
 from rcp_kernel.model import Resource
 from rcp_kernel.plugins import Plugins
@@ -22,7 +22,7 @@ from rcp_kernel.spi import AdapterKind, BackendKind, BaseBackend, Host, Progress
 from rcp_kernel.types import Twist, quantity
 from rcp_mcp import McpConfig
 from rcp_mcp.offers import Offer
-from rcp_mcp.serving import open_mcp
+from rcp_mcp.server_lifespan import open_mcp
 
 BOUND = 20.0  # s that any wait of a test may take
 OPERATOR = "operator-of-these-tests"
@@ -183,7 +183,7 @@ async def site(
     mcp: str = "",
     more: str = "",
     make: Callable[[Host], Robot] = Robot,
-    offers: Callable[[Door], Sequence[Offer]] = lambda _door: (),
+    offers: Callable[[ClientApi], Sequence[Offer]] = lambda _client_api: (),
 ) -> AsyncGenerator[Site]:
     """Run a gateway; the texts are added to its configuration."""
     made: list[Robot] = []
@@ -198,7 +198,7 @@ async def site(
     plugins = Plugins(parse(ROVER, "test"))
     plugins.backends["robot"] = BackendKind("robot", NoOptions, open_robot)
     plugins.adapters["mcp"] = AdapterKind(
-        "mcp", McpConfig, lambda table, door: open_mcp(table, door, offers(door))
+        "mcp", McpConfig, lambda table, client_api: open_mcp(table, client_api, offers(client_api))
     )
     transports = {
         name: msgspec.convert(table, plugins.transports[name].config)

@@ -53,7 +53,7 @@ async def test_every_scored_scenario_passes(revision: str) -> None:
         )
 
     async with site(
-        more=EVERYBODY, make=Worker, offers=lambda door: [Fixtures(change), Named(door)]
+        more=EVERYBODY, make=Worker, offers=lambda client_api: [Fixtures(change), Named(client_api)]
     ) as made:
         code, said = await run(*suite, "server", "--url", made.url, "--requirements", revision)
 

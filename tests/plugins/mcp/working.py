@@ -10,14 +10,14 @@ import msgspec
 from mcp import types
 
 from plugins.mcp.rig import Robot
-from rcp_kernel.door import Door
+from rcp_kernel.client_api import ClientApi
 from rcp_kernel.errors import DeviceRejected
 from rcp_kernel.model import Resource
 from rcp_kernel.spi import Host, Progress
 from rcp_kernel.types import quantity
 from rcp_mcp import McpConfig
 from rcp_mcp.catalogue import Catalogue
-from rcp_mcp.commanding import Commanding
+from rcp_mcp.command_tools import CommandTools
 from rcp_mcp.offers import Context, Offer, Outcome
 from rcp_mcp.tree import Tree
 
@@ -70,9 +70,11 @@ class Worker(Robot):
 class Named(Offer):
     """The tools of these actions once more, under other names."""
 
-    def __init__(self, door: Door) -> None:
+    def __init__(self, client_api: ClientApi) -> None:
         config = McpConfig()
-        self._tree = Tree(config, door, Commanding(config, door, Catalogue(config, door)))
+        self._tree = Tree(
+            config, client_api, CommandTools(config, client_api, Catalogue(config, client_api))
+        )
 
     async def tools(self, ctx: Context) -> Sequence[types.Tool]:
         known = {tool.name: tool for tool in await self._tree.tools(ctx)}

@@ -44,7 +44,7 @@ async def test_keys_are_given_as_text_or_file(form: str, tmp_path: Any) -> None:
         (tmp_path / "key.pem").write_text(key.pem)
         table = issuer.table(source=f"keys = {json.dumps(texts[form])}")
         async with world_of(CONFIG + table) as world:
-            assert world.server.door.authenticate(issuer.token()).name == "ann"
+            assert world.server.client_api.authenticate(issuer.token()).name == "ann"
         assert issuer.asked == 0
 
 
@@ -112,4 +112,4 @@ async def test_a_signature_is_checked_once(
     token = issuer.token()
     first = await who(world, token)
     monkeypatch.setattr(issuers, "verify", None)
-    assert world.server.door.authenticate(token) is first
+    assert world.server.client_api.authenticate(token) is first

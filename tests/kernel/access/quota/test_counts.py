@@ -20,7 +20,7 @@ from hypothesis.stateful import (
 
 from kernel.access.quota.home import AGENT, ANN, BOB, LEVEL, at_home
 from kernel.world import Client, World, prepared, world_of
-from rcp_kernel.access.meter import Account
+from rcp_kernel.access.token_bucket import QuotaUsage
 from rcp_kernel.clients.session import Session
 from rcp_kernel.config.file import parse
 from rcp_kernel.errors import QueueFull
@@ -157,7 +157,7 @@ class Counts(RuleBasedStateMachine):
             return
         self.do(asyncio.sleep(0))
         gateway = self.world.server.gateway
-        accounts = [*gateway.accounts.of("tenant"), *gateway.accounts.of("principal")]
+        accounts = [*gateway.quota_tracker.of("tenant"), *gateway.quota_tracker.of("principal")]
         for account in accounts:
             concerned = [s for s in gateway.sessions.known.values() if concerns(account, s)]
             assert account.sessions == set(concerned)
@@ -177,9 +177,9 @@ class Counts(RuleBasedStateMachine):
         self.runner.close()
 
 
-def concerns(account: Account, session: Session) -> bool:
+def concerns(account: QuotaUsage, session: Session) -> bool:
     """Tell whether a session's meter has this account."""
-    return session.meter is not None and account in session.meter.accounts
+    return session.token_bucket is not None and account in session.token_bucket.accounts
 
 
 def test_counts_never_drift() -> None:

@@ -116,7 +116,7 @@ async def test_a_session_whose_command_runs_is_given_back_when_its_quota_goes() 
         client = world.client(ANN)
         client.send(type="execute", path="/action/go", body=1)
         await client.until(lambda m: m.get("status") == "in_progress")
-        [account] = world.server.gateway.accounts.of("tenant")
+        [account] = world.server.gateway.quota_tracker.of("tenant")
         assert account.connected == 1
         await apply(world.server, prepared(parse(at_home(""), "test"), []))
         assert account.connected == 0
@@ -124,22 +124,22 @@ async def test_a_session_whose_command_runs_is_given_back_when_its_quota_goes() 
 
 def stalled(client: Client) -> None:
     """Have a client take nothing any more."""
-    client.connection.mailbox.on_flush = lambda: None
+    client.connection.outbox.on_flush = lambda: None
 
 
 async def test_best_effort_gives_way_to_the_newest_when_too_much_waits() -> None:
     async with world_of(at_home("[tenants.alpha.quota]\nqueue_bytes = 2048\n")) as world:
         client = world.client(ANN)
         await client.ask(type="subscribe", id="s", path=LEVEL, body={"qos": {"depth": 1000}})
-        flush = client.connection.mailbox.on_flush
+        flush = client.connection.outbox.on_flush
         stalled(client)
         for value in range(500):
             world.robot.host.publish("sensor/level", float(value))
-        mailbox = client.connection.mailbox
-        assert mailbox.pending[0].waiting == 500
-        await until(lambda: mailbox.pending[0].waiting == 1)
-        mailbox.on_flush = flush
-        mailbox.flush()
+        outbox = client.connection.outbox
+        assert outbox.pending[0].waiting == 500
+        await until(lambda: outbox.pending[0].waiting == 1)
+        outbox.on_flush = flush
+        outbox.flush()
         update = await client.update("s")
         assert (update["body"], update["dropped"]) == (499.0, 499)
 
@@ -149,13 +149,13 @@ async def test_reliable_ends_with_overrun_when_too_much_waits() -> None:
         client = world.client(ANN)
         qos = {"qos": {"reliability": "reliable", "depth": 1000}}
         await client.ask(type="subscribe", id="s", path=LEVEL, body=qos)
-        flush = client.connection.mailbox.on_flush
+        flush = client.connection.outbox.on_flush
         stalled(client)
         for value in range(500):
             world.robot.host.publish("sensor/level", float(value))
         await until(lambda: not client.connection.session.subscriptions)
-        client.connection.mailbox.on_flush = flush
-        client.connection.mailbox.flush()
+        client.connection.outbox.on_flush = flush
+        client.connection.outbox.flush()
         told = await client.notice("overrun")
         assert "2048 bytes" in told["message"]
 
@@ -163,17 +163,17 @@ async def test_reliable_ends_with_overrun_when_too_much_waits() -> None:
 async def test_who_leaves_his_replies_lying_gets_no_more_and_another_goes_on() -> None:
     async with world_of(at_home("[tenants.alpha.quota]\nqueue_bytes = 2048\n")) as world:
         client, other = world.client(ANN), world.client(AGENT)
-        flush = client.connection.mailbox.on_flush
+        flush = client.connection.outbox.on_flush
         stalled(client)
         for _ in range(100):
             client.send(type="ping")
-        meter = client.connection.session.meter
+        meter = client.connection.session.token_bucket
         assert meter is not None
         await until(lambda: meter.choked is not None)
         assert (await other.ask(type="ping"))["status"] == "completed"
         late = client.send(type="ping")
-        client.connection.mailbox.on_flush = flush
-        client.connection.mailbox.flush()
+        client.connection.outbox.on_flush = flush
+        client.connection.outbox.flush()
         refused = await client.final(late)
         assert refused["error"]["code"] == "queue_full"
         assert refused["error"]["details"]["what"] == "queue_bytes"

@@ -11,7 +11,7 @@ import pytest
 
 from kernel.access.quota.home import AGENT, ANN, BOB, LEVEL, SECOND, SLOW, at_home
 from kernel.world import World, prepared, world_of
-from rcp_kernel.access.meter import Account, Meter
+from rcp_kernel.access.token_bucket import QuotaUsage, TokenBucket
 from rcp_kernel.config.file import parse
 from rcp_kernel.config.limits import Quota
 from rcp_kernel.errors import ConfigError, RateLimited
@@ -102,14 +102,14 @@ async def test_a_stop_in_a_batch_over_the_rate_is_carried_out(slow: World) -> No
 async def test_a_lease_is_let_go_of_at_any_time_and_taken_at_the_pace_of_the_quota(
     slow: World, encoding: Encoding
 ) -> None:
-    door = slow.server.door
-    session = door.session(door.authenticate(ANN))
+    client_api = slow.server.client_api
+    session = client_api.session(client_api.authenticate(ANN))
 
     async def lease(do: str) -> Any:
         asked = {"do": do, "scope": "/tenant/alpha", "ttl": 5, "reason": "to release"}
         body = msgspec.Raw(dump(asked, encoding))
         request = Request(type="execute", path="/system/leases", body=body, encoding=encoding)
-        return (await door.ask(session, request)).error
+        return (await client_api.ask(session, request)).error
 
     assert [await lease("acquire") for _ in range(3)] == [None] * 3
     refused = await lease("acquire")
@@ -146,14 +146,14 @@ async def test_a_tenant_at_its_limit_slows_nobody_else() -> None:
 async def test_all_connections_and_requests_without_one_share_their_principals_rate() -> None:
     text = at_home("[quotas.principal]\nrequests = 0.01\nburst = 3\n")
     async with world_of(text) as world:
-        door = world.server.door
+        client_api = world.server.client_api
         one, two = world.client(ANN), world.client(ANN)
-        session = door.session(door.authenticate(ANN))
+        session = client_api.session(client_api.authenticate(ANN))
         assert (await one.ask(type="ping"))["status"] == "completed"
         assert (await two.ask(type="ping"))["status"] == "completed"
-        door.commands(session)
+        client_api.commands(session)
         with pytest.raises(RateLimited) as caught:
-            door.schemas(session)
+            client_api.schemas(session)
         assert (caught.value.details or {})["quota"] == "principal"
         other = world.client(AGENT)
         assert (await other.ask(type="ping"))["status"] == "completed"
@@ -177,7 +177,7 @@ quota = { requests = 5, burst = 50 }
     async with world_of(at_home(quotas + keys)) as world:
         found: dict[str, Any] = {}
         for name in "abc":
-            meter = world.client(name * 16).connection.session.meter
+            meter = world.client(name * 16).connection.session.token_bucket
             assert meter is not None
             found[name] = meter.first.quota
     assert found["a"] == Quota(requests=5, burst=50, sessions=9)
@@ -186,7 +186,7 @@ quota = { requests = 5, burst = 50 }
 
 
 async def test_who_has_no_quota_has_no_meter(world: World) -> None:
-    assert world.client().connection.session.meter is None
+    assert world.client().connection.session.token_bucket is None
 
 
 async def test_a_reload_changes_the_meters_that_run(slow: World) -> None:
@@ -196,14 +196,14 @@ async def test_a_reload_changes_the_meters_that_run(slow: World) -> None:
     assert last["error"]["code"] == "rate_limited"
     await apply(slow.server, prepared(parse(at_home(""), "test"), []))
     assert (await client.ask(type="ping"))["status"] == "completed"
-    assert client.connection.session.meter is None
+    assert client.connection.session.token_bucket is None
     await apply(slow.server, prepared(parse(at_home(SLOW), "test"), []))
     replies = [await client.ask(type="ping") for _ in range(4)]
     assert replies[-1]["error"]["code"] == "rate_limited"
 
 
 def test_pace_is_kept_over_any_span() -> None:
-    meter = Meter((Account("tenant", "a", Quota(requests=10, burst=5)),))
+    meter = TokenBucket((QuotaUsage("tenant", "a", Quota(requests=10, burst=5)),))
     start = perf_counter()
     taken = sum(meter.take(start + step / 1000) for step in range(10_000))
     assert taken in (104, 105)  # the burst, and ten a second for ten seconds
@@ -243,7 +243,7 @@ async def test_refusals_are_counted_for_the_operator(slow: World) -> None:
     client = slow.client(ANN)
     for _ in range(5):
         await client.ask(type="ping")
-    text = slow.server.door.metrics(slow.client().connection.session).decode()
+    text = slow.server.client_api.metrics(slow.client().connection.session).decode()
     assert 'rcp_quota_refused_total{quota="tenant",tenant="alpha",what="requests"} 2.0' in text
 
 

@@ -1,0 +1,252 @@
+"""What is kept for those who draw: rings, filled by subscriptions with the asker's own rights.
+
+Each client has a connection like any other, over which the gateway decides what it may see; it
+is opened at the first question and closed when nobody has asked for a while.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import msgspec
+from msgspec import Raw
+
+from rcp_dashboard.config import DashboardConfig
+from rcp_dashboard.ring import Ring
+from rcp_kernel.access.identity import Principal
+from rcp_kernel.access.peer import Peer
+from rcp_kernel.client_api import ClientApi
+from rcp_kernel.clock import parse_time
+from rcp_kernel.errors import BY_CODE, QueueFull, RcpError
+from rcp_kernel.fields import Field
+from rcp_kernel.values import Encoding
+from rcp_kernel.wire import Reply, Request
+
+__all__ = ["Watcher", "Watchers", "checked"]
+
+Key = tuple[str, str]
+"""Path and field."""
+Who = tuple[Principal, str | None, Peer]
+_BURST = 1024  # samples that may come in one turn of the loop, and all be kept
+_REPLAYED = 10_000  # samples of the gateway's own ring that a new one begins with
+
+
+class _Message(msgspec.Struct):
+    """What comes over the connection, as far as it matters here."""
+
+    type: str
+    id: str = ""
+    timestamp: str = ""
+    body: Any = None
+    status: str = ""
+    code: str = ""
+
+
+_decode = msgspec.msgpack.Decoder(_Message).decode
+
+
+class Watched:
+    """One field with its ring."""
+
+    __slots__ = ("asked", "field", "id", "ring")
+
+    def __init__(self, id_: str, field: str, size: int, asked: float) -> None:
+        self.id = id_
+        self.field = Field(field)
+        self.ring = Ring(size)
+        self.asked = asked
+        """When somebody last wanted it, by the loop's clock."""
+
+    def take(self, message: _Message) -> None:
+        """Keep the field of an update."""
+        value = self.field.one(message.body)
+        if isinstance(value, (int, float)):
+            number = float(value)
+            if math.isfinite(number):
+                self.ring.add(parse_time(message.timestamp) / 1e9, number)
+                return
+        self.ring.skipped += 1
+
+
+class Watcher:
+    """What one client has watched."""
+
+    def __init__(
+        self,
+        client_api: ClientApi,
+        config: DashboardConfig,
+        who: Who,
+        make_room: Callable[[], None],
+    ) -> None:
+        principal, tenant, peer = who
+        self._make_room = make_room
+        self._client_api = client_api
+        self._config = config
+        self.watched: dict[Key, Watched] = {}
+        self._by_id: dict[str, Watched] = {}
+        self._number = 0
+        self._connection = client_api.connect(principal, Encoding.MSGPACK, self._take, tenant, peer)
+
+    @property
+    def ended(self) -> bool:
+        """Whether the gateway has ended the session: the proof is not good any more."""
+        return self._connection.closed or self._connection.expelled
+
+    async def ring(self, path: str, field: str) -> Ring:
+        """Return the ring of a field; from the first question on it is filled.
+
+        :raises RcpError: the gateway does not let this client have it.
+        :raises QueueFull: it has as many as it may, or all clients together have.
+        """
+        now = self._client_api.loop.time()
+        found = self.watched.get((path, field))
+        if found is None:
+            if len(self.watched) >= self._config.fields:
+                raise QueueFull(
+                    f"{len(self.watched)} fields are kept for this client already",
+                    remedy=f"Ask for fewer; what nobody asks for is let go after {self._config.idle:g} s.",
+                )
+            self._make_room()
+            found = await self._watch(path, field, now)
+        found.asked = now
+        return found.ring
+
+    async def _watch(self, path: str, field: str, now: float) -> Watched:
+        self._number += 1
+        made = Watched(f"w{self._number}", field, self._config.samples, now)
+        self.watched[path, field] = self._by_id[made.id] = made
+        body: dict[str, Any] = {
+            "history": min(_REPLAYED, self._config.samples),
+            "qos": {"depth": _BURST},
+        }
+        if field:
+            body["fields"] = [field]
+        request = Request(
+            type="subscribe", path=path, id=made.id, body=Raw(msgspec.json.encode(body))
+        )
+        try:
+            checked(await self._client_api.ask(self._connection.session, request))
+        except RcpError:
+            self._forget((path, field))
+            raise
+        self._take()  # what the ring of the resource had is there already
+        return made
+
+    def _take(self) -> None:
+        outbox = self._connection.outbox
+        while messages := outbox.collect():
+            for data in messages:
+                message = _decode(data)
+                watched = self._by_id.get(message.id)
+                if watched is None:
+                    continue
+                if message.type == "update":
+                    watched.take(message)
+                elif message.type != "notice":  # the subscription has ended
+                    self._forget_id(message.id)
+
+    def _forget_id(self, id_: str) -> None:
+        for key, watched in list(self.watched.items()):
+            if watched.id == id_:
+                self._forget(key)
+
+    def _forget(self, key: Key) -> None:
+        watched = self.watched.pop(key, None)
+        if watched is not None:
+            self._by_id.pop(watched.id, None)
+
+    def sweep(self, before: float) -> None:
+        """Let go of what nobody has asked for since."""
+        for key, watched in list(self.watched.items()):
+            if watched.asked < before:
+                self._forget(key)
+                request = Request(type="unsubscribe", id=watched.id)
+                self._client_api.submit(self._connection.session, request, _nobody)
+
+    def close(self) -> None:
+        """Let go of everything."""
+        self.watched.clear()
+        self._by_id.clear()
+        self._connection.close()
+
+
+class Watchers:
+    """Those of all clients."""
+
+    def __init__(self, client_api: ClientApi, config: DashboardConfig) -> None:
+        self._client_api = client_api
+        self._config = config
+        self._found: dict[Who, Watcher] = {}
+        self._timer: Any = None
+
+    def of(self, principal: Principal, tenant: str | None, peer: Peer) -> Watcher:
+        """Return the watcher of a client.
+
+        :raises QueueFull: the gateway holds too many sessions.
+        :raises Forbidden: the client does not act in that tenant.
+        """
+        who = principal, tenant, peer
+        found = self._found.get(who)
+        if found is not None and found.ended:
+            self._found.pop(who).close()
+            found = None
+        if found is None:
+            found = self._found[who] = Watcher(
+                self._client_api, self._config, who, self._check_room
+            )
+        if self._timer is None:
+            self._timer = self._client_api.loop.call_later(self._config.idle / 2, self._sweep)
+        return found
+
+    def _check_room(self) -> None:
+        if sum(len(one.watched) for one in self._found.values()) >= self._config.all_fields:
+            raise QueueFull(
+                f"the dashboard keeps {self._config.all_fields} fields already",
+                remedy="Raise [plugins.dashboard] all_fields, or try again later.",
+                retry_after=self._config.idle,
+            )
+
+    def _sweep(self) -> None:
+        before = self._client_api.loop.time() - self._config.idle
+        for who, watcher in list(self._found.items()):
+            watcher.sweep(before)
+            if not watcher.watched or watcher.ended:
+                self._found.pop(who).close()
+        self._timer = None
+        if self._found:
+            self._timer = self._client_api.loop.call_later(self._config.idle / 2, self._sweep)
+
+    def close(self) -> None:
+        """Let go of everything."""
+        if self._timer is not None:
+            self._timer.cancel()
+        for watcher in self._found.values():
+            watcher.close()
+        self._found.clear()
+
+
+def _nobody(_: Reply) -> None:
+    """Take a reply that nobody waits for."""
+
+
+def checked(reply: Reply) -> Reply:
+    """Return a reply that is not a refusal.
+
+    :raises RcpError: it is one: the error that it tells, as it was raised.
+    """
+    told = reply.error
+    if told is None:
+        return reply
+    kind = BY_CODE.get(told["code"], RcpError)
+    error = kind(
+        told["message"],
+        path=told.get("path"),
+        origin=told.get("origin"),
+        remedy=told.get("remedy"),
+        retry_after=told.get("retry_after"),
+        details=told.get("details"),
+    )
+    error.trace_id = told.get("trace_id")
+    raise error

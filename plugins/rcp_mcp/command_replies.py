@@ -1,0 +1,96 @@
+"""One command from its start to what its caller is told: progress, patience, cancellation."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable
+
+from rcp_kernel.client_api import ClientApi
+from rcp_kernel.clients.session import Session
+from rcp_kernel.wire import Reply, Request
+
+__all__ = ["Following", "Report"]
+
+Report = Callable[[float, str | None, Reply], Awaitable[None]]
+"""Tell the client: the part done, in words, and the reply that said it."""
+_STEP = 0.0001
+
+
+class Following:
+    """The replies of one command, the newest first to be told."""
+
+    def __init__(self, client_api: ClientApi, session: Session) -> None:
+        self._client_api = client_api
+        self._session = session
+        self._news = asyncio.Event()
+        self.latest: Reply | None = None
+        """The newest reply; it is final when nothing more comes."""
+        self.command: str | None = None
+        self._told = 0.0
+        self._unwanted = False
+
+    def start(self, request: Request) -> None:
+        """Send the request."""
+        self._client_api.submit(self._session, request, self._answer)
+
+    def _answer(self, reply: Reply) -> None:
+        self.command = reply.command or self.command
+        self.latest = reply
+        self._news.set()
+        if self._unwanted:
+            self.stop()
+
+    @property
+    def final(self) -> Reply | None:
+        """The final reply, if it has come."""
+        return self.latest if self.latest is not None and self.latest.final else None
+
+    async def begun(self) -> Reply:
+        """Wait for the first reply."""
+        while self.latest is None:
+            await self._news.wait()
+        return self.latest
+
+    async def until(self, patience: float, pause: float, report: Report) -> Reply | None:
+        """Wait for the final reply, reporting newer ones every `pause` s; None if it takes longer."""
+        loop = asyncio.get_running_loop()
+        end = loop.time() + patience
+        free = 0.0
+        while self.final is None:
+            self._news.clear()
+            try:
+                async with asyncio.timeout_at(end):
+                    await self._news.wait()
+                    if self.final is None and loop.time() < free:
+                        await self._pause(free - loop.time())
+            except TimeoutError:
+                return self.final
+            latest = self.latest
+            if latest is not None and not latest.final and latest.status == "in_progress":
+                free = loop.time() + pause
+                await report(self._progress(latest), latest.message, latest)
+        return self.final
+
+    async def _pause(self, seconds: float) -> None:
+        """Let newer feedback take the place of older, but never hold up the end."""
+        end = asyncio.get_running_loop().time() + seconds
+        while self.final is None:
+            self._news.clear()
+            try:
+                async with asyncio.timeout_at(end):
+                    await self._news.wait()
+            except TimeoutError:
+                return
+
+    def _progress(self, reply: Reply) -> float:
+        """Return a number that rises with each call, which clients insist on."""
+        part = reply.progress if reply.progress is not None else 0.0
+        self._told = max(part, self._told + _STEP)
+        return self._told
+
+    def stop(self) -> None:
+        """Have the robot stop; called when nobody waits for the answer any more."""
+        self._unwanted = self.command is None
+        if self.command is not None and self.final is None:
+            request = Request(type="cancel", command=self.command)
+            self._client_api.submit(self._session, request, lambda _reply: None)

@@ -1,0 +1,210 @@
+"""The tools that change something: write, execute, cancel, and those of actions and services."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import Annotated, Any
+
+import msgspec
+from mcp import types
+from msgspec import Meta, Raw
+
+from rcp_kernel.client_api import ClientApi
+from rcp_kernel.clients.session import Session
+from rcp_kernel.errors import BadRequest, RcpError
+from rcp_kernel.model import parse_path
+from rcp_kernel.values import value_type
+from rcp_kernel.wire import NO_BODY, Reply, Request
+from rcp_mcp.answers import answered, body_of, failed, replied
+from rcp_mcp.approval_tools import ApprovalTools
+from rcp_mcp.caller import takes_tasks
+from rcp_mcp.catalogue import Catalogue, Typed, matches
+from rcp_mcp.command_replies import Following
+from rcp_mcp.config import McpConfig
+from rcp_mcp.content import marked, speaks
+from rcp_mcp.fixed import Cancel, Execute, Write
+from rcp_mcp.offers import Context, Outcome
+from rcp_mcp.stops import is_hold
+from rcp_mcp.tasks import Tasks
+
+__all__ = ["CommandTools"]
+
+
+class _Options(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """The options of a call that a tool takes beside its input."""
+
+    deadline: Annotated[float, Meta(gt=0, le=86_400)] | None = None
+    wait: Annotated[float, Meta(ge=0, le=3600)] | None = None
+    dry_run: bool = False
+    approval: Annotated[str, Meta(max_length=128)] | None = None
+
+
+_OPTIONS = value_type(_Options)
+
+
+class CommandTools:
+    """The handlers."""
+
+    def __init__(self, config: McpConfig, client_api: ClientApi, catalogue: Catalogue) -> None:
+        self.config = config
+        self.client_api = client_api
+        self.catalogue = catalogue
+        self.tasks = Tasks(config, client_api)
+        self._approving = ApprovalTools(client_api)
+
+    async def write(self, ctx: Context, session: Session, asked: Write) -> Outcome:
+        """Set a value."""
+        request = Request(
+            type="write",
+            path=asked.path,
+            body=_raw(asked.value),
+            valid_for=asked.valid_for,
+            dry_run=asked.dry_run,
+            idempotency_key=asked.idempotency_key,
+            approval=asked.approval,
+        )
+        return await self.run(ctx, session, request, None)
+
+    async def execute(self, ctx: Context, session: Session, asked: Execute) -> Outcome:
+        """Run an action or service by its path."""
+        request = Request(
+            type="execute",
+            path=asked.path,
+            body=NO_BODY if asked.input is None else _raw(asked.input),
+            deadline=asked.deadline,
+            dry_run=asked.dry_run,
+            idempotency_key=asked.idempotency_key,
+            approval=asked.approval,
+        )
+        return await self.run(ctx, session, request, asked.wait)
+
+    async def call(
+        self, ctx: Context, session: Session, typed: Typed, arguments: dict[str, Any]
+    ) -> Outcome:
+        """Run the action or service of a tool."""
+        taken = typed.arguments
+        given = {key: item for key, item in arguments.items() if key not in taken.options}
+        chosen = {key: item for key, item in arguments.items() if key in taken.options}
+        options: _Options = _OPTIONS.convert(chosen, "the options")
+        request = Request(
+            type="execute",
+            path=typed.facts["path"],
+            body=_input(typed, given),
+            deadline=options.deadline,
+            dry_run=options.dry_run,
+            approval=options.approval,
+        )
+        return await self.run(ctx, session, request, options.wait)
+
+    async def run(
+        self, ctx: Context, session: Session, request: Request, wait: float | None
+    ) -> Outcome:
+        """Run a command: to its end, or until the caller's patience is over."""
+        self._approving.returned(ctx, session, request)
+        found = await self._tried(ctx, session, request, wait)
+        if isinstance(found, Reply) and found.error is not None:
+            asked = await self._approving.asked(ctx, session, request, found)
+            if isinstance(asked, types.InputRequiredResult):
+                return asked
+            if asked:
+                found = await self._tried(ctx, session, request, wait)
+        return replied(found, self.config) if isinstance(found, Reply) else found
+
+    async def _tried(
+        self, ctx: Context, session: Session, request: Request, wait: float | None
+    ) -> Reply | Outcome:
+        """Send a request once; return its final reply, or what is told before that comes."""
+        if request.type == "write":
+            return await self.client_api.ask(session, request)
+        following = Following(self.client_api, session)
+
+        async def report(progress: float, message: str | None, reply: Reply) -> None:
+            await ctx.session.report_progress(progress, 1.0, _said(message, reply))
+
+        try:
+            following.start(request)
+            if takes_tasks(ctx) and not request.dry_run and self._is_long(session, request.path):
+                begun = await following.begun()
+                if not begun.final and following.command is not None:
+                    return self.tasks.created(ctx, following.command)
+            patience = self.config.wait if wait is None else wait
+            final = await following.until(patience, 1 / self.config.feedback, report)
+        except asyncio.CancelledError:
+            if self.stops(session, request.path):
+                following.stop()
+            raise
+        return final if final is not None else _going_on(following)
+
+    def _is_long(self, session: Session, path: str | None) -> bool:
+        facts = self.catalogue.find(session, _whole(session, path))
+        return facts is not None and facts["kind"] == "action"
+
+    def stops(self, session: Session, path: str | None) -> bool:
+        """Tell whether the robot stops when the call of a path is cancelled."""
+        whole = _whole(session, path)
+        # A hold that is cancelled would leave the robot moving.
+        return not is_hold(whole) and not matches(self.config.keeps_going, whole)
+
+    async def cancel(self, ctx: Context, session: Session, asked: Cancel) -> Outcome:
+        """Stop a command, or what runs on a path."""
+        if (asked.command is None) == (asked.path is None):
+            raise BadRequest(
+                "`cancel` takes either `command` or `path`",
+                remedy="Give the id that the call answered with, or the path of the action.",
+            )
+        request = Request(type="cancel", command=asked.command, path=asked.path)
+        reply = await self.client_api.ask(session, request)
+        if reply.error is not None:
+            return failed(reply.error, reply.status)
+        return answered({**body_of(reply), "path": reply.path, "message": reply.message})
+
+
+def _going_on(following: Following) -> types.CallToolResult:
+    """Answer that a command has not ended yet."""
+    latest = following.latest
+    facts: dict[str, Any] = {"status": "in_progress", "command": following.command}
+    if latest is not None:
+        body = body_of(latest) if latest.status == "in_progress" else None
+        facts |= {"path": latest.path, "progress": latest.progress, "feedback": body}
+        facts["untrusted"] = True if speaks(body) else None
+    facts["message"] = f"It goes on. Ask `status` with command {following.command}, or `cancel` it."
+    return answered({key: item for key, item in facts.items() if item is not None})
+
+
+def _whole(session: Session, path: str | None) -> str:
+    """Return the full path that a caller means, or what he said if that is none."""
+    try:
+        return parse_path(path or "", session.tenant)
+    except RcpError:
+        return path or ""
+
+
+def _said(message: str | None, reply: Reply) -> str | None:
+    """Write feedback in words, marked if the robot's world has a word in it."""
+    body = body_of(reply)
+    if body is None:
+        return message
+    written = msgspec.json.encode(body).decode()[:500]
+    return marked(written, reply.path) if speaks(body) else written
+
+
+def _raw(plain: Any) -> Raw:
+    return Raw(msgspec.json.encode(plain))
+
+
+def _input(typed: Typed, given: dict[str, Any]) -> Raw:
+    """Make a command's input of a call's arguments.
+
+    :raises BadRequest: there are arguments that the tool does not take.
+    """
+    taken = typed.arguments
+    if not taken.wrapped:
+        return NO_BODY if not given and taken.optional else _raw(given)
+    unknown = sorted(given.keys() - {"value"})
+    if unknown:
+        raise BadRequest(
+            f"{typed.tool.name} takes no argument {unknown[0][:60]!r}",
+            path=typed.facts["path"],
+            remedy="Its input is the argument `value`.",
+        )
+    return _raw(given["value"]) if "value" in given else NO_BODY

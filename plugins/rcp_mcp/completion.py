@@ -1,0 +1,56 @@
+"""Completion of tenants and names, of those that the caller may see."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from mcp import types
+
+from rcp_kernel.clients.session import Session
+from rcp_kernel.model import tenant_of
+from rcp_mcp.catalogue import Catalogue
+
+__all__ = ["Completion"]
+
+_MOST = 100  # values that one answer may have
+
+
+class Completion:
+    """Completes arguments of templates and prompts."""
+
+    def __init__(self, catalogue: Catalogue) -> None:
+        self._catalogue = catalogue
+
+    def complete(
+        self, session: Session, params: types.CompleteRequestParams
+    ) -> types.Completion | None:
+        """Return what goes on from what was typed; None if the reference is not ours."""
+        begun = params.argument.value
+        chosen = (params.context.arguments if params.context is not None else None) or {}
+        paths = [one["path"] for one in self._catalogue.all(session)]
+        if isinstance(params.ref, types.PromptReference):
+            if params.argument.name != "robot":
+                return _of((), begun)
+            return _of(_robots(paths), begun)
+        if not params.ref.uri.startswith("rcp://"):
+            return None
+        if params.argument.name == "tenant":
+            return _of(filter(None, map(tenant_of, paths)), begun)
+        parts = params.ref.uri.removeprefix("rcp://").split("/")
+        branch = parts[1] if len(parts) > 1 else ""
+        tenant = chosen.get("tenant", session.tenant)
+        prefix = "/system/" if branch == "system" else f"/tenant/{tenant}/{branch}/"
+        return _of((p[len(prefix) :] for p in paths if p.startswith(prefix)), begun)
+
+
+def _robots(paths: Iterable[str]) -> Iterable[str]:
+    """Return the robots that stand one level deeper than what a tenant's only robot has."""
+    for path in paths:
+        parts = path.split("/")
+        if parts[1] == "tenant" and len(parts) > 5:
+            yield parts[4]
+
+
+def _of(values: Iterable[str], begun: str) -> types.Completion:
+    found = sorted({one for one in values if one.startswith(begun)})
+    return types.Completion(values=found[:_MOST], total=len(found), has_more=len(found) > _MOST)

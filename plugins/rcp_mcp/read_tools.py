@@ -1,0 +1,220 @@
+"""The tools that only look: discover, read, status."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import Any
+
+import msgspec
+from mcp import types
+from msgspec import Raw
+
+from rcp_kernel.client_api import ClientApi
+from rcp_kernel.clients.session import Session
+from rcp_kernel.model import Kind
+from rcp_kernel.operations.discovery import Query
+from rcp_kernel.operations.pages import cursor_of
+from rcp_kernel.wire import Request
+from rcp_mcp.answers import answered, body_of, failed
+from rcp_mcp.catalogue import Catalogue, Facts
+from rcp_mcp.config import McpConfig
+from rcp_mcp.content import Block, show, speaks, text
+from rcp_mcp.fixed import Discover, Read, Status
+from rcp_mcp.naming import tool_name
+from rcp_mcp.offers import Context, Outcome
+from rcp_mcp.schemas import worded
+from rcp_mcp.summary import PER_TOKEN, cut, size
+
+__all__ = ["ReadTools", "sampled"]
+
+_STEPS = 5  # of a command's history that are told
+_RUNNING = 20
+_HEAVY = 200_000  # bytes of JSON whose pictures and summaries are made beside the event loop
+
+
+class ReadTools:
+    """The handlers."""
+
+    def __init__(self, config: McpConfig, client_api: ClientApi, catalogue: Catalogue) -> None:
+        self._config = config
+        self._client_api = client_api
+        self._catalogue = catalogue
+
+    async def discover(self, ctx: Context, session: Session, asked: Discover) -> Outcome:
+        """List what matches, as much as there is room for, and where to go on."""
+        self._client_api.charge(session)
+        query = Query(
+            kind=None if asked.kind is None else Kind(asked.kind),
+            op=asked.op,
+            q=asked.q,
+            limit=asked.limit,
+            cursor=asked.cursor,
+            schemas=asked.schemas,
+        )
+        page = self._client_api.discover(session, asked.path, query)
+        typed = self._catalogue.tools(session)
+        found = [_line(one, session.tenant, typed) for one in page["resources"]]
+        kept = self._fitting(found)
+        if kept < len(found):  # the cursor of exactly those that are told
+            query = msgspec.structs.replace(query, limit=kept)
+            page = self._client_api.discover(session, asked.path, query)
+        facts: dict[str, Any] = {"resources": found[:kept]}
+        if (cursor := page.get("cursor")) is not None:
+            facts["cursor"] = cursor
+            facts["note"] = "There is more: search with `q`, or go on with `cursor`."
+        elif not found:
+            facts["note"] = "Nothing that you may see matches; try fewer words in `q`."
+        return answered(facts)
+
+    def _fitting(self, found: list[dict[str, Any]]) -> int:
+        left = self._config.budget * PER_TOKEN
+        for count, one in enumerate(found):
+            left -= size(one) + 1
+            if left < 0:
+                return max(count, 1)
+        return len(found)
+
+    async def read(self, ctx: Context, session: Session, asked: Read) -> Outcome:
+        """Read one value, or those of a pattern."""
+        options = {"fields": asked.fields, "fresh": asked.fresh, "cursor": asked.cursor}
+        body = Raw(msgspec.json.encode({k: v for k, v in options.items() if v}))
+        reply = await self._client_api.ask(
+            session, Request(type="read", path=asked.path, body=body)
+        )
+        if reply.error is not None:
+            return failed(reply.error, reply.status)
+        found = body_of(reply)
+        if "*" in asked.path:
+            samples = [_renamed(one) for one in found]
+        else:
+            samples = [
+                {
+                    "path": reply.path,
+                    "status": reply.status,
+                    "value": found,
+                    "timestamp": reply.source_timestamp,
+                    "state": reply.state,
+                }
+            ]
+        many = "*" in asked.path
+        if size(samples) < _HEAVY:
+            return sampled("values", samples, self._config, pages=many, more=reply.truncated)
+        return await asyncio.to_thread(
+            sampled, "values", samples, self._config, pages=many, more=reply.truncated
+        )
+
+    async def status(self, ctx: Context, session: Session, asked: Status) -> Outcome:
+        """Tell how the gateway is, or one command."""
+        if asked.command is not None:
+            command = self._client_api.command(session, asked.command).plain()
+            command["history"] = command["history"][-_STEPS:]
+            plain = msgspec.json.decode(msgspec.json.encode(command))
+            return _bounded({"command": plain}, self._config.budget)
+        reply = await self._client_api.ask(session, Request(type="status"))
+        if reply.error is not None:
+            return failed(reply.error, reply.status)
+        health = body_of(reply)
+        running = [c for c in self._client_api.commands(session) if not c.final][:_RUNNING]
+        keys = ("name", "tenant", "state", "detail", "since")
+        facts: dict[str, Any] = {
+            "state": health.get("state"),
+            "backends": [
+                {key: one[key] for key in keys if one.get(key) is not None}
+                for one in health.get("backends", ())
+            ],
+            "running": [
+                {"command": c.id, "path": c.path, "status": c.status, "progress": c.progress}
+                for c in running
+            ],
+            "warnings": [
+                one.get("message") if isinstance(one, dict) else one
+                for one in health.get("warnings", ())[-_STEPS:]
+            ],
+        }
+        return _bounded(facts, self._config.budget)
+
+
+def sampled(
+    key: str,
+    samples: list[dict[str, Any]],
+    config: McpConfig,
+    *,
+    pages: bool = False,
+    more: bool = False,
+    **facts: Any,
+) -> types.CallToolResult:
+    """Answer with samples, each of them with its part of the room there is.
+
+    Those of `pages` come in the order of their paths, so that a cursor leads to what is left out
+    here, and to what follows if there is `more`.
+    """
+    share = max(config.budget // max(len(samples), 1), 40)
+    told: list[dict[str, Any]] = []
+    blocks: list[Block] = []
+    shown_as: list[Block] = []
+    left = config.budget * PER_TOKEN
+    for sample in samples:
+        one = {name: item for name, item in sample.items() if item is not None}
+        if "value" in one:
+            shown = show(one.pop("value"), one["path"], budget=share, image=config.image)
+            one["value" if shown.whole else "summary"] = shown.plain
+            if shown.untrusted:
+                one["untrusted"] = True
+            shown_as += shown.blocks[1:]
+        left -= size(one)
+        if left < 0 and told:
+            facts["note"] = (
+                f"{len(samples) - len(told)} more are left out: name fewer paths, or `fields`."
+            )
+            more = True
+            break
+        told.append(one)
+        blocks.append(text(one, one["path"], untrusted=bool(one.get("untrusted"))))
+    if more:
+        facts["truncated"] = True
+    if more and pages:
+        facts["cursor"] = cursor_of(told[-1]["path"])
+        facts["note"] = "There is more: name fewer paths, or `fields`, or go on with `cursor`."
+    head = facts.get("note")
+    said = [types.TextContent(type="text", text=head)] if head else []
+    result = answered({key: told, **facts}, *blocks, *shown_as, *said)
+    if not samples:
+        return answered({key: [], "note": "Nothing that you may read matches."})
+    return result
+
+
+def _renamed(item: dict[str, Any]) -> dict[str, Any]:
+    """Write an item of a read of many as `read` answers."""
+    kept = ("path", "status", "timestamp", "state", "error")
+    return {"value": item.get("body")} | {key: item[key] for key in kept if key in item}
+
+
+def _line(one: Facts, tenant: str | None, typed: dict[str, Any]) -> dict[str, Any]:
+    """Write one resource in few words, or with its schemas if these were asked for."""
+    line: dict[str, Any] = {
+        "path": one["path"],
+        "operations": one["operations"],
+        "description": one["description"],
+    }
+    if "unit" in one:
+        line["unit"] = one["unit"]
+    if one.get("state") in ("stale", "down", "never"):
+        line["state"] = one["state"]
+    name = tool_name(one["path"], tenant)
+    if name in typed:
+        line["tool"] = name
+    if "schemas" in one:
+        schemas = dict(one["schemas"])
+        if "command_schema" in one:
+            schemas["command"] = one["command_schema"]
+        line["schemas"] = worded(schemas)
+        line["examples"] = msgspec.json.decode(msgspec.json.encode(one["examples"]))
+    return line
+
+
+def _bounded(facts: dict[str, Any], budget: int) -> types.CallToolResult:
+    if size(facts) > budget * PER_TOKEN:
+        facts = {key: cut(item, budget // len(facts)) for key, item in facts.items()}
+    if not speaks({key: facts.get(key) for key in ("command", "backends", "warnings")}):
+        return answered(facts)
+    return answered(facts, text(facts, None, untrusted=True))

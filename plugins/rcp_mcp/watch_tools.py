@@ -1,0 +1,66 @@
+"""The tool `watch`: some samples or seconds of a subscription."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import Any
+
+import msgspec
+
+from rcp_kernel.client_api import ClientApi
+from rcp_kernel.clients.session import Session
+from rcp_mcp.answers import failed
+from rcp_mcp.config import McpConfig
+from rcp_mcp.feed import ResourceFeed
+from rcp_mcp.fixed import Watch
+from rcp_mcp.offers import Context, Outcome
+from rcp_mcp.read_tools import sampled
+
+__all__ = ["WatchTools"]
+
+
+class WatchTools:
+    """The handler."""
+
+    def __init__(self, config: McpConfig, client_api: ClientApi) -> None:
+        self._config = config
+        self._client_api = client_api
+
+    async def watch(self, ctx: Context, session: Session, asked: Watch) -> Outcome:
+        """Collect updates until there are enough, or the time is over."""
+        feed = ResourceFeed(self._client_api, session)
+        try:
+            options: dict[str, Any] = {"on": "change" if asked.on_change else "sample"}
+            if asked.rate is not None:
+                options["rate"] = asked.rate
+            reply = await feed.subscribe(asked.paths, **options)
+            if reply.error is not None:
+                return failed(reply.error, reply.status)
+            found: list[dict[str, Any]] = []
+            ended = await self._collect(ctx, feed, asked, found)
+        finally:
+            feed.close()
+        return sampled("updates", found, self._config, ended=ended)
+
+    async def _collect(
+        self, ctx: Context, feed: ResourceFeed, asked: Watch, found: list[dict[str, Any]]
+    ) -> str:
+        try:
+            async with asyncio.timeout(asked.seconds):
+                while len(found) < asked.samples:
+                    updates = await feed.next()
+                    if not updates:
+                        return "the subscription ended"
+                    found += [_sample(path, data) for path, data in updates]
+                    del found[asked.samples :]
+                    await ctx.session.report_progress(len(found), asked.samples)
+        except TimeoutError:
+            return f"{asked.seconds:g} s are over"
+        return f"{asked.samples} samples"
+
+
+def _sample(path: str, data: bytes) -> dict[str, Any]:
+    update = msgspec.json.decode(data)
+    keys = ("timestamp", "state", "dropped")
+    kept = {key: update[key] for key in keys if key in update}
+    return {"path": path, **kept, "value": update.get("body")}

@@ -1,0 +1,104 @@
+"""Failed logins of an address: after too many it has to wait before anything costly is looked at.
+
+Whoever shares an address with one who guesses (a proxy, a NAT) is not locked out. A right key is
+found by its hash before anybody comes here, and so is what was good before. A signed token, which
+nobody guesses, is verified even so, at a pace that costs the gateway next to nothing. All else has
+to wait: each address gets its patience back with time, whatever comes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from ipaddress import IPv6Address, ip_address
+
+from rcp_kernel.errors import RateLimited
+
+__all__ = ["AuthThrottle"]
+
+_ADDRESSES = 20_000
+_GOOD = 20_000  # credentials
+_PERIOD = 60.0  # s in which a whole allowance comes back
+_SIGNED = 0.01  # s from a wrong signature to the next one of an address without patience left
+
+
+class AuthThrottle:
+    """Counts failures by address; `clock` is monotonic, in seconds."""
+
+    def __init__(self, allowance: int, clock: Callable[[], float]) -> None:
+        self.allowance = allowance
+        self._clock = clock
+        self._spent: dict[str, tuple[float, float]] = {}
+        """Failures not forgotten yet, and when that was worked out."""
+        self._good: dict[str, None] = {}
+        self._next: dict[str, float] = {}
+        """When the next signature of a network may be verified."""
+
+    def check(self, address: str | None, digest: str, *, signed: bool = False) -> None:
+        """Let a credential be looked at; `signed` says that it cannot be guessed.
+
+        :raises RateLimited: too many of this address were wrong; `retry_after` says when to come.
+        """
+        if address is None or not self._spent or digest in self._good:
+            return
+        network = _network(address)
+        over = self._left(network) - self.allowance + 1
+        if over <= 0:
+            return
+        wait = over * _PERIOD / self.allowance
+        if signed:
+            wait = self._next.get(network, 0.0) - self._clock()
+            if wait <= 0:
+                return
+        raise RateLimited(
+            "too many failed logins from this address",
+            retry_after=max(round(wait, 3), 0.001),
+            remedy="Wait `retry_after` seconds, then send a token that is good.",
+        )
+
+    def failed(self, address: str | None, digest: str) -> None:
+        """Count a failure."""
+        self._good.pop(digest, None)
+        if address is None:
+            return
+        network = _network(address)
+        spent = min(self._left(network) + 1, self.allowance)  # however many came at once
+        self._spent.pop(network, None)
+        if len(self._spent) >= _ADDRESSES:
+            self._forget(next(iter(self._spent)))
+        moment = self._clock()
+        self._spent[network] = (spent, moment)
+        self._next[network] = moment + _SIGNED
+
+    def succeeded(self, digest: str) -> None:
+        """Keep in mind that a credential is good."""
+        if digest not in self._good:
+            if len(self._good) >= _GOOD:
+                del self._good[next(iter(self._good))]
+            self._good[digest] = None
+
+    def _left(self, network: str) -> float:
+        known = self._spent.get(network)
+        if known is None:
+            return 0.0
+        spent, then = known
+        left = spent - (self._clock() - then) * self.allowance / _PERIOD
+        if left <= 0:
+            self._forget(network)
+            return 0.0
+        return left
+
+    def _forget(self, network: str) -> None:
+        del self._spent[network]
+        self._next.pop(network, None)
+
+
+def _network(address: str) -> str:
+    """Return what one party has: an IPv4 address, or the /64 of an IPv6 address."""
+    try:
+        found = ip_address(address.partition("%")[0])
+    except ValueError:
+        return address
+    if isinstance(found, IPv6Address):
+        mapped = found.ipv4_mapped
+        return str(mapped) if mapped else found.exploded[:19]
+    return address

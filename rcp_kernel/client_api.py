@@ -1,0 +1,388 @@
+"""What a transport or adapter is given: the way in for clients, and nothing else of the gateway.
+
+A transport proves who its client is (`authenticate`), opens a `Connection` for a stream or takes
+the shared stateless session for single requests, and may offer `Mount`s to whichever transport
+serves HTTP. It translates; every decision is the kernel's.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable, Iterable, MutableMapping
+from typing import TYPE_CHECKING, Any, Literal
+
+import msgspec
+
+from rcp_kernel.access.acl import Rights
+from rcp_kernel.access.approvals import ApprovalState, Decision
+from rcp_kernel.access.identity import Principal
+from rcp_kernel.access.peer import UNKNOWN, Peer, Serial
+from rcp_kernel.clients.connections import Connection, Hello
+from rcp_kernel.clients.outbound import Outbound
+from rcp_kernel.clients.session import Answer, Session
+from rcp_kernel.config.file import Limits
+from rcp_kernel.errors import (
+    AdapterUnavailable,
+    Forbidden,
+    PluginError,
+    RateLimited,
+    RcpError,
+    Unauthenticated,
+)
+from rcp_kernel.model import Pattern
+from rcp_kernel.operations.command import Command
+from rcp_kernel.operations.discovery import Query
+from rcp_kernel.record.plugin_store import PluginStore
+from rcp_kernel.values import Encoding
+from rcp_kernel.wire import Reply, Request
+
+if TYPE_CHECKING:
+    from rcp_kernel.gateway import Gateway
+    from rcp_kernel.status import StatusReport
+
+__all__ = ["ClientApi", "Mount", "Proofs"]
+
+Scope = MutableMapping[str, Any]
+Asgi = Callable[
+    [Scope, Callable[[], Awaitable[Any]], Callable[[Any], Awaitable[None]]], Awaitable[None]
+]
+
+
+class Mount(msgspec.Struct, frozen=True, kw_only=True):
+    """A part of the HTTP tree that a plugin serves through the listener of another one."""
+
+    name: str
+    """Who offers it, for logs and errors."""
+    prefix: str
+    """Path below which (and at which) requests go to `app`; the longest prefix wins."""
+    suffix: str = ""
+    """Only paths that end in it, ahead of every mount without one."""
+    kind: Literal["http", "websocket"] = "http"
+    app: Asgi
+    """A plain ASGI application; `scope["path"]` is the whole path."""
+    openapi: Callable[[Session], dict[str, Any]] | None = None
+    """Makes `paths` and `components` of the OpenAPI document for what a session sees of this mount."""
+
+
+class Proofs(msgspec.Struct, frozen=True, kw_only=True):
+    """By what clients may prove who they are, for what describes the gateway to them."""
+
+    anonymous: bool
+    """Whether something is there for those who prove nothing."""
+    bearer: bool
+    """Keys, tokens or JSON Web Tokens in `Authorization: Bearer`."""
+    certificates: bool
+    """Client certificates."""
+    issuers: tuple[str, ...] = ()
+    """Issuers of JSON Web Tokens that tell about themselves by OpenID Connect Discovery."""
+
+
+class ClientApi:
+    """The gateway as transports and adapters see it. For the event loop's thread only."""
+
+    def __init__(self, gateway: Gateway, status: StatusReport, name: str) -> None:
+        self._gateway = gateway
+        self._status = status
+        self.name = name
+        """The transport's word in sessions, counts and metrics."""
+        self.mounts: list[Mount] = []
+
+    def renamed(self, name: str) -> ClientApi:
+        """Return the same client_api under another transport's name; mounts are shared."""
+        client_api = ClientApi(self._gateway, self._status, name)
+        client_api.mounts = self.mounts
+        return client_api
+
+    @property
+    def limits(self) -> Limits:
+        """Sizes, numbers and times that hold for every client."""
+        return self._gateway.limits
+
+    @property
+    def loop(self) -> asyncio.AbstractEventLoop:
+        """The event loop."""
+        return self._gateway.loop
+
+    def generation(self, session: Session) -> int:
+        """Return a number that rises when what a session sees of the tree changes, for ETags."""
+        return self._gateway.discovery.generation(session.rights)
+
+    @property
+    def secure(self) -> bool:
+        """Whether strangers may do nothing: they have no role, or one that allows nothing."""
+        return self._gateway.config.closed
+
+    @property
+    def serves(self) -> bool:
+        """Whether anybody can prove to be somebody who may do anything."""
+        return self._gateway.config.serves or self._gateway.identities.serves
+
+    @property
+    def closing(self) -> bool:
+        """Whether the gateway is on its way down."""
+        return self._gateway.closing
+
+    @property
+    def title(self) -> str:
+        """What the configuration calls the gateway."""
+        return self._gateway.config.name
+
+    @property
+    def proofs(self) -> Proofs:
+        """By what clients may prove who they are."""
+        config = self._gateway.config
+        return Proofs(
+            anonymous=not config.closed,
+            bearer=bool(config.keys or config.jwt) or self._gateway.identities.serves,
+            certificates=bool(config.certificates),
+            issuers=tuple(one.issuer for one in config.jwt if one.discovery),
+        )
+
+    def shelf(self, table: str) -> PluginStore:
+        """Return a table of the caller's own in the gateway's store."""
+        return PluginStore(self._gateway.store, f"{self.name}.{table}")
+
+    @property
+    def issuers(self) -> list[str]:
+        """Who gives out tokens that this gateway takes, for clients that look for one."""
+        return [one.issuer for one in self._gateway.config.jwt]
+
+    def mount(self, mount: Mount) -> None:
+        """Offer a part of the HTTP tree to the listener.
+
+        :raises PluginError: another plugin serves the same prefix.
+        """
+        for other in self.mounts:
+            if _place(other) == _place(mount):
+                raise PluginError(f"'{mount.name}' and '{other.name}' both serve {mount.prefix}")
+        self.mounts.append(mount)
+
+    def unmount(self, mount: Mount) -> None:
+        """Take an offered part back."""
+        if mount in self.mounts:
+            self.mounts.remove(mount)
+
+    def known(self, token: str | None, peer: Peer = UNKNOWN) -> Principal | None:
+        """Return whom a bearer token, or the certificate of `peer`, proves; else who is anonymous.
+
+        None says that it takes a while to know: then await `identify`.
+
+        :raises Unauthenticated: the token is not known, or nobody is served without one.
+        :raises TokenExpired: it was good once.
+        :raises RateLimited: `peer` has sent too many that were not good.
+        """
+        try:
+            return self._gateway.identities.known(token, peer)
+        except (Unauthenticated, Forbidden, RateLimited) as error:
+            self._gateway.audit_writer.stranger(self.name, peer, error)
+            raise
+
+    def authenticate(self, token: str | None, peer: Peer = UNKNOWN) -> Principal:
+        """Do as `known` does, for who cannot wait.
+
+        :raises AdapterUnavailable: it takes a while to know.
+        """
+        principal = self.known(token, peer)
+        if principal is None:
+            raise AdapterUnavailable(
+                "the keys of the token's issuer are not here yet",
+                remedy="Try again.",
+                retry_after=1,
+            )
+        return principal
+
+    async def identify(self, token: str | None, peer: Peer = UNKNOWN) -> Principal:
+        """Do as `known` does, and wait where it cannot tell.
+
+        :raises AdapterUnavailable: the keys of the token's issuer cannot be fetched.
+        """
+        principal = self.known(token, peer)
+        if principal is not None or token is None:
+            return principal or self._gateway.identities.anonymous()
+        try:
+            return await self._gateway.identities.wait(token, peer)
+        except (Unauthenticated, Forbidden, RateLimited) as error:
+            self._gateway.audit_writer.stranger(self.name, peer, error)
+            raise
+
+    def connect(
+        self,
+        principal: Principal,
+        encoding: Encoding,
+        flush: Callable[[], None],
+        tenant: str | None = None,
+        peer: Peer = UNKNOWN,
+    ) -> Connection:
+        """Open a connection with a session of its own; `flush` is called when it has to send.
+
+        It is called once more when the session was ended or taken over (`Connection.expelled`).
+
+        :raises Forbidden: the principal does not act in `tenant`.
+        :raises QueueFull: the gateway holds too many sessions.
+        """
+        gateway = self._gateway
+        try:
+            session = gateway.sessions.open(principal, self.name, tenant, peer)
+        except Forbidden as error:
+            gateway.audit_writer.stranger(self.name, peer, error, principal)
+            raise
+        return Connection(gateway, session, encoding, flush, peer)
+
+    def hello(self, connection: Connection, hello: Hello) -> dict[str, Any]:
+        """Greet on behalf of a client that cannot: `session` and `resume_from` bring it back.
+
+        :raises Gap: the session is not there any more.
+        :raises Unauthenticated: it belongs to somebody else.
+        """
+        return self._gateway.sessions.greeting.greet(connection, hello)
+
+    def session(
+        self, principal: Principal, tenant: str | None = None, peer: Peer = UNKNOWN
+    ) -> Session:
+        """Return the stateless session of a principal, for single requests.
+
+        :raises Forbidden: the principal does not act in `tenant`.
+        """
+        try:
+            return self._gateway.sessions.stateless(principal, self.name, tenant, peer)
+        except Forbidden as error:
+            self._gateway.audit_writer.stranger(self.name, peer, error, principal)
+            raise
+
+    def submit(self, session: Session, request: Request, answer: Answer) -> None:
+        """Have a request handled; `answer` gets every reply, exactly one of them final.
+
+        It may be called before `submit` returns.
+        """
+        self._gateway.handle(session, request, answer)
+
+    async def ask(self, session: Session, request: Request) -> Reply:
+        """Have a request handled and return its final reply."""
+        final: asyncio.Future[Reply] = self._gateway.loop.create_future()
+
+        def answer(reply: Reply) -> None:
+            if reply.final and not final.done():
+                final.set_result(reply)
+
+        self.submit(session, request, answer)
+        return await final
+
+    def longest(self, principal: Principal) -> int:
+        """Return the length of the longest message that a principal may send, in bytes."""
+        return self._gateway.identities.longest(principal)
+
+    def check_pace(self, session: Session) -> None:
+        """Refuse a long request before its body is read, where a quota would not allow it.
+
+        :raises RateLimited: a quota does not allow one now.
+        """
+        self._gateway.check_pace(session)
+
+    @property
+    def outbound(self) -> Outbound:
+        """What waits for all clients, for a transport to count what it holds itself."""
+        return self._gateway.outbound
+
+    def charge(self, session: Session) -> None:
+        """Count a request that is answered without `submit`.
+
+        :raises RateLimited: a quota does not allow it now.
+        """
+        self._gateway.charge(session)
+
+    def command(self, session: Session, id_: str) -> Command:
+        """Return a command that the session may see.
+
+        :raises UnknownPath: there is none.
+        :raises RateLimited: a quota does not allow the request.
+        """
+        self._gateway.charge(session)
+        return self._gateway.executing.command(session, id_)
+
+    def commands(self, session: Session) -> list[Command]:
+        """List the commands that the session may see, newest first.
+
+        :raises RateLimited: a quota does not allow the request.
+        """
+        self._gateway.charge(session)
+        sees = self._gateway.executing.sees
+        return [c for c in self._gateway.commands.every() if sees(session, c)]
+
+    def approve(
+        self,
+        session: Session,
+        id_: str,
+        decision: Decision = "approve",
+        reason: str | None = None,
+    ) -> ApprovalState:
+        """Decide on an approval as the person did whom the client of a session was asked for.
+
+        Only for an answer that a person gave at the client, never for one of a model.
+
+        :raises UnknownPath: there is no such approval for this principal.
+        :raises Forbidden: the roles do not let it decide (`may_approve`; `approve_own` for what it
+            asked for itself), or there is nothing to decide any more.
+        :raises RateLimited: a quota does not allow the request.
+        """
+        self._gateway.charge(session)
+        return self._gateway.approvals.answer(session, id_, decision, reason)
+
+    def follow(self, command: Command, answer: Answer) -> Callable[[], None]:
+        """Have `answer` called with each further reply of a command; return what ends that."""
+        held = self._gateway.audit_writer.follower(answer)
+        command.followers.append(held)
+
+        def stop() -> None:
+            if held in command.followers:
+                command.followers.remove(held)
+
+        return stop
+
+    def until_end(self, session: Session, told: Callable[[RcpError], None]) -> Callable[[], None]:
+        """Have `told` called if the session's proof is not good any more; return what ends that.
+
+        For answers that take long without a connection: they end with that error.
+        """
+        session.endings.add(told)
+        return lambda: session.endings.discard(told)
+
+    def discover(self, session: Session, pattern: str, query: Query) -> dict[str, Any]:
+        """Answer discovery for the resources that a session may see; `pay` first."""
+        found = Pattern(pattern, session.tenant)
+        return self._gateway.discovery.find(session.rights, found, query)
+
+    def schemas(self, session: Session) -> dict[str, dict[str, Any]]:
+        """Return the schemas of all that a session may see, by id.
+
+        :raises RateLimited: a quota does not allow the request.
+        """
+        self._gateway.charge(session)
+        return self._gateway.discovery.schemas(session.rights)
+
+    def rights(self, principal: Principal) -> Rights:
+        """Return the compiled rights of a principal."""
+        return self._gateway.rules.rights(principal)
+
+    def hides(self, session: Session, names: Iterable[str]) -> bool:
+        """Tell whether one of the names (see `names_in`) means something hidden from a session."""
+        return self._gateway.visibility.names_hidden(session.rights, session.tenant, names)
+
+    def revoke(self, serials: frozenset[Serial]) -> None:
+        """Take notice which client certificates are not good any more; their sessions end."""
+        self._gateway.identities.revoke(serials)
+
+    def refused(self, type_: str, code: str) -> None:
+        """Count a request that the transport had to refuse before it was an envelope."""
+        self._gateway.count(self.name, type_, code)
+
+    def ready(self) -> tuple[bool, dict[str, str]]:
+        """Tell whether every backend is ready, and each one's state."""
+        return self._status.ready()
+
+    def metrics(self, session: Session) -> bytes:
+        """Return the Prometheus exposition, without the paths that are hidden from a session."""
+        return self._status.exposition(session.rights)
+
+
+def _place(mount: Mount) -> tuple[str, str, str]:
+    return mount.kind, mount.prefix, mount.suffix

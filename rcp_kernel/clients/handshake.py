@@ -1,0 +1,221 @@
+"""`hello`: who comes in, to a session of its own or back to the one it left."""
+
+from __future__ import annotations
+
+import secrets
+from typing import TYPE_CHECKING, Any
+
+from rcp_kernel.access.identity import Principal, same
+from rcp_kernel.clients.resume import StoredSession, hashed
+from rcp_kernel.clients.session import Session
+from rcp_kernel.clock import now
+from rcp_kernel.errors import Gap, Unauthenticated
+from rcp_kernel.streaming.notices import notice
+from rcp_kernel.wire import VERSION, failure
+
+if TYPE_CHECKING:
+    from rcp_kernel.clients.connections import Connection, Hello
+    from rcp_kernel.clients.sessions import Sessions
+    from rcp_kernel.gateway import Gateway
+
+__all__ = ["Handshake"]
+
+_RECENT = 30_000_000_000  # ns: final replies sent this shortly before a cut are said again
+
+
+class Handshake:
+    """The handler of `hello`."""
+
+    def __init__(self, gateway: Gateway, sessions: Sessions) -> None:
+        self._gateway = gateway
+        self._sessions = sessions
+
+    def offered(self, hello: Hello) -> str | None:
+        """Return the token of `hello` that is to prove who it is, if there is one.
+
+        A resume token in its place says which session, and proves nobody.
+        """
+        returning = self._returning(hello)
+        if hello.token is None or (returning and _proves(hello.token, returning)):
+            return None
+        return hello.token
+
+    def greet(
+        self, connection: Connection, hello: Hello, principal: Principal | None = None
+    ) -> dict[str, Any]:
+        """Carry out `hello`, whose token proved `principal`: resume or keep the session, agree.
+
+        :raises Unauthenticated: the session is somebody else's, or the resume token is wrong.
+        :raises Gap: the session is not there any more.
+        """
+        gateway = self._gateway
+        session = connection.session
+        returning = self._returning(hello)
+        if principal is not None and principal != session.principal:
+            if same(principal, session.principal):
+                self._sessions.renew(session, principal)
+                self._sessions.logged_in(session, connection.peer)
+                gateway.leases.review()
+            else:
+                opened = self._sessions.open(
+                    principal, session.transport, hello.tenant, connection.peer
+                )
+                self._replace(connection, opened)
+        session = connection.session
+        if hello.tenant is not None:
+            tenant = gateway.identities.tenant_for(session.principal, hello.tenant)
+            gateway.quota_tracker.change_tenant(session, tenant)
+        if hello.session is not None and returning is not connection.session:
+            self._resume(connection, hello, returning)
+        facts = connection.on_hello(hello) if connection.on_hello is not None else {}
+        session = connection.session
+        session.greeted = True
+        gateway.session_resume.note(session)
+        limits = gateway.limits
+        agreed = {
+            "message": connection.limit,
+            "subscriptions": limits.subscriptions,
+            "in_flight": limits.in_flight,
+            **facts.pop("limits", {}),
+        }
+        return {
+            "version": VERSION,
+            "session": session.id,
+            "resume_token": session.secret,
+            "principal": session.principal.name,
+            "roles": list(session.principal.roles),
+            "tenant": session.tenant,
+            "tenants": gateway.identities.tenants_of(session.principal),
+            "heartbeat": limits.heartbeat,
+            "limits": agreed,
+            **facts,
+        }
+
+    def _replace(self, connection: Connection, session: Session) -> None:
+        old = connection.session
+        old.connection = None
+        self._sessions.drop(old)
+        connection.session = session
+        session.connection = connection
+        session.encoding = connection.encoding
+
+    def _returning(self, hello: Hello) -> Session | StoredSession | None:
+        """Find the session that `hello` names, by its id or by its resume token."""
+        named = hello.session
+        if named is None:
+            return None
+        found = self._sessions.known.get(named)
+        if found is None:
+            found = next((s for s in self._sessions.known.values() if _proves(named, s)), None)
+        return found or self._gateway.session_resume.find(named)
+
+    def _resume(
+        self, connection: Connection, hello: Hello, session: Session | StoredSession | None
+    ) -> None:
+        if session is None:
+            raise _gone()
+        offered = (hello.resume_token, hello.token, hello.session)
+        proof = next((t for t in offered if t is not None and _proves(t, session)), None)
+        present = connection.session.principal
+        if not same(session.principal, present):
+            raise Unauthenticated(
+                "the session belongs to somebody else",
+                remedy="Prove who you are as when the session began; a resume token alone is no proof.",
+            )
+        if proof is None and hello.resume_token is not None:
+            raise Unauthenticated(
+                "the resume token is wrong",
+                remedy="Send the `resume_token` that the first `hello` was answered with.",
+            )
+        if isinstance(session, StoredSession):
+            self._revive(connection, hello, session, proof)
+            return
+        if session.connection is not None:
+            self._takeover(session)
+        have = hello.resume_from
+        if isinstance(have, int):
+            have = _for_all(session, have)
+        if present != session.principal:
+            self._sessions.renew(session, present)
+        self._replace(connection, session)
+        self._attach(session, connection, have)
+
+    def _revive(
+        self, connection: Connection, hello: Hello, kept: StoredSession, proof: str | None
+    ) -> None:
+        """Make a session again of what is kept of one of an earlier run."""
+        gateway = self._gateway
+        gateway.session_resume.take(kept)
+        principal = connection.session.principal
+        tenant = kept.tenant if kept.tenant in gateway.identities.tenants_of(principal) else None
+        tenant = gateway.identities.tenant_for(principal, tenant)
+        session = Session(principal, gateway.rules.rights(principal), tenant, kept.transport)
+        if hello.session is not None and not _proves(hello.session, kept):
+            session.id = hello.session
+        session.secret = proof or session.secret
+        session.created, session.cut = kept.created, kept.cut or gateway.session_resume.ended
+        name = hashed(session.id)
+        session.commands = {c.id: c for c in gateway.commands.every() if c.session == name}
+        self._sessions.known[session.id] = session
+        self._sessions.watch(session)
+        self._replace(connection, session)
+        gateway.quota_tracker.move(session)
+        self._attach(session, connection, None)
+        gateway.session_resume.restore(session, kept)
+
+    def _takeover(self, session: Session) -> None:
+        """Cut the old connection: its client came back before the gateway saw it leave."""
+        old = session.connection
+        assert old is not None
+        old.expelled = True
+        old.outbox.flush()
+        old.closed = True
+        self._sessions.tally(old)
+        old.outbox.close()
+        self._sessions.cut(session)
+
+    def _attach(
+        self, session: Session, connection: Connection, have: dict[str, int] | None
+    ) -> None:
+        if session.expiry is not None:
+            session.expiry.cancel()
+            session.expiry = None
+        cut, session.cut = session.cut or now(), None
+        said = {reply.command for reply, _ in session.missed if reply.final}
+        tell = self._gateway.audit_writer.follower(session.deliver)
+        for command in session.commands.values():
+            ended = command.finished
+            if command.id not in said and (ended is None or ended > cut - _RECENT):
+                tell(command.reply())
+        if session.overflowed:
+            lost = session.overflowed
+            gap = Gap(f"{lost} replies were lost while the client was away")
+            connection.send(failure(gap, "hello"))
+            session.overflowed = 0
+        while session.missed:
+            connection.send(session.missed.popleft()[0])
+        session.let_missed_go()
+        while session.news:
+            code, facts = session.news.popleft()
+            notice(connection.outbox, code, **facts)
+        for subscription in session.subscriptions.values():
+            self._gateway.hub.attach(subscription, connection.outbox, have)
+
+
+def _proves(text: str, session: Session | StoredSession) -> bool:
+    """Tell whether a text is the resume token of a session."""
+    if isinstance(session, StoredSession):
+        text = hashed(text)
+    return secrets.compare_digest(session.secret.encode(), text.encode())
+
+
+def _gone() -> Gap:
+    return Gap(
+        "the session has expired or never was",
+        remedy="Say `hello` without `session`, then subscribe afresh.",
+    )
+
+
+def _for_all(session: Session, seq: int) -> dict[str, int]:
+    paths = [path for sub in session.subscriptions.values() for path in sub.feeds]
+    return dict.fromkeys(paths, seq)

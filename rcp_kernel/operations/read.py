@@ -1,0 +1,243 @@
+"""Reads that the latest sample cannot answer at once: from the robot, of fields, of patterns."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Iterator
+from functools import partial
+from itertools import islice
+from time import perf_counter
+from typing import TYPE_CHECKING, Annotated, Any
+
+import msgspec
+from msgspec import Meta
+
+from rcp_kernel.clients.session import Answer, Session
+from rcp_kernel.clock import iso, now
+from rcp_kernel.errors import (
+    AdapterUnavailable,
+    FilterUnsupported,
+    RcpError,
+    UnsupportedOperation,
+)
+from rcp_kernel.model import Operation, Pattern
+from rcp_kernel.operations.pages import LONGEST, MOST, cursor_of, place_of, room
+from rcp_kernel.operations.parts import Parts, expected
+from rcp_kernel.operations.pattern_read import PatternRead
+from rcp_kernel.operations.pending import attribute_error
+from rcp_kernel.registry import Entry
+from rcp_kernel.spi import Backend, BaseBackend
+from rcp_kernel.streaming.samples import Sample, masked, project
+from rcp_kernel.values import value_type
+from rcp_kernel.wire import Reply, Request
+
+if TYPE_CHECKING:
+    from rcp_kernel.gateway import Gateway
+
+__all__ = ["READ_OPTIONS", "ReadHandler", "ReadOptions"]
+
+
+class ReadOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """The body of `read`; everything is optional."""
+
+    fields: tuple[str, ...] | None = None
+    """Projection: only these fields of the value."""
+    fresh: bool = False
+    """Ask the robot, even where a sample is at hand."""
+    limit: Annotated[int, Meta(ge=1, le=MOST)] = MOST
+    """Items of one page, where a pattern reads many."""
+    cursor: Annotated[str, Meta(max_length=LONGEST)] | None = None
+    """Of the last page."""
+
+
+READ_OPTIONS = value_type(ReadOptions | None)
+
+
+class ReadHandler:
+    """The slower half of `read`."""
+
+    def __init__(self, gateway: Gateway) -> None:
+        self._gateway = gateway
+
+    def read(self, session: Session, request: Request, answer: Answer) -> Reply | None:
+        """Answer from the latest sample where it will do, else from the backend."""
+        options = request.decode_body(READ_OPTIONS, "read") or ReadOptions()
+        if request.path is not None and "*" in request.path:
+            return self._read_many(session, request, answer, options)
+        entry = self._gateway.resolve(session, request.path, Operation.READ)
+        if options.cursor is not None:
+            raise FilterUnsupported(
+                "`cursor` goes on with the read of a pattern, and this is a path",
+                path=entry.path,
+                remedy="Send the pattern whose page the cursor came with.",
+            )
+        for field in options.fields or ():
+            if not entry.value_type.has_field(field):
+                raise FilterUnsupported(f"{entry.path} has no field '{field}'", path=entry.path)
+        if (view := self._gateway.views.get(entry.path)) is not None:
+            return _viewed(request, entry, view(session), options)
+        if (shown := self._gateway.visibility_filters.get(entry.path)) is not None:
+            sample = _last_shown(entry, partial(shown, session))
+            return _reply(request, entry, sample, options)
+        if (sample := _at_hand(entry, options)) is not None:
+            return _reply(request, entry, sample, options)
+        timeout = self._gateway.deadline(request, entry)
+        self._gateway.later(
+            session,
+            request,
+            answer,
+            self.fetch(entry),
+            lambda sample: _reply(request, entry, sample, options),
+            timeout,
+            entry.path,
+        )
+        return None
+
+    async def fetch(self, entry: Entry) -> Sample:
+        """Ask the backend for a value; wait for the next sample where it can only publish."""
+        backend = entry.owner.backend
+        if backend is None:
+            raise entry.owner.unavailable()
+        started = perf_counter()
+        try:
+            value = await backend.read(entry.name)
+        except UnsupportedOperation:
+            return await _first(entry, backend)
+        except RcpError as error:
+            error.origin = error.origin or entry.owner.name
+            raise
+        except Exception as error:
+            raise attribute_error(error, entry.owner.name, entry.path) from error
+        entry.owner.latency = perf_counter() - started
+        return entry.publish(value, None)
+
+    def _read_many(
+        self, session: Session, request: Request, answer: Answer, options: ReadOptions
+    ) -> Reply | None:
+        gateway = self._gateway
+        pattern = Pattern(request.path or "", session.tenant)
+        after = "" if options.cursor is None else place_of(options.cursor)
+        entries = list(islice(self._readable(session, pattern, after), options.limit + 1))
+        more = len(entries) > options.limit
+        del entries[options.limit :]
+        page = PatternRead(
+            entries,
+            options.fields,
+            at_hand=partial(_at_hand, options=options),
+            fetch=self.fetch,
+            page=Parts(expected(session, request)),
+            longest=room(gateway.limits.message),
+        )
+
+        def done(items: Parts) -> Reply:
+            cut = more or len(items) < len(entries)
+            return Reply(
+                type="read",
+                id=request.id,
+                path=pattern.text,
+                body=items,
+                truncated=cut,
+                cursor=cursor_of(entries[len(items) - 1].path) if cut else None,
+                timestamp=iso(now()),
+            )
+
+        patience = min(request.deadline or gateway.limits.deadline, gateway.limits.deadline) * 0.9
+        gateway.later(
+            session,
+            request,
+            answer,
+            page.run(gateway.turns, session.principal.identity, patience),
+            done,
+            request.deadline or gateway.limits.deadline,
+            pattern.text,
+        )
+        return None
+
+    def _readable(self, session: Session, pattern: Pattern, after: str) -> Iterator[Entry]:
+        """Find what a pattern reads, in order of path; not what shows each reader its own."""
+        gateway = self._gateway
+        for entry in gateway.registry.match(pattern, after):
+            if entry.path in gateway.views or entry.path in gateway.visibility_filters:
+                continue
+            if entry.operations & Operation.READ and session.rights.permits(entry, Operation.READ):
+                yield entry
+
+
+def _at_hand(entry: Entry, options: ReadOptions) -> Sample | None:
+    if options.fresh or entry.latest is None or entry.owner.backend is None:
+        return None
+    if entry.live or entry.listeners:
+        return entry.latest
+    # An actuator's value is the last one commanded, which nobody knows better than the gateway.
+    return entry.latest if entry.kind == "actuator" else None
+
+
+def _last_shown(entry: Entry, shown: Callable[[Any], Any]) -> Sample:
+    for sample in reversed(entry.ring):
+        if (told := masked(sample, shown)) is not None:
+            return told
+    raise AdapterUnavailable(
+        f"nothing that you may see has happened at {entry.path} yet",
+        path=entry.path,
+        remedy="Subscribe to it.",
+    )
+
+
+def _viewed(request: Request, entry: Entry, value: Any, options: ReadOptions) -> Reply:
+    body = project(value, options.fields) if options.fields else value
+    moment = iso(now())
+    return Reply(
+        type=request.type,
+        id=request.id,
+        path=entry.path,
+        body=body,
+        source_timestamp=moment,
+        state="fresh",
+        timestamp=moment,
+        custom=request.custom,
+    )
+
+
+def _reply(request: Request, entry: Entry, sample: Sample, options: ReadOptions) -> Reply:
+    body: Any = sample
+    if options.fields:
+        body = project(sample.value, options.fields)
+    return Reply(
+        type=request.type,
+        id=request.id,
+        path=entry.path,
+        body=body,
+        seq=sample.seq,
+        source_timestamp=sample.time,
+        state="stale" if entry.stale else "fresh",
+        timestamp=iso(now()),
+        custom=request.custom,
+    )
+
+
+class _Waiter:
+    def __init__(self) -> None:
+        self.arrived: asyncio.Future[Sample] = asyncio.get_running_loop().create_future()
+
+    def offer(self, sample: Sample) -> None:
+        if not self.arrived.done():
+            self.arrived.set_result(sample)
+
+
+async def _first(entry: Entry, backend: Backend) -> Sample:
+    """Watch until the first sample comes; what is published unasked has to have come already."""
+    if type(backend).watch is BaseBackend.watch:
+        raise AdapterUnavailable(
+            f"no value of {entry.path} has arrived yet",
+            path=entry.path,
+            origin=entry.owner.name,
+            remedy="Wait for the robot to send it, or subscribe to it.",
+        )
+    waiter = _Waiter()
+    entry.listeners.append(waiter)
+    try:
+        async with backend.watch(entry.name, None):
+            return await waiter.arrived
+    finally:
+        if waiter in entry.listeners:
+            entry.listeners.remove(waiter)

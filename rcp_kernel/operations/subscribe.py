@@ -1,0 +1,290 @@
+"""`subscribe` and `unsubscribe`: from an envelope to feeds linked to the tree, and back."""
+
+from __future__ import annotations
+
+import secrets
+import sys
+from collections.abc import Callable, Generator
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+
+from rcp_kernel.access.acl import reach
+from rcp_kernel.clients.session import Answer, Session
+from rcp_kernel.clock import iso, now
+from rcp_kernel.errors import (
+    AdapterUnavailable,
+    BadRequest,
+    DuplicateRequest,
+    PayloadTooLarge,
+    QueueFull,
+    RcpError,
+    UnknownPath,
+    UnsupportedOperation,
+)
+from rcp_kernel.model import Operation, Pattern
+from rcp_kernel.operations.pages import MOST, cursor_of
+from rcp_kernel.registry import Entry
+from rcp_kernel.streaming.filters import Change, Options, check_fields, parse_where, seconds
+from rcp_kernel.streaming.notices import notice
+from rcp_kernel.streaming.subscription import Subscription
+from rcp_kernel.values import value_type
+from rcp_kernel.wire import Reply, Request, error_body
+
+if TYPE_CHECKING:
+    from rcp_kernel.gateway import Gateway
+
+__all__ = ["SubscribeHandler"]
+
+
+class _Which(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    subscription: str | None = None
+
+
+_LONGEST = 131_072  # bytes of a subscription's options
+_STEP = 32  # resources that are matched at once
+_OPTIONS = value_type(Options | None)
+_WHICH = value_type(_Which | None)
+
+
+class SubscribeHandler:
+    """The handlers of both requests."""
+
+    def __init__(self, gateway: Gateway) -> None:
+        self._gateway = gateway
+
+    def subscribe(self, session: Session, request: Request) -> Generator[None, None, Reply]:
+        """Start a subscription in steps; its id is the request's.
+
+        :raises RcpError: a path, right or option is wrong; nothing is subscribed then.
+        """
+        gateway = self._gateway
+        connection = session.connection
+        if connection is None:
+            raise UnsupportedOperation(
+                "this transport carries no stream",
+                remedy="Subscribe over WebSocket, or GET /rcp/v1/events for SSE.",
+            )
+        if len(bytes(request.body)) > _LONGEST:
+            raise PayloadTooLarge(
+                f"the options of a subscription have at most {_LONGEST} bytes",
+                remedy="Name fewer paths, or patterns; or subscribe more than once.",
+                details={"limit": _LONGEST},
+            )
+        options: Options = request.decode_body(_OPTIONS, "subscribe") or Options()
+        id_ = request.id or "sub-" + secrets.token_hex(4)
+        self._check_room(session, id_)
+        patterns = self._patterns(session, request, options)
+        entries = yield from self._entries(session, patterns, options)
+        if session.connection is not connection:  # the client has gone or come back meanwhile
+            raise AdapterUnavailable("the connection was lost", remedy="Subscribe again.")
+        self._check_room(session, id_)
+        subscription = self._begin(session, id_, patterns, options)
+        paths = [entry.path for entry in entries]
+        cut = len(paths) > MOST
+        if cut:  # in the order of discovery, whose cursor then leads to the rest
+            paths = sorted(paths)[:MOST]
+        reply = Reply(
+            type="subscribe",
+            id=request.id,
+            path=patterns[0].text,
+            body={"subscription": id_, "paths": paths, "count": len(entries)},
+            truncated=cut,
+            cursor=cursor_of(paths[-1]) if cut else None,
+            message=f"Subscribed to {len(entries)} paths.",
+            timestamp=iso(now()),
+            custom=request.custom,
+        )
+        # Control messages leave before updates, so the client knows the id before it sees one.
+        gateway.hub.add(subscription, entries)
+        return reply
+
+    def _check_room(self, session: Session, id_: str) -> None:
+        gateway = self._gateway
+        if id_ in session.subscriptions or id_ in session.inflight:
+            raise DuplicateRequest(f"the id '{id_}' is in use in this session")
+        if len(session.subscriptions) >= gateway.limits.subscriptions:
+            raise QueueFull(f"a session holds at most {gateway.limits.subscriptions} subscriptions")
+        gateway.quota_tracker.check_subscription(session)
+
+    def restore(self, session: Session, id_: str, texts: list[str], options: Options) -> None:
+        """Start a subscription of an earlier run on what is there; the rest joins when it comes."""
+        patterns = [Pattern(text, session.tenant) for text in texts]
+        subscription = self._begin(
+            session, id_, patterns, msgspec.structs.replace(options, history=None)
+        )
+        registry = self._gateway.registry
+        matched = {e.path: e for p in patterns for e in registry.match(p) if subscription.may(e)}
+        self._gateway.hub.add(subscription, list(matched.values()))
+
+    def _begin(
+        self, session: Session, id_: str, patterns: list[Pattern], options: Options
+    ) -> Subscription:
+        gateway, connection = self._gateway, session.connection
+        assert connection is not None
+
+        def may(entry: Entry) -> bool:
+            mask = reach(session.rights.mask(entry.path))
+            return bool(entry.operations & mask & Operation.SUBSCRIBE)
+
+        def end(subscription: Subscription, reason: str, error: RcpError | None) -> None:
+            self._ended(session, subscription, reason, error)
+
+        def view(entry: Entry) -> Callable[[], Any] | None:
+            shown = gateway.views.get(entry.path)
+            return None if shown is None else partial(shown, session)
+
+        def visibility_filter(entry: Entry) -> Callable[[Any], Any] | None:
+            shown = gateway.visibility_filters.get(entry.path)
+            return None if shown is None else partial(shown, session)
+
+        subscription = Subscription(
+            gateway.hub,
+            id_,
+            patterns,
+            options,
+            connection.outbox,
+            may=may,
+            end=end,
+            view=view,
+            visibility_filter=visibility_filter,
+            placed=partial(gateway.conditional_subscriptions.place, session),
+        )
+        session.subscriptions[id_] = subscription
+        gateway.session_resume.subscribed(session, subscription)
+        return subscription
+
+    def _patterns(self, session: Session, request: Request, options: Options) -> list[Pattern]:
+        texts = [request.path, *options.paths] if request.path is not None else [*options.paths]
+        if not texts:
+            raise BadRequest(
+                "subscribe names no path", remedy="Give `path`, or `paths` in the body."
+            )
+        if len(texts) > self._gateway.limits.subscriptions:
+            raise PayloadTooLarge("a subscription names too many paths")
+        return [Pattern(text, session.tenant) for text in texts]
+
+    def _entries(
+        self, session: Session, patterns: list[Pattern], options: Options
+    ) -> Generator[None, None, list[Entry]]:
+        """Find what the patterns reach now; a plain path must be there and allowed."""
+        gateway = self._gateway
+        if options.where is not None:
+            parse_where(options.where)
+        if isinstance(options.history, str):
+            seconds(options.history)
+        if options.deadband is not None:
+            Change(options.deadband, options.fields)
+        found: dict[str, Entry] = {}
+        for pattern in patterns:
+            if pattern.literal:
+                entry = gateway.resolve(session, pattern.text, Operation.SUBSCRIBE)
+                check_fields(options, entry)
+                found[entry.path] = entry
+                continue
+            for number, entry in enumerate(gateway.registry.match(pattern), 1):
+                mask = entry.operations & reach(session.rights.mask(entry.path))
+                if mask & Operation.SUBSCRIBE:
+                    found[entry.path] = entry
+                if not number % _STEP:
+                    yield
+        held = sum(len(subscription.feeds) for subscription in session.subscriptions.values())
+        if held + len(found) > gateway.limits.paths:
+            raise PayloadTooLarge(
+                f"the patterns match {len(found)} paths, and the session has {held} already; its "
+                f"subscriptions have at most {gateway.limits.paths} together",
+                remedy="Use narrower patterns, or end a subscription that is not needed.",
+                details={"limit": gateway.limits.paths},
+            )
+        return list(found.values())
+
+    def renew(self, session: Session, subscription: Subscription) -> None:
+        """Bring a subscription under its session's new rights."""
+        gateway = self._gateway
+        hub = gateway.hub
+        for path, feed in list(subscription.feeds.items()):
+            if subscription.may(feed.entry):
+                gateway.conditional_subscriptions.place(session, feed)
+                continue
+            hub.drop(feed)
+            notice(
+                subscription.outbox,
+                "resource_removed",
+                id=subscription.id,
+                path=path,
+                message="the rules of this gateway have changed",
+            )
+        for pattern in subscription.patterns:
+            for entry in gateway.registry.match(pattern):
+                if entry.path not in subscription.feeds and subscription.may(entry):
+                    hub.join(subscription, entry)
+
+    def unsubscribe(self, session: Session, request: Request, answer: Answer) -> Reply:
+        """End a subscription, named by `body.subscription`, by the request's `id`, or by its path.
+
+        :raises UnknownPath: this session has no such subscription.
+        """
+        body = request.decode_body(_WHICH, "unsubscribe")
+        found = self._find(session, request, body.subscription if body is not None else None)
+        for subscription in found:
+            del session.subscriptions[subscription.id]
+            self._gateway.session_resume.unsubscribed(session, subscription.id)
+            self._gateway.hub.remove(subscription)
+        return Reply(
+            type="unsubscribe",
+            id=request.id,
+            path=found[0].patterns[0].text,
+            body={"subscriptions": [subscription.id for subscription in found]},
+            message="Unsubscribed.",
+            timestamp=iso(now()),
+            custom=request.custom,
+        )
+
+    def _find(self, session: Session, request: Request, named: str | None) -> list[Subscription]:
+        known = session.subscriptions
+        for id_ in (named, request.id if named is None else None):
+            if id_ is not None and id_ in known:
+                return [known[id_]]
+        if named is None and request.path is not None:
+            text = Pattern(request.path, session.tenant).text
+            found = [s for s in known.values() if any(p.text == text for p in s.patterns)]
+            if found:
+                return found
+        raise UnknownPath(
+            "this session has no such subscription",
+            path=request.path,
+            remedy='Name it in the body: {"subscription": "<id of the subscribe>"}.',
+            details={"subscriptions": list(known)[:20]},
+        )
+
+    def _ended(
+        self, session: Session, subscription: Subscription, reason: str, error: RcpError | None
+    ) -> None:
+        if session.subscriptions.pop(subscription.id, None) is None:
+            return
+        self._gateway.session_resume.unsubscribed(session, subscription.id)
+        outbox = subscription.outbox
+        if outbox is not None and error is None:
+            # What was delivered to the queue before the end goes out before the notice of it.
+            for data in _rest(subscription):
+                outbox.put(data)
+        self._gateway.hub.remove(subscription)
+        if error is not None:
+            self._gateway.hub.dropped["overrun"] += 1
+        facts: dict[str, Any] = {"id": subscription.id, "reason": reason}
+        if error is not None:
+            facts |= {"error": error_body(error), "message": error.message}
+        notice(outbox, reason if error is not None else "subscription_ended", **facts)
+
+
+def _rest(subscription: Subscription) -> list[bytes]:
+    out: list[bytes] = []
+    outbox = subscription.outbox
+    assert outbox is not None
+    # Whole messages, not frames: they are framed with the other control messages.
+    framing, outbox.framing = outbox.framing, None
+    for feed in subscription.feeds.values():
+        feed.drain(out, sys.maxsize, None, None)
+    outbox.framing = framing
+    return out

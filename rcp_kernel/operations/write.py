@@ -1,0 +1,203 @@
+"""`write`: check the value, the age and the e-stop, bring it into force, arm the dead-man."""
+
+from __future__ import annotations
+
+import asyncio
+from copy import copy
+from functools import partial
+from time import perf_counter
+from typing import TYPE_CHECKING, Any
+
+from rcp_kernel.clients.session import Answer, Session
+from rcp_kernel.clock import iso, now
+from rcp_kernel.errors import DeviceRejected, EstopActive, RcpError, Refused
+from rcp_kernel.model import Operation
+from rcp_kernel.motion.safety import ANSWER, check_motion, safe_value
+from rcp_kernel.operations.pending import attribute_error
+from rcp_kernel.registry import Entry
+from rcp_kernel.safety.fence import permitted
+from rcp_kernel.spi import Backend
+from rcp_kernel.streaming.samples import Sample
+from rcp_kernel.wire import Reply, Request
+
+if TYPE_CHECKING:
+    from rcp_kernel.gateway import Gateway
+
+__all__ = ["WriteHandler", "dry_run_reply"]
+
+_SAFE = 65_536  # bytes: a longer value is not compared with the one that brings to rest
+_UNCHANGED = (Refused, DeviceRejected)
+"""Errors by which a backend says that its robot goes on as before."""
+
+
+class WriteHandler:
+    """The handler of `write`."""
+
+    def __init__(self, gateway: Gateway) -> None:
+        self._gateway = gateway
+
+    def write(self, session: Session, request: Request, answer: Answer) -> Reply | None:
+        """Start a write; a repeat under the same key waits for the first one's outcome."""
+        gateway = self._gateway
+        entry = gateway.resolve(session, request.path, Operation.WRITE)
+        value = request.decode_body(entry.value_type, entry.label)
+        first = gateway.keys.find(session, request, entry.path)
+        if isinstance(first, asyncio.Future):
+            held = gateway.audit_writer.held(answer, request, entry)
+            self._repeat(first, session, request, entry, held)
+            return None
+        gateway.admission.admit(session, request, entry, value)
+        window = gateway.deadman.window(entry, request)
+        if request.dry_run:
+            held = gateway.envelopes.applied(session, entry)
+            asks = gateway.approvals.wanted(session, entry, value) or None
+            facts = {"valid_for": window, "envelopes": held or None, "approval": asks}
+            return dry_run_reply(request, entry, {"write": value, **facts})
+        if session.rights.approve:
+            gateway.approvals.check(session, request, entry, value)
+        noted = gateway.audit_writer.written(session, request, entry, answer)
+        if request.idempotency_key is not None:
+            noted = self._noting(session, request, entry, noted)
+        try:
+            gateway.later(
+                session,
+                request,
+                noted,
+                self._bring_into_force(session, request, entry, value, window, entry.unit.stops),
+                partial(_written, request, entry),
+                gateway.deadline(request, entry),
+                entry.path,
+            )
+        except RcpError:
+            gateway.keys.forget(session, request, entry.path)
+            raise
+        return None
+
+    def stops(self, session: Session, request: Request) -> bool:
+        """Tell whether a request brings an actuator to rest, which no rate may keep it from."""
+        if request.type != "write" or len(bytes(request.body)) > _SAFE:
+            return False
+        try:
+            entry = self._gateway.resolve(session, request.path, Operation.WRITE)
+            if entry.resource.safe is None:
+                return False
+            return request.decode_body(entry.value_type, entry.label) == safe_value(entry)
+        except RcpError:
+            return False
+
+    async def _bring_into_force(
+        self,
+        session: Session,
+        request: Request,
+        entry: Entry,
+        value: Any,
+        window: float | None,
+        stops: int,
+    ) -> Sample:
+        gateway = self._gateway
+        if request.idempotency_key is not None:
+            await gateway.audit_writer.committed()
+        with gateway.deadman.in_flight(entry), permitted(entry.unit, stops):
+            try:
+                if entry.path in gateway.deadman.leaving:
+                    await gateway.deadman.cleared(entry)
+                backend = gateway.admission.confirm(session, entry, value, request.timestamp)
+                if entry.unit.stops != stops and entry.barred:
+                    gateway.envelopes.refused(entry, value)
+                    text = "an e-stop has come and gone since this was sent"
+                    raise EstopActive(text, path=entry.path)
+                return await self._send(backend, entry, value, window)
+            except BaseException:
+                # An e-stop or a lost lease is why, whatever came of the write.
+                check_motion(entry, entry.unit.latch)
+                gateway.leases.check(session, entry)
+                raise
+
+    async def _send(
+        self, backend: Backend, entry: Entry, value: Any, window: float | None
+    ) -> Sample:
+        deadman, envelopes = self._gateway.deadman, self._gateway.envelopes
+        started = perf_counter()
+        superseded = deadman.begin(entry)
+        # Nobody knows what a robot makes of a write that it does not answer.
+        guard = None if window is None else deadman.arm(entry, window + ANSWER)
+        try:
+            actual = await backend.write(entry.name, value)
+        except BaseException as error:
+            if isinstance(error, _UNCHANGED):
+                envelopes.refused(entry, value)
+            if superseded or (guard is not None and not isinstance(error, _UNCHANGED)):
+                deadman.arm(entry, 0)
+            else:
+                deadman.disarm(entry, guard)
+            if isinstance(error, RcpError):
+                error.origin = error.origin or entry.owner.name
+            elif isinstance(error, Exception):
+                raise attribute_error(error, entry.owner.name, entry.path) from error
+            raise
+        entry.owner.latency = perf_counter() - started
+        actual = value if actual is None else actual
+        envelopes.took(entry, value, actual)
+        deadman.disarm(entry, guard)
+        if window is not None and value != safe_value(entry):
+            deadman.arm(entry, window)
+        return entry.publish(actual, None)
+
+    def _noting(self, session: Session, request: Request, entry: Entry, answer: Answer) -> Answer:
+        """Remember a write under its key from now on, so that a repeat of it runs nothing."""
+        outcome: asyncio.Future[Reply] = self._gateway.loop.create_future()
+        self._gateway.keys.note(session, request, entry.path, outcome)
+
+        def noted(reply: Reply) -> None:
+            outcome.set_result(reply)
+            self._gateway.keys.settle(session, request, entry.path, reply)
+            answer(reply)
+
+        return noted
+
+    def _repeat(
+        self,
+        first: asyncio.Future[Reply],
+        session: Session,
+        request: Request,
+        entry: Entry,
+        answer: Answer,
+    ) -> None:
+        def again(done: Reply) -> Reply:
+            reply = copy(done)
+            reply.id = request.id
+            return reply
+
+        gateway = self._gateway
+        timeout = gateway.deadline(request, entry)
+        gateway.later(session, request, answer, _outcome(first), again, timeout, entry.path)
+
+
+async def _outcome(first: asyncio.Future[Reply]) -> Reply:
+    return await asyncio.shield(first)
+
+
+def _written(request: Request, entry: Entry, sample: Sample) -> Reply:
+    return Reply(
+        type="write",
+        id=request.id,
+        path=entry.path,
+        body=sample,
+        message=f"{entry.path} written.",
+        seq=sample.seq,
+        timestamp=iso(now()),
+    )
+
+
+def dry_run_reply(request: Request, entry: Entry, what: dict[str, Any]) -> Reply:
+    """Answer a dry run: everything was checked, nothing was changed."""
+    return Reply(
+        type=request.type,
+        id=request.id,
+        path=entry.path,
+        body={key: item for key, item in what.items() if item is not None},
+        message=f"Dry run: {entry.path} would accept this; nothing was changed.",
+        dry_run=True,
+        timestamp=iso(now()),
+        custom=request.custom,
+    )

@@ -1,0 +1,377 @@
+"""The check of a whole plan before its first step: every fault is found, nothing is changed.
+
+What hangs on the state of a robot (conditions of rules and envelopes, rates of change, whether an
+action is running) may be another when a step's turn comes: that is checked then, as for any
+request.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Generator, Iterable, Iterator
+from contextlib import suppress
+from typing import TYPE_CHECKING, Any
+
+from rcp_kernel._plain import is_map
+from rcp_kernel.access.conditions import ConditionTooCostly, condition
+from rcp_kernel.access.visibility import EVERYTHING
+from rcp_kernel.clients.session import Session
+from rcp_kernel.errors import (
+    BY_CODE,
+    BadRequest,
+    ConfigError,
+    DuplicateRequest,
+    InvalidValue,
+    OutOfRange,
+    RcpError,
+    UnknownPath,
+    UnsupportedOperation,
+)
+from rcp_kernel.model import Operation, Pattern
+from rcp_kernel.motion.safety import check_motion
+from rcp_kernel.motion.scope import Scope
+from rcp_kernel.operations.read import READ_OPTIONS
+from rcp_kernel.plans.fault import Fault, nearest, refusal
+from rcp_kernel.plans.lines import from_lines
+from rcp_kernel.plans.looking import looked_at
+from rcp_kernel.plans.model import Execute, Group, Operate, Parallel, Plan, Read, Retry, Step, Write
+from rcp_kernel.plans.names import NameScope
+from rcp_kernel.plans.node import Checked, Node, references
+from rcp_kernel.plans.symbolic import from_symbolic
+from rcp_kernel.registry import Entry
+from rcp_kernel.values import Encoding, ValueType, dump
+
+if TYPE_CHECKING:
+    from rcp_kernel.gateway import Gateway
+
+__all__ = ["check_plan", "read_conditions"]
+
+_OPERATIONS = {
+    "read": Operation.READ,
+    "write": Operation.WRITE,
+    "execute": Operation.EXECUTE,
+}
+_NOT_HERE = ("/system/plans", "/system/approvals")
+_TEXT = 8192  # characters of all different conditions of a plan: reading them takes time
+_SEARCHES = 5  # misspelt paths of one plan for which near ones are looked for
+
+
+def check_plan(gateway: Gateway, session: Session, plan: Plan) -> Checked:
+    """Return a plan that may begin, or refuse it with everything that is wrong.
+
+    :raises RcpError: with the code of the first fault, and all in `details.faults`.
+    """
+    return _Check(gateway, session).check(plan)
+
+
+def read_conditions(gateway: Gateway, session: Session, plan: Plan) -> Generator[None]:
+    """Read the conditions of a plan one at a time, so that its check finds them known.
+
+    What is wrong with them, and whether they are too many, the check says.
+
+    :raises RateLimited: whoever sent it has had too many read.
+    """
+    allowance, principal = gateway.conditions.allowance, session.principal.name
+    texts = list(dict.fromkeys(_texts(plan.steps or ())))
+    if texts:
+        allowance.check(principal)
+    if sum(map(len, texts)) > _TEXT:
+        return
+    for text in texts:
+        with allowance.spending(principal), suppress(ConfigError):
+            condition(text)
+        yield
+
+
+def _texts(steps: Iterable[Step]) -> Iterator[str]:
+    for step in steps:
+        for text in (step.when, getattr(step, "until", None)):
+            if text is not None:
+                yield text
+        if isinstance(step, Group):
+            yield from _texts(step.steps)
+        yield from _texts(step.fallback)
+
+
+class _Check:
+    """One check."""
+
+    def __init__(self, gateway: Gateway, session: Session) -> None:
+        self._gateway = gateway
+        self._session = session
+        self._limits = gateway.config.plans
+        self._faults: list[Fault] = []
+        self._ids: dict[str, Node] = {}
+        self._types: dict[str, ValueType] = {}
+        """Of the results of steps."""
+        self._count = 0
+        self._texts: set[str] = set()
+        self._length = 0
+        self._searches = 0
+        self._leased: list[Scope] = []
+        """What earlier steps acquire."""
+        self._checked: Checked | None = None
+
+    def check(self, plan: Plan) -> Checked:
+        steps = self._steps(plan)
+        checked = self._checked = Checked(plan, [])
+        checked.nodes = self._level(steps, "", 1)
+        self._relate(checked.nodes, {})
+        if not steps and not self._faults:
+            raise InvalidValue("the plan has no steps", details={"pointer": "/steps"})
+        if self._faults:
+            raise refusal(self._faults)
+        return checked
+
+    def _steps(self, plan: Plan) -> list[Step]:
+        given = [n for n in ("steps", "symbolic", "lines") if getattr(plan, n) is not None]
+        if len(given) != 1:
+            raise InvalidValue(
+                "a plan is given in one notation: `steps`, `symbolic` or `lines`",
+                details={"given": given},
+            )
+        if plan.steps is not None:
+            return list(plan.steps)
+        if plan.lines is not None:
+            steps, self._faults = from_lines(plan.lines)
+            return steps
+        naming = NameScope(self._gateway.registry, self._session)
+        steps, self._faults = from_symbolic(plan.symbolic or "", self._limits, naming)
+        return steps
+
+    # -- the tree, and each step by itself -----------------------------------------------------
+
+    def _level(self, steps: list[Step] | tuple[Step, ...], place: str, depth: int) -> list[Node]:
+        if depth > self._limits.depth:
+            raise OutOfRange(f"the plan is nested deeper than {self._limits.depth} levels")
+        nodes: list[Node] = []
+        for number, step in enumerate(steps, 1):
+            self._count += 1
+            if self._count > self._limits.steps:
+                raise OutOfRange(
+                    f"the plan has more than {self._limits.steps} steps",
+                    remedy="Send it in parts.",
+                    details={"limit": self._limits.steps},
+                )
+            node = Node(step.id or f"{place}{number}", step)
+            if node.id in self._ids:
+                self._fault(node, DuplicateRequest(f"two steps have the id '{node.id}'"))
+            self._ids[node.id] = node
+            if isinstance(step, Group):
+                node.children = self._level(step.steps, f"{node.id}.", depth + 1)
+            node.fallback = self._level(step.fallback, f"{node.id}.fallback.", depth + 1)
+            self._try(node, lambda retry=step.retry: _codes(retry))
+            nodes.append(node)
+        return nodes
+
+    def _fault(self, node: Node, error: RcpError) -> None:
+        error.path = error.path or node.path
+        self._faults.append(Fault(node.id, error))
+
+    def _try(self, node: Node, look: Callable[[], None]) -> None:
+        try:
+            look()
+        except RcpError as error:
+            self._fault(node, error)
+
+    # -- what steps have to do with each other -------------------------------------------------
+
+    def _relate(self, nodes: list[Node], known: dict[str, Node]) -> dict[str, Node]:
+        """Check steps that follow each other; return those that have ended after them."""
+        for node in nodes:
+            known = self._one(node, known)
+        return known
+
+    def _one(self, node: Node, known: dict[str, Node]) -> dict[str, Node]:
+        step = node.step
+        if step.after:
+            self._fault(node, BadRequest("`after` stands in steps of a `parallel` only"))
+        return self._inside(node, known)
+
+    def _inside(self, node: Node, known: dict[str, Node]) -> dict[str, Node]:
+        step = node.step
+        node.tenant, node.robot = self._session.tenant, step.robot
+        if isinstance(step, Operate):
+            self._try(node, lambda: self._operation(node, step, known))
+        for text, name in ((step.when, "when"), (getattr(step, "until", None), "until")):
+            if text is not None:
+                self._try(node, lambda text=text, name=name: self._condition(node, text, name))
+        if isinstance(step, Parallel):
+            within = self._side_by_side(node, known)
+        else:
+            within = self._relate(node.children, known)
+        return {**self._relate(node.fallback, within), node.id: node}
+
+    def _side_by_side(self, node: Node, known: dict[str, Node]) -> dict[str, Node]:
+        ends: dict[str, dict[str, Node]] = {}
+        for child in node.children:
+            before = dict(known)
+            for id_ in child.step.after:
+                if id_ not in ends:
+                    text = f"`after` names '{id_[:64]}', which is no earlier step of this parallel"
+                    self._fault(child, BadRequest(text))
+                before |= ends.get(id_, {})
+            ends[child.id] = self._inside(child, before)
+        out = dict(known)
+        for end in ends.values():
+            out |= end
+        return out
+
+    def _references(self, step: Operate, known: dict[str, Node]) -> bool:
+        found = list(references(step.value))
+        for wanted in found:
+            id_, *fields = wanted.split("/")
+            if id_ not in known:
+                there = id_ in self._ids
+                why = "does not end before this one" if there else "is not in the plan"
+                near = [] if there else nearest(id_, known)
+                advice = f"Did you mean {', '.join(near)}? " if near else ""
+                raise InvalidValue(
+                    f"the value wants the result of step '{id_[:64]}', which {why}",
+                    remedy=f"{advice}Name a step that has ended by then, by its `id`.",
+                    details={"near": near} if near else None,
+                )
+            type_ = self._types.get(id_)
+            if fields and type_ is not None and not type_.has_field(".".join(fields)):
+                raise InvalidValue(f"the result of step '{id_}' has no '{'/'.join(fields)[:80]}'")
+        return bool(found)
+
+    # -- operations ----------------------------------------------------------------------------
+
+    def _operation(self, node: Node, step: Operate, known: dict[str, Node]) -> None:
+        refers = self._references(step, known)
+        if isinstance(step, Read) and "*" in step.path:
+            self._pattern(node, step)
+            return
+        entry = self._entry(step)
+        node.path = node.state.path = entry.path
+        if step.robot is None and entry.tenant is not None:
+            node.tenant, node.robot = entry.tenant, entry.robot
+        assert self._checked is not None
+        self._checked.touches.append(entry.path)
+        self._types[node.id] = entry.output_type if isinstance(step, Execute) else entry.value_type
+        if isinstance(step, Read):
+            if entry.path in self._gateway.views or entry.path in self._gateway.visibility_filters:
+                self._checked.touches.append(EVERYTHING)  # it shows whoever sent the plan his own
+            if not refers:
+                self._decode(READ_OPTIONS, step.value, "read")
+            return
+        value = None if refers else self._value(step, entry)
+        self._admit(entry, value, refers=refers)
+        if self._gateway.approvals.wanted(self._session, entry, value):
+            self._checked.asks.append(node.id)
+        if entry.path == "/system/leases" and is_map(step.value):
+            self._acquires(step.value)
+
+    def _pattern(self, node: Node, step: Read) -> None:
+        pattern = Pattern(step.path, self._session.tenant)
+        node.path = node.state.path = pattern.text
+        self._decode(READ_OPTIONS, step.value, "read")
+        permits, found = self._session.rights.permits, self._gateway.registry.match(pattern)
+        assert self._checked is not None
+        self._checked.touches += [e.path for e in found if permits(e, Operation.READ)]
+
+    def _entry(self, step: Operate) -> Entry:
+        operation = _OPERATIONS[step.do]
+        try:
+            entry = self._gateway.resolve(self._session, step.path, operation, anyway=True)
+        except UnknownPath as error:
+            near = self._near(error.path or step.path, operation)
+            if near:
+                error.remedy = f"Did you mean {', '.join(near)}? {error.remedy}"
+                error.details = {"near": near}
+            raise
+        if entry.path in _NOT_HERE and not isinstance(step, Read):
+            raise UnsupportedOperation(
+                f"{entry.path} has no place in a plan",
+                path=entry.path,
+                remedy="Write the steps of the other plan into this one."
+                if entry.path == "/system/plans"
+                else "Have a person decide by a request of their own.",
+            )
+        return entry
+
+    def _near(self, path: str, operation: Operation) -> list[str]:
+        self._searches += 1
+        if self._searches > _SEARCHES:
+            return []
+        mask = self._session.rights.mask
+        entries = self._gateway.registry.entries.values()
+        tenants = self._session.rights.tenants
+        offered = (
+            entry.path
+            for entry in entries
+            if entry.operations & operation
+            and ("*" in tenants or entry.tenant in tenants)
+            and mask(entry.path)
+        )
+        return nearest(path, offered, 0.85)  # paths have much in common
+
+    def _value(self, step: Write | Execute, entry: Entry) -> Any:
+        called = isinstance(step, Execute)
+        if called and entry.resource.input is None and step.value in (None, {}):
+            return None
+        type_ = entry.input_type if called else entry.value_type
+        return self._decode(type_, step.value, f"input of {entry.label}" if called else entry.label)
+
+    @staticmethod
+    def _decode(type_: ValueType, value: Any, label: str) -> Any:
+        return type_.decode(dump(value, Encoding.JSON), Encoding.JSON, label)
+
+    def _admit(self, entry: Entry, value: Any, *, refers: bool) -> None:
+        gateway = self._gateway
+        check_motion(entry, entry.unit.latch)
+        if not any(scope.covers(entry.path) for scope in self._leased):
+            gateway.leases.check(self._session, entry)
+        if entry.owner.backend is None:
+            raise entry.owner.unavailable()
+        if not refers:
+            gateway.envelopes.check_later(self._session, entry, value)
+
+    def _acquires(self, value: dict[str, Any]) -> None:
+        scope = value.get("scope")
+        if value.get("do") == "acquire" and isinstance(scope, str):
+            self._leased.append(Scope(scope, self._session.tenant))
+
+    def _condition(self, node: Node, text: str, name: str) -> None:
+        """Compile a condition of a step, which may be about what its asker may read alone."""
+        if text not in self._texts:
+            self._texts.add(text)
+            self._length += len(text)
+        if self._length > _TEXT:
+            raise _too_long()
+        details = {"pointer": f"/{name}"}
+        try:
+            found = condition(text)
+        except ConditionTooCostly as error:
+            raise OutOfRange(f"`{name}`: {error}", remedy=error.remedy, details=details) from None
+        except ConfigError as error:
+            raise InvalidValue(f"`{name}`: {error}", details=details) from None
+        assert self._checked is not None
+        self._checked.touches += looked_at(self._gateway, self._session, node, found)
+        if name == "when":
+            node.when = found
+        else:
+            node.until = found
+
+
+def _too_long() -> OutOfRange:
+    return OutOfRange(
+        f"the conditions of the plan have more than {_TEXT} characters",
+        remedy="Send the plan in parts.",
+        details={"limit": _TEXT},
+    )
+
+
+def _codes(retry: Retry | None) -> None:
+    """Refuse to try again on what is no code: it never would be.
+
+    :raises InvalidValue: one is none.
+    """
+    for code in retry.on if retry is not None else ():
+        if code not in BY_CODE:
+            near = nearest(code, BY_CODE, 0.8)
+            raise InvalidValue(
+                f"`retry` names '{code[:64]}', which is no error code",
+                remedy=f"Did you mean {', '.join(near)}?" if near else None,
+                details={"near": near, "pointer": "/retry/on"},
+            )

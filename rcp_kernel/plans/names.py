@@ -1,0 +1,147 @@
+"""What an action of a symbolic plan means that no table names: by robots, names and schemas."""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import Any
+
+from rcp_kernel._plain import is_map
+from rcp_kernel.clients.session import Session
+from rcp_kernel.errors import InvalidValue, UnknownPath
+from rcp_kernel.model import Kind
+from rcp_kernel.plans.fault import nearest
+from rcp_kernel.plans.lines import word
+from rcp_kernel.plans.symbolic import Action
+from rcp_kernel.registry import Entry, Registry
+
+__all__ = ["NameScope"]
+
+_CALLED = (Kind.ACTION, Kind.SERVICE)
+_DEEP = 8  # objects within objects that arguments are spread over
+
+
+class NameScope:
+    """Finds actions by the names that planners use, among what a session may see."""
+
+    def __init__(self, registry: Registry, session: Session) -> None:
+        mask = session.rights.mask
+        self._called = [
+            entry
+            for entry in registry.entries.values()
+            if entry.tenant is not None and entry.kind in _CALLED and mask(entry.path)
+        ]
+        self._tenant = session.tenant
+
+    def __call__(self, action: Action, objects: dict[str, Any]) -> tuple[str, Any]:
+        """Return path and value of an action: its first argument is the robot.
+
+        :raises UnknownPath: there is no such robot or action.
+        :raises InvalidValue: the arguments do not fit the schema.
+        """
+        entry = self._find(action)
+        given = deque(action.arguments[1:])
+        value = _assign(entry.input_type.schema, given, objects)
+        if given:
+            raise InvalidValue(
+                f"({action.name} …) has {len(given)} arguments more than {entry.path} takes",
+                path=entry.path,
+                remedy="Give its required fields in order, or name the action in `[plans.actions]`.",
+            )
+        return entry.path, value
+
+    def _find(self, action: Action) -> Entry:
+        robot = action.arguments[0] if action.arguments else ""
+        of_robot = [e for e in self._called if _plain(robot) in map(_plain, _names(e))]
+        if not of_robot:
+            known = sorted({name for entry in self._called for name in _names(entry)})
+            raise _unknown(f"({action.name} …) names no robot that there is", robot, known)
+        found = [e for e in of_robot if _plain(_last(e)) == _plain(action.name)]
+        if not found:
+            known = sorted({_last(entry) for entry in of_robot})
+            raise _unknown(
+                f"there is no action or service '{action.name[:64]}' of '{robot[:64]}'",
+                action.name,
+                known,
+            )
+        # The own tenant goes first, then the robot that has a name of its own.
+        return min(found, key=lambda e: (e.tenant != self._tenant, e.robot is None, e.path))
+
+
+def _names(entry: Entry) -> list[str]:
+    """Return what a plan may call the robot of an entry."""
+    if entry.robot is not None:
+        return [entry.robot]
+    return [entry.owner.name, entry.tenant or ""]
+
+
+def _plain(name: str) -> str:
+    return name.lower().replace("-", "_")
+
+
+def _last(entry: Entry) -> str:
+    return entry.name.rpartition("/")[2]
+
+
+def _unknown(text: str, name: str, known: list[str]) -> UnknownPath:
+    near = nearest(_plain(name), known)
+    advice = f"Did you mean {', '.join(near)}? " if near else ""
+    return UnknownPath(
+        text,
+        remedy=f"{advice}Name an action of `discover`, or put this one into `[plans.actions]`.",
+        details={"near": near} if near else None,
+    )
+
+
+def _assign(schema: dict[str, Any], given: deque[str], objects: dict[str, Any]) -> Any:
+    """Make the value of a schema of arguments, in the order of its required fields."""
+    defs = schema.get("$defs", {})
+    if not given:
+        return None
+    node = _object_of(schema, defs)
+    if node is None:
+        return _single(_node(schema, defs), given.popleft(), objects)
+    whole = objects.get(given[0]) if len(given) == 1 else None
+    if is_map(whole) and whole.keys() <= node["properties"].keys():
+        given.popleft()
+        return whole
+    return _fields(node, defs, given, objects, _DEEP)
+
+
+def _fields(
+    node: dict[str, Any],
+    defs: dict[str, Any],
+    given: deque[str],
+    objects: dict[str, Any],
+    deep: int,
+) -> dict[str, Any]:
+    out: dict[str, Any] = {}
+    for name in node.get("required") or node["properties"]:
+        if not given:
+            break
+        field = node["properties"][name]
+        inner = _object_of(field, defs)
+        if inner is None or given[0] in objects or not deep:
+            out[name] = _single(_node(field, defs), given.popleft(), objects)
+        else:
+            out[name] = _fields(inner, defs, given, objects, deep - 1)
+    return out
+
+
+def _single(node: dict[str, Any], text: str, objects: dict[str, Any]) -> Any:
+    if text in objects:
+        return objects[text]
+    return text if node.get("type") == "string" or "enum" in node else word(text)
+
+
+def _node(schema: dict[str, Any], defs: dict[str, Any]) -> dict[str, Any]:
+    """Follow references, and leave out that something may be null."""
+    options = [o for o in schema.get("anyOf", ()) if o.get("type") != "null"]
+    if len(options) == 1:
+        return _node(options[0], defs)
+    reference: str = schema.get("$ref", "")
+    return defs.get(reference.rpartition("/")[2], {}) if reference else schema
+
+
+def _object_of(schema: dict[str, Any], defs: dict[str, Any]) -> dict[str, Any] | None:
+    node = _node(schema, defs)
+    return node if node.get("properties") else None

@@ -1,0 +1,107 @@
+"""What is told of a running plan: each change of a step, how much is done, and all of it at once."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import msgspec
+
+from rcp_kernel.clock import iso, now
+from rcp_kernel.plans.model import PlanResult, State, StepState
+from rcp_kernel.plans.node import Checked, Node, every
+from rcp_kernel.spi import Progress
+from rcp_kernel.values import Encoding, dump
+
+__all__ = ["ProgressReport"]
+
+_LONGEST = 262_144  # bytes of one result that is told
+_TOGETHER = 1_048_576  # of all results of a plan
+_FEEDBACK = 16_384  # of the result or feedback that one message carries
+
+
+class ProgressReport:
+    """The states of all steps of one plan."""
+
+    def __init__(self, checked: Checked, changed: Callable[[], None]) -> None:
+        self._nodes = list(every(checked.nodes))
+        self._counts = frozenset(n.id for top in checked.nodes for n in _counted(top))
+        self._changed = changed
+        self._room = _TOGETHER
+        self._sizes: dict[str, int] = {}
+        self._done = 0.0
+        self._ended = 0
+        self._partly: dict[str, float] = {}
+        """How much is done of steps that have not ended."""
+        self.progress: Progress | None = None
+        """Where feedback goes, once the plan runs."""
+
+    def change(self, node: Node, state: State, **facts: Any) -> None:
+        """Take down a step's new state, and tell it."""
+        self.quietly(node, state)
+        for name, fact in facts.items():
+            setattr(node.state, name, fact)
+        if node.state.progress and node.id in self._counts and not node.ended:
+            self._partly[node.id] = node.state.progress
+        self._changed()
+        if self.progress is not None:
+            told = self._short(node)
+            self.progress(told, fraction=self._fraction())
+
+    def quietly(self, node: Node, state: State) -> None:
+        """Take down a state of which its group tells."""
+        ended = node.ended
+        node.state.state = state
+        if node.id in self._counts:
+            self._ended += node.ended - ended
+            self._partly.pop(node.id, None)
+        if state == "pending":
+            fresh = StepState(step=node.id, do=node.step.do, path=node.path)
+            fresh.tries = node.state.tries
+            node.state = fresh
+        elif state != "running":
+            node.state.ended = iso(now())
+
+    def result(self, node: Node) -> None:
+        """Take down a result, or how long it is if that is too long to be told."""
+        state = node.state
+        size = 0 if node.raw is None else len(dump(node.raw, Encoding.JSON))
+        self._room += self._sizes.pop(node.id, 0)
+        state.omitted = None
+        state.result = node.raw
+        if size > _LONGEST or size > self._room:
+            state.result, state.omitted = None, size
+            return
+        self._sizes[node.id] = size
+        self._room -= size
+
+    def _short(self, node: Node) -> StepState:
+        told = msgspec.structs.replace(node.state)
+        if self._sizes.get(node.id, 0) > _FEEDBACK and told.result is not None:
+            told.result, told.omitted = None, self._sizes[node.id]
+        if told.feedback is not None and len(dump(told.feedback, Encoding.JSON)) > _FEEDBACK:
+            told.feedback = None
+        return told
+
+    def _fraction(self) -> float:
+        """Return the part that is done; what is begun again does not go back."""
+        done = self._ended + sum(self._partly.values())
+        self._done = max(self._done, done / len(self._counts))
+        return self._done
+
+    def outcome(self, *, over: bool = False) -> PlanResult:
+        """Return every step as it is; `over`: nothing of it goes on."""
+        steps = [msgspec.structs.replace(node.state) for node in self._nodes]
+        for state in steps:
+            if over and state.state == "running":
+                state.state = "cancelled"
+            elif over and state.state == "pending":
+                state.state = "skipped"
+        return PlanResult(steps=steps)
+
+
+def _counted(node: Node) -> list[Node]:
+    """List the steps by which progress is measured: fallbacks are not expected to run."""
+    if node.leaf:
+        return [node]
+    return [leaf for child in node.children for leaf in _counted(child)]

@@ -1,0 +1,140 @@
+"""One operation of a plan, sent as the request that whoever sent the plan could send."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+from msgspec import Raw
+
+from rcp_kernel.clients.session import Session
+from rcp_kernel.errors import BY_CODE, InternalError, RcpError
+from rcp_kernel.plans.model import Execute, Operate, Read, Write
+from rcp_kernel.plans.node import Node, filled
+from rcp_kernel.values import Encoding, dump, to_plain
+from rcp_kernel.wire import NO_BODY, Body, Reply, Request
+
+if TYPE_CHECKING:
+    from rcp_kernel.gateway import Gateway
+
+__all__ = ["StepRequests"]
+
+_PATIENCE = 60.0  # s that a quota of requests may hold a step up, where it has no deadline
+_END = 10.0  # s for a stopped command's final status; the gateway gives a robot less
+Told = Callable[[Any, float | None], None]
+
+
+class StepRequests:
+    """Sends the operations of one plan."""
+
+    def __init__(
+        self, gateway: Gateway, session: Session, known: dict[str, Node], command: str
+    ) -> None:
+        self._gateway = gateway
+        self._session = session
+        self._known = known
+        self._plan = command
+        self.token: str | None = None
+        """Stands for a person's approval of the whole plan."""
+
+    async def send(
+        self, node: Node, step: Operate, left: float | None, told: Told
+    ) -> tuple[Any, str | None]:
+        """Send an operation, within `left` seconds; return its result and what was said of it.
+
+        :raises RcpError: as the reply says.
+        """
+        loop = self._gateway.loop
+        end = loop.time() + (_PATIENCE if left is None else left)
+        while True:
+            limit = None if left is None else max(end - loop.time(), 0.001)
+            request = self._request(node, step, limit)
+            reply = await self._ask(node, request, told)
+            if reply.error is None:
+                node.state.truncated, node.state.cursor = reply.truncated, reply.cursor
+                value = _plain(reply.body)
+                if isinstance(step, Read):  # as writes and commands are by themselves
+                    path = reply.path or request.path or ""
+                    self._gateway.audit_writer.looked(self._session, request, path, value)
+                return value, reply.message
+            error = _error_of(reply.error)
+            pause = error.retry_after or 0.0
+            if error.code != "rate_limited" or loop.time() + pause >= end:
+                raise error
+            await asyncio.sleep(pause)
+
+    def _request(self, node: Node, step: Operate, limit: float | None) -> Request:
+        value = filled(step.value, self._known)
+        return Request(
+            type=step.do,
+            path=node.path,
+            deadline=limit,
+            valid_for=step.valid_for if isinstance(step, Write) else None,
+            body=NO_BODY if value is None else Raw(dump(value, Encoding.JSON)),
+            custom={"x-plan": self._plan, "x-step": node.id},
+            approval=self.token,
+        )
+
+    async def _ask(self, node: Node, request: Request, told: Told) -> Reply:
+        final: asyncio.Future[Reply] = self._gateway.loop.create_future()
+
+        def answer(reply: Reply) -> None:
+            if reply.command is not None and node.state.command is None:
+                node.state.command = reply.command
+                self._forget(reply.command)
+            if final.done():
+                return
+            if reply.final:
+                final.set_result(reply)
+            elif reply.status == "in_progress":
+                told(_plain(reply.body), reply.progress)
+
+        self._gateway.handle(self._session, request, answer)
+        try:
+            return await asyncio.shield(final)
+        except asyncio.CancelledError:
+            await self._stop(node, request, final)
+            raise
+
+    async def _stop(self, node: Node, request: Request, final: asyncio.Future[Reply]) -> None:
+        """Have what a step set going stopped, and wait until it is at rest."""
+        state, running = node.state, self._gateway.commands.running.values()
+        # Not by its id: the reply that tells it may wait for its record.
+        command = next((c for c in running if c.custom is request.custom), None)
+        if command is None:
+            if isinstance(node.step, (Write, Execute)):
+                state.message = "it was under way when the plan was ended: look at the robot"
+            return
+        self._gateway.commands.cancel(command, "its plan was ended")
+        done, _ = await asyncio.wait([final], timeout=_END)
+        if not done:
+            state.message = "the robot has not confirmed that it stopped"
+        elif (reply := final.result()).error is not None:
+            state.error, state.message = reply.error, reply.message
+
+    def _forget(self, id_: str) -> None:
+        """Have a client that comes back told of the plan alone, not of each step's command."""
+        command = self._gateway.commands.find(id_)
+        if command is not None and command.entry is not None and command.entry.resource.outlives:
+            self._session.commands.pop(id_, None)
+
+
+def _plain(body: Any) -> Any:
+    if body is NO_BODY:
+        return None
+    return to_plain(body.value if isinstance(body, Body) else body)
+
+
+def _error_of(body: dict[str, Any]) -> RcpError:
+    kind = BY_CODE.get(body["code"], InternalError)
+    error = kind(
+        body["message"],
+        path=body.get("path"),
+        origin=body.get("origin"),
+        remedy=body.get("remedy"),
+        retry_after=body.get("retry_after"),
+        details=body.get("details"),
+    )
+    error.trace_id = body.get("trace_id")
+    return error

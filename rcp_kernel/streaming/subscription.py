@@ -1,0 +1,132 @@
+"""Subscriptions: which samples go to whom, and what ends one that is too slow."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+from rcp_kernel.clock import now
+from rcp_kernel.errors import Overrun, RcpError
+from rcp_kernel.model import Pattern
+from rcp_kernel.registry import Entry
+from rcp_kernel.streaming.filtered import (
+    FilteredPathSubscription,
+    ViewSubscription,
+    VisibilityFilteredSubscription,
+)
+from rcp_kernel.streaming.filters import Options, Where, parse_where, seconds
+from rcp_kernel.streaming.path_subscription import PathSubscription
+from rcp_kernel.streaming.samples import Sample
+
+if TYPE_CHECKING:
+    from rcp_kernel.clients.outbox import Outbox
+    from rcp_kernel.streaming.hub import Hub
+
+__all__ = ["Subscription"]
+
+
+class Subscription:
+    """A standing request of one session for samples of one or more paths."""
+
+    __slots__ = (
+        "_named",
+        "end",
+        "feeds",
+        "hub",
+        "id",
+        "may",
+        "options",
+        "outbox",
+        "patterns",
+        "placed",
+        "remaining",
+        "timer",
+        "view",
+        "visibility_filter",
+        "where",
+    )
+
+    def __init__(
+        self,
+        hub: Hub,
+        id_: str,
+        patterns: list[Pattern],
+        options: Options,
+        outbox: Outbox | None,
+        *,
+        may: Callable[[Entry], bool],
+        end: Callable[[Subscription, str, RcpError | None], None],
+        view: Callable[[Entry], Callable[[], Any] | None],
+        visibility_filter: Callable[[Entry], Callable[[Any], Any] | None],
+        placed: Callable[[PathSubscription], None],
+    ) -> None:
+        self.hub = hub
+        self.id = id_
+        self.patterns = patterns
+        self._named = frozenset(pattern.text for pattern in patterns if pattern.literal)
+        self.options = options
+        self.outbox = outbox
+        self.may = may
+        """Whether the principal may subscribe to an entry."""
+        self.end = end
+        """Called when the subscription ends by itself, with the reason."""
+        self.view = view
+        """What an entry shows this principal, where that depends on who asks."""
+        self.visibility_filter = visibility_filter
+        """What of an entry's samples this principal may see, where that is not all: None is nothing."""
+        self.placed = placed
+        """Called with each feed that has joined."""
+        self.feeds: dict[str, PathSubscription] = {}
+        self.where: Where | None = parse_where(options.where) if options.where else None
+        self.remaining = options.count
+        self.timer: Any = None
+
+    def wants(self, entry: Entry) -> bool:
+        """Tell whether an entry belongs to this subscription."""
+        return any(p.matches(entry.path) for p in self.patterns) and self.may(entry)
+
+    def longest(self, entry: Entry) -> int | None:
+        """Return the longest value of an entry that is sent whole; None: every one is."""
+        return None if entry.path in self._named else self.hub.pattern_value
+
+    def feed(self, entry: Entry) -> PathSubscription:
+        """Make the feed of an entry."""
+        view = self.view(entry)
+        if view is not None:
+            return ViewSubscription(self, entry, self.outbox, view)
+        if (shown := self.visibility_filter(entry)) is not None:
+            return VisibilityFilteredSubscription(self, entry, self.outbox, shown)
+        if not self.options.plain:
+            return FilteredPathSubscription(self, entry, self.outbox)
+        return self.hub.plain_feed(self, entry, self.outbox)
+
+    def delivered(self) -> bool:
+        """Count one update; tell whether it was the last of a limited number."""
+        assert self.remaining is not None
+        self.remaining -= 1
+        if self.remaining > 0:
+            return False
+        self.hub.soon(self.end, self, "count", None)
+        return True
+
+    def overrun(self, feed: PathSubscription, why: str | None = None) -> None:
+        """End the subscription: a reliable queue is full, and nothing may be skipped."""
+        behind = f"fell {feed.depth} samples of {feed.entry.path} behind"
+        error = Overrun(
+            f"subscription '{self.id}' {why or behind}",
+            path=feed.entry.path,
+            details={"depth": feed.depth, "last_seq": feed.sent},
+        )
+        self.hub.soon(self.end, self, "overrun", error)
+        for other in self.feeds.values():
+            self.hub.unlink(other)
+
+    def past(self, feed: PathSubscription, history: int | str) -> list[Sample]:
+        """Collect the samples that `history` asks for, oldest first."""
+        ring = list(feed.entry.ring)
+        if isinstance(history, int):
+            ring = ring[-history:] if history else []
+        else:
+            since = now() - int(seconds(history) * 1e9)
+            ring = [sample for sample in ring if sample.received >= since]
+        return [sample for sample in ring if feed.admit(sample)]

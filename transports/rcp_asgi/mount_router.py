@@ -1,0 +1,116 @@
+"""The front client_api: one dictionary look and a few prefixes before any framework is asked.
+
+Mounts may come and go while the gateway runs; the table is made anew when they did.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import structlog
+
+from rcp_asgi.cors import allowing, is_preflight, preflight
+from rcp_asgi.origins import Origins
+from rcp_asgi.request_head import METHODS
+from rcp_asgi.urls import check_url
+from rcp_kernel.asgi import Receive, Scope, Send, refuse, respond
+from rcp_kernel.client_api import Asgi, ClientApi, Mount
+from rcp_kernel.errors import BadRequest, Forbidden, InternalError, UnknownPath
+
+__all__ = ["MountRouter"]
+
+log = structlog.get_logger("rcp.asgi")
+
+
+class MountRouter:
+    """The ASGI application that the server calls."""
+
+    def __init__(
+        self,
+        client_api: ClientApi,
+        origins: Origins,
+        house: Asgi,
+        own: frozenset[str],
+        root_path: str,
+    ) -> None:
+        self._client_api = client_api
+        self._origins = origins
+        self._house = house
+        self._own = own
+        """Paths that the house answers itself, whatever is mounted above them."""
+        self._root = root_path
+        self._seen: list[Mount] = []
+        self._tables: dict[str, list[tuple[str, str, Asgi]]] = {"http": [], "websocket": []}
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Serve one request or WebSocket."""
+        try:
+            origin = self._origins.check(scope)
+            check_url(scope)
+        except (Forbidden, BadRequest) as error:
+            self._client_api.refused("request", error.code)
+            await _turn_away(scope, receive, send, error)
+            return
+        if origin is not None and scope["type"] == "http":
+            if is_preflight(scope):
+                await preflight(scope, send, origin)
+                return
+            send = allowing(send, origin)
+        if scope["path"] == "*":  # OPTIONS of the gateway as a whole (RFC 9110, 9.3.7)
+            await respond(send, 204, b"", headers=[(b"allow", METHODS)])
+            return
+        if self._root:
+            self._strip(scope)
+        app = self._find(scope["type"], scope["path"])
+        if app is None:
+            await _turn_away(scope, receive, send, UnknownPath(f"nothing is at {scope['path']}"))
+            return
+        try:
+            await app(scope, receive, send)
+        except Exception:
+            log.exception("mount_failed", path=scope["path"])
+            if scope["type"] == "websocket":
+                raise
+            # A response that was begun cannot be taken back: the server refuses this one and cuts.
+            failed = InternalError("the gateway failed to handle the request; see its log")
+            await refuse(send, failed)
+
+    def _strip(self, scope: Scope) -> None:
+        path = scope["path"]
+        if path == self._root or path.startswith(self._root + "/"):
+            scope["path"] = path[len(self._root) :] or "/"
+        scope["root_path"] = self._root
+
+    def _find(self, kind: str, path: str) -> Asgi | None:
+        if self._seen != self._client_api.mounts:
+            self._compile()
+        if kind == "http" and path in self._own:
+            return self._house
+        for prefix, suffix, app in self._tables[kind]:
+            if path.startswith(prefix) and path.endswith(suffix):
+                rest = path[len(prefix) :]
+                if not rest or rest[0] == "/" or prefix == "/":
+                    return app
+        return self._house if kind == "http" else None
+
+    def _compile(self) -> None:
+        self._seen = list(self._client_api.mounts)
+        order: Callable[[Mount], tuple[bool, int]] = lambda m: (bool(m.suffix), len(m.prefix))  # noqa: E731 - typed
+        for kind, table in self._tables.items():
+            mounts = sorted((m for m in self._seen if m.kind == kind), key=order, reverse=True)
+            table[:] = [(m.prefix, m.suffix, m.app) for m in mounts]
+
+
+async def _turn_away(
+    scope: Scope, receive: Receive, send: Send, error: BadRequest | Forbidden | UnknownPath
+) -> None:
+    if scope["type"] == "http":
+        await refuse(send, error)
+        return
+    await receive()  # websocket.connect
+
+    async def denied(message: Any) -> None:
+        await send({**message, "type": "websocket." + message["type"]})
+
+    await refuse(denied, error)

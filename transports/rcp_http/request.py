@@ -1,0 +1,287 @@
+"""One HTTP request as the handlers see it: who, what, which envelope fields, which encoding."""
+
+from __future__ import annotations
+
+import math
+from contextlib import suppress
+from typing import Any
+from urllib.parse import parse_qsl
+
+import msgspec
+from msgspec import Raw
+
+from rcp_http.negotiate import accepted, body_encoding
+from rcp_kernel.access.identity import Principal
+from rcp_kernel.asgi import Receive, Scope, bearer, peer_of, read_body, too_large
+from rcp_kernel.client_api import ClientApi
+from rcp_kernel.clients.session import Session
+from rcp_kernel.errors import BadRequest, NotImplementedByRobot
+from rcp_kernel.operations.pages import MOST
+from rcp_kernel.values import Encoding, parse
+from rcp_kernel.wire import Request, decode_request
+
+__all__ = ["HttpRequest", "count", "flag", "number"]
+
+_FIELDS = (
+    "deadline",
+    "valid_for",
+    "dry_run",
+    "timestamp",
+    "version",
+    "idempotency_key",
+    "approval",
+    "id",
+)
+_HEADERS: dict[bytes, str] = {
+    b"authorization": "authorization",
+    b"accept": "accept",
+    b"accept-encoding": "accept_encoding",
+    b"content-type": "content_type",
+    b"content-length": "content_length",
+    b"content-encoding": "content_encoding",
+    b"content-range": "content_range",
+    b"if-match": "if_match",
+    b"if-unmodified-since": "if_unmodified_since",
+    b"if-none-match": "if_none_match",
+    b"range": "range",
+    b"if-range": "if_range",
+    b"prefer": "prefer",
+    b"x-rcp-tenant": "tenant",
+}
+"""Headers that are looked at, by what they are called here."""
+for _field in _FIELDS:
+    _HEADERS[b"x-rcp-" + _field.replace("_", "-").encode()] = "~" + _field
+    if _field != "id":
+        _HEADERS[_field.replace("_", "-").encode()] = "~" + _field
+        _HEADERS[_field.encode()] = "~" + _field
+_CONDITIONS = {
+    "if_match": "If-Match",
+    "if_none_match": "If-None-Match",
+    "if_unmodified_since": "If-Unmodified-Since",
+}
+_MAX_PARAMETERS = 500
+
+
+class HttpRequest:
+    """A request's head, read once."""
+
+    __slots__ = ("encoding", "found", "method", "octets", "path", "peer", "query", "root_path")
+
+    def __init__(self, scope: Scope) -> None:
+        found: dict[str, bytes] = {}
+        for name, value in scope["headers"]:
+            known = _HEADERS.get(name)
+            if known is not None:
+                found[known] = value
+        self.found = found
+        """The headers that count."""
+        self.method: str = "GET" if scope["method"] == "HEAD" else scope["method"]
+        self.path: str = scope["path"]
+        self.peer = peer_of(scope)
+        self.root_path: str = scope.get("root_path", "")
+        self.query: dict[str, list[str]] = {}
+        self.encoding = Encoding.JSON
+        self.octets = False
+        if scope["query_string"]:
+            self._parse(scope["query_string"])
+
+    def _parse(self, text: bytes) -> None:
+        try:
+            pairs = parse_qsl(
+                text.decode("ascii"), keep_blank_values=True, max_num_fields=_MAX_PARAMETERS
+            )
+        except ValueError:
+            raise BadRequest("the query cannot be read, or has too many parameters") from None
+        for key, value in pairs:
+            self.query.setdefault(key, []).append(value)
+
+    def negotiate(self) -> None:
+        """Find out which encoding the answer is to have.
+
+        :raises BadRequest: none that is spoken here.
+        """
+        accept = self.found.get("accept")
+        if accept is not None and accept != b"*/*":
+            self.encoding, self.octets = accepted(accept)
+
+    def session(self, client_api: ClientApi) -> Session | None:
+        """Return the caller's session; None if it takes a while to know: await `waited`.
+
+        :raises Unauthenticated: the token is not good, or there has to be one.
+        :raises Forbidden: the caller does not act in the tenant that it names.
+        """
+        principal = client_api.known(bearer(self.found.get("authorization")), self.peer)
+        return None if principal is None else self._session(client_api, principal)
+
+    async def waited(self, client_api: ClientApi) -> Session:
+        """Return the caller's session, however long it takes to know who it is.
+
+        :raises RcpError: as `session` does.
+        """
+        token = bearer(self.found.get("authorization"))
+        return self._session(client_api, await client_api.identify(token, self.peer))
+
+    def _session(self, client_api: ClientApi, principal: Principal) -> Session:
+        tenant = self.one("tenant")
+        if tenant is None and (named := self.found.get("tenant")) is not None:
+            tenant = named.decode("latin-1")
+        return client_api.session(principal, tenant, self.peer)
+
+    def one(self, name: str) -> str | None:
+        """Return a parameter that may be given once.
+
+        :raises BadRequest: it is given twice.
+        """
+        values = self.query.get(name)
+        if values is None:
+            return None
+        if len(values) > 1:
+            raise BadRequest(f"the parameter `{name}` is given {len(values)} times")
+        return values[0]
+
+    def allow(self, *names: str) -> None:
+        """Refuse parameters that are neither `names`, nor fields of the envelope, nor `x-…`.
+
+        :raises BadRequest: there is one.
+        """
+        for name in self.query:
+            if name in names or name in _FIELDS or name in ("tenant", "wait"):
+                continue
+            if not name.startswith("x-"):
+                known = ", ".join((*names, *_FIELDS, "tenant"))
+                raise BadRequest(
+                    f"unknown parameter {name[:60]!r}",
+                    remedy=f"The parameters are {known}; name one of your own x-<name>.",
+                )
+
+    def request(self, type_: str, path: str | None = None) -> Request:
+        """Make the envelope, with the fields that came as parameters or headers.
+
+        :raises BadRequest: one of them is not what it should be.
+        """
+        fields = self._fields()
+        if not fields:
+            return Request(type=type_, path=path)  # pyright: ignore[reportArgumentType] - a literal
+        fields["type"] = type_
+        if path is not None:
+            fields["path"] = path
+        return decode_request(msgspec.json.encode(fields), Encoding.JSON)
+
+    def _fields(self) -> dict[str, Any]:
+        fields: dict[str, Any] = {}
+        for key, value in self.found.items():
+            if key[0] == "~":
+                fields[key[1:]] = value.decode("latin-1")
+        for name in self.query:
+            if name in _FIELDS or name.startswith("x-"):
+                fields[name] = self.one(name)
+        for name in ("deadline", "valid_for"):
+            if name in fields:
+                fields[name] = number(name, fields[name])
+        if "dry_run" in fields:
+            fields["dry_run"] = flag("dry_run", fields["dry_run"])
+        if "timestamp" in fields:
+            with suppress(ValueError):  # ISO 8601, or refused for being neither
+                fields["timestamp"] = float(fields["timestamp"])
+        return fields
+
+    @property
+    def wait(self) -> float | None:
+        """Seconds that the client lets a final reply take, by `?wait` or `Prefer: wait`.
+
+        :raises BadRequest: it is not a number.
+        """
+        text = self.one("wait")
+        if text is None:
+            for part in self.found.get("prefer", b"").decode("latin-1").split(","):
+                key, _, value = part.partition(";")[0].partition("=")
+                if key.strip().lower() == "wait":
+                    text = value.strip().strip('"')
+        return None if text is None else number("wait", text)
+
+    @property
+    def at_once(self) -> bool:
+        """Whether the client wants no waiting: `Prefer: respond-async` (RFC 7240)."""
+        return b"respond-async" in self.found.get("prefer", b"").lower()
+
+    def check_unconditional(self) -> None:
+        """Refuse to change something under a condition that nobody here would look at.
+
+        :raises NotImplementedByRobot: there is such a header.
+        """
+        for name, header in _CONDITIONS.items():
+            if name in self.found:
+                raise NotImplementedByRobot(
+                    f"`{header}` does not hold for what changes something",
+                    remedy="Send it without, and acquire a lease to be the only one who writes.",
+                )
+
+    async def body(self, receive: Receive, limit: int, patience: float) -> bytes:
+        """Read the body.
+
+        :raises PayloadTooLarge: it is longer than `limit`.
+        :raises DeadlineExceeded: it did not come in time.
+        :raises BadRequest: it is coded, or a part of something.
+        """
+        coding = self.found.get("content_encoding", b"identity").strip().lower()
+        if coding != b"identity":
+            text = coding.decode("latin-1")[:40]
+            raise BadRequest(
+                f"a body coded with {text!r} cannot be read", remedy="Send the body as it is."
+            )
+        if "content_range" in self.found:
+            raise BadRequest("a part of a value cannot be written", remedy="Send the whole value.")
+        length = self.found.get("content_length", b"")
+        if length.isdigit() and int(length) > limit:
+            raise too_large(limit)
+        return await read_body(receive, limit, patience)
+
+    def put_body(self, request: Request, data: bytes) -> None:
+        """Make a request's body of the HTTP body, as its Content-Type says.
+
+        :raises BadRequest: it is not well-formed, or of a type that is not read here.
+        """
+        encoding = body_encoding(self.found.get("content_type", b""))
+        if encoding is None:
+            request.body, request.encoding = Raw(msgspec.msgpack.encode(data)), Encoding.MSGPACK
+        elif encoding is Encoding.CBOR and data:
+            plain = parse(data, Encoding.CBOR)
+            request.body, request.encoding = Raw(msgspec.msgpack.encode(plain)), Encoding.MSGPACK
+        elif data:
+            trimmed = data.strip() if encoding is Encoding.JSON else data
+            request.body, request.encoding = Raw(trimmed), encoding
+
+
+def number(name: str, text: str) -> float:
+    """Read a parameter that is a number.
+
+    :raises BadRequest: it is none.
+    """
+    try:
+        found = float(text)
+    except ValueError:
+        found = math.nan
+    if not math.isfinite(found) or found < 0:
+        raise BadRequest(f"`{name}` is a number of seconds, not {text[:40]!r}")
+    return found
+
+
+def count(name: str, text: str) -> int:
+    """Read a parameter that says how many items a page has.
+
+    :raises BadRequest: it is not a number of those.
+    """
+    if not (text.isascii() and text.isdigit()) or not 1 <= int(text[:9]) <= MOST:
+        raise BadRequest(f"`{name}` is a number from 1 to {MOST}, not {text[:40]!r}")
+    return int(text)
+
+
+def flag(name: str, text: str) -> bool:
+    """Read a parameter that is true or false; an empty one is true.
+
+    :raises BadRequest: it is neither.
+    """
+    known = {"true": True, "1": True, "": True, "false": False, "0": False}
+    if text.lower() not in known:
+        raise BadRequest(f"`{name}` is true or false, not {text[:40]!r}")
+    return known[text.lower()]

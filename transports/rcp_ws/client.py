@@ -1,0 +1,309 @@
+"""One client: between its WebSocket and its connection to the gateway."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from time import perf_counter
+from typing import Any
+
+import structlog
+
+from rcp_kernel.access import peer
+from rcp_kernel.access.identity import Principal
+from rcp_kernel.client_api import ClientApi
+from rcp_kernel.clients.connections import Hello
+from rcp_kernel.clients.outbound import SHARE
+from rcp_kernel.errors import BadRequest, PayloadTooLarge, RcpError, Unauthenticated
+from rcp_kernel.values import Encoding
+from rcp_kernel.wire import failure, peek_header
+from rcp_ws import segments
+from rcp_ws.config import WsConfig
+from rcp_ws.gate import ReadGate
+from rcp_ws.incoming import Incoming
+from rcp_ws.outgoing import Outgoing
+from rcp_ws.segments import Again
+from rcp_ws.socket import NativeSocket
+
+__all__ = ["WsClient"]
+
+log = structlog.get_logger("rcp.ws")
+_NOBODY = Principal("nobody", ())
+_PATIENCE = 10.0  # s for a client to prove itself in `hello`
+_POLICY = 1008
+_INTERNAL = 1011
+_TRY_LATER = 1013
+_SEGMENT = b"segment"  # only a message with this word in it can be one
+_TURN = 0.0005  # s of the loop's time for what one client sent at once; then others have theirs
+_LOOK_EVERY = 32  # replies between looks whether the client takes them
+
+
+class WsClient:
+    """Feeds the connection with messages, and the socket with what the outbox holds."""
+
+    __slots__ = (
+        "_began",
+        "_config",
+        "_encoding",
+        "_gate",
+        "_incoming",
+        "_limit",
+        "_look_at",
+        "_outbox",
+        "_outgoing",
+        "_patience",
+        "_plain",
+        "_receive",
+        "_socket",
+        "connection",
+        "gone",
+    )
+
+    def __init__(
+        self,
+        client_api: ClientApi,
+        config: WsConfig,
+        who: tuple[Principal | None, str | None],
+        encoding: Encoding,
+        socket: NativeSocket,
+        end: peer.Peer,
+    ) -> None:
+        self._config = config
+        self._socket = socket
+        self._encoding = encoding
+        self._limit = 0
+        principal, tenant = who
+        self.connection = client_api.connect(
+            principal or _NOBODY, encoding, self.flush, tenant, end
+        )
+        self.connection.on_hello = self._hello
+        self.connection.outbox.backlog.cut = self._cut_off
+        self._outbox = self.connection.outbox
+        self._receive: Callable[[bytes], None] = self.connection.receive
+        self._patience: asyncio.TimerHandle | None = None
+        if principal is None:
+            self._receive = self._greeting
+            self._patience = client_api.loop.call_later(_PATIENCE, self._turn_away)
+        self._look_at = min(_LOOK_EVERY, config.backlog)
+        self._gate = ReadGate(
+            client_api.loop,
+            socket,
+            handle=self._take,
+            settle=self.settled,
+            full=self._full,
+            failed=self._broken,
+        )
+        self.connection.released = self._gate.put_back
+        self._began = 0.0
+        """When the first of the messages that came together was taken; 0 between such."""
+        self._incoming = Incoming(config, whole=self._whole, again=self._again, failed=self._fail)
+        room = client_api.limits.queue_bytes // 4
+        park = self._outbox.park
+        self._outgoing = Outgoing(encoding, config.kept, room, client_api.loop, park)
+        self._plain = False
+        """Replies need neither compression nor segments."""
+        self.gone = asyncio.Event()
+        self._adopt_limit()
+
+    def opened(self) -> None:
+        """Take notice that the handshake is done, and what was agreed in it."""
+        self._agree()
+
+    def _agree(self) -> None:
+        socket, outbox = self._socket, self._outbox
+        self._plain = self._outgoing.size is None and not socket.compresses
+        outbox.framing = socket.head if self._plain else None
+        outbox.direct = socket.pass_on if self._plain else None
+
+    # -- in ------------------------------------------------------------------------------------
+
+    def received(self, data: bytes, text: bool) -> None:  # noqa: FBT001 - see Receiver
+        """Take a message of the client."""
+        if self._gate.paused:
+            self._gate.keep(data)
+        else:
+            self._take(data)
+
+    def _take(self, data: bytes) -> None:
+        if len(data) > self._limit:
+            self.oversized(len(data))
+            return
+        # Not marked for the coming tick: `settled` sends the answers to all that was read at once.
+        self._outbox.dirty = True
+        if not self._began:
+            self._began = perf_counter()
+        try:
+            # Nobody's segments are put together.
+            if _SEGMENT not in data or self._patience is not None or not self._segment(data):
+                self._receive(data)
+        except Exception as error:
+            # Else the client would wait for its answer for ever.
+            self.connection.stumbled(data, error)
+        if len(self._outbox.control) >= self._look_at or self._outbox.waiting > SHARE:
+            self.flush()
+            self._gate.review()
+        if perf_counter() - self._began > _TURN:
+            self._gate.end_turn()
+
+    def _full(self) -> bool:
+        """Tell whether the client does not take what it asked for; a flush follows if so."""
+        outbox = self._outbox
+        sends = outbox.control or self._outgoing.busy or not self._socket.writable
+        return bool(sends) and (len(outbox.control) >= self._config.backlog or outbox.crowded)
+
+    def settled(self) -> None:
+        """Send what there is to say to the messages that came together."""
+        outbox, socket = self._outbox, self._socket
+        self._began = 0.0
+        outbox.dirty = False
+        control = outbox.control
+        more = outbox.pending or outbox.feedback
+        if len(control) == 1 and self._plain and socket.writable and not more:
+            outbox.waiting = 0
+            socket.reply(control.pop())
+        elif control or more or not self._plain:
+            self.flush()
+
+    def _greeting(self, data: bytes) -> None:
+        """Take nothing but `hello` from a client that has not proved who it is."""
+        type_, id_ = peek_header(data, self._encoding)
+        if type_ != "hello" and not self.connection.holds:
+            error = Unauthenticated("this gateway serves nobody without a token")
+            self.connection.send(failure(error, type_, id_))
+            return
+        self.connection.receive(data)
+
+    def _cut_off(self) -> None:
+        """Close a client that does not take what waits for it, so that there is room for others."""
+        self._close(_TRY_LATER, "too much waits that is not taken")
+
+    def _turn_away(self) -> None:
+        self._close(_POLICY, "no proof of identity")
+
+    def _end_patience(self) -> None:
+        if self._patience is not None:
+            self._patience.cancel()
+            self._patience = None
+
+    def _broken(self, error: Exception) -> None:
+        """Close a connection that cannot go on: what it was told may have gaps."""
+        log.error("websocket_failed", session=self.connection.session.id, exc_info=error)
+        self._close(_INTERNAL, "the gateway failed; its log has the reason")
+
+    def _close(self, code: int, reason: str) -> None:
+        self._gate.close()
+        self._socket.close(code, reason)
+
+    def garbled(self, data: bytes) -> None:
+        """Answer text that is not UTF-8, before the socket closes for it."""
+        type_, id_ = peek_header(data, self._encoding)
+        error = BadRequest("the text message is not UTF-8")
+        self._socket.write([self.connection.encode(failure(error, type_, id_))])
+
+    def oversized(self, size: int) -> None:
+        """Answer a message that was thrown away."""
+        error = PayloadTooLarge(
+            f"the message is longer than {self._limit} bytes", details={"limit": self._limit}
+        )
+        self.connection.send(failure(error, "error"))
+
+    def lost(self, code: int) -> None:
+        """Let go; the session waits for the client's return."""
+        self._end_patience()
+        self._gate.close()
+        self._incoming.close()
+        self._outgoing.close()
+        self.connection.close()
+        self.gone.set()
+
+    # -- segments ------------------------------------------------------------------------------
+
+    def _segment(self, data: bytes) -> bool:
+        """Take a message that may be a segment; tell whether it was one."""
+        id_: str | int | None = None
+        try:
+            found = segments.read(data, self._encoding)
+            if found is None:
+                return False
+            id_ = found.id
+            if isinstance(found, Again):
+                self._outgoing.again(found)
+                self._outbox.mark()
+            else:
+                self._incoming.take(found)
+        except RcpError as error:
+            self._fail(id_, error)
+        return True
+
+    def _whole(self, data: bytes) -> None:
+        self._receive(data)
+
+    def _fail(self, id_: str | int | None, error: RcpError) -> None:
+        self.connection.send(failure(error, "segment", None if id_ is None else str(id_)))
+
+    def _again(self, id_: str | int, missing: list[int]) -> None:
+        self._outbox.put(segments.request_again(id_, missing, self._encoding))
+
+    def _hello(self, hello: Hello) -> dict[str, Any]:
+        if self.connection.session.principal is not _NOBODY:
+            self._receive = self.connection.receive
+            self._end_patience()
+        self._adopt_limit()
+        wanted = hello.segment_size
+        agreed = None if wanted is None else min(wanted, self._config.segment_size)
+        self._outgoing.size = agreed
+        self._outbox.takes_long = agreed is not None
+        self._agree()
+        return {"limits": {"segment_size": agreed, "segments": self._config.segments}}
+
+    def _adopt_limit(self) -> None:
+        """Take messages as long as whom the client has proved to be may send."""
+        self._limit = self._socket.limit = self._incoming.limit = self.connection.limit
+
+    # -- out -----------------------------------------------------------------------------------
+
+    def flush(self) -> None:
+        """Send what there is, if the socket takes it."""
+        try:
+            self._flush()
+            if self._gate.paused:
+                self._gate.review()
+        except Exception as error:
+            self._broken(error)
+
+    def _flush(self) -> None:
+        socket, outbox = self._socket, self._outbox
+        if self.connection.expelled:
+            self._gate.close()
+        if not socket.writable:
+            outbox.hand(socket.buffered)
+            return
+        if self._outgoing.size is not None:
+            self._flush_cut(self._outgoing, self._outgoing.size)
+        elif not self._plain:
+            if messages := outbox.collect():
+                socket.write(messages)
+        elif parts := outbox.collect():
+            socket.write_frames(parts)
+        if socket.writable:
+            outbox.hand(0)
+            outbox.again()
+        else:
+            outbox.hand(socket.buffered)
+        if self.connection.expelled:
+            self._close(_POLICY, "the session has ended or moved")
+
+    def _flush_cut(self, outgoing: Outgoing, size: int) -> None:
+        busy = outgoing.busy
+        messages = self._outbox.collect(big=size if busy else None)
+        messages = outgoing.sift(messages)
+        if outgoing.busy:
+            messages.append(outgoing.next())
+        if messages:
+            self._socket.write(messages)
+        if outgoing.busy:
+            self._outbox.mark()
+
+    def drained(self) -> None:
+        """Go on: the client takes again."""
+        self.flush()
