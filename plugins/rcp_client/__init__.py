@@ -53,7 +53,7 @@ _HOMES = {
     "Robot": "blocking",
     "Subscription": "subscription",
     "Update": "messages",
-    "connect": "connecting",
+    "connect": "connection",
     "token_path": "credentials",
 }
 
