@@ -127,7 +127,8 @@ class Peer:
             self.oversized(len(data))
             return
         # Not marked for the coming tick: `settled` sends the answers to all that was read at once.
-        self._mailbox.dirty = True
+        mailbox = self._mailbox
+        mailbox.dirty = True
         if not self._began:
             self._began = perf_counter()
         try:
@@ -137,7 +138,7 @@ class Peer:
         except Exception as error:
             # Else the client would wait for its answer for ever.
             self.connection.stumbled(data, error)
-        if len(self._mailbox.control) >= self._look_at or self._mailbox.waiting > SHARE:
+        if len(mailbox.control) >= self._look_at or mailbox.waiting > SHARE:
             self.flush()
             self._gate.review()
         if perf_counter() - self._began > _TURN:
