@@ -10,7 +10,7 @@ import asyncio
 import json
 from collections import Counter, deque
 from collections.abc import AsyncGenerator, Coroutine, Generator
-from contextlib import AsyncExitStack, asynccontextmanager
+from contextlib import AsyncExitStack, asynccontextmanager, contextmanager
 from typing import Any
 
 import pytest
@@ -64,20 +64,18 @@ def replayed(session: Session, count: int) -> None:
 class Script:
     """A socket whose other end does as it is told."""
 
-    def __init__(self) -> None:
+    def __init__(self, place: Place) -> None:
+        self._place = place
         self.writable = True
         self.open = True
         self.compresses = False
+        self.buffered = 0
+        self.limit = 0
         self.reading = True
         self.inbound: deque[bytes] = deque()
         """What the client has sent and nobody has read."""
         self.replies: list[dict[str, Any]] = []
         self.code: int | None = None
-        self.limit = 0
-
-    @property
-    def buffered(self) -> int:
-        return 0 if self.writable else 65_536
 
     def attach(self, receiver: Any) -> None:
         self.receiver = receiver
@@ -121,18 +119,26 @@ class Script:
         """Tell of what comes out of one read, if it is read at all."""
         if not self.reading or not self.inbound:
             return
-        for _ in range(min(most, len(self.inbound))):
-            data = self.inbound.popleft()
+        with self._place.inside():
+            for _ in range(min(most, len(self.inbound))):
+                data = self.inbound.popleft()
+                if self.open:
+                    self.receiver.received(data, True)
             if self.open:
-                self.receiver.received(data, True)
-        if self.open:
-            self.receiver.settled()
+                self.receiver.settled()
 
     def take(self) -> None:
         """Take all that was written."""
         if self.open and not self.writable:
             self.writable = True
-            self.receiver.drained()
+            with self._place.inside():
+                self.receiver.drained()
+
+    def lose(self, code: int) -> None:
+        """End without a word."""
+        self.open = False
+        with self._place.inside():
+            self.receiver.lost(code)
 
 
 class Place:
@@ -142,6 +148,15 @@ class Place:
         self._runner = asyncio.Runner()
         self._stack = AsyncExitStack()
         self.robots: list[Robot] = []
+
+    @contextmanager
+    def inside(self) -> Generator[None]:
+        """Call as the loop does, and let it have no turn."""
+        asyncio.events._set_running_loop(self._runner.get_loop())
+        try:
+            yield
+        finally:
+            asyncio.events._set_running_loop(None)
 
     def do(self, work: Coroutine[Any, Any, Any]) -> Any:
         async def bounded() -> Any:
@@ -214,11 +229,13 @@ class Reading(RuleBasedStateMachine):
     @rule(count=st.integers(1, 3 * BACKLOG))
     def commit(self, count: int) -> None:
         """Replies to what was asked before come all at once."""
-        replayed(self.session, count)
+        with self.place.inside():
+            replayed(self.session, count)
 
     @rule(size=st.sampled_from([10, 5000]))
     def publish(self, size: int) -> None:
-        self.place.robots[0].host.publish("sensor/text", "x" * size)
+        with self.place.inside():
+            self.place.robots[0].host.publish("sensor/text", "x" * size)
 
 
 def answers(told: list[dict[str, Any]], asked: set[str]) -> Counter[str]:
@@ -238,13 +255,16 @@ class ScriptedReading(Reading):
         self.place.do(go())
 
     def connect(self, *, segmented: bool) -> None:
-        self.socket = Script()
+        self.socket = Script(self.place)
         self.asked = set()
         client_api = self.place.server.client_api
         who = (client_api.authenticate(KEY), None)
         config = WsConfig(backlog=BACKLOG)
-        self.socket.attach(WsClient(client_api, config, who, Encoding.JSON, self.socket, UNKNOWN))
-        self.socket.receiver.opened()
+        with self.place.inside():
+            self.socket.attach(
+                WsClient(client_api, config, who, Encoding.JSON, self.socket, UNKNOWN)
+            )
+            self.socket.receiver.opened()
         self.socket.inbound.append(self.greeting(segmented=segmented))
         self.socket.read(1)
         self.turn(2)
@@ -265,7 +285,8 @@ class ScriptedReading(Reading):
     def read(self, most: int, committed: int) -> None:
         """Read, and have what the last requests waited for come in the same turn."""
         self.socket.read(most)
-        replayed(self.session, committed)
+        with self.place.inside():
+            replayed(self.session, committed)
 
     @rule()
     def one_turn(self) -> None:
@@ -303,8 +324,7 @@ class ScriptedReading(Reading):
         try:
             self.all_is_answered()
         finally:
-            self.socket.open = False
-            self.socket.receiver.lost(1000)
+            self.socket.lose(1000)
             self.place.server.gateway.sessions.drop(self.session)
 
 
@@ -330,7 +350,7 @@ class ScriptedReturning(ScriptedReading):
         assert old.code == 1008
         assert not answers(old.replies + self.socket.replies, late_ids)
         assert not answers(self.socket.replies, before)
-        old.receiver.lost(1006)
+        old.lose(1006)
 
     @rule(late=st.integers(0, 5))
     def leave(self, late: int) -> None:
@@ -342,7 +362,7 @@ class ScriptedReturning(ScriptedReading):
         handled = self.handled
         self.turn(TURNS)
         assert self.handled == handled
-        old.receiver.lost(1006)
+        old.lose(1006)
         self.connect(segmented=False)
         self.turn(3)
         assert not answers(self.socket.replies, before)

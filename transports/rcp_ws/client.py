@@ -129,7 +129,8 @@ class WsClient:
             self.oversized(len(data))
             return
         # Not marked for the coming tick: `settled` sends the answers to all that was read at once.
-        self._outbox.dirty = True
+        outbox = self._outbox
+        outbox.dirty = True
         if not self._began:
             self._began = perf_counter()
         try:
@@ -139,7 +140,7 @@ class WsClient:
         except Exception as error:
             # Else the client would wait for its answer for ever.
             self.connection.stumbled(data, error)
-        if len(self._outbox.control) >= self._look_at or self._outbox.waiting > SHARE:
+        if len(outbox.control) >= self._look_at or outbox.waiting > SHARE:
             self.flush()
             self._gate.review()
         if perf_counter() - self._began > _TURN:

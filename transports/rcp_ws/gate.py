@@ -50,7 +50,7 @@ class ReadGate:
         self._settle = settle
         """Called after the last of some messages that were handled together."""
         self._full = full
-        """True only while something is sure to come that calls `review`: the socket is not writable."""
+        """True only while something is left to send: the flush that sends the rest calls `review`."""
         self._failed = failed
         self._kept: deque[bytes] = deque()
         self._turn_over = False
