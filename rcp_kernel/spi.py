@@ -328,6 +328,12 @@ class BaseBackend:
         return ()
 
 
+def has_watch(backend: Backend) -> bool:
+    """Tell whether a backend, contained or not, has a `watch` of its own: else it publishes unasked."""
+    own = type(getattr(backend, "inner", backend))
+    return getattr(own, "watch", None) not in (None, BaseBackend.watch)
+
+
 class BackendKind(msgspec.Struct, frozen=True):
     """A kind of robot that a plugin can front; offered by the hook `rcp_backends`.
 

@@ -26,7 +26,7 @@ from rcp_kernel.operations.parts import Parts, expected
 from rcp_kernel.operations.pattern_read import PatternRead
 from rcp_kernel.operations.pending import attribute_error
 from rcp_kernel.registry import Entry
-from rcp_kernel.spi import Backend, BaseBackend
+from rcp_kernel.spi import Backend, has_watch
 from rcp_kernel.streaming.samples import Sample, masked, project
 from rcp_kernel.values import value_type
 from rcp_kernel.wire import Reply, Request
@@ -226,7 +226,7 @@ class _Waiter:
 
 async def _first(entry: Entry, backend: Backend) -> Sample:
     """Watch until the first sample comes; what is published unasked has to have come already."""
-    if type(backend).watch is BaseBackend.watch:
+    if not has_watch(backend):
         raise AdapterUnavailable(
             f"no value of {entry.path} has arrived yet",
             path=entry.path,

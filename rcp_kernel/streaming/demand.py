@@ -14,7 +14,7 @@ import structlog
 
 from rcp_kernel.errors import RcpError
 from rcp_kernel.registry import Entry, Registry
-from rcp_kernel.spi import BaseBackend
+from rcp_kernel.spi import has_watch
 from rcp_kernel.streaming.path_subscription import PathSubscription
 from rcp_kernel.streaming.samples import Sample
 
@@ -47,7 +47,7 @@ class DemandTracker:
     def retune(self, entry: Entry) -> None:
         """Watch an entry with the rate that its listeners want by now."""
         backend = entry.owner.backend
-        if backend is None or getattr(type(backend), "watch", None) is BaseBackend.watch:
+        if backend is None or not has_watch(backend):
             wanted: float | None = 0.0
         else:
             wanted = _wanted_rate(entry)

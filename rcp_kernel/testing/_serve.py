@@ -144,11 +144,12 @@ async def serve_backend(
     robot: str | None = None,
     beside: Sequence[BackendKind] = (),
     store: Path | None = None,
+    guard_after: float = _GUARD_AFTER,
 ) -> AsyncGenerator[Served]:
     """Run a gateway around one backend: a kind with its table, or an `open` with its Struct.
 
     Kinds `beside` it, which have no options, front the same robot. Clients get in by the keys
-    `OPERATOR`, `VIEWER` and `ADMIN`.
+    `OPERATOR`, `VIEWER` and `ADMIN`. `guard_after` is as in `[safety]`, for tests that have the loop stand still.
 
     :raises ConfigError: the table does not fit the kind's type.
     """
@@ -171,6 +172,7 @@ async def serve_backend(
             ),
         ],
         "store": {"path": None if store is None else str(store)},
+        "safety": {"guard_after": guard_after},
     }
     config = decode_table(raw, GatewayConfig, "test: ")
     config = msgspec.structs.replace(config, keys=_KEYS)

@@ -191,7 +191,7 @@ async def test_the_button_stops_everything_too(
 ) -> None:
     await tab.page.get_by_test_id("estop").click()
     await expect(tab.page.get_by_test_id("estop-active")).to_contain_text(
-        re.compile("everything|rover")
+        re.compile("everything|robots are at rest")
     )
     admin = {"authorization": f"Bearer {running.admin}"}
     body = {"type": "execute", "path": "/system/estop", "body": {"reset": True}}

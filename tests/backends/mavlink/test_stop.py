@@ -735,7 +735,8 @@ def test_a_gateway_whose_loop_stands_still_is_replaced_by_the_failsafe_or_the_gu
 
 
 async def _frozen_loop(link: str, others: str, mode: int) -> None:
-    async with serve_backend(KIND, {"links": [link], "params": []}) as served:
+    options = {"links": [link], "params": []}
+    async with serve_backend(KIND, options, guard_after=0.6) as served:
         await until(lambda: bool(served.lives), "it is heard", 20.0)
         client = served.client(OPERATOR)
 

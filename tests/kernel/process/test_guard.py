@@ -78,7 +78,7 @@ async def test_what_is_wrong_with_one_backend_ends_no_heartbeat() -> None:
                 await asyncio.sleep(0.02)
         assert [plan["name"] for plan in found["guard"]["plans"]] == ["good"]
         assert "plan 'bad'" in found["backends"][0]["last_error"]
-        assert found["guard"]["armed"] is True
+        await until_armed(client, armed=True)
 
 
 @pytest.mark.parametrize(

@@ -113,11 +113,12 @@ async def test_a_command_that_a_killed_gateway_left_behind_is_settled_by_the_nex
         async with asyncio.timeout(BOUND):
             await robot.started.get()
         await settled(world.server.gateway.store)
-        kept = store.read_bytes(), (store.parent / f"{store.name}-wal").read_bytes()
+        kept = [store.with_name(f"rcp.db{end}").read_bytes() for end in ("", "-wal", ".head")]
     killed = tmp_path / "killed" / "rcp.db"
     killed.parent.mkdir()
     killed.write_bytes(kept[0])
     killed.with_name("rcp.db-wal").write_bytes(kept[1])
+    killed.with_name("rcp.db.head").write_bytes(kept[2])
     async with scripted_world(store=killed) as world:
         robot = scripted(world)
         async with asyncio.timeout(BOUND):
