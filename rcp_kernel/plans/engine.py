@@ -88,7 +88,7 @@ class Engine:
             await self._tries(node)
         except asyncio.CancelledError:
             if not node.ended:
-                self._telling.quietly(node, "cancelled")
+                self._cancelled(node)
             raise
         except RcpError as error:
             self._telling.change(node, "failed", error=error_body(error), message=error.message)
@@ -99,6 +99,13 @@ class Engine:
             self._telling.change(node, "recovered")
         else:
             self._telling.change(node, "completed")
+
+    def _cancelled(self, node: Node) -> None:
+        """Tell of an operation that was cut off; of waits and groups, the plan's end tells."""
+        if isinstance(node.step, Operate):
+            self._telling.change(node, "cancelled")
+        else:
+            self._telling.quietly(node, "cancelled")
 
     def _skip(self, node: Node) -> None:
         for one in every(node.children):
@@ -209,7 +216,7 @@ class Engine:
                 await self._step(child)
         except asyncio.CancelledError:
             if not child.ended:
-                self._telling.quietly(child, "cancelled")
+                self._cancelled(child)
             raise
 
     @staticmethod
