@@ -330,8 +330,8 @@ class BaseBackend:
 
 def has_watch(backend: Backend) -> bool:
     """Tell whether a backend, contained or not, has a `watch` of its own: else it publishes unasked."""
-    own = type(getattr(backend, "inner", backend))
-    return getattr(own, "watch", None) not in (None, BaseBackend.watch)
+    inner: object = getattr(backend, "inner", backend)
+    return getattr(type(inner), "watch", None) not in (None, BaseBackend.watch)
 
 
 class BackendKind(msgspec.Struct, frozen=True):
