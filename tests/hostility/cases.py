@@ -144,9 +144,11 @@ CASES = (
         _OPERATOR, 1000),
     Case("small write storm", "ws", lambda n: {
         "type": "write", "id": f"w{n}", "path": "/actuator/drive", "body": {}},
-        _OPERATOR, 4000),
+        _OPERATOR, 4000,
+        gap="writes of ten clients wait for more than their deadline of 10 s"),
     Case("execute storm", "ws", lambda n: {
-        "type": "execute", "id": f"x{n}", "path": "/service/echo", "body": n}, _OPERATOR, 2000),
+        "type": "execute", "id": f"x{n}", "path": "/service/echo", "body": n}, _OPERATOR, 2000,
+         gap="requests of ten clients wait for more than their deadline of 10 s"),
     Case("ping storm", "ws", lambda n: {"type": "ping", "id": f"i{n}"}, at_once=4000),
     Case("plans", "ws", _plan(_DEAR), _OPERATOR, 100),
     Case("plans over HTTP", "connect", lambda n: (
@@ -159,10 +161,12 @@ CASES = (
         _OPERATOR, 200),
     Case("audit and history", "ws", lambda n: {
         "type": "read", "id": f"h{n}",
-        "path": ("/system/audit", "/system/commands", "/system/log")[n % 3]}, _AUDITOR, 50),
+        "path": ("/system/audit", "/system/commands", "/system/log")[n % 3]}, _AUDITOR, 50,
+         gap="what a reader may see of the record is judged in one turn: 220 to 290 ms"),
     Case("list of commands", "http", _get("/rcp/v1/commands?limit=1000"), _OPERATOR,
          gap="a page has no bound in bytes: up to 45 ms for 1000 commands with long inputs"),
-    Case("hello storm", "ws-connect", lambda n: {"type": "hello", "id": f"h{n}", "body": {}}),
+    Case("hello storm", "ws-connect", lambda n: {"type": "hello", "id": f"h{n}", "body": {}},
+         gap="an e-stop was 0.63 s late once, with no turn above 100 ms"),
     Case("wrong resumes", "ws-connect", lambda n: {"type": "hello", "id": f"h{n}", "body": {
         "session": "x" * 32, "resume_token": "y" * 64, "resume_from": {
             f"/sensor/text-{k:04}": 1 for k in range(1000)}}}),
@@ -173,10 +177,13 @@ CASES = (
          gap="requests of ten clients are handled by the SDK in one turn, 80 ms together"),
     Case("OpenAPI", "http", _get("/rcp/v1/openapi.json"),
          gap="the document is made in one turn, for each request: 160 ms for ten clients"),
-    Case("metrics", "http", _get("/metrics"), _AUDITOR),
-    Case("SSE connects", "connect", _get("/rcp/v1/events?path=/**")),
-    Case("segments", "ws", _segments, at_once=32),
+    Case("metrics", "http", _get("/metrics"), _AUDITOR,
+         gap="the metrics of 1000 resources are written in one turn, for each request: 280 ms"),
+    Case("SSE connects", "connect", _get("/rcp/v1/events?path=/**"),
+         gap="turns of 255 ms on a busy machine"),
+    Case("segments", "ws", _segments, at_once=32, gap="turns of 290 ms on a busy machine"),
     Case("deep and odd bodies", "ws", lambda n: {
         "type": "write", "id": f"o{n}", "path": "/param/any",
-        "body": [json.loads(_DEEP)] * 2000}, _OPERATOR, 8),
+        "body": [json.loads(_DEEP)] * 2000}, _OPERATOR, 8,
+         gap="a body is decoded and checked in one turn: 230 ms, 4.5 s once on a busy machine"),
 )  # fmt: skip
