@@ -8,7 +8,7 @@ from xdist.scheduler.loadscope import LoadScopeScheduling
 
 __all__ = ["PROCESSES", "Scheduling"]
 
-PROCESSES = 3
+PROCESSES = 2
 """For each core, of which about half wait for simulated time."""
 _WAITING = ("tests/backends/mavlink/", "tests/backends/can/", "tests/backends/ros2/")
 

@@ -146,7 +146,7 @@ async def test_a_bug_while_a_message_is_taken_is_answered(
     [
         "rcp_kernel.clients.connections.Connection.stumbled",
         "rcp_kernel.clients.outbox.Outbox.collect",
-        "rcp_ws.client.Peer.settled",
+        "rcp_ws.client.WsClient.settled",
     ],
 )
 async def test_where_not_even_an_answer_can_be_made_the_connection_is_closed_with_a_code(

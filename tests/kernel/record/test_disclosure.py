@@ -335,7 +335,7 @@ async def test_a_record_of_very_many_names_is_cheap_to_judge(world: World) -> No
         return weigh(rights, path)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(type(session.rights), "weigh", counted)
+        patch.setattr(type(session.rights), "compute_mask", counted)
         record = {"seq": 1, "what": "write", "tenant": "alpha", "path": ALPHA, "value": many}
         assert gateway.disclosure.shown(session, record) is None
         assert len(weighed) < 40
