@@ -219,6 +219,7 @@ async def _pose(client: Any) -> Any:
     async with asyncio.timeout(BOUND):
         while True:
             answer = await client.request("read", "/sensor/pose", within=BOUND)
-            if answer.get("error", {}).get("code") != "unknown_path":
+            error = answer.get("error", {})
+            if not error.get("retryable") and error.get("code") != "unknown_path":
                 return answer
             await asyncio.sleep(0.1)
