@@ -75,14 +75,14 @@ class Resolver:
         text = f"{session.principal.name} may not {wanted} {entry.path}"
         if not rights.depends(entry, operation):
             raise Forbidden(text, path=entry.path)
-        hindrance = rights.blocking_condition(entry, operation)
-        if hindrance is None or not rights.shows(hindrance, entry):
+        blocking = rights.blocking_condition(entry, operation)
+        if blocking is None or not rights.shows(blocking, entry):
             raise Forbidden(f"{text} at present", path=entry.path, remedy="Try again later.")
         raise Forbidden(
-            f"{text} at present: the rule hangs on the condition `{hindrance.text}`",
+            f"{text} at present: the rule hangs on the condition `{blocking.text}`",
             path=entry.path,
             remedy="Bring about what the condition asks for, or have the rule changed.",
-            details={"condition": hindrance.text},
+            details={"condition": blocking.text},
         )
 
 

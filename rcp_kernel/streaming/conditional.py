@@ -67,10 +67,10 @@ def _tell(feed: PathSubscription, facts: dict[str, Any]) -> None:
 
 
 def _why(session: Session, entry: Entry) -> dict[str, Any]:
-    hindrance = session.rights.blocking_condition(entry, Operation.SUBSCRIBE)
-    if hindrance is None or not session.rights.shows(hindrance, entry):
+    blocking = session.rights.blocking_condition(entry, Operation.SUBSCRIBE)
+    if blocking is None or not session.rights.shows(blocking, entry):
         return {"message": "a rule does not allow it at present"}
     return {
-        "message": f"a rule hangs on the condition `{hindrance.text}`",
-        "condition": hindrance.text,
+        "message": f"a rule hangs on the condition `{blocking.text}`",
+        "condition": blocking.text,
     }
