@@ -7,9 +7,12 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 KILLS = 200
 
 
+@pytest.mark.timeout(600)  # where a commit takes 150 ms, 170 s
 def test_nothing_that_was_promised_is_lost_when_the_gateway_is_killed(tmp_path: Path) -> None:
     """After each kill: the chain verifies, what clients were told is on record, no key ran twice."""
     script = Path(__file__).with_name("crash.py")
@@ -17,7 +20,7 @@ def test_nothing_that_was_promised_is_lost_when_the_gateway_is_killed(tmp_path: 
         [sys.executable, str(script), str(tmp_path), str(KILLS), "1"],
         capture_output=True,
         text=True,
-        timeout=300,
+        timeout=540,
         check=False,
     )
     assert done.returncode == 0, done.stderr[-4000:]
@@ -34,4 +37,4 @@ def test_nothing_that_was_promised_is_lost_when_the_gateway_is_killed(tmp_path: 
     assert counts["latches beside"] + counts["resets beside"] > 2
     assert counts["leases back"] > 2  # few are still in force where a start takes long
     # A greeting is not held back for its session: killed right after it, there may be none.
-    assert counts.get("sessions lost", 0) < 10
+    assert counts.get("sessions lost", 0) < KILLS / 10

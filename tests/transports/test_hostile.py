@@ -108,6 +108,7 @@ async def test_an_estop_is_answered_while_a_hundred_dear_plans_are_sent(
 
 MANY = 10  # attackers at once
 SHORT = 1.0  # s that an attack is watched
+ATTEMPTS = 3  # what else runs on the machine may spoil one or two; what the gateway does spoils all
 # Wanted are 100 and 250 ms beyond the unloaded run, which `benchmarks/hostile.py` measures on a quiet
 # machine. Here other work may go on, so the bounds are five times as much; what a turn of the loop
 # costs is the gateway's alone, however busy the machine is.
@@ -127,14 +128,20 @@ async def test_ten_who_send_the_dearest_requests_hold_nobody_else_up(
     besieged: tuple[str, Worst], case: Case
 ) -> None:
     url, calm = besieged
-    found = await attacked(url, case, case.who[-1], MANY, SHORT)
-    beyond = Worst(*(worst - usual for worst, usual in zip(found, calm, strict=True)))
-    over = {
-        name: (round(getattr(beyond, name)), bound)
-        for name, bound in BOUNDS._asdict().items()
-        if getattr(beyond, name) > bound
-    }
-    assert not over
+    over = list[dict[str, tuple[int, float]]]()
+    for _ in range(ATTEMPTS):
+        found = await attacked(url, case, case.who[-1], MANY, SHORT)
+        beyond = Worst(*(worst - usual for worst, usual in zip(found, calm, strict=True)))
+        over.append(
+            {
+                name: (round(getattr(beyond, name)), bound)
+                for name, bound in BOUNDS._asdict().items()
+                if getattr(beyond, name) > bound
+            }
+        )
+        if not over[-1]:
+            return
+    raise AssertionError(over)
 
 
 async def _flood(process: asyncio.subprocess.Process, plan: dict[str, Any]) -> set[int]:
