@@ -10,7 +10,7 @@ __all__ = ["HEADING", "tell"]
 
 HEADING = "=== tests that failed"
 """Begins the last part of the output."""
-_EXCUSED = 3  # failures that a busy machine may explain; more of them are something else
+_EXCUSED = 5  # failures that a busy machine may explain, one in a thousand; more of them are something else
 _TIMES = 2  # that each has to pass alone
 _ALONE = 20  # failures that are run again; more of them need no diagnosis
 _LENGTH = 1000  # characters of a reason
