@@ -372,10 +372,15 @@ class Rules:
     """The roles of the gateway, and the rights compiled from them."""
 
     def __init__(self, roles: dict[str, Role], conditions: Conditions | None = None) -> None:
-        self.roles = {**BUILTIN_ROLES, **roles}
         self._conditions = conditions
+        self.configure(roles)
+
+    def configure(self, roles: dict[str, Role]) -> None:
+        """Take over other roles; what was compiled from those before counts for nothing new."""
+        self.roles = {**BUILTIN_ROLES, **roles}
         self._room = Room()
         self._compiled: dict[Grants, Rights] = {}
+        conditions = self._conditions
         if conditions is not None:
             rules = [r for role in self.roles.values() for r in (*role.allow, *role.deny)]
             conditions.use("rules", [condition(r.when) for r in rules if r.when is not None])

@@ -6,6 +6,7 @@ requests are paid for.
 
 from __future__ import annotations
 
+from time import perf_counter
 from typing import TYPE_CHECKING, Any, Literal
 
 import msgspec
@@ -18,7 +19,16 @@ from rcp_kernel.wire import Request
 if TYPE_CHECKING:
     from rcp_kernel.clients.session import Session
 
-__all__ = ["NONE", "SWEEP", "Owner", "QuotaUsage", "TokenBucket", "is_exempt"]
+__all__ = [
+    "NONE",
+    "SWEEP",
+    "Owner",
+    "QuotaUsage",
+    "TokenBucket",
+    "charge",
+    "check_pace",
+    "is_exempt",
+]
 
 SWEEP = 0.25  # s between looks at what waits
 _ESTOP = "/system/estop"
@@ -42,6 +52,28 @@ def is_exempt(request: Request) -> bool:
     if request.type != "execute":
         return request.type == "cancel"
     return request.path == _ESTOP or (request.path == _LEASES and _releases(request))
+
+
+def charge(session: Session) -> None:
+    """Count a request that comes in no envelope.
+
+    :raises RateLimited: a quota does not allow it now.
+    """
+    meter = session.token_bucket
+    if meter is not None and not meter.take(moment := perf_counter()):
+        raise meter.refusal(moment)
+
+
+def check_pace(session: Session) -> None:
+    """Refuse a request that is too long to be one that stops something, before it is read.
+
+    It counts for nothing yet: that comes when it is handled.
+
+    :raises RateLimited: a quota does not allow one now.
+    """
+    meter = session.token_bucket
+    if meter is not None and not meter.allows(moment := perf_counter()):
+        raise meter.refusal(moment)
 
 
 def _releases(request: Request) -> bool:

@@ -10,11 +10,11 @@ from typing import Any
 import msgspec
 import structlog
 
+from rcp_kernel.app.server import Prepared, Server, running
 from rcp_kernel.config.file import GatewayConfig, KeyConfig, decode_table, parse
 from rcp_kernel.config.safety import Safety
 from rcp_kernel.plugins import Plugins
 from rcp_kernel.process.log import Recent
-from rcp_kernel.process.server import Prepared, Server, running
 from rcp_kernel.process.supervisor import BackendSupervisor
 from rcp_kernel.spi import Backend, BackendKind, Host
 from rcp_kernel.testing._client import MemoryClient

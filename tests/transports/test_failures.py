@@ -46,7 +46,7 @@ def after_the_answer(handler: Handler) -> Handler:
 
 
 def intercept(gateway: Site, wrap: Any) -> None:
-    inner = gateway.server.gateway
+    inner = gateway.server.kernel
     inner.handle = intercepted([wrap], inner._admit)
     inner.quick = False
 
