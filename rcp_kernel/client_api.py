@@ -19,7 +19,6 @@ from rcp_kernel.access.approvals import Approvals, ApprovalState, Decision
 from rcp_kernel.access.identities import Identities
 from rcp_kernel.access.identity import Principal
 from rcp_kernel.access.peer import UNKNOWN, Peer, Serial
-from rcp_kernel.access.token_bucket import charge, check_pace
 from rcp_kernel.access.visibility import Visibility
 from rcp_kernel.clients.connections import Connection, ConnectionParts
 from rcp_kernel.clients.handshake import Handshake
@@ -317,7 +316,7 @@ class ClientApi:
 
         :raises RateLimited: a quota does not allow one now.
         """
-        check_pace(session)
+        session.check_pace()
 
     @property
     def outbound(self) -> Outbound:
@@ -329,7 +328,7 @@ class ClientApi:
 
         :raises RateLimited: a quota does not allow it now.
         """
-        charge(session)
+        session.charge()
 
     def command(self, session: Session, id_: str) -> Command:
         """Return a command that the session may see.
@@ -337,7 +336,7 @@ class ClientApi:
         :raises UnknownPath: there is none.
         :raises RateLimited: a quota does not allow the request.
         """
-        charge(session)
+        session.charge()
         return self._parts.access.find(session, id_)
 
     def commands(self, session: Session) -> list[Command]:
@@ -345,7 +344,7 @@ class ClientApi:
 
         :raises RateLimited: a quota does not allow the request.
         """
-        charge(session)
+        session.charge()
         return self._parts.access.visible(session)
 
     def approve(
@@ -364,7 +363,7 @@ class ClientApi:
             asked for itself), or there is nothing to decide any more.
         :raises RateLimited: a quota does not allow the request.
         """
-        charge(session)
+        session.charge()
         return self._parts.approvals.answer(session, id_, decision, reason)
 
     def follow(self, command: Command, answer: Answer) -> Callable[[], None]:
@@ -396,7 +395,7 @@ class ClientApi:
 
         :raises RateLimited: a quota does not allow the request.
         """
-        charge(session)
+        session.charge()
         return self._parts.discovery.schemas(session.rights)
 
     def rights(self, principal: Principal) -> Rights:

@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, Any
 
 import structlog
 
-from rcp_kernel.access.acl import BUILTIN_ROLES
 from rcp_kernel.access.auth_throttle import AuthThrottle
 from rcp_kernel.access.certificates import Certificates
 from rcp_kernel.access.identity import Grants, Keyring, Principal, check_time, fingerprint
@@ -26,6 +25,7 @@ from rcp_kernel.access.webtokens import is_jwt
 from rcp_kernel.clock import now
 from rcp_kernel.config.file import GatewayConfig
 from rcp_kernel.config.identity import instant
+from rcp_kernel.config.role import BUILTIN_ROLES
 from rcp_kernel.config.settings import Settings
 from rcp_kernel.errors import (
     ConfigError,

@@ -47,8 +47,8 @@ class QuotaTracker:
         """All that have a connection or wait for one, by id."""
         self._running = running
         """Commands, by id."""
-        self._known: dict[tuple[Owner, Any], QuotaUsage] = {}
-        self._charged: dict[str, tuple[QuotaUsage, ...]] = {}
+        self._known: dict[tuple[Owner, Any], QuotaUsage[Session]] = {}
+        self._charged: dict[str, tuple[QuotaUsage[Session], ...]] = {}
         self._timer: asyncio.TimerHandle | None = None
 
     # -- who has which quota -------------------------------------------------------------------
@@ -56,7 +56,7 @@ class QuotaTracker:
     def attach(self, session: Session) -> None:
         """Give a session its meter, or none if no quota concerns it."""
         config = self._settings.config
-        accounts: list[QuotaUsage] = []
+        accounts: list[QuotaUsage[Session]] = []
         principal = session.principal
         quota = self._quota_of(principal)
         if quota != NONE:
@@ -69,7 +69,7 @@ class QuotaTracker:
         if known != tuple(accounts):
             session.token_bucket = TokenBucket(tuple(accounts)) if accounts else None
 
-    def _account(self, owner: Owner, key: Any, name: str, quota: Quota) -> QuotaUsage:
+    def _account(self, owner: Owner, key: Any, name: str, quota: Quota) -> QuotaUsage[Session]:
         account = self._known.get((owner, key))
         if account is None:
             if len(self._known) >= _MANY:
@@ -110,7 +110,7 @@ class QuotaTracker:
         for account in session.token_bucket.accounts:
             account.sessions.add(session)
 
-    def _check_session(self, account: QuotaUsage, drop: Callable[[Session], None]) -> None:
+    def _check_session(self, account: QuotaUsage[Session], drop: Callable[[Session], None]) -> None:
         limit = account.quota.sessions
         if limit is None:
             return
@@ -245,12 +245,12 @@ class QuotaTracker:
                 sums[key] = sums.get(key, 0) + count
         return sums
 
-    def of(self, owner: Owner) -> Iterable[QuotaUsage]:
+    def of(self, owner: Owner) -> Iterable[QuotaUsage[Session]]:
         """Go through the accounts of tenants or principals."""
         return [account for account in self._known.values() if account.owner == owner]
 
 
-def _weigh(account: QuotaUsage, limit: int) -> None:
+def _weigh(account: QuotaUsage[Session], limit: int) -> None:
     """Have the slowest clients give way until what waits is within the quota, or ask no more."""
     held = sorted(((waiting_bytes(s), s) for s in account.sessions), key=_by_size, reverse=True)
     total = sum(size for size, _ in held)

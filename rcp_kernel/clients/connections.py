@@ -12,7 +12,6 @@ from typing import Any
 from rcp_kernel.access.identities import Identities
 from rcp_kernel.access.identity import Principal
 from rcp_kernel.access.peer import UNKNOWN, Peer
-from rcp_kernel.access.token_bucket import charge, check_pace
 from rcp_kernel.clients.handshake import Handshake
 from rcp_kernel.clients.hello import Hello
 from rcp_kernel.clients.outbound import SHARE, SMALL, Outbound
@@ -151,7 +150,7 @@ class Connection:
         try:
             if len(data) > self._settings.limits.unproved:
                 check_size(data, self.limit)
-                check_pace(self.session)
+                self.session.check_pace()
             request = decode_request(data, self.encoding)
         except RcpError as error:
             type_, id_ = peek_header(data, self.encoding)
@@ -224,7 +223,7 @@ class Connection:
         try:
             self.greetings += 1
             if self.greetings > 1:  # the first one is free: who wants to stop a robot must get in
-                charge(self.session)
+                self.session.charge()
             hello = request.decode_body(_HELLO, "hello") if request.body else Hello()
             token = self._parts.handshake.offered(hello)
             principal = None

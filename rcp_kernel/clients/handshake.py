@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import secrets
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from rcp_kernel.access.acl import Rules
 from rcp_kernel.access.identities import Identities
 from rcp_kernel.access.identity import Principal, same
 from rcp_kernel.clients.hello import Hello
 from rcp_kernel.clients.resume import SessionResume, StoredSession, Subscribe, hashed
-from rcp_kernel.clients.session import Answer, Session
+from rcp_kernel.clients.session import Answer, Link, Session
 from rcp_kernel.clients.sessions import SessionQuotas, Sessions
 from rcp_kernel.clock import now
 from rcp_kernel.config.settings import Settings
@@ -20,9 +20,6 @@ from rcp_kernel.operations.command import CommandTable
 from rcp_kernel.streaming.hub import Hub
 from rcp_kernel.streaming.notices import notice
 from rcp_kernel.wire import VERSION, failure
-
-if TYPE_CHECKING:
-    from rcp_kernel.clients.connections import Connection
 
 __all__ = ["Handshake"]
 
@@ -70,7 +67,7 @@ class Handshake:
         return hello.token
 
     def greet(
-        self, connection: Connection, hello: Hello, principal: Principal | None = None
+        self, connection: Link, hello: Hello, principal: Principal | None = None
     ) -> dict[str, Any]:
         """Carry out `hello`, whose token proved `principal`: resume or keep the session, agree.
 
@@ -119,7 +116,7 @@ class Handshake:
             **facts,
         }
 
-    def _replace(self, connection: Connection, session: Session) -> None:
+    def _replace(self, connection: Link, session: Session) -> None:
         old = connection.session
         old.connection = None
         self._sessions.drop(old)
@@ -138,7 +135,7 @@ class Handshake:
         return found or self._stored.find(named)
 
     def _resume(
-        self, connection: Connection, hello: Hello, session: Session | StoredSession | None
+        self, connection: Link, hello: Hello, session: Session | StoredSession | None
     ) -> None:
         if session is None:
             raise _gone()
@@ -169,7 +166,7 @@ class Handshake:
         self._attach(session, connection, have)
 
     def _revive(
-        self, connection: Connection, hello: Hello, kept: StoredSession, proof: str | None
+        self, connection: Link, hello: Hello, kept: StoredSession, proof: str | None
     ) -> None:
         """Make a session again of what is kept of one of an earlier run."""
         self._stored.take(kept)
@@ -201,9 +198,7 @@ class Handshake:
         old.outbox.close()
         self._sessions.cut(session)
 
-    def _attach(
-        self, session: Session, connection: Connection, have: dict[str, int] | None
-    ) -> None:
+    def _attach(self, session: Session, connection: Link, have: dict[str, int] | None) -> None:
         if session.expiry is not None:
             session.expiry.cancel()
             session.expiry = None

@@ -9,7 +9,7 @@ from __future__ import annotations
 import asyncio
 from collections import Counter
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any, Protocol
 
 from rcp_kernel.access.acl import Rights, Rules
 from rcp_kernel.access.credential_expiry import CredentialExpiry
@@ -19,7 +19,7 @@ from rcp_kernel.access.peer import UNKNOWN, Peer
 from rcp_kernel.clients.backpressure import Relief
 from rcp_kernel.clients.outbound import Outbound
 from rcp_kernel.clients.resume import SessionResume
-from rcp_kernel.clients.session import Session
+from rcp_kernel.clients.session import Link, Session
 from rcp_kernel.clock import now
 from rcp_kernel.config.settings import Settings
 from rcp_kernel.errors import QueueFull, TokenExpired
@@ -29,9 +29,6 @@ from rcp_kernel.shutdown import Shutdown
 from rcp_kernel.streaming.hub import Hub
 from rcp_kernel.streaming.notices import notice
 from rcp_kernel.wire import error_body, failure
-
-if TYPE_CHECKING:
-    from rcp_kernel.clients.connections import Connection
 
 __all__ = ["SessionQuotas", "Sessions"]
 
@@ -277,7 +274,7 @@ class Sessions:
             del self._stateless[key]
         return any(same(s.principal, session.principal) for s in self._stateless.values())
 
-    def tally(self, connection: Connection) -> None:
+    def tally(self, connection: Link) -> None:
         """Add a closing connection's updates to its transport's sum."""
         name = connection.session.transport
         self.updates[name] = self.updates.get(name, 0) + connection.outbox.updates
@@ -287,7 +284,8 @@ class Sessions:
         session.connection = None
         session.cut = now()
         session.away = self._outbound.open()
-        for command in list(session.commands.values()):
+        running = self._commands.running
+        for command in [running[id_] for id_ in session.commands if id_ in running]:
             entry = command.entry
             if entry is not None and not entry.resource.outlives:
                 self._commands.cancel(command, "its session was cut")

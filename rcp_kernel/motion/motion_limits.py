@@ -12,7 +12,8 @@ from typing import Any
 import structlog
 
 from rcp_kernel.access.acl import Rights
-from rcp_kernel.access.conditions import Conditions, condition
+from rcp_kernel.access.condition import condition
+from rcp_kernel.access.conditions import Conditions
 from rcp_kernel.access.identity import Grants
 from rcp_kernel.clients.session import Session
 from rcp_kernel.config.envelopes import EnvelopeConfig, patterns

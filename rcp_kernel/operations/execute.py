@@ -14,7 +14,7 @@ import msgspec
 from rcp_kernel.access.approvals import Approvals
 from rcp_kernel.access.quotas import QuotaTracker
 from rcp_kernel.access.resolver import Resolver
-from rcp_kernel.clients.session import Answer, Session
+from rcp_kernel.clients.session import Answer, OwnCommand, Session
 from rcp_kernel.clock import iso, now
 from rcp_kernel.config.settings import Settings
 from rcp_kernel.errors import RcpError
@@ -377,8 +377,7 @@ class ExecuteHandler:
         )
 
 
-def _forget_finished(commands: dict[str, Command]) -> None:
-    # The newest one has not even been accepted yet, so it has no status.
-    known = [id_ for id_, command in commands.items() if command.history and command.final]
+def _forget_finished(commands: dict[str, OwnCommand]) -> None:
+    known = [id_ for id_, command in commands.items() if command.finished is not None]
     for id_ in known[:128]:
         del commands[id_]

@@ -14,7 +14,8 @@ from typing import Any
 
 from rcp_kernel._plain import is_map
 from rcp_kernel.access.approvals import Approvals
-from rcp_kernel.access.conditions import Conditions, ConditionTooCostly, condition
+from rcp_kernel.access.condition import ConditionTooCostly, condition
+from rcp_kernel.access.conditions import Conditions
 from rcp_kernel.access.resolver import Resolver
 from rcp_kernel.access.visibility import EVERYTHING
 from rcp_kernel.clients.session import Session

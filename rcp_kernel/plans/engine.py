@@ -10,7 +10,8 @@ import asyncio
 from collections.abc import Sequence
 from typing import Any
 
-from rcp_kernel.access.conditions import Condition, Conditions
+from rcp_kernel.access.condition import Condition
+from rcp_kernel.access.conditions import Conditions
 from rcp_kernel.access.pace import Pace
 from rcp_kernel.clients.session import Handler, Session
 from rcp_kernel.clock import iso, now

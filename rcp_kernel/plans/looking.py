@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from rcp_kernel.access.conditions import Condition, Conditions, ConditionTooCostly
+from rcp_kernel.access.condition import Condition, ConditionTooCostly
+from rcp_kernel.access.conditions import Conditions
 from rcp_kernel.clients.session import Session
 from rcp_kernel.errors import Forbidden, PreconditionFailed, UnknownPath
 from rcp_kernel.model import Operation

@@ -15,8 +15,8 @@ from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 
 from conformance.wires import BASE, HttpClient, SseClient, WebSocketClient, address, bearer
-from rcp_kernel.access.acl import Role, Rule
 from rcp_kernel.config.file import GatewayConfig, KeyConfig, parse
+from rcp_kernel.config.role import Role, Rule
 from rcp_kernel.model import BRANCHES, Kind, Operation, Pattern, Resource, operation_names
 from rcp_kernel.spi import BackendKind, BaseBackend, Host, Progress
 from rcp_kernel.testing import Client, MemoryClient, serve

@@ -10,7 +10,7 @@ import msgspec
 import pytest
 
 from plugins.a2a.agent import KEY_BETA, VERSION, agent, caller, rpc, sent, text
-from rcp_kernel.access.acl import Rule
+from rcp_kernel.config.role import Rule
 from transports.robot import KEY, Site
 
 pytestmark = pytest.mark.anyio
