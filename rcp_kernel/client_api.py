@@ -9,18 +9,25 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Awaitable, Callable, Iterable, MutableMapping
-from typing import TYPE_CHECKING, Any, Literal
+from dataclasses import dataclass
+from typing import Any, Literal, Protocol
 
 import msgspec
 
-from rcp_kernel.access.acl import Rights
-from rcp_kernel.access.approvals import ApprovalState, Decision
+from rcp_kernel.access.acl import Rights, Rules
+from rcp_kernel.access.approvals import Approvals, ApprovalState, Decision
+from rcp_kernel.access.identities import Identities
 from rcp_kernel.access.identity import Principal
 from rcp_kernel.access.peer import UNKNOWN, Peer, Serial
-from rcp_kernel.clients.connections import Connection, Hello
+from rcp_kernel.access.visibility import Visibility
+from rcp_kernel.clients.connections import Connection, ConnectionParts
+from rcp_kernel.clients.handshake import Handshake
+from rcp_kernel.clients.hello import Hello
 from rcp_kernel.clients.outbound import Outbound
 from rcp_kernel.clients.session import Answer, Session
-from rcp_kernel.config.file import Limits
+from rcp_kernel.clients.sessions import Sessions
+from rcp_kernel.config.limits import Limits
+from rcp_kernel.config.settings import Settings
 from rcp_kernel.errors import (
     AdapterUnavailable,
     Forbidden,
@@ -31,16 +38,17 @@ from rcp_kernel.errors import (
 )
 from rcp_kernel.model import Pattern
 from rcp_kernel.operations.command import Command
-from rcp_kernel.operations.discovery import Query
+from rcp_kernel.operations.command_access import CommandAccess
+from rcp_kernel.operations.counts import RequestCounts
+from rcp_kernel.operations.discovery import Discovery, Query
+from rcp_kernel.record.audit_writer import AuditWriter
 from rcp_kernel.record.plugin_store import PluginStore
+from rcp_kernel.record.store import Store
+from rcp_kernel.shutdown import Shutdown
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import Reply, Request
 
-if TYPE_CHECKING:
-    from rcp_kernel.gateway import Gateway
-    from rcp_kernel.status import StatusReport
-
-__all__ = ["ClientApi", "Mount", "Proofs"]
+__all__ = ["ClientApi", "ClientApiParts", "Mount", "Proofs", "StatusView"]
 
 Scope = MutableMapping[str, Any]
 Asgi = Callable[
@@ -77,75 +85,108 @@ class Proofs(msgspec.Struct, frozen=True, kw_only=True):
     """Issuers of JSON Web Tokens that tell about themselves by OpenID Connect Discovery."""
 
 
+class StatusView(Protocol):
+    """What the gateway tells of its health."""
+
+    def ready(self) -> tuple[bool, dict[str, str]]:
+        """Tell whether every backend is ready, and each one's state."""
+        ...
+
+    def exposition(self, rights: Rights) -> bytes:
+        """Write the Prometheus exposition for somebody."""
+        ...
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ClientApiParts:
+    """What is behind the API, the same for every transport and adapter."""
+
+    connections: ConnectionParts
+    settings: Settings
+    shutdown: Shutdown
+    rules: Rules
+    identities: Identities
+    visibility: Visibility
+    sessions: Sessions
+    handshake: Handshake
+    outbound: Outbound
+    discovery: Discovery
+    access: CommandAccess
+    approvals: Approvals
+    audit_writer: AuditWriter
+    counts: RequestCounts
+    store: Store
+    status: StatusView
+    loop: asyncio.AbstractEventLoop
+
+
 class ClientApi:
     """The gateway as transports and adapters see it. For the event loop's thread only."""
 
-    def __init__(self, gateway: Gateway, status: StatusReport, name: str) -> None:
-        self._gateway = gateway
-        self._status = status
+    def __init__(self, parts: ClientApiParts, name: str, mounts: list[Mount]) -> None:
+        self._parts = parts
+        self._handle = parts.connections.handle
         self.name = name
         """The transport's word in sessions, counts and metrics."""
-        self.mounts: list[Mount] = []
+        self.mounts = mounts
 
     def renamed(self, name: str) -> ClientApi:
         """Return the same client_api under another transport's name; mounts are shared."""
-        client_api = ClientApi(self._gateway, self._status, name)
-        client_api.mounts = self.mounts
-        return client_api
+        return ClientApi(self._parts, name, self.mounts)
 
     @property
     def limits(self) -> Limits:
         """Sizes, numbers and times that hold for every client."""
-        return self._gateway.limits
+        return self._parts.settings.limits
 
     @property
     def loop(self) -> asyncio.AbstractEventLoop:
         """The event loop."""
-        return self._gateway.loop
+        return self._parts.loop
 
     def generation(self, session: Session) -> int:
         """Return a number that rises when what a session sees of the tree changes, for ETags."""
-        return self._gateway.discovery.generation(session.rights)
+        return self._parts.discovery.generation(session.rights)
 
     @property
     def secure(self) -> bool:
         """Whether strangers may do nothing: they have no role, or one that allows nothing."""
-        return self._gateway.config.closed
+        return self._parts.settings.config.closed
 
     @property
     def serves(self) -> bool:
         """Whether anybody can prove to be somebody who may do anything."""
-        return self._gateway.config.serves or self._gateway.identities.serves
+        return self._parts.settings.config.serves or self._parts.identities.serves
 
     @property
     def closing(self) -> bool:
         """Whether the gateway is on its way down."""
-        return self._gateway.closing
+        return self._parts.shutdown.begun
 
     @property
     def title(self) -> str:
         """What the configuration calls the gateway."""
-        return self._gateway.config.name
+        return self._parts.settings.config.name
 
     @property
     def proofs(self) -> Proofs:
         """By what clients may prove who they are."""
-        config = self._gateway.config
+        config = self._parts.settings.config
         return Proofs(
             anonymous=not config.closed,
-            bearer=bool(config.keys or config.jwt) or self._gateway.identities.serves,
+            bearer=bool(config.keys or config.jwt) or self._parts.identities.serves,
             certificates=bool(config.certificates),
             issuers=tuple(one.issuer for one in config.jwt if one.discovery),
         )
 
     def shelf(self, table: str) -> PluginStore:
         """Return a table of the caller's own in the gateway's store."""
-        return PluginStore(self._gateway.store, f"{self.name}.{table}")
+        return PluginStore(self._parts.store, f"{self.name}.{table}")
 
     @property
     def issuers(self) -> list[str]:
         """Who gives out tokens that this gateway takes, for clients that look for one."""
-        return [one.issuer for one in self._gateway.config.jwt]
+        return [one.issuer for one in self._parts.settings.config.jwt]
 
     def mount(self, mount: Mount) -> None:
         """Offer a part of the HTTP tree to the listener.
@@ -172,9 +213,9 @@ class ClientApi:
         :raises RateLimited: `peer` has sent too many that were not good.
         """
         try:
-            return self._gateway.identities.known(token, peer)
+            return self._parts.identities.known(token, peer)
         except (Unauthenticated, Forbidden, RateLimited) as error:
-            self._gateway.audit_writer.stranger(self.name, peer, error)
+            self._parts.audit_writer.stranger(self.name, peer, error)
             raise
 
     def authenticate(self, token: str | None, peer: Peer = UNKNOWN) -> Principal:
@@ -198,11 +239,11 @@ class ClientApi:
         """
         principal = self.known(token, peer)
         if principal is not None or token is None:
-            return principal or self._gateway.identities.anonymous()
+            return principal or self._parts.identities.anonymous()
         try:
-            return await self._gateway.identities.wait(token, peer)
+            return await self._parts.identities.wait(token, peer)
         except (Unauthenticated, Forbidden, RateLimited) as error:
-            self._gateway.audit_writer.stranger(self.name, peer, error)
+            self._parts.audit_writer.stranger(self.name, peer, error)
             raise
 
     def connect(
@@ -220,13 +261,12 @@ class ClientApi:
         :raises Forbidden: the principal does not act in `tenant`.
         :raises QueueFull: the gateway holds too many sessions.
         """
-        gateway = self._gateway
         try:
-            session = gateway.sessions.open(principal, self.name, tenant, peer)
+            session = self._parts.sessions.open(principal, self.name, tenant, peer)
         except Forbidden as error:
-            gateway.audit_writer.stranger(self.name, peer, error, principal)
+            self._parts.audit_writer.stranger(self.name, peer, error, principal)
             raise
-        return Connection(gateway, session, encoding, flush, peer)
+        return Connection(self._parts.connections, session, encoding, flush, peer)
 
     def hello(self, connection: Connection, hello: Hello) -> dict[str, Any]:
         """Greet on behalf of a client that cannot: `session` and `resume_from` bring it back.
@@ -234,7 +274,7 @@ class ClientApi:
         :raises Gap: the session is not there any more.
         :raises Unauthenticated: it belongs to somebody else.
         """
-        return self._gateway.sessions.greeting.greet(connection, hello)
+        return self._parts.handshake.greet(connection, hello)
 
     def session(
         self, principal: Principal, tenant: str | None = None, peer: Peer = UNKNOWN
@@ -244,9 +284,9 @@ class ClientApi:
         :raises Forbidden: the principal does not act in `tenant`.
         """
         try:
-            return self._gateway.sessions.stateless(principal, self.name, tenant, peer)
+            return self._parts.sessions.stateless(principal, self.name, tenant, peer)
         except Forbidden as error:
-            self._gateway.audit_writer.stranger(self.name, peer, error, principal)
+            self._parts.audit_writer.stranger(self.name, peer, error, principal)
             raise
 
     def submit(self, session: Session, request: Request, answer: Answer) -> None:
@@ -254,11 +294,11 @@ class ClientApi:
 
         It may be called before `submit` returns.
         """
-        self._gateway.handle(session, request, answer)
+        self._handle(session, request, answer)
 
     async def ask(self, session: Session, request: Request) -> Reply:
         """Have a request handled and return its final reply."""
-        final: asyncio.Future[Reply] = self._gateway.loop.create_future()
+        final: asyncio.Future[Reply] = self._parts.loop.create_future()
 
         def answer(reply: Reply) -> None:
             if reply.final and not final.done():
@@ -269,26 +309,26 @@ class ClientApi:
 
     def longest(self, principal: Principal) -> int:
         """Return the length of the longest message that a principal may send, in bytes."""
-        return self._gateway.identities.longest(principal)
+        return self._parts.identities.longest(principal)
 
     def check_pace(self, session: Session) -> None:
         """Refuse a long request before its body is read, where a quota would not allow it.
 
         :raises RateLimited: a quota does not allow one now.
         """
-        self._gateway.check_pace(session)
+        session.check_pace()
 
     @property
     def outbound(self) -> Outbound:
         """What waits for all clients, for a transport to count what it holds itself."""
-        return self._gateway.outbound
+        return self._parts.outbound
 
     def charge(self, session: Session) -> None:
         """Count a request that is answered without `submit`.
 
         :raises RateLimited: a quota does not allow it now.
         """
-        self._gateway.charge(session)
+        session.charge()
 
     def command(self, session: Session, id_: str) -> Command:
         """Return a command that the session may see.
@@ -296,17 +336,16 @@ class ClientApi:
         :raises UnknownPath: there is none.
         :raises RateLimited: a quota does not allow the request.
         """
-        self._gateway.charge(session)
-        return self._gateway.executing.command(session, id_)
+        session.charge()
+        return self._parts.access.find(session, id_)
 
     def commands(self, session: Session) -> list[Command]:
         """List the commands that the session may see, newest first.
 
         :raises RateLimited: a quota does not allow the request.
         """
-        self._gateway.charge(session)
-        sees = self._gateway.executing.sees
-        return [c for c in self._gateway.commands.every() if sees(session, c)]
+        session.charge()
+        return self._parts.access.visible(session)
 
     def approve(
         self,
@@ -324,12 +363,12 @@ class ClientApi:
             asked for itself), or there is nothing to decide any more.
         :raises RateLimited: a quota does not allow the request.
         """
-        self._gateway.charge(session)
-        return self._gateway.approvals.answer(session, id_, decision, reason)
+        session.charge()
+        return self._parts.approvals.answer(session, id_, decision, reason)
 
     def follow(self, command: Command, answer: Answer) -> Callable[[], None]:
         """Have `answer` called with each further reply of a command; return what ends that."""
-        held = self._gateway.audit_writer.follower(answer)
+        held = self._parts.audit_writer.follower(answer)
         command.followers.append(held)
 
         def stop() -> None:
@@ -349,39 +388,39 @@ class ClientApi:
     def discover(self, session: Session, pattern: str, query: Query) -> dict[str, Any]:
         """Answer discovery for the resources that a session may see; `pay` first."""
         found = Pattern(pattern, session.tenant)
-        return self._gateway.discovery.find(session.rights, found, query)
+        return self._parts.discovery.find(session.rights, found, query)
 
     def schemas(self, session: Session) -> dict[str, dict[str, Any]]:
         """Return the schemas of all that a session may see, by id.
 
         :raises RateLimited: a quota does not allow the request.
         """
-        self._gateway.charge(session)
-        return self._gateway.discovery.schemas(session.rights)
+        session.charge()
+        return self._parts.discovery.schemas(session.rights)
 
     def rights(self, principal: Principal) -> Rights:
         """Return the compiled rights of a principal."""
-        return self._gateway.rules.rights(principal)
+        return self._parts.rules.rights(principal)
 
     def hides(self, session: Session, names: Iterable[str]) -> bool:
         """Tell whether one of the names (see `names_in`) means something hidden from a session."""
-        return self._gateway.visibility.names_hidden(session.rights, session.tenant, names)
+        return self._parts.visibility.names_hidden(session.rights, session.tenant, names)
 
     def revoke(self, serials: frozenset[Serial]) -> None:
         """Take notice which client certificates are not good any more; their sessions end."""
-        self._gateway.identities.revoke(serials)
+        self._parts.identities.revoke(serials)
 
     def refused(self, type_: str, code: str) -> None:
         """Count a request that the transport had to refuse before it was an envelope."""
-        self._gateway.count(self.name, type_, code)
+        self._parts.counts.count(self.name, type_, code)
 
     def ready(self) -> tuple[bool, dict[str, str]]:
         """Tell whether every backend is ready, and each one's state."""
-        return self._status.ready()
+        return self._parts.status.ready()
 
     def metrics(self, session: Session) -> bytes:
         """Return the Prometheus exposition, without the paths that are hidden from a session."""
-        return self._status.exposition(session.rights)
+        return self._parts.status.exposition(session.rights)
 
 
 def _place(mount: Mount) -> tuple[str, str, str]:

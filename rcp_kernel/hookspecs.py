@@ -13,9 +13,10 @@ import pluggy
 
 if TYPE_CHECKING:
     from rcp_kernel.access.identity import Principal
+    from rcp_kernel.client_kinds import AdapterKind, TransportKind
     from rcp_kernel.clients.session import Handler
     from rcp_kernel.config.file import GatewayConfig
-    from rcp_kernel.spi import AdapterKind, BackendKind, TransportKind
+    from rcp_kernel.spi import BackendKind
 
 __all__ = ["PROJECT", "hookimpl"]
 

@@ -18,9 +18,10 @@ import msgspec
 import pluggy
 
 from rcp_kernel import hookspecs
+from rcp_kernel.client_kinds import AdapterKind, TransportKind
 from rcp_kernel.config.file import GatewayConfig
 from rcp_kernel.errors import ConfigError, PluginError, StartupError
-from rcp_kernel.spi import AdapterKind, BackendKind, TransportKind
+from rcp_kernel.spi import BackendKind
 
 __all__ = ["GROUPS", "Missing", "Plugins", "installed"]
 

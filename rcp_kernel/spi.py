@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from contextlib import AbstractAsyncContextManager, nullcontext
-from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import msgspec
 
@@ -18,12 +18,7 @@ from rcp_kernel.errors import UnsupportedOperation
 from rcp_kernel.model import Resource
 from rcp_kernel.safety.fence import check_fence, fenced_off, unfenced
 
-if TYPE_CHECKING:
-    from rcp_kernel.client_api import ClientApi
-    from rcp_kernel.config.file import GatewayConfig
-
 __all__ = [
-    "AdapterKind",
     "Backend",
     "BackendKind",
     "BaseBackend",
@@ -33,7 +28,6 @@ __all__ = [
     "Progress",
     "Publication",
     "StopPlan",
-    "TransportKind",
     "Watchdog",
     "check_fence",
     "fenced_off",
@@ -349,35 +343,3 @@ class BackendKind(msgspec.Struct, frozen=True):
     open: Callable[[Any, Host], AbstractAsyncContextManager[Backend]]
     description: str = ""
     """One line for `rcpd plugins`."""
-
-
-class TransportKind(msgspec.Struct, frozen=True):
-    """A wire that clients come in by; offered by the hook `rcp_transports`.
-
-    `open(config, client_api)` is an async context manager: entered, it accepts clients; left, it has
-    let go of them. It is yielded to as a mapping of facts for `/system/status` (its address).
-    """
-
-    name: str
-    """Its table in the configuration: `[transports.<name>]`."""
-    config: type[msgspec.Struct]
-    open: Callable[[Any, ClientApi], AbstractAsyncContextManager[dict[str, Any]]]
-    description: str = ""
-    check: Callable[[Any, GatewayConfig], None] | None = None
-    """Raise `ConfigError` for what this table and the rest of the configuration must not say
-    together; asked by `rcpd check` too, so it opens nothing."""
-    listens: bool = False
-    """Opened after all others, because it begins to accept clients."""
-
-
-class AdapterKind(msgspec.Struct, frozen=True):
-    """A translation for one kind of client; offered by the hook `rcp_adapters`.
-
-    Opened like a transport, before the transports are.
-    """
-
-    name: str
-    """Its table in the configuration: `[plugins.<name>]`."""
-    config: type[msgspec.Struct]
-    open: Callable[[Any, ClientApi], AbstractAsyncContextManager[dict[str, Any]]]
-    description: str = ""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import platform
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
@@ -13,17 +13,25 @@ import psutil
 from prometheus_client.core import Metric
 
 from rcp_kernel.access.acl import Rights
-from rcp_kernel.access.visibility import names_in
+from rcp_kernel.access.identities import Identities
+from rcp_kernel.access.quotas import QuotaTracker
+from rcp_kernel.access.visibility import Visibility, names_in
+from rcp_kernel.clients.outbound import Outbound
 from rcp_kernel.clients.session import Session
+from rcp_kernel.clients.sessions import Sessions
 from rcp_kernel.clock import iso, now
-from rcp_kernel.gateway import Gateway
 from rcp_kernel.model import tenant_of
+from rcp_kernel.motion.motion_limits import MotionLimits
+from rcp_kernel.operations.commands import Commands
+from rcp_kernel.operations.counts import RequestCounts
 from rcp_kernel.plans.model import PATH as PLANS
 from rcp_kernel.process.guard import GuardLink
 from rcp_kernel.process.log import Recent
 from rcp_kernel.process.metrics import Histogram, Metrics, counter, gauge, histogram
 from rcp_kernel.process.supervisor import WIRE_STATE, BackendSupervisor
-from rcp_kernel.registry import Entry
+from rcp_kernel.record.store import Store
+from rcp_kernel.registry import Entry, Registry
+from rcp_kernel.streaming.hub import Hub
 from rcp_kernel.streaming.subscription import Subscription
 
 __all__ = ["StatusReport", "gateway_version"]
@@ -43,14 +51,41 @@ class StatusReport:
     """Looks at the whole gateway and says how it is."""
 
     def __init__(
-        self, gateway: Gateway, supervisors: list[BackendSupervisor], recent: Recent
+        self,
+        supervisors: Sequence[BackendSupervisor],
+        guard: GuardLink,
+        recent: Recent,
+        *,
+        registry: Registry,
+        hub: Hub,
+        visibility: Visibility,
+        identities: Identities,
+        sessions: Sessions,
+        outbound: Outbound,
+        quotas: QuotaTracker,
+        commands: Commands,
+        counts: RequestCounts,
+        motion_limits: MotionLimits,
+        store: Store,
+        loop: asyncio.AbstractEventLoop,
     ) -> None:
-        self._gateway = gateway
         self._supervisors = supervisors
+        self._guard = guard
         self._recent = recent
+        self._registry = registry
+        self._hub = hub
+        self._visibility = visibility
+        self._identities = identities
+        self._sessions = sessions
+        self._outbound = outbound
+        self._quotas = quotas
+        self._commands = commands
+        self._counts = counts
+        self._motion_limits = motion_limits
+        self._store = store
+        self._loop = loop
         self.transports: list[dict[str, Any]] = []
         self.adapters: list[dict[str, Any]] = []
-        self.guard: GuardLink | None = None
         self.metrics = Metrics(self._families)
         self._process = psutil.Process()
         self._process.cpu_percent()
@@ -64,11 +99,11 @@ class StatusReport:
 
     def start(self) -> None:
         """Begin to measure how late the event loop is."""
-        self._expected = self._gateway.loop.time() + _LAG_PERIOD
-        self._timer = self._gateway.loop.call_at(self._expected, self._measure)
+        self._expected = self._loop.time() + _LAG_PERIOD
+        self._timer = self._loop.call_at(self._expected, self._measure)
 
     def _measure(self) -> None:
-        self._lag_last = max(0.0, self._gateway.loop.time() - self._expected)
+        self._lag_last = max(0.0, self._loop.time() - self._expected)
         self._lag.observe(self._lag_last)
         self.start()
 
@@ -87,27 +122,26 @@ class StatusReport:
 
     def plain(self, rights: Rights | None = None) -> dict[str, Any]:
         """Write the report as far as it concerns the tenants of somebody, or all of it."""
-        gateway = self._gateway
         every = rights is None or "*" in rights.tenants
         tenants = ("*",) if rights is None else rights.tenants
         supervisors = [s for s in self._supervisors if every or s.tenant in tenants]
         robots = [_robot(supervisor, rights) for supervisor in supervisors]
         states = [robot["state"] for robot in robots]
-        adapters = [*self.adapters, *gateway.identities.facts]
+        adapters = [*self.adapters, *self._identities.facts]
         parts = [*self.transports, *adapters]
         broken = any(part.get("state") == "down" for part in parts)
-        broken = broken or (gateway.store.trouble or gateway.store.damage) is not None
+        broken = broken or (self._store.trouble or self._store.damage) is not None
         faults = {
             path: why
-            for path, why in gateway.envelopes.faults_in(tenants).items()
+            for path, why in self._motion_limits.faults_in(tenants).items()
             if rights is None or rights.mask(path)
         }
         broken = broken or bool(faults)
         worst = "ok" if all(s == "ready" for s in states) and not broken else "degraded"
         if states and all(state == "down" for state in states):
             worst = "down"
-        sessions = self._sessions(tenants)
-        entries = gateway.registry.entries
+        sessions = self._sessions_of(tenants)
+        entries = self._registry.entries
         report = {
             "state": worst,
             "version": gateway_version(),
@@ -121,7 +155,7 @@ class StatusReport:
             "sessions": len(sessions),
             "subscriptions": sum(len(session.subscriptions) for session in sessions),
             "resources": sum(1 for path in entries if rights is None or rights.mask(path)),
-            "commands": self._commands(rights),
+            "commands": self._count_commands(rights),
             "queues": self._queues(tenants),
             "warnings": [r for r in self._recent.records if self.concerns(r, rights)],
         }
@@ -137,11 +171,9 @@ class StatusReport:
 
     def _guarded(
         self, supervisors: list[BackendSupervisor], rights: Rights | None
-    ) -> dict[str, Any] | None:
+    ) -> dict[str, Any]:
         """Tell what stops the robots without the gateway: of backends that are seen as a whole."""
-        if self.guard is None:
-            return None
-        return self.guard.plain(s for s in supervisors if rights is None or not _hidden(s, rights))
+        return self._guard.plain(s for s in supervisors if rights is None or not _hidden(s, rights))
 
     def concerns(self, record: dict[str, Any], rights: Rights | None) -> bool:
         """Tell whether a log record is of somebody's tenants, and names nothing that is hidden."""
@@ -151,7 +183,7 @@ class StatusReport:
             return False
         facts = record["facts"]
         texts = [record["message"], *(text for text in facts.values() if isinstance(text, str))]
-        if self._gateway.visibility.names_hidden(rights, self.tenant_of(record), names_in(texts)):
+        if self._visibility.names_hidden(rights, self.tenant_of(record), names_in(texts)):
             return False
         supervisor = next((s for s in self._supervisors if s.name == _backend(facts)), None)
         hidden = [] if supervisor is None else _hidden(supervisor, rights)
@@ -168,16 +200,16 @@ class StatusReport:
             (supervisor.tenant for supervisor in self._supervisors if supervisor.name == name), None
         )
 
-    def _sessions(self, tenants: tuple[str, ...]) -> list[Session]:
-        known = self._gateway.sessions.known.values()
+    def _sessions_of(self, tenants: tuple[str, ...]) -> list[Session]:
+        known = self._sessions.known.values()
         return [s for s in known if "*" in tenants or s.tenant in tenants]
 
-    def _commands(self, rights: Rights | None) -> dict[str, int]:
-        commands = self._gateway.commands
-        running = [c.status for c in commands.running.values() if self._counts(rights, c.path)]
+    def _count_commands(self, rights: Rights | None) -> dict[str, int]:
+        commands = self._commands
+        running = [c.status for c in commands.running.values() if self._is_counted(rights, c.path)]
         ended: dict[str, int] = {}
         for (path, status), count in commands.counts.items():
-            if self._counts(rights, path):
+            if self._is_counted(rights, path):
                 ended[status] = ended.get(status, 0) + count
         queued = running.count("pending")
         return {
@@ -188,11 +220,11 @@ class StatusReport:
             "cancelled": ended.get("cancelled", 0),
         }
 
-    def _counts(self, rights: Rights | None, path: str) -> bool:
+    def _is_counted(self, rights: Rights | None, path: str) -> bool:
         """Tell whether commands on a path count; plans do for those who see all they may touch."""
         if rights is None:
             return True
-        whole = path != PLANS or self._gateway.visibility.sees_whole(rights, None)
+        whole = path != PLANS or self._visibility.sees_whole(rights, None)
         return whole and bool(rights.mask(path))
 
     def _process_facts(self) -> dict[str, Any]:
@@ -206,12 +238,11 @@ class StatusReport:
             }
 
     def _queues(self, tenants: tuple[str, ...]) -> dict[str, Any]:
-        gateway = self._gateway
-        sessions = self._sessions(tenants)
+        sessions = self._sessions_of(tenants)
         boxes = {s.id[:8]: s.connection.outbox for s in sessions if s.connection is not None}
         waiting = {id_: box.depth for id_, box in boxes.items()}
         if "*" in tenants:
-            dropped = sum(gateway.hub.dropped.values()) + _conflated(gateway.hub.subscriptions)
+            dropped = sum(self._hub.dropped.values()) + _conflated(self._hub.subscriptions)
         else:
             dropped = _conflated(sub for s in sessions for sub in s.subscriptions.values())
         return {
@@ -232,8 +263,7 @@ class StatusReport:
             self._reader = None
 
     def _families(self) -> Iterable[Metric]:
-        gateway = self._gateway
-        commands = gateway.commands
+        commands = self._commands
         facts = {"version": gateway_version(), "python": platform.python_version()}
         yield gauge("rcp_build_info", "What runs here.", tuple(facts), [(list(facts.values()), 1)])
         up = time.monotonic() - self.metrics.started
@@ -248,10 +278,10 @@ class StatusReport:
             "rcp_requests",
             "Requests by their outcome.",
             ("transport", "type", "code"),
-            [(list(key), count) for key, count in gateway.counts.items()],
+            [(list(key), count) for key, count in self._counts.outcomes.items()],
         )
         yield histogram(
-            "rcp_request_seconds", "From request to final reply.", (), [([], gateway.seconds)]
+            "rcp_request_seconds", "From request to final reply.", (), [([], self._counts.seconds)]
         )
         yield counter(
             "rcp_samples",
@@ -260,8 +290,8 @@ class StatusReport:
             [([s.name], s.samples) for s in self._supervisors],
         )
         yield counter("rcp_updates", "Updates sent.", ("transport",), self._updates())
-        dropped = {**gateway.hub.dropped}
-        dropped["conflated"] += _conflated(gateway.hub.subscriptions)
+        dropped = {**self._hub.dropped}
+        dropped["conflated"] += _conflated(self._hub.subscriptions)
         yield counter(
             "rcp_dropped",
             "Samples not delivered.",
@@ -269,7 +299,7 @@ class StatusReport:
             [([reason], count) for reason, count in dropped.items()],
         )
         yield from self._gauges()
-        outbound = gateway.outbound
+        outbound = self._outbound
         yield counter(
             "rcp_queue_full",
             "What was done because too much waited for clients.",
@@ -280,7 +310,7 @@ class StatusReport:
             "rcp_quota_refused",
             "What a quota did not allow.",
             ("quota", "tenant", "what"),
-            [(list(key), count) for key, count in gateway.quota_tracker.refused().items()],
+            [(list(key), count) for key, count in self._quotas.refused().items()],
         )
         yield counter(
             "rcp_commands",
@@ -297,7 +327,7 @@ class StatusReport:
             ("path",),
             [
                 ([entry.path], entry.age)
-                for entry in gateway.registry.entries.values()
+                for entry in self._registry.entries.values()
                 if entry.deadline is not None and entry.age is not None and self._told(entry)
             ],
         )
@@ -306,44 +336,42 @@ class StatusReport:
         return self._reader is None or bool(self._reader.mask(entry.path))
 
     def _gauges(self) -> Iterable[Metric]:
-        gateway = self._gateway
         queues = self._queues(("*",))
-        guard = self.guard
-        stops = 0 if guard is None else guard.stops
+        guard = self._guard
         yield counter(
-            "rcp_guard_stops", "How often the guard has stopped robots.", (), [([], stops)]
+            "rcp_guard_stops", "How often the guard has stopped robots.", (), [([], guard.stops)]
         )
         for name, text, value in (
             (
                 "rcp_event_loop_lag_max_seconds",
                 "The most that the event loop was late.",
-                0.0 if guard is None else guard.lag,
+                guard.lag,
             ),
             (
                 "rcp_guard_ready",
                 "Whether the guard is ready to send every plan, or has none.",
-                guard is not None and guard.state in ("ready", "idle"),
+                guard.state in ("ready", "idle"),
             ),
             (
                 "rcp_store_degraded",
                 "Whether the store is damaged, gone, or cannot be written.",
-                (gateway.store.trouble or gateway.store.damage) is not None,
+                (self._store.trouble or self._store.damage) is not None,
             ),
-            ("rcp_sessions", "Sessions held.", len(gateway.sessions.known)),
-            ("rcp_subscriptions", "Subscriptions held.", len(gateway.hub.subscriptions)),
+            ("rcp_sessions", "Sessions held.", len(self._sessions.known)),
+            ("rcp_subscriptions", "Subscriptions held.", len(self._hub.subscriptions)),
             ("rcp_queue_depth", "Messages waiting for clients.", queues["depth"]),
             (
                 "rcp_queue_bytes",
                 "Bytes waiting for clients, but for 64 KiB of each.",
-                gateway.outbound.total,
+                self._outbound.total,
             ),
             ("rcp_event_loop_lag_seconds", "How late the event loop was.", self._lag_last),
         ):
             yield gauge(name, text, (), [([], float(value))])
 
     def _updates(self) -> list[tuple[list[str], float]]:
-        sums = dict(self._gateway.sessions.updates)
-        for session in self._gateway.sessions.known.values():
+        sums = dict(self._sessions.updates)
+        for session in self._sessions.known.values():
             if session.connection is not None:
                 name = session.transport
                 sums[name] = sums.get(name, 0) + session.connection.outbox.updates

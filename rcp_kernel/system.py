@@ -5,26 +5,36 @@ from __future__ import annotations
 import asyncio
 from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager
+from functools import partial
 from typing import Any
 
 import msgspec
 
-from rcp_kernel.access.approvals import ApprovalRequest, ApprovalState
+from rcp_kernel.access.approvals import ApprovalRequest, Approvals, ApprovalState
+from rcp_kernel.access.quotas import QuotaTracker
 from rcp_kernel.clients.session import Session
+from rcp_kernel.clients.sessions import Sessions
 from rcp_kernel.errors import RcpError, UnknownPath
-from rcp_kernel.gateway import Gateway
 from rcp_kernel.model import Operation, Resource
 from rcp_kernel.motion.estop import LONGEST_WAIT, Estop, EstopRequest, EstopState
+from rcp_kernel.motion.latches import Latches
 from rcp_kernel.motion.lease_service import LeaseRequest, LeaseService, LeaseState
+from rcp_kernel.motion.leases import Leases
 from rcp_kernel.motion.stop_group import StopGroup
+from rcp_kernel.operations.command_access import CommandAccess
+from rcp_kernel.operations.execute import Service
+from rcp_kernel.operations.views import Filter, View
 from rcp_kernel.plans.examples import EXAMPLES
 from rcp_kernel.plans.model import Plan, PlanResult, PlanState, StepState
+from rcp_kernel.plans.resource import PlanList
 from rcp_kernel.process.log import Recent
-from rcp_kernel.process.supervisor import BackendSupervisor
-from rcp_kernel.record.disclosure import PATH
-from rcp_kernel.registry import Entry
+from rcp_kernel.record.audit import Audit
+from rcp_kernel.record.disclosure import PATH, Disclosure
+from rcp_kernel.registry import Entry, Registry
+from rcp_kernel.safety.stop import StopController
 from rcp_kernel.spi import Backend, BaseBackend, Progress
 from rcp_kernel.status import StatusReport
+from rcp_kernel.streaming.hub import Hub
 from rcp_kernel.types import Time
 
 __all__ = ["System"]
@@ -58,52 +68,77 @@ class System(BaseBackend):
 
     def __init__(
         self,
-        gateway: Gateway,
-        supervisors: list[BackendSupervisor],
         status: StatusReport,
+        estop: Estop,
+        *,
+        lease_service: LeaseService,
+        leases: Leases,
+        plans: PlanList,
+        approvals: Approvals,
+        access: CommandAccess,
+        sessions: Sessions,
+        quotas: QuotaTracker,
+        audit: Audit,
+        disclosure: Disclosure,
+        latches: Latches,
+        stops: StopController,
+        registry: Registry,
+        hub: Hub,
         recent: Recent,
+        loop: asyncio.AbstractEventLoop,
     ) -> None:
-        self._gateway = gateway
         self._status = status
+        self._estop = estop
+        self._access = access
+        self._sessions = sessions
+        self._quotas = quotas
+        self._audit = audit
+        self._disclosure = disclosure
+        self._registry = registry
+        self._hub = hub
+        self._loop = loop
         self.samples = 0
         self._unit = StopGroup(self, None)
-        self._estop = estop = Estop(gateway, supervisors, gateway.stops)
         self._estop_due: asyncio.TimerHandle | None = None
-        leasing = LeaseService(gateway)
         self.latency: float | None = None
         self.entries = {entry.path: entry for entry in map(self._place, _resources())}
-        gateway.views.update(
-            {
-                "/system/status": self._health,
-                "/system/sessions": self._sessions,
-                "/system/commands": self._commands,
-                "/system/estop": lambda s: msgspec.to_builtins(estop.state(s)),
-                "/system/leases": leasing.view,
-                "/system/plans": gateway.plans.view,
-                "/system/approvals": gateway.approvals.view,
-            }
-        )
-        gateway.visibility_filters[PATH] = gateway.disclosure.shown
-        gateway.visibility_filters[_LOG] = self._shown
+        self.views: dict[str, View] = {
+            "/system/status": self._health,
+            "/system/sessions": self._list_sessions,
+            "/system/commands": self._list_commands,
+            "/system/estop": lambda session: msgspec.to_builtins(estop.state(session)),
+            "/system/leases": lease_service.view,
+            "/system/plans": plans.view,
+            "/system/approvals": approvals.view,
+        }
+        """Resources whose value depends on who asks, by path."""
+        self.filters: dict[str, Filter] = {PATH: disclosure.shown, _LOG: self._shown}
+        """Resources of whose samples everybody sees their own only, and what they see of them: by
+        path, what returns None for a sample that is hidden."""
+        self.services: dict[str, Service] = {
+            "/system/leases": lease_service.request,
+            "/system/approvals": approvals.request,
+        }
+        """What else of the gateway's own branch can be executed, by path."""
         self._open_audit(self.entries[PATH])
-        gateway.hub.keep(self.entries[_LOG])
-        gateway.estop = estop
-        gateway.latches.changed = self._estop_changed
-        gateway.stops.on_change(self._estop_changed)
-        gateway.services["/system/leases"] = leasing.request
-        gateway.services["/system/approvals"] = gateway.approvals.request
-        gateway.leases.changed = lambda: self._publish("leases", [])
-        gateway.plans.tell = lambda: self._publish("plans", [])
-        gateway.approvals.changed = lambda: self._publish("approvals", [])
+        hub.keep(self.entries[_LOG])
+        latches.on_change.append(self._estop_changed)
+        stops.on_change(self._estop_changed)
         self._publish("estop", estop.everything())
-        gateway.leases.changed()
-        gateway.plans.tell()
-        gateway.approvals.changed()
-        recent.told = self._logged
+        for name, part in (("leases", leases), ("plans", plans), ("approvals", approvals)):
+            changed = partial(self._publish, name, [])
+            part.on_change.append(changed)
+            changed()
+        self._recent = recent
+        recent.on_record.append(self._logged)
+
+    def close(self) -> None:
+        """Publish no log records any more."""
+        self._recent.on_record.remove(self._logged)
 
     def _place(self, resource: Resource) -> Entry:
         path = "/system/" + resource.name.partition("/")[2]
-        return self._gateway.registry.place(Entry(path, resource, self, None, None))
+        return self._registry.place(Entry(path, resource, self, None, None))
 
     def _publish(self, name: str, value: Any) -> None:
         """Say that a view has changed."""
@@ -112,7 +147,7 @@ class System(BaseBackend):
     def _estop_changed(self) -> None:
         """Publish the e-stop soon: a stop of many robots changes it many times, and must not wait."""
         if self._estop_due is None:
-            self._estop_due = self._gateway.loop.call_later(_SOON, self._publish_estop)
+            self._estop_due = self._loop.call_later(_SOON, self._publish_estop)
 
     def _publish_estop(self) -> None:
         self._estop_due = None
@@ -140,15 +175,15 @@ class System(BaseBackend):
         """A value of the gateway's own that does not fit is a bug, and raises where it is made."""
 
     def _open_audit(self, entry: Entry) -> None:
-        audit = self._gateway.audit
-        self._gateway.hub.keep(entry)
+        audit = self._audit
+        self._hub.keep(entry)
         for record in audit.past(_AUDIT):
             entry.publish(record, None)
-        audit.told = lambda record: entry.publish(record, None)
+        audit.on_record.append(lambda record: entry.publish(record, None))
 
     def _logged(self, record: dict[str, Any]) -> None:
         # Warnings come from any thread.
-        loop = self._gateway.loop
+        loop = self._loop
         if not loop.is_closed():
             loop.call_soon_threadsafe(self._publish_record, record)
 
@@ -182,25 +217,24 @@ class System(BaseBackend):
     # -- views ---------------------------------------------------------------------------------
 
     def _health(self, session: Session) -> dict[str, Any]:
-        audit = self._gateway.audit
+        audit = self._audit
         report = self._status.plain(session.rights)
         return report | {
-            "record": audit.state(head=self._gateway.disclosure.concerns(session, {})),
-            "quotas": self._gateway.quota_tracker.plain(session),
+            "record": audit.state(head=self._disclosure.concerns(session, {})),
+            "quotas": self._quotas.plain(session),
         }
 
-    def _sessions(self, session: Session) -> list[dict[str, Any]]:
+    def _list_sessions(self, session: Session) -> list[dict[str, Any]]:
         mine = session.principal
         places = session.rights.places("/system/sessions", Operation.EXECUTE)
         return [
             s.plain()
-            for s in self._gateway.sessions.known.values()
+            for s in self._sessions.known.values()
             if "*" in places or s.tenant in places or s.principal == mine
         ]
 
-    def _commands(self, session: Session) -> list[dict[str, Any]]:
-        sees = self._gateway.executing.sees
-        return [c.plain() for c in self._gateway.commands.every() if sees(session, c)]
+    def _list_commands(self, session: Session) -> list[dict[str, Any]]:
+        return [command.plain() for command in self._access.visible(session)]
 
     async def execute(self, name: str, value: Any, progress: Progress) -> Any:
         """What is executable here is done before it gets this far."""

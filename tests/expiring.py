@@ -6,8 +6,8 @@ from datetime import UTC, datetime, timedelta
 
 import msgspec
 
+from rcp_kernel.app.server import Server
 from rcp_kernel.config.identity import KeyConfig
-from rcp_kernel.process.server import Server
 
 __all__ = ["brief_key"]
 
@@ -19,6 +19,6 @@ def brief_key(server: Server) -> str:
     """Give a running gateway an operator's key of tenant `alpha` that ends in a moment, and return it."""
     ends = (datetime.now(UTC) + _LIFE).isoformat()
     key = KeyConfig(name="brief", role="operator", tenants=("alpha",), key=_KEY, expires=ends)
-    config = server.gateway.config
-    server.gateway.reconfigure(msgspec.structs.replace(config, keys=(*config.keys, key)))
+    config = server.kernel.settings.config
+    server.kernel.reconfigure(msgspec.structs.replace(config, keys=(*config.keys, key)))
     return _KEY

@@ -13,11 +13,11 @@ from contextlib import asynccontextmanager
 import msgspec
 import uvloop
 
+from rcp_kernel.app.server import Prepared, prepare, running
 from rcp_kernel.config.file import BackendConfig, parse
 from rcp_kernel.model import Resource
 from rcp_kernel.process.garbage import collected_at_rest
 from rcp_kernel.process.log import configure
-from rcp_kernel.process.server import Prepared, prepare, running
 from rcp_kernel.spi import BackendKind, BaseBackend
 from rcp_kernel.types import Twist
 
@@ -83,8 +83,8 @@ async def main() -> None:
     made = Prepared(config, bare.plugins, (Nothing(),), bare.transports, bare.adapters)
     async with running(made) as server:
         url = next(facts["url"] for facts in server.status.transports if "url" in facts)
-        loop, gateway = asyncio.get_running_loop(), server.gateway
-        with collected_at_rest(loop, lambda: gateway.moving):
+        loop, kernel = asyncio.get_running_loop(), server.kernel
+        with collected_at_rest(loop, lambda: kernel.moving):
             print(url.rpartition(":")[2].strip("/"), flush=True)
             await asyncio.to_thread(sys.stdin.read)
 

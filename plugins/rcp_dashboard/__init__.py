@@ -12,8 +12,8 @@ from rcp_dashboard.layouts import Layouts
 from rcp_dashboard.openapi import described
 from rcp_dashboard.pages import STATIC, Pages
 from rcp_kernel.client_api import ClientApi, Mount
+from rcp_kernel.client_kinds import AdapterKind
 from rcp_kernel.hookspecs import hookimpl
-from rcp_kernel.spi import AdapterKind
 
 __all__ = ["DashboardConfig", "open_dashboard", "rcp_adapters"]
 

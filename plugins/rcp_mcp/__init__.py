@@ -10,8 +10,8 @@ from importlib.util import find_spec
 from typing import Any
 
 from rcp_kernel.client_api import ClientApi
+from rcp_kernel.client_kinds import AdapterKind
 from rcp_kernel.hookspecs import hookimpl
-from rcp_kernel.spi import AdapterKind
 from rcp_mcp.config import McpConfig
 
 __all__ = ["McpConfig", "rcp_adapters"]

@@ -11,90 +11,25 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable
-from typing import TYPE_CHECKING, Annotated, Literal, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 from weakref import WeakSet
 
-import msgspec
-from msgspec import Meta
-
-from rcp_kernel.access.conditions import Condition, condition
+from rcp_kernel.access.condition import Condition, condition
 from rcp_kernel.access.identity import Grants, Principal
-from rcp_kernel.config.limits import Quota
+from rcp_kernel.config.role import ASK, BUILTIN_ROLES, DECIDE, OPERATIONS, Role, Rule
 from rcp_kernel.model import Operation, Pattern, tenant_of
 
 if TYPE_CHECKING:
     from rcp_kernel.access.conditions import Conditions
     from rcp_kernel.registry import Entry
 
-__all__ = ["BUILTIN_ROLES", "Rights", "Role", "Rule", "Rules", "reach"]
+__all__ = ["Rights", "Rules", "reach"]
 
-OperationName = Literal["discover", "read", "write", "execute", "subscribe", "*"]
-_ALL = (
-    Operation.READ | Operation.WRITE | Operation.EXECUTE | Operation.SUBSCRIBE | Operation.DISCOVER
-)
 _MAX_KNOWN = 200_000  # paths whose masks are kept, of all sets of roles together
 _MAX_COMPILED = 1000  # sets of roles whose rights are kept at hand
 _NAMED = re.compile(r"/tenant/[\w./-]+")
 _RESOURCE = 4  # slashes of the path of a resource at least; what is shorter is a scope
 _CONDITIONAL_SHIFT = 8  # bits by which operations are shifted that hang on a condition
-
-
-class Rule(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Operations on the paths of some patterns."""
-
-    operations: tuple[OperationName, ...]
-    paths: tuple[str, ...]
-    when: str | None = None
-    """A condition: an `allow` counts only while it holds, a `deny` unless it certainly does not."""
-
-    @property
-    def mask(self) -> Operation:
-        """The operations as bits; whatever may be done may be discovered too."""
-        bits = Operation.NONE
-        for name in self.operations:
-            bits |= _ALL if name == "*" else Operation[name.upper()]
-        return bits
-
-
-class Role(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A named set of rules."""
-
-    allow: tuple[Rule, ...] = ()
-    deny: tuple[Rule, ...] = ()
-    reset: bool = False
-    """May reset a latched e-stop."""
-    stop_all: bool = True
-    """May stop the robots of all its tenants at once; without it an e-stop that names no scope
-    stops those of the session's own tenant."""
-    priority: Annotated[int, Meta(ge=0, le=100)] = 50
-    """Who takes a lease from whom: a person (50) beats an agent (10)."""
-    quota: Quota | None = None
-    """What each principal with this role may have."""
-    approve: tuple[str, ...] = ()
-    """Paths that this role commands only when a person has approved it."""
-    may_approve: bool = False
-    """May decide on what others ask for."""
-    approve_own: bool = False
-    """The person at the client of an adapter may approve what the principal itself asks for."""
-
-
-_LOOK: tuple[OperationName, ...] = ("discover", "read", "subscribe")
-_HEALTH = Rule(_LOOK, ("/system/status",))
-_ESTOP = Rule(("discover", "read", "subscribe", "execute"), ("/system/estop",))
-_OWN = Rule(_LOOK, ("/system/commands", "/system/sessions"))
-_LEASES = Rule((*_LOOK, "execute"), ("/system/leases", "/system/plans"))
-_ASK = Rule(_LOOK, ("/system/approvals",))
-_DECIDE = Rule((*_LOOK, "execute"), ("/system/approvals",))
-BUILTIN_ROLES: dict[str, Role] = {
-    "viewer": Role(allow=(Rule(_LOOK, ("/**",)), _HEALTH, _ESTOP)),
-    "operator": Role(allow=(Rule(("*",), ("/**",)), _HEALTH, _ESTOP, _OWN, _LEASES)),
-    "agent": Role(allow=(Rule(("*",), ("/**",)), _HEALTH, _ESTOP, _OWN, _LEASES), priority=10),
-    "admin": Role(
-        allow=(Rule(("*",), ("/**", "/system/**")),), reset=True, priority=60, may_approve=True
-    ),
-}
-"""Roles that need no configuration: look, operate, operate as a program that gives way to people,
-and all of it with the gateway's own branch."""
 
 
 class _Reach(NamedTuple):
@@ -119,7 +54,7 @@ class _Terms(NamedTuple):
 
 def reach(mask: int) -> int:
     """Return the operations that a mask allows under some condition or none."""
-    return (mask | mask >> _CONDITIONAL_SHIFT) & _ALL
+    return (mask | mask >> _CONDITIONAL_SHIFT) & OPERATIONS
 
 
 class Rights:
@@ -349,8 +284,8 @@ def _bits(rules: Iterable[_Reach]) -> Operation:
 def _implied(role: Role) -> tuple[Rule, ...]:
     """Return what goes without saying: who decides, or has to ask, sees what there is to decide."""
     if role.may_approve:
-        return (_DECIDE,)
-    return (_ASK,) if role.approve else ()
+        return (DECIDE,)
+    return (ASK,) if role.approve else ()
 
 
 def _reaches(rule: Rule, tenant: str) -> list[_Reach]:
@@ -372,10 +307,15 @@ class Rules:
     """The roles of the gateway, and the rights compiled from them."""
 
     def __init__(self, roles: dict[str, Role], conditions: Conditions | None = None) -> None:
-        self.roles = {**BUILTIN_ROLES, **roles}
         self._conditions = conditions
+        self.configure(roles)
+
+    def configure(self, roles: dict[str, Role]) -> None:
+        """Take over other roles; what was compiled from those before counts for nothing new."""
+        self.roles = {**BUILTIN_ROLES, **roles}
         self._room = Room()
         self._compiled: dict[Grants, Rights] = {}
+        conditions = self._conditions
         if conditions is not None:
             rules = [r for role in self.roles.values() for r in (*role.allow, *role.deny)]
             conditions.use("rules", [condition(r.when) for r in rules if r.when is not None])

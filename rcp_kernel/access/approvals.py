@@ -5,29 +5,30 @@ Kept in memory: a restart forgets what was asked and approved, and it is asked a
 
 from __future__ import annotations
 
+import asyncio
 import hashlib
 import secrets
 from collections import Counter
-from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
+from collections.abc import Callable
+from typing import Annotated, Any, Literal, NamedTuple
 
 import msgspec
 from msgspec import Meta
 
 from rcp_kernel.access.identity import Principal
+from rcp_kernel.access.visibility import Visibility
 from rcp_kernel.clients.session import Session
 from rcp_kernel.clock import iso, now
+from rcp_kernel.config.settings import Settings
 from rcp_kernel.errors import ApprovalRequired, Forbidden, QueueFull, RcpError, UnknownPath
 from rcp_kernel.model import Kind, tenant_of
 from rcp_kernel.motion.safety import safe_value
-from rcp_kernel.record.audit import bounded, hashed
+from rcp_kernel.record.audit import Audit, bounded, hashed
 from rcp_kernel.record.audit_writer import ID
 from rcp_kernel.registry import Entry
 from rcp_kernel.types import Time
 from rcp_kernel.values import Encoding, dump, to_plain
 from rcp_kernel.wire import Request
-
-if TYPE_CHECKING:
-    from rcp_kernel.gateway import Gateway
 
 __all__ = ["About", "ApprovalRequest", "ApprovalState", "Approvals", "Decision"]
 
@@ -111,13 +112,29 @@ class _Asked:
 class Approvals:
     """Every question that is open, and those decided lately."""
 
-    def __init__(self, gateway: Gateway) -> None:
-        self._gateway = gateway
+    def __init__(
+        self,
+        settings: Settings,
+        visibility: Visibility,
+        audit: Audit,
+        place: Callable[[Session, Request], object],
+        loop: asyncio.AbstractEventLoop,
+    ) -> None:
+        self._settings = settings
+        self._visibility = visibility
+        self._audit = audit
+        self._place = place
+        """Refuses a request for which its session has no place."""
+        self._loop = loop
         self._known: dict[str, _Asked] = {}
         self._tokens: dict[str, frozenset[str]] = {}
         """Paths that the steps of a running, approved plan may command."""
-        self.changed = lambda: None
+        self.on_change: list[Callable[[], None]] = []
         """Called when the list may have changed."""
+
+    def _changed(self) -> None:
+        for changed in self.on_change:
+            changed()
 
     # -- what commands ask ---------------------------------------------------------------------
 
@@ -194,10 +211,9 @@ class Approvals:
         about: About,
         digest: bytes,
     ) -> _Asked:
-        gateway = self._gateway
         self._room(session.principal)
         moment = now()
-        expires = moment + int(gateway.config.safety.approval_ttl * 1e9)
+        expires = moment + int(self._settings.config.safety.approval_ttl * 1e9)
         state = ApprovalState(
             approval=ID + secrets.token_hex(8),
             request="write" if request.type == "write" else "execute",
@@ -211,8 +227,8 @@ class Approvals:
         tenants = frozenset(tenant_of(path) or "" for path in about.paths)
         asked = _Asked(state, session.principal.identity, about.seen, tenants, expires, digest)
         self._known[state.approval] = asked
-        gateway.loop.call_later(gateway.config.safety.approval_ttl + 0.01, self.changed)
-        self.changed()
+        self._loop.call_later(self._settings.config.safety.approval_ttl + 0.01, self._changed)
+        self._changed()
         return asked
 
     def _room(self, principal: Principal) -> None:
@@ -264,9 +280,9 @@ class Approvals:
                 path=path,
                 remedy="Send the command without `approval` to ask for another.",
             )
-        self._gateway.place(session, request)  # or it would be used up for nothing
+        self._place(session, request)  # or it would be used up for nothing
         asked.state.status = "used"
-        self.changed()
+        self._changed()
 
     # -- plans ---------------------------------------------------------------------------------
 
@@ -333,7 +349,7 @@ class Approvals:
 
     def _may(self, session: Session, asked: _Asked) -> bool:
         rights = session.rights
-        sees_all = self._gateway.visibility.sees_all
+        sees_all = self._visibility.sees_all
         return all(map(rights.may_approve, asked.tenants)) and sees_all(rights, asked.seen)
 
     def _sees(self, session: Session, asked: _Asked) -> bool:
@@ -356,7 +372,7 @@ class Approvals:
         state.by, state.reason = session.principal.name, reason
         plan = bool(state.steps)
         shown: Any = bounded(state.value)
-        self._gateway.audit.note(
+        self._audit.note(
             "approval",
             principal=session.principal,
             session=session,
@@ -373,7 +389,7 @@ class Approvals:
             reason=reason,
             at=at,
         )
-        self.changed()
+        self._changed()
         return msgspec.structs.replace(state)
 
     def view(self, session: Session) -> list[dict[str, Any]]:

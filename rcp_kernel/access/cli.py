@@ -60,8 +60,8 @@ def create(
     expires: str | None,
 ) -> None:
     """Make a key for NAME and print it, once: only its hash is kept."""
-    from rcp_kernel.access.acl import BUILTIN_ROLES
     from rcp_kernel.config.identity import check_grants
+    from rcp_kernel.config.role import BUILTIN_ROLES
 
     if not re.fullmatch(_NAME, name):
         _fail("a NAME has 1 to 64 letters, digits and . _ @ -")

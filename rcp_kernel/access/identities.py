@@ -6,6 +6,7 @@ worth the wait (`wait`). A secret is neither kept nor shown: it is its hash that
 
 from __future__ import annotations
 
+import asyncio
 import os
 from collections.abc import AsyncGenerator, Callable
 from contextlib import AsyncExitStack, asynccontextmanager, suppress
@@ -14,7 +15,6 @@ from typing import TYPE_CHECKING, Any
 
 import structlog
 
-from rcp_kernel.access.acl import BUILTIN_ROLES
 from rcp_kernel.access.auth_throttle import AuthThrottle
 from rcp_kernel.access.certificates import Certificates
 from rcp_kernel.access.identity import Grants, Keyring, Principal, check_time, fingerprint
@@ -25,6 +25,8 @@ from rcp_kernel.access.webtokens import is_jwt
 from rcp_kernel.clock import now
 from rcp_kernel.config.file import GatewayConfig
 from rcp_kernel.config.identity import instant
+from rcp_kernel.config.role import BUILTIN_ROLES
+from rcp_kernel.config.settings import Settings
 from rcp_kernel.errors import (
     ConfigError,
     Forbidden,
@@ -33,9 +35,10 @@ from rcp_kernel.errors import (
     TokenExpired,
     Unauthenticated,
 )
+from rcp_kernel.record.store import Store
 
 if TYPE_CHECKING:
-    from rcp_kernel.gateway import Gateway
+    from rcp_kernel.record.audit import Audit
 
 __all__ = ["Identities", "check_proofs", "store_file"]
 
@@ -64,15 +67,27 @@ def check_proofs(config: GatewayConfig, source: str) -> None:
 class Identities:
     """Everything by which a gateway knows its clients. For the event loop's thread."""
 
-    def __init__(self, gateway: Gateway, authenticator: Authenticator | None) -> None:
-        self._gateway = gateway
+    def __init__(
+        self,
+        settings: Settings,
+        store: Store,
+        audit: Audit,
+        loop: asyncio.AbstractEventLoop,
+        authenticator: Authenticator | None,
+    ) -> None:
+        self._settings = settings
+        self._store = store
+        self._audit = audit
+        self._loop = loop
         self._authenticator = authenticator
-        config = gateway.config
+        self.on_change: list[Callable[[], None]] = []
+        """Called when proofs may be worth something else than before."""
+        config = settings.config
         self._tokens: list[Token] = []
         self._certificates = Certificates(config.certificates)
         self._issuers = Issuers(config.jwt, config.tenant_names)
         self._keyring = _keyring(config, self._tokens)
-        self._attempts = AuthThrottle(config.limits.failed_logins, gateway.loop.time)
+        self._attempts = AuthThrottle(config.limits.failed_logins, self._loop.time)
         self._running = False
 
     # -- its own time --------------------------------------------------------------------------
@@ -84,16 +99,16 @@ class Identities:
         :raises ConfigError: the store cannot be opened.
         """
         async with AsyncExitStack() as stack:
-            path = self._gateway.store.path
+            path = self._store.path
             if path is not None:
-                loop = self._gateway.loop
+                loop = self._loop
 
                 def told(tokens: list[Token]) -> None:
                     loop.call_soon_threadsafe(self._take, tokens)
 
                 watch = TokenWatch(path, told)
                 self._tokens = watch.tokens
-                self._keyring = _keyring(self._gateway.config, self._tokens)
+                self._keyring = _keyring(self._settings.config, self._tokens)
                 watch.start()
                 stack.callback(watch.close)
             self._running = True
@@ -106,16 +121,15 @@ class Identities:
         self._issuers.stop()
 
     def _review(self) -> None:
-        self._gateway.sessions.review()
+        for changed in self.on_change:
+            changed()
 
     def _take(self, tokens: list[Token]) -> None:
         news, self._tokens = changes(self._tokens, tokens), tokens
-        self._keyring = _keyring(self._gateway.config, tokens)
+        self._keyring = _keyring(self._settings.config, tokens)
         for outcome, token in news:
             log.info("token", name=token.name, id=token.id, outcome=outcome)
-            self._gateway.audit.note(
-                "token", principal=None, outcome=outcome, name=token.name, id=token.id
-            )
+            self._audit.note("token", principal=None, outcome=outcome, name=token.name, id=token.id)
         self._review()
 
     def reconfigure(self, config: GatewayConfig) -> None:
@@ -151,21 +165,21 @@ class Identities:
 
         :raises Unauthenticated: the configuration gives them no role.
         """
-        grants = self._gateway.config.anonymous.grants
+        grants = self._settings.config.anonymous.grants
         if not any(roles for _, roles in grants):
             raise Unauthenticated("this gateway serves nobody without a token")
         return Principal("anonymous", grants)
 
     def longest(self, principal: Principal) -> int:
         """Return the length of the longest message that a principal may send."""
-        config = self._gateway.config
+        config = self._settings.config
         if principal.anonymous and not config.acts(principal.roles):
             return min(config.limits.unproved, config.limits.message)
         return config.limits.message
 
     def tenants_of(self, principal: Principal) -> list[str]:
         """List the tenants that a principal acts in."""
-        known = self._gateway.config.tenant_names
+        known = self._settings.config.tenant_names
         return [t for t in known if "*" in principal.tenants or t in principal.tenants]
 
     def tenant_for(self, principal: Principal, wanted: str | None) -> str | None:

@@ -7,19 +7,20 @@ summed when somebody wants more of it, so that no way out of a session can be fo
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Mapping
 from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
+from rcp_kernel.access.acl import Rules
 from rcp_kernel.access.identity import Principal
 from rcp_kernel.access.token_bucket import NONE, SWEEP, Owner, QuotaUsage, TokenBucket
 from rcp_kernel.clients.backpressure import shed, waiting_bytes
 from rcp_kernel.config.limits import Quota
+from rcp_kernel.config.settings import Settings
 from rcp_kernel.errors import QueueFull
 
 if TYPE_CHECKING:
     from rcp_kernel.clients.session import Session
-    from rcp_kernel.gateway import Gateway
     from rcp_kernel.operations.command import Command
 
 __all__ = ["QuotaTracker"]
@@ -31,18 +32,31 @@ _MANY = 10_000  # accounts, before idle ones are let go
 class QuotaTracker:
     """The accounts of all tenants and principals that have a quota."""
 
-    def __init__(self, gateway: Gateway) -> None:
-        self._gateway = gateway
-        self._known: dict[tuple[Owner, Any], QuotaUsage] = {}
-        self._charged: dict[str, tuple[QuotaUsage, ...]] = {}
+    def __init__(
+        self,
+        settings: Settings,
+        rules: Rules,
+        loop: asyncio.AbstractEventLoop,
+        sessions: Mapping[str, Session],
+        running: Mapping[str, Command],
+    ) -> None:
+        self._settings = settings
+        self._rules = rules
+        self._loop = loop
+        self._sessions = sessions
+        """All that have a connection or wait for one, by id."""
+        self._running = running
+        """Commands, by id."""
+        self._known: dict[tuple[Owner, Any], QuotaUsage[Session]] = {}
+        self._charged: dict[str, tuple[QuotaUsage[Session], ...]] = {}
         self._timer: asyncio.TimerHandle | None = None
 
     # -- who has which quota -------------------------------------------------------------------
 
     def attach(self, session: Session) -> None:
         """Give a session its meter, or none if no quota concerns it."""
-        config = self._gateway.config
-        accounts: list[QuotaUsage] = []
+        config = self._settings.config
+        accounts: list[QuotaUsage[Session]] = []
         principal = session.principal
         quota = self._quota_of(principal)
         if quota != NONE:
@@ -55,7 +69,7 @@ class QuotaTracker:
         if known != tuple(accounts):
             session.token_bucket = TokenBucket(tuple(accounts)) if accounts else None
 
-    def _account(self, owner: Owner, key: Any, name: str, quota: Quota) -> QuotaUsage:
+    def _account(self, owner: Owner, key: Any, name: str, quota: Quota) -> QuotaUsage[Session]:
         account = self._known.get((owner, key))
         if account is None:
             if len(self._known) >= _MANY:
@@ -64,12 +78,12 @@ class QuotaTracker:
         elif account.quota != quota:
             account.adopt(quota)
         if quota.queue_bytes is not None and self._timer is None:
-            self._timer = self._gateway.loop.call_later(SWEEP, self._look)
+            self._timer = self._loop.call_later(SWEEP, self._look)
         return account
 
     def _quota_of(self, principal: Principal) -> Quota:
-        default = self._gateway.config.quotas.principal
-        roles = self._gateway.rules.roles
+        default = self._settings.config.quotas.principal
+        roles = self._rules.roles
         held = [roles[name].quota or default for name in principal.roles if name in roles]
         return _most_generous(default, held or [default])
 
@@ -80,8 +94,8 @@ class QuotaTracker:
 
     # -- sessions and what they hold -----------------------------------------------------------
 
-    def enter(self, session: Session) -> None:
-        """Count a new session.
+    def enter(self, session: Session, drop: Callable[[Session], None]) -> None:
+        """Count a new session; `drop` ends one that has to make room.
 
         Where the quota is reached only with those that wait for their client's return, the one that
         has waited longest goes: but one, as this client may be about to come back to it.
@@ -92,11 +106,11 @@ class QuotaTracker:
         if session.token_bucket is None:
             return
         for account in session.token_bucket.accounts:
-            self._check_session(account)
+            self._check_session(account, drop)
         for account in session.token_bucket.accounts:
             account.sessions.add(session)
 
-    def _check_session(self, account: QuotaUsage) -> None:
+    def _check_session(self, account: QuotaUsage[Session], drop: Callable[[Session], None]) -> None:
         limit = account.quota.sessions
         if limit is None:
             return
@@ -104,7 +118,7 @@ class QuotaTracker:
             raise account.full("sessions", limit)
         if len(account.sessions) > limit:
             waiting = [session for session in account.sessions if session.cut is not None]
-            self._gateway.sessions.drop(min(waiting, key=lambda session: session.cut or 0))
+            drop(min(waiting, key=lambda session: session.cut or 0))
 
     def leave(self, session: Session) -> None:
         """Count a session no more."""
@@ -116,7 +130,7 @@ class QuotaTracker:
         """Bring a session under the quotas that concern it now."""
         self.leave(session)
         self.attach(session)
-        if session.token_bucket is not None and session.id in self._gateway.sessions.known:
+        if session.token_bucket is not None and session.id in self._sessions:
             for account in session.token_bucket.accounts:
                 account.sessions.add(session)
 
@@ -189,7 +203,7 @@ class QuotaTracker:
                 account.commands.clear()
                 account.plans.clear()
         self._charged.clear()
-        for command in self._gateway.commands.running.values():
+        for command in self._running.values():
             if command.asker is not None:
                 self.move(command.asker)
                 self.charge(command.asker, command)
@@ -198,7 +212,7 @@ class QuotaTracker:
 
     def _look(self) -> None:
         accounts = [a for a in self._known.values() if a.quota.queue_bytes is not None]
-        self._timer = self._gateway.loop.call_later(SWEEP, self._look) if accounts else None
+        self._timer = self._loop.call_later(SWEEP, self._look) if accounts else None
         for account in accounts:
             _weigh(account, account.quota.queue_bytes or 0)
 
@@ -231,12 +245,12 @@ class QuotaTracker:
                 sums[key] = sums.get(key, 0) + count
         return sums
 
-    def of(self, owner: Owner) -> Iterable[QuotaUsage]:
+    def of(self, owner: Owner) -> Iterable[QuotaUsage[Session]]:
         """Go through the accounts of tenants or principals."""
         return [account for account in self._known.values() if account.owner == owner]
 
 
-def _weigh(account: QuotaUsage, limit: int) -> None:
+def _weigh(account: QuotaUsage[Session], limit: int) -> None:
     """Have the slowest clients give way until what waits is within the quota, or ask no more."""
     held = sorted(((waiting_bytes(s), s) for s in account.sessions), key=_by_size, reverse=True)
     total = sum(size for size, _ in held)

@@ -6,7 +6,8 @@ requests are paid for.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Literal
+from collections.abc import Sized
+from typing import Any, Generic, Literal, Protocol, TypeVar
 
 import msgspec
 
@@ -15,10 +16,14 @@ from rcp_kernel.errors import QueueFull, RateLimited, RcpError
 from rcp_kernel.values import value_type
 from rcp_kernel.wire import Request
 
-if TYPE_CHECKING:
-    from rcp_kernel.clients.session import Session
-
-__all__ = ["NONE", "SWEEP", "Owner", "QuotaUsage", "TokenBucket", "is_exempt"]
+__all__ = [
+    "NONE",
+    "SWEEP",
+    "Owner",
+    "QuotaUsage",
+    "TokenBucket",
+    "is_exempt",
+]
 
 SWEEP = 0.25  # s between looks at what waits
 _ESTOP = "/system/estop"
@@ -53,7 +58,21 @@ def _releases(request: Request) -> bool:
         return False
 
 
-class QuotaUsage:
+class Counted(Protocol):
+    """A session, as far as it is counted here."""
+
+    cut: int | None
+
+    @property
+    def subscriptions(self) -> Sized:
+        """What it has subscribed to."""
+        ...
+
+
+S = TypeVar("S", bound=Counted)
+
+
+class QuotaUsage(Generic[S]):
     """What one tenant or principal may have, and has."""
 
     __slots__ = (
@@ -75,7 +94,7 @@ class QuotaUsage:
         self.name = name
         self.paid = 0.0
         """Up to when the requests so far have used this account's share, `perf_counter` seconds."""
-        self.sessions: set[Session] = set()
+        self.sessions: set[S] = set()
         self.commands: set[str] = set()
         """Ids of those that have not ended."""
         self.plans: set[str] = set()
@@ -136,19 +155,19 @@ class QuotaUsage:
         return out
 
 
-_UNLIMITED = QuotaUsage("principal", "", NONE)
+_UNLIMITED: QuotaUsage[Any] = QuotaUsage("principal", "", NONE)
 
 
-class TokenBucket:
+class TokenBucket(Generic[S]):
     """What every request of one session passes."""
 
     __slots__ = ("accounts", "choked", "first", "second")
 
-    def __init__(self, accounts: tuple[QuotaUsage, ...]) -> None:
+    def __init__(self, accounts: tuple[QuotaUsage[S], ...]) -> None:
         self.accounts = accounts
         self.first = accounts[0]
         self.second = accounts[1] if len(accounts) > 1 else _UNLIMITED
-        self.choked: QuotaUsage | None = None
+        self.choked: QuotaUsage[S] | None = None
         """Whose quota of waiting bytes this session's untaken replies exceed."""
 
     def take(self, moment: float) -> bool:

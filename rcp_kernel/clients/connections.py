@@ -5,20 +5,26 @@ from __future__ import annotations
 import asyncio
 from collections import deque
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Any
 
-import msgspec
-from msgspec import Meta
-
+from rcp_kernel.access.identities import Identities
 from rcp_kernel.access.identity import Principal
 from rcp_kernel.access.peer import UNKNOWN, Peer
-from rcp_kernel.clients.outbound import SHARE, SMALL
-from rcp_kernel.clients.outbox import Outbox
+from rcp_kernel.clients.handshake import Handshake
+from rcp_kernel.clients.hello import Hello
+from rcp_kernel.clients.outbound import SHARE, SMALL, Outbound
+from rcp_kernel.clients.outbox import FlushScheduler, Outbox
+from rcp_kernel.clients.session import Handler, Session
+from rcp_kernel.clients.sessions import Sessions
 from rcp_kernel.clients.unsent import ESTOP, left_out
 from rcp_kernel.clock import iso, now
+from rcp_kernel.config.settings import Settings
 from rcp_kernel.errors import QueueFull, RcpError
+from rcp_kernel.operations.counts import RequestCounts
 from rcp_kernel.operations.pending import to_internal_error
+from rcp_kernel.record.audit_writer import AuditWriter
 from rcp_kernel.values import Encoding, value_type
 from rcp_kernel.wire import (
     NO_BODY,
@@ -31,30 +37,32 @@ from rcp_kernel.wire import (
     peek_header,
 )
 
-if TYPE_CHECKING:
-    from rcp_kernel.clients.session import Session
-    from rcp_kernel.gateway import Gateway
-
-__all__ = ["Connection", "Hello"]
+__all__ = ["Connection", "ConnectionParts"]
 
 _HELD = 256  # messages that wait for a `hello`
 
 
-class Hello(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """The body of `hello`."""
-
-    token: Annotated[str, Meta(max_length=16_384)] | None = None
-    session: Annotated[str, Meta(max_length=128)] | None = None
-    resume_token: Annotated[str, Meta(max_length=128)] | None = None
-    resume_from: int | dict[str, int] | None = None
-    """What the client has: the last `seq`, of its one path or of each path."""
-    client: Annotated[str, Meta(max_length=256)] | None = None
-    tenant: Annotated[str, Meta(max_length=128)] | None = None
-    """Which of the principal's tenants relative paths mean."""
-    segment_size: Annotated[int, Meta(ge=1024, le=64 * 1024 * 1024)] | None = None
-
-
 _HELLO = value_type(Hello)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ConnectionParts:
+    """What connections use of the gateway, the same for all of them."""
+
+    handle: Handler
+    read_at_once: Callable[[Session, Request], bytes | None]
+    """Answers the read that nearly all reads are, where nothing wants to see every request."""
+    quick: bool
+    """Whether nothing wants to see every request."""
+    handshake: Handshake
+    sessions: Sessions
+    identities: Identities
+    audit_writer: AuditWriter
+    counts: RequestCounts
+    outbound: Outbound
+    settings: Settings
+    scheduler: FlushScheduler
+    loop: asyncio.AbstractEventLoop
 
 
 class Connection:
@@ -65,9 +73,12 @@ class Connection:
     """
 
     __slots__ = (
-        "_gateway",
+        "_handle",
         "_held",
         "_identifying",
+        "_parts",
+        "_read_at_once",
+        "_settings",
         "_splices",
         "closed",
         "encoding",
@@ -82,16 +93,18 @@ class Connection:
 
     def __init__(
         self,
-        gateway: Gateway,
+        parts: ConnectionParts,
         session: Session,
         encoding: Encoding,
         flush: Callable[[], None],
         peer: Peer = UNKNOWN,
     ) -> None:
-        self._gateway = gateway
+        self._parts = parts
+        self._handle, self._read_at_once = parts.handle, parts.read_at_once
+        self._settings = parts.settings
         self.peer = peer
         self.encoding = encoding
-        self.outbox = Outbox(gateway.hub.flush_scheduler, encoding, flush, gateway.outbound.open())
+        self.outbox = Outbox(parts.scheduler, encoding, flush, parts.outbound.open())
         self.session = session
         self.closed = False
         self.expelled = False
@@ -104,14 +117,14 @@ class Connection:
         self._held: deque[bytes] | None = None
         """Messages since a `hello` that is not answered yet."""
         self._identifying: asyncio.Task[None] | None = None
-        self._splices = encoding is Encoding.JSON and gateway.quick
+        self._splices = encoding is Encoding.JSON and parts.quick
         session.connection = self
         session.encoding = encoding
 
     @property
     def limit(self) -> int:
         """Longest message that the client may send now, in bytes."""
-        return self._gateway.identities.longest(self.session.principal)
+        return self._parts.identities.longest(self.session.principal)
 
     @property
     def holds(self) -> bool:
@@ -134,15 +147,14 @@ class Connection:
             self.stumbled(data, error)
 
     def _take(self, data: bytes) -> None:
-        gateway = self._gateway
         try:
-            if len(data) > gateway.limits.unproved:
+            if len(data) > self._settings.limits.unproved:
                 check_size(data, self.limit)
-                gateway.check_pace(self.session)
+                self.session.check_pace()
             request = decode_request(data, self.encoding)
         except RcpError as error:
             type_, id_ = peek_header(data, self.encoding)
-            gateway.count(self.session.transport, type_, error.code)
+            self._parts.counts.count(self.session.transport, type_, error.code)
             self.send(failure(error, type_, id_))
             return
         if request.type == "hello":
@@ -151,19 +163,19 @@ class Connection:
         session = self.session
         outbox = self.outbox
         if request.type == "read" and self._splices and outbox.waiting <= SHARE:
-            reply = gateway.read_at_once(session, request)
+            reply = self._read_at_once(session, request)
             if reply is not None:
                 if len(reply) > SMALL and outbox.backlog.refuses(len(reply)):
                     reply = self._left_out(request, len(reply))
                 outbox.put(reply)
                 return
-        gateway.handle(session, request, session.deliver)
+        self._handle(session, request, session.deliver)
 
     def stumbled(self, data: bytes, error: Exception) -> None:
         """Answer a message that nothing else could be done with, and log why."""
         told = to_internal_error(error, session=self.session.id)
         type_, id_ = peek_header(data, self.encoding)
-        self._gateway.count(self.session.transport, type_, told.code)
+        self._parts.counts.count(self.session.transport, type_, told.code)
         self.send(failure(told, type_, id_))
 
     def send(self, reply: Reply) -> None:
@@ -208,19 +220,18 @@ class Connection:
             return encode_reply(reply, self.encoding)
 
     def _hello(self, request: Request) -> None:
-        gateway = self._gateway
         try:
             self.greetings += 1
             if self.greetings > 1:  # the first one is free: who wants to stop a robot must get in
-                gateway.charge(self.session)
+                self.session.charge()
             hello = request.decode_body(_HELLO, "hello") if request.body else Hello()
-            token = gateway.sessions.greeting.offered(hello)
+            token = self._parts.handshake.offered(hello)
             principal = None
             if token is not None:
-                principal = gateway.identities.known(token, self.peer)
+                principal = self._parts.identities.known(token, self.peer)
                 if principal is None:
                     self._held = deque()
-                    self._identifying = gateway.loop.create_task(
+                    self._identifying = self._parts.loop.create_task(
                         self._identify(request, hello, token)
                     )
                     return
@@ -229,24 +240,22 @@ class Connection:
             self._unwelcome(request, error)
 
     def _greet(self, request: Request, hello: Hello, principal: Principal | None) -> None:
-        gateway = self._gateway
-        body = gateway.sessions.greeting.greet(self, hello, principal)
-        gateway.count(self.session.transport, "hello", "ok")
+        body = self._parts.handshake.greet(self, hello, principal)
+        self._parts.counts.count(self.session.transport, "hello", "ok")
         reply = Reply(type="hello", id=request.id, body=body, timestamp=iso(now()))
         # Ahead of what a resumed session has to say: the client must know first whose it is.
         self.outbox.put_first(encode_reply(reply, self.encoding))
 
     def _unwelcome(self, request: Request, error: Exception) -> None:
-        gateway = self._gateway
         told = to_internal_error(error)
-        gateway.count(self.session.transport, "hello", told.code)
+        self._parts.counts.count(self.session.transport, "hello", told.code)
         reply = failure(told, "hello", request.id)
-        gateway.audit_writer.unwelcome(self.session, reply, self.send)(reply)
+        self._parts.audit_writer.unwelcome(self.session, reply, self.send)(reply)
 
     async def _identify(self, request: Request, hello: Hello, token: str) -> None:
         """Find out whose token it is, while what the client says next waits for that."""
         try:
-            principal = await self._gateway.identities.wait(token, self.peer)
+            principal = await self._parts.identities.wait(token, self.peer)
             if not self.closed:
                 self._greet(request, hello, principal)
         except Exception as error:
@@ -265,7 +274,7 @@ class Connection:
             held.append(data)
             return
         type_, id_ = peek_header(data, self.encoding)
-        self._gateway.count(self.session.transport, type_, QueueFull.code)
+        self._parts.counts.count(self.session.transport, type_, QueueFull.code)
         self.send(failure(QueueFull("`hello` is not answered yet"), type_, id_))
 
     def close(self) -> None:
@@ -274,6 +283,6 @@ class Connection:
             self.closed = True
             if self._identifying is not None:
                 self._identifying.cancel()
-            self._gateway.sessions.tally(self)
+            self._parts.sessions.tally(self)
             self.outbox.close()
-            self._gateway.sessions.cut(self.session)
+            self._parts.sessions.cut(self.session)

@@ -3,20 +3,23 @@
 from __future__ import annotations
 
 import secrets
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable
+from typing import Any
 
+from rcp_kernel.access.acl import Rules
+from rcp_kernel.access.identities import Identities
 from rcp_kernel.access.identity import Principal, same
-from rcp_kernel.clients.resume import StoredSession, hashed
-from rcp_kernel.clients.session import Session
+from rcp_kernel.clients.hello import Hello
+from rcp_kernel.clients.resume import SessionResume, StoredSession, Subscribe, hashed
+from rcp_kernel.clients.session import Answer, Link, Session
+from rcp_kernel.clients.sessions import SessionQuotas, Sessions
 from rcp_kernel.clock import now
+from rcp_kernel.config.settings import Settings
 from rcp_kernel.errors import Gap, Unauthenticated
+from rcp_kernel.operations.command import CommandTable
+from rcp_kernel.streaming.hub import Hub
 from rcp_kernel.streaming.notices import notice
 from rcp_kernel.wire import VERSION, failure
-
-if TYPE_CHECKING:
-    from rcp_kernel.clients.connections import Connection, Hello
-    from rcp_kernel.clients.sessions import Sessions
-    from rcp_kernel.gateway import Gateway
 
 __all__ = ["Handshake"]
 
@@ -26,9 +29,32 @@ _RECENT = 30_000_000_000  # ns: final replies sent this shortly before a cut are
 class Handshake:
     """The handler of `hello`."""
 
-    def __init__(self, gateway: Gateway, sessions: Sessions) -> None:
-        self._gateway = gateway
+    def __init__(
+        self,
+        sessions: Sessions,
+        *,
+        settings: Settings,
+        rules: Rules,
+        identities: Identities,
+        quotas: SessionQuotas,
+        commands: CommandTable,
+        resume: SessionResume,
+        subscribe: Subscribe,
+        hub: Hub,
+        follower: Callable[[Answer], Answer],
+    ) -> None:
         self._sessions = sessions
+        self._settings = settings
+        self._rules = rules
+        self._identities = identities
+        self._quotas = quotas
+        self._commands = commands
+        self._stored = resume
+        self._subscribe = subscribe
+        """Starts a subscription of an earlier run again."""
+        self._hub = hub
+        self._follower = follower
+        """Holds back what a client is told of a command until that is on record."""
 
     def offered(self, hello: Hello) -> str | None:
         """Return the token of `hello` that is to prove who it is, if there is one.
@@ -41,21 +67,20 @@ class Handshake:
         return hello.token
 
     def greet(
-        self, connection: Connection, hello: Hello, principal: Principal | None = None
+        self, connection: Link, hello: Hello, principal: Principal | None = None
     ) -> dict[str, Any]:
         """Carry out `hello`, whose token proved `principal`: resume or keep the session, agree.
 
         :raises Unauthenticated: the session is somebody else's, or the resume token is wrong.
         :raises Gap: the session is not there any more.
         """
-        gateway = self._gateway
         session = connection.session
         returning = self._returning(hello)
         if principal is not None and principal != session.principal:
             if same(principal, session.principal):
                 self._sessions.renew(session, principal)
                 self._sessions.logged_in(session, connection.peer)
-                gateway.leases.review()
+                self._sessions.reviewed()
             else:
                 opened = self._sessions.open(
                     principal, session.transport, hello.tenant, connection.peer
@@ -63,15 +88,15 @@ class Handshake:
                 self._replace(connection, opened)
         session = connection.session
         if hello.tenant is not None:
-            tenant = gateway.identities.tenant_for(session.principal, hello.tenant)
-            gateway.quota_tracker.change_tenant(session, tenant)
+            tenant = self._identities.tenant_for(session.principal, hello.tenant)
+            self._quotas.change_tenant(session, tenant)
         if hello.session is not None and returning is not connection.session:
             self._resume(connection, hello, returning)
         facts = connection.on_hello(hello) if connection.on_hello is not None else {}
         session = connection.session
         session.greeted = True
-        gateway.session_resume.note(session)
-        limits = gateway.limits
+        self._stored.note(session)
+        limits = self._settings.limits
         agreed = {
             "message": connection.limit,
             "subscriptions": limits.subscriptions,
@@ -85,13 +110,13 @@ class Handshake:
             "principal": session.principal.name,
             "roles": list(session.principal.roles),
             "tenant": session.tenant,
-            "tenants": gateway.identities.tenants_of(session.principal),
+            "tenants": self._identities.tenants_of(session.principal),
             "heartbeat": limits.heartbeat,
             "limits": agreed,
             **facts,
         }
 
-    def _replace(self, connection: Connection, session: Session) -> None:
+    def _replace(self, connection: Link, session: Session) -> None:
         old = connection.session
         old.connection = None
         self._sessions.drop(old)
@@ -107,10 +132,10 @@ class Handshake:
         found = self._sessions.known.get(named)
         if found is None:
             found = next((s for s in self._sessions.known.values() if _proves(named, s)), None)
-        return found or self._gateway.session_resume.find(named)
+        return found or self._stored.find(named)
 
     def _resume(
-        self, connection: Connection, hello: Hello, session: Session | StoredSession | None
+        self, connection: Link, hello: Hello, session: Session | StoredSession | None
     ) -> None:
         if session is None:
             raise _gone()
@@ -141,27 +166,26 @@ class Handshake:
         self._attach(session, connection, have)
 
     def _revive(
-        self, connection: Connection, hello: Hello, kept: StoredSession, proof: str | None
+        self, connection: Link, hello: Hello, kept: StoredSession, proof: str | None
     ) -> None:
         """Make a session again of what is kept of one of an earlier run."""
-        gateway = self._gateway
-        gateway.session_resume.take(kept)
+        self._stored.take(kept)
         principal = connection.session.principal
-        tenant = kept.tenant if kept.tenant in gateway.identities.tenants_of(principal) else None
-        tenant = gateway.identities.tenant_for(principal, tenant)
-        session = Session(principal, gateway.rules.rights(principal), tenant, kept.transport)
+        tenant = kept.tenant if kept.tenant in self._identities.tenants_of(principal) else None
+        tenant = self._identities.tenant_for(principal, tenant)
+        session = Session(principal, self._rules.rights(principal), tenant, kept.transport)
         if hello.session is not None and not _proves(hello.session, kept):
             session.id = hello.session
         session.secret = proof or session.secret
-        session.created, session.cut = kept.created, kept.cut or gateway.session_resume.ended
+        session.created, session.cut = kept.created, kept.cut or self._stored.ended
         name = hashed(session.id)
-        session.commands = {c.id: c for c in gateway.commands.every() if c.session == name}
+        session.commands = {c.id: c for c in self._commands.every() if c.session == name}
         self._sessions.known[session.id] = session
         self._sessions.watch(session)
         self._replace(connection, session)
-        gateway.quota_tracker.move(session)
+        self._quotas.move(session)
         self._attach(session, connection, None)
-        gateway.session_resume.restore(session, kept)
+        self._stored.restore(session, kept, self._subscribe)
 
     def _takeover(self, session: Session) -> None:
         """Cut the old connection: its client came back before the gateway saw it leave."""
@@ -174,15 +198,13 @@ class Handshake:
         old.outbox.close()
         self._sessions.cut(session)
 
-    def _attach(
-        self, session: Session, connection: Connection, have: dict[str, int] | None
-    ) -> None:
+    def _attach(self, session: Session, connection: Link, have: dict[str, int] | None) -> None:
         if session.expiry is not None:
             session.expiry.cancel()
             session.expiry = None
         cut, session.cut = session.cut or now(), None
         said = {reply.command for reply, _ in session.missed if reply.final}
-        tell = self._gateway.audit_writer.follower(session.deliver)
+        tell = self._follower(session.deliver)
         for command in session.commands.values():
             ended = command.finished
             if command.id not in said and (ended is None or ended > cut - _RECENT):
@@ -199,7 +221,7 @@ class Handshake:
             code, facts = session.news.popleft()
             notice(connection.outbox, code, **facts)
         for subscription in session.subscriptions.values():
-            self._gateway.hub.attach(subscription, connection.outbox, have)
+            self._hub.attach(subscription, connection.outbox, have)
 
 
 def _proves(text: str, session: Session | StoredSession) -> bool:

@@ -9,12 +9,11 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 import structlog
 
 if TYPE_CHECKING:
-    from rcp_kernel.clients.outbox import Outbox
     from rcp_kernel.config.limits import Limits
 
 __all__ = ["SHARE", "SMALL", "Backlog", "Outbound"]
@@ -24,6 +23,14 @@ SHARE = 65_536  # bytes that may wait for any client, whatever waits for the oth
 SMALL = 4096  # bytes: a shorter reply is worth as much as the refusal in its place
 _LOOK = 0.25  # s between looks while the total is reached
 _STALLED = 5.0  # s that a client may hold more than its share, once the total is reached
+
+
+class Waiting(Protocol):
+    """An outbox that waits for room."""
+
+    def again(self) -> None:
+        """Flush what waits."""
+        ...
 
 
 class Backlog:
@@ -83,11 +90,11 @@ class Backlog:
             return True
         return False
 
-    def wait(self, outbox: Outbox) -> None:
+    def wait(self, outbox: Waiting) -> None:
         """Have an outbox flushed when there is room in the total again."""
         self._outbound.wait(outbox)
 
-    def close(self, outbox: Outbox | None = None) -> None:
+    def close(self, outbox: Waiting | None = None) -> None:
         """Count nothing any more, and flush the outbox no more that it belongs to."""
         if outbox is not None:
             self._outbound.forget(outbox)
@@ -102,7 +109,7 @@ class Outbound:
     def __init__(self, loop: asyncio.AbstractEventLoop, limits: Limits) -> None:
         self._loop = loop
         self._holders: set[Backlog] = set()
-        self._waiting: dict[Outbox, None] = {}
+        self._waiting: dict[Waiting, None] = {}
         self._timer: asyncio.TimerHandle | None = None
         self.total = 0
         """Bytes, without the clients' own shares."""
@@ -142,12 +149,12 @@ class Outbound:
         self.refused += 1
         return False
 
-    def wait(self, outbox: Outbox) -> None:
+    def wait(self, outbox: Waiting) -> None:
         """Have an outbox flushed when there is room again."""
         self._waiting[outbox] = None
         self._watch()
 
-    def forget(self, outbox: Outbox) -> None:
+    def forget(self, outbox: Waiting) -> None:
         """Flush an outbox no more."""
         self._waiting.pop(outbox, None)
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import asyncio
 import hashlib
 import hmac
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import msgspec
@@ -16,16 +17,19 @@ import structlog
 
 from rcp_kernel.access.identity import Principal
 from rcp_kernel.clock import now
+from rcp_kernel.config.settings import Settings
+from rcp_kernel.record.store import Store
+from rcp_kernel.shutdown import Shutdown
 from rcp_kernel.streaming.filters import Options
 from rcp_kernel.streaming.notices import notice
 
 if TYPE_CHECKING:
     from rcp_kernel.clients.session import Session
-    from rcp_kernel.gateway import Gateway
     from rcp_kernel.streaming.subscription import Subscription
 
 __all__ = ["SessionResume", "StoredSession", "hashed"]
 
+Subscribe = Callable[["Session", str, list[str], Options], None]
 log = structlog.get_logger("rcp.store")
 _TABLE = "sessions"
 _SUBSCRIPTIONS = "subscriptions"
@@ -55,20 +59,29 @@ class StoredSession(msgspec.Struct):
 class SessionResume:
     """The sessions of earlier runs, and notes of those of this one."""
 
-    def __init__(self, gateway: Gateway) -> None:
-        self._gateway = gateway
+    def __init__(
+        self,
+        store: Store,
+        settings: Settings,
+        shutdown: Shutdown,
+        loop: asyncio.AbstractEventLoop,
+    ) -> None:
+        self._store = store
+        self._settings = settings
+        self._shutdown = shutdown
+        self._loop = loop
         self._kept: dict[str, StoredSession] = {}
         self.ended = 0
         """When the earlier run was last known to be alive, ns."""
         self._beat: asyncio.TimerHandle | None = None
-        if gateway.store.keeps:
+        if store.keeps:
             self._load()
 
     def _load(self) -> None:
-        store = self._gateway.store
+        store = self._store
         rows = store.load(_TABLE)
         self.ended = store.load(_LIFE).get("alive", 0)
-        limit = int(self._gateway.limits.session_ttl * 1e9)
+        limit = int(self._settings.limits.session_ttl * 1e9)
         subscriptions = store.load(_SUBSCRIPTIONS)
         for name, row in rows.items():
             try:
@@ -84,24 +97,24 @@ class SessionResume:
                 continue
             kept.subscriptions = {key.partition("/")[2]: row for key, row in mine.items()}
             self._kept[name] = kept
-            self._gateway.loop.call_later(left / 1e9, self._expire, name)
+            self._loop.call_later(left / 1e9, self._expire, name)
 
     def start(self) -> None:
         """Note from time to time that the gateway is alive."""
-        self._gateway.store.put(_LIFE, "alive", now())
-        self._beat = self._gateway.loop.call_later(_BEAT, self.start)
+        self._store.put(_LIFE, "alive", now())
+        self._beat = self._loop.call_later(_BEAT, self.start)
 
     def stop(self) -> None:
         """Note it a last time."""
         if self._beat is not None:
             self._beat.cancel()
-        self._gateway.store.put(_LIFE, "alive", now())
+        self._store.put(_LIFE, "alive", now())
 
     # -- what becomes of sessions now ----------------------------------------------------------
 
     def note(self, session: Session) -> None:
         """Keep a session that its client knows, as it is now."""
-        store = self._gateway.store
+        store = self._store
         if not store.keeps or not session.greeted:
             return
         kept = StoredSession(
@@ -121,7 +134,7 @@ class SessionResume:
 
     def subscribed(self, session: Session, subscription: Subscription) -> None:
         """Keep a subscription of a session that its client knows."""
-        if not self._gateway.store.keeps or not session.greeted:
+        if not self._store.keeps or not session.greeted:
             return
         options = subscription.options
         if options.count is not None or options.duration is not None:
@@ -130,23 +143,23 @@ class SessionResume:
             "paths": [pattern.text for pattern in subscription.patterns],
             "options": msgspec.to_builtins(options),
         }
-        self._gateway.store.put(_SUBSCRIPTIONS, f"{hashed(session.id)}/{subscription.id}", row)
+        self._store.put(_SUBSCRIPTIONS, f"{hashed(session.id)}/{subscription.id}", row)
 
     def unsubscribed(self, session: Session, id_: str) -> None:
         """Let go of a subscription."""
-        if self._gateway.store.keeps and session.greeted:
-            self._gateway.store.put(_SUBSCRIPTIONS, f"{hashed(session.id)}/{id_}", None)
+        if self._store.keeps and session.greeted:
+            self._store.put(_SUBSCRIPTIONS, f"{hashed(session.id)}/{id_}", None)
 
     def forget(self, session: Session) -> None:
         """Let go of a session that has ended; one that the gateway's end ends may come back."""
-        if self._gateway.store.keeps and not self._gateway.closing:
+        if self._store.keeps and not self._shutdown.begun:
             name = hashed(session.id)
             self._delete(name, [f"{name}/{id_}" for id_ in session.subscriptions])
 
     def _delete(self, name: str, subscriptions: list[str]) -> None:
-        self._gateway.store.put(_TABLE, name, None)
+        self._store.put(_TABLE, name, None)
         for key in subscriptions:
-            self._gateway.store.put(_SUBSCRIPTIONS, key, None)
+            self._store.put(_SUBSCRIPTIONS, key, None)
 
     # -- what comes back -----------------------------------------------------------------------
 
@@ -165,14 +178,14 @@ class SessionResume:
         if kept is not None:
             self._delete(name, [f"{name}/{id_}" for id_ in kept.subscriptions])
 
-    def restore(self, session: Session, kept: StoredSession) -> None:
-        """Start a session's subscriptions again, each with a notice of what is missing."""
+    def restore(self, session: Session, kept: StoredSession, subscribe: Subscribe) -> None:
+        """Have `subscribe` start a session's subscriptions, with a notice of what is missing."""
         connection = session.connection
         assert connection is not None
         for id_, row in kept.subscriptions.items():
             try:
                 options = msgspec.convert(row["options"], Options)
-                self._gateway.restore(session, id_, row["paths"], options)
+                subscribe(session, id_, row["paths"], options)
             except Exception as error:  # one that cannot be had again must not keep the others
                 log.warning("subscription_lost", subscription=id_, error=str(error))
                 notice(connection.outbox, "subscription_ended", id=id_, reason="restart")

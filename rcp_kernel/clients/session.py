@@ -6,10 +6,13 @@ import asyncio
 import secrets
 from collections import deque
 from collections.abc import Callable
+from time import perf_counter
 from typing import TYPE_CHECKING, Any, Protocol
 
 from rcp_kernel.access.acl import Rights
 from rcp_kernel.access.identity import Principal
+from rcp_kernel.access.peer import Peer
+from rcp_kernel.clients.hello import Hello
 from rcp_kernel.clock import iso, now
 from rcp_kernel.errors import RcpError
 from rcp_kernel.streaming.notices import notice
@@ -19,12 +22,11 @@ from rcp_kernel.wire import Reply, Request, encode_reply
 
 if TYPE_CHECKING:
     from rcp_kernel.access.token_bucket import TokenBucket
-    from rcp_kernel.clients.connections import Connection
     from rcp_kernel.clients.outbound import Backlog
-    from rcp_kernel.operations.command import Command
+    from rcp_kernel.clients.outbox import Outbox
     from rcp_kernel.operations.pending import Pending
 
-__all__ = ["Answer", "Handler", "Session"]
+__all__ = ["Answer", "Handler", "Link", "OwnCommand", "Session"]
 
 Answer = Callable[[Reply], None]
 _MISSED = 4096  # replies kept for a client that is away
@@ -36,6 +38,59 @@ class Handler(Protocol):
 
     def __call__(self, session: Session, request: Request, answer: Answer, /) -> None:
         """Take the request in; never raises, never blocks."""
+        ...
+
+
+class OwnCommand(Protocol):
+    """What a session knows of a command that it follows."""
+
+    finished: int | None
+
+    @property
+    def id(self) -> str:
+        """The gateway's id."""
+        ...
+
+    @property
+    def final(self) -> bool:
+        """Whether it has ended."""
+        ...
+
+    def reply(self) -> Reply:
+        """Write its latest step as a reply envelope."""
+        ...
+
+
+class Link(Protocol):
+    """The connection that a session has its client by."""
+
+    session: Session
+    closed: bool
+    expelled: bool
+    on_hello: Callable[[Hello], dict[str, Any]] | None
+
+    @property
+    def outbox(self) -> Outbox:
+        """What waits to be sent."""
+        ...
+
+    @property
+    def peer(self) -> Peer:
+        """Who is at the other end."""
+        ...
+
+    @property
+    def encoding(self) -> Encoding:
+        """How messages are written."""
+        ...
+
+    @property
+    def limit(self) -> int:
+        """Longest message that the client may send now, in bytes."""
+        ...
+
+    def send(self, reply: Reply) -> None:
+        """Queue a reply."""
         ...
 
 
@@ -91,9 +146,9 @@ class Session:
         self.read_key = (transport, "read", "ok")
         """Under what the gateway counts a read that went well."""
         self.encoding = Encoding.JSON
-        self.connection: Connection | None = None
+        self.connection: Link | None = None
         self.subscriptions: dict[str, Subscription] = {}
-        self.commands: dict[str, Command] = {}
+        self.commands: dict[str, OwnCommand] = {}
         self.inflight: dict[str, Pending | None] = {}
         self.created = now()
         self.cut: int | None = None
@@ -103,7 +158,7 @@ class Session:
         """The client knows the session's id, so it may come back to it."""
         self.listening = False
         """Its connection takes no requests (SSE): it is told things, and commands nothing."""
-        self.token_bucket: TokenBucket | None = None
+        self.token_bucket: TokenBucket[Session] | None = None
         """What its requests are counted by; None if no quota concerns it."""
         self.missed: deque[tuple[Reply, int]] = deque()
         """Replies for a client that is away, and about how long each is."""
@@ -133,6 +188,26 @@ class Session:
     def stateless(self) -> bool:
         """Whether the session belongs to a transport without connections (HTTP)."""
         return self.connection is None and self.cut is None
+
+    def charge(self) -> None:
+        """Count a request that comes in no envelope.
+
+        :raises RateLimited: a quota does not allow it now.
+        """
+        meter = self.token_bucket
+        if meter is not None and not meter.take(moment := perf_counter()):
+            raise meter.refusal(moment)
+
+    def check_pace(self) -> None:
+        """Refuse a request that is too long to be one that stops something, before it is read.
+
+        It counts for nothing yet: that comes when it is handled.
+
+        :raises RateLimited: a quota does not allow one now.
+        """
+        meter = self.token_bucket
+        if meter is not None and not meter.allows(moment := perf_counter()):
+            raise meter.refusal(moment)
 
     @property
     def waiting_bytes(self) -> int:

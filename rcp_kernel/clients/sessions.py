@@ -6,42 +6,112 @@ return, notes what it would have said, and says it then; it expires if nobody co
 
 from __future__ import annotations
 
+import asyncio
 from collections import Counter
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable
+from typing import Any, Protocol
 
-from rcp_kernel.access.acl import Rights
+from rcp_kernel.access.acl import Rights, Rules
 from rcp_kernel.access.credential_expiry import CredentialExpiry
+from rcp_kernel.access.identities import Identities
 from rcp_kernel.access.identity import Principal, same
 from rcp_kernel.access.peer import UNKNOWN, Peer
 from rcp_kernel.clients.backpressure import Relief
-from rcp_kernel.clients.handshake import Handshake
-from rcp_kernel.clients.session import Session
+from rcp_kernel.clients.outbound import Outbound
+from rcp_kernel.clients.resume import SessionResume
+from rcp_kernel.clients.session import Link, Session
 from rcp_kernel.clock import now
-from rcp_kernel.errors import TokenExpired
+from rcp_kernel.config.settings import Settings
+from rcp_kernel.errors import QueueFull, TokenExpired
+from rcp_kernel.operations.command import CommandTable
+from rcp_kernel.record.audit import Audit
+from rcp_kernel.shutdown import Shutdown
+from rcp_kernel.streaming.hub import Hub
 from rcp_kernel.streaming.notices import notice
 from rcp_kernel.wire import error_body, failure
 
-if TYPE_CHECKING:
-    from rcp_kernel.clients.connections import Connection
-    from rcp_kernel.gateway import Gateway
-
-__all__ = ["Sessions"]
+__all__ = ["SessionQuotas", "Sessions"]
 
 _STATELESS = 10_000  # principals whose shared session is kept at hand
+
+
+class SessionQuotas(Protocol):
+    """How many sessions a tenant or principal may have, and what their requests are counted by."""
+
+    def enter(self, session: Session, drop: Callable[[Session], None]) -> None:
+        """Count a new session; `drop` ends one that has to make room.
+
+        :raises QueueFull: as many as allowed are connected.
+        """
+        ...
+
+    def attach(self, session: Session) -> None:
+        """Give a session what its requests are counted by."""
+        ...
+
+    def leave(self, session: Session) -> None:
+        """Count a session no more."""
+        ...
+
+    def move(self, session: Session) -> None:
+        """Bring a session under the quotas that concern it now."""
+        ...
+
+    def change_tenant(self, session: Session, tenant: str | None) -> None:
+        """Have a session act for another tenant.
+
+        :raises QueueFull: that tenant has as many sessions as it may; nothing changed.
+        """
+        ...
+
+    def recount(self) -> None:
+        """Count what is held afresh: the quotas have changed."""
+        ...
 
 
 class Sessions:
     """Every session, by id."""
 
-    def __init__(self, gateway: Gateway) -> None:
-        self._gateway = gateway
-        self.known: dict[str, Session] = {}
+    def __init__(
+        self,
+        known: dict[str, Session],
+        *,
+        settings: Settings,
+        shutdown: Shutdown,
+        rules: Rules,
+        identities: Identities,
+        quotas: SessionQuotas,
+        commands: CommandTable,
+        resume: SessionResume,
+        audit: Audit,
+        hub: Hub,
+        outbound: Outbound,
+        loop: asyncio.AbstractEventLoop,
+    ) -> None:
+        self.known = known
+        self._settings = settings
+        self._shutdown = shutdown
+        self._rules = rules
+        self._identities = identities
+        self._quotas = quotas
+        self._commands = commands
+        self._resume = resume
+        self._audit = audit
+        self._hub = hub
+        self._outbound = outbound
+        self._loop = loop
         self.updates: dict[str, int] = {}
         """Updates sent over connections that are closed, by transport."""
         self._stateless: dict[tuple[Principal, str | None, str], Session] = {}
-        self._lapsing = CredentialExpiry(gateway.loop, self._expel)
-        self.greeting = Handshake(gateway, self)
-        self.relief = Relief(gateway.loop, self.known.values, gateway.outbound)
+        self.on_end: list[Callable[[Session], None]] = []
+        """Called with each session that ends, first of all."""
+        self.on_renewal: list[Callable[[Session], None]] = []
+        """Called with a session that goes on under other rights."""
+        self.on_review: list[Callable[[], None]] = []
+        """Called when who holds what may have other rights than before."""
+        self._lapsing = CredentialExpiry(loop, self._expel)
+        self.relief = Relief(loop, known.values, outbound)
+        identities.on_change.append(self.review)
 
     def open(
         self,
@@ -55,13 +125,13 @@ class Sessions:
         :raises Forbidden: the principal does not act in `tenant`.
         :raises QueueFull: there are too many sessions.
         """
-        gateway = self._gateway
-        chosen = gateway.identities.tenant_for(principal, tenant)
-        if len(self.known) >= gateway.limits.sessions:
+        chosen = self._identities.tenant_for(principal, tenant)
+        if len(self.known) >= self._settings.limits.sessions:
             self._make_room()
-        gateway.check_sessions(len(self.known))
-        session = Session(principal, gateway.rules.rights(principal), chosen, transport)
-        gateway.quota_tracker.enter(session)
+        if len(self.known) >= self._settings.limits.sessions:
+            raise QueueFull("the gateway holds as many sessions as it can already")
+        session = Session(principal, self._rules.rights(principal), chosen, transport)
+        self._quotas.enter(session, self.drop)
         self.known[session.id] = session
         self.relief.start()
         self.logged_in(session, peer)
@@ -86,7 +156,7 @@ class Sessions:
         principal = session.principal
         self.watch(session)
         if not principal.anonymous:
-            self._gateway.audit.note(
+            self._audit.note(
                 "login",
                 principal=principal,
                 session=session,
@@ -115,11 +185,10 @@ class Sessions:
         key = (principal, tenant, transport)
         session = self._stateless.get(key)
         if session is None:
-            gateway = self._gateway
-            chosen = gateway.identities.tenant_for(principal, tenant)
-            rights = gateway.rules.rights(principal)
+            chosen = self._identities.tenant_for(principal, tenant)
+            rights = self._rules.rights(principal)
             session = Session(principal, rights, chosen, transport, shared=True)
-            gateway.quota_tracker.attach(session)
+            self._quotas.attach(session)
             if len(self._stateless) >= _STATELESS:
                 self._lapsing.forget(self._stateless.pop(next(iter(self._stateless))))
             self._stateless[key] = session
@@ -128,19 +197,18 @@ class Sessions:
 
     def review(self) -> None:
         """Bring every session under new rules; end those whose proof is not good any more."""
-        gateway = self._gateway
-        for command in gateway.commands.running.values():  # what is under way in somebody's name
+        for command in self._commands.running.values():  # what is under way in somebody's name
             if (asker := command.asker) is not None:
-                principal = gateway.identities.renewed(asker.principal)
+                principal = self._identities.renewed(asker.principal)
                 asker.rights = (
-                    Rights((), {}) if principal is None else gateway.rules.rights(principal)
+                    Rights((), {}) if principal is None else self._rules.rights(principal)
                 )
         shared = list(self._stateless.items())
         self._stateless.clear()
-        gateway.quota_tracker.recount()
+        self._quotas.recount()
         for (_, tenant, transport), session in shared:
             if self._reviewed(session):
-                tenants = gateway.identities.tenants_of(session.principal)
+                tenants = self._identities.tenants_of(session.principal)
                 if tenant is None:  # as for a request that comes first
                     session.tenant = tenants[0] if tenants else None
                 elif tenant not in tenants:
@@ -149,10 +217,15 @@ class Sessions:
                 self._stateless[session.principal, tenant, transport] = session
         for session in list(self.known.values()):
             self._reviewed(session)
-        gateway.leases.review()
+        self.reviewed()
+
+    def reviewed(self) -> None:
+        """Have whoever hands out what sessions hold look whether they may still have it."""
+        for review in self.on_review:
+            review()
 
     def _reviewed(self, session: Session) -> bool:
-        principal = self._gateway.identities.renewed(session.principal)
+        principal = self._identities.renewed(session.principal)
         if principal is None:
             self._expel(session)
             return False
@@ -161,14 +234,14 @@ class Sessions:
 
     def renew(self, session: Session, principal: Principal) -> None:
         """Have a session go on under what its principal's proof gives now."""
-        gateway = self._gateway
         session.principal = principal
-        session.rights = gateway.rules.rights(principal)
-        tenants = gateway.identities.tenants_of(principal)
+        session.rights = self._rules.rights(principal)
+        tenants = self._identities.tenants_of(principal)
         if session.tenant not in tenants:
             session.tenant = tenants[0] if tenants else None
-        gateway.quota_tracker.move(session)
-        gateway.drop_forbidden(session)
+        self._quotas.move(session)
+        for renewed in self.on_renewal:
+            renewed(session)
         self._lapsing.watch(session)
 
     def _expel(self, session: Session) -> None:
@@ -201,39 +274,42 @@ class Sessions:
             del self._stateless[key]
         return any(same(s.principal, session.principal) for s in self._stateless.values())
 
-    def tally(self, connection: Connection) -> None:
+    def tally(self, connection: Link) -> None:
         """Add a closing connection's updates to its transport's sum."""
         name = connection.session.transport
         self.updates[name] = self.updates.get(name, 0) + connection.outbox.updates
 
     def cut(self, session: Session) -> None:
         """Take notice that the connection is gone; the session waits if its client knows it."""
-        gateway = self._gateway
         session.connection = None
         session.cut = now()
-        session.away = gateway.outbound.open()
-        for command in list(session.commands.values()):
+        session.away = self._outbound.open()
+        running = self._commands.running
+        for command in [running[id_] for id_ in session.commands if id_ in running]:
             entry = command.entry
             if entry is not None and not entry.resource.outlives:
-                gateway.commands.cancel(command, "its session was cut")
-        if not session.greeted or gateway.closing:
+                self._commands.cancel(command, "its session was cut")
+        if not session.greeted or self._shutdown.begun:
             self.drop(session)
             return
         for subscription in session.subscriptions.values():
-            self._gateway.hub.detach(subscription)
-        session.expiry = gateway.hub.loop.call_later(gateway.limits.session_ttl, self.drop, session)
-        gateway.session_resume.note(session)
+            self._hub.detach(subscription)
+        session.expiry = self._loop.call_later(
+            self._settings.limits.session_ttl, self.drop, session
+        )
+        self._resume.note(session)
 
     def drop(self, session: Session) -> None:
         """End a session and its leases; its commands go on."""
         self.known.pop(session.id, None)
-        self._gateway.leases.ended(session)
-        self._gateway.session_resume.forget(session)
-        self._gateway.quota_tracker.leave(session)
+        for ended in self.on_end:
+            ended(session)
+        self._resume.forget(session)
+        self._quotas.leave(session)
         self._lapsing.forget(session)
         if session.expiry is not None:
             session.expiry.cancel()
         for subscription in session.subscriptions.values():
-            self._gateway.hub.forget(subscription)
+            self._hub.forget(subscription)
         session.subscriptions.clear()
         session.let_missed_go()

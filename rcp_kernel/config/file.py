@@ -18,7 +18,6 @@ import msgspec
 from msgspec import Meta
 
 from rcp_kernel._plain import is_list, is_map
-from rcp_kernel.access.acl import BUILTIN_ROLES, Role
 from rcp_kernel.config.envelopes import EnvelopeConfig, check_envelopes
 from rcp_kernel.config.identity import (
     Anonymous,
@@ -30,6 +29,7 @@ from rcp_kernel.config.identity import (
     check_identity,
 )
 from rcp_kernel.config.limits import Limits, Quota, Quotas
+from rcp_kernel.config.role import BUILTIN_ROLES, Role
 from rcp_kernel.config.roles import check_pattern, check_roles
 from rcp_kernel.config.safety import Safety, check_groups
 from rcp_kernel.errors import ConfigError

@@ -13,8 +13,8 @@ from urllib.parse import urlsplit
 import msgspec
 from msgspec import Meta
 
-from rcp_kernel.access.acl import Role
 from rcp_kernel.access.identity import Grants, granted
+from rcp_kernel.config.role import Role
 from rcp_kernel.errors import ConfigError
 
 __all__ = [

@@ -8,20 +8,23 @@ goes on from there, to its confirmation and for as long as it is latched, is `sa
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Coroutine, Iterable, Sequence
-from typing import Annotated, Any
+from collections.abc import Callable, Coroutine, Iterable, Sequence
+from typing import Annotated, Any, Protocol
 
 import msgspec
 from msgspec import Meta
 
+from rcp_kernel.access.identities import Identities
 from rcp_kernel.clients.session import Session
 from rcp_kernel.clock import now
+from rcp_kernel.config.settings import Settings
 from rcp_kernel.errors import DeviceTimeout, Forbidden, UnknownPath
-from rcp_kernel.gateway import Gateway
-from rcp_kernel.motion.latches import GATEWAY, tenant_key
+from rcp_kernel.motion.latches import GATEWAY, Latches, tenant_key
+from rcp_kernel.motion.safety import Deadman
 from rcp_kernel.motion.scope import Scope
 from rcp_kernel.motion.stop_group import StopGroup
-from rcp_kernel.process.supervisor import BackendSupervisor
+from rcp_kernel.operations.command import CommandTable
+from rcp_kernel.registry import Owner
 from rcp_kernel.safety.stop import Stop, StopController
 from rcp_kernel.wire import Request
 
@@ -55,15 +58,50 @@ class EstopState(msgspec.Struct, frozen=True):
     """Groups of the configuration that can be named as a scope."""
 
 
+class EstopRecord(Protocol):
+    """Where e-stops and their resets are written down."""
+
+    def __call__(
+        self,
+        session: Session,
+        request: Request,
+        asked: EstopRequest,
+        keys: dict[str, str | None],
+        robots: list[StopGroup],
+        /,
+    ) -> None:
+        """Note what was latched or let go; must not block."""
+        ...
+
+
 class Estop:
     """Latches, halts and resets."""
 
     def __init__(
-        self, gateway: Gateway, supervisors: list[BackendSupervisor], stops: StopController
+        self,
+        supervisors: Sequence[Owner],
+        stops: StopController,
+        latches: Latches,
+        deadman: Deadman,
+        commands: CommandTable,
+        *,
+        identities: Identities,
+        settings: Settings,
+        drop_leases: Callable[[Iterable[str], str, str], None],
+        record: EstopRecord,
+        loop: asyncio.AbstractEventLoop,
     ) -> None:
-        self._gateway = gateway
+        """Act on the robots of `supervisors`; `drop_leases` ends the leases on paths that stop."""
         self._supervisors = supervisors
         self._stops = stops
+        self._latches = latches
+        self._deadman = deadman
+        self._commands = commands
+        self._identities = identities
+        self._settings = settings
+        self._drop_leases = drop_leases
+        self._record = record
+        self._loop = loop
         self._due: list[tuple[list[StopGroup], str, str | None]] = []
         """E-stops after which what ran has not been ended yet."""
         self._ending: set[asyncio.Task[None]] = set()
@@ -72,9 +110,7 @@ class Estop:
 
     def state(self, session: Session) -> EstopState:
         """Return what a session may see of the latches."""
-        mine = {tenant_key(t) for t in self._gateway.identities.tenants_of(session.principal)} | {
-            GATEWAY
-        }
+        mine = {tenant_key(t) for t in self._identities.tenants_of(session.principal)} | {GATEWAY}
         wide = {key: latch.plain() for key, latch in self._wide().items() if key in mine}
         groups = tuple(name for name in self._groups() if self._members(session, name))
         return self._state_of(self._visible(session), wide, groups)
@@ -96,10 +132,10 @@ class Estop:
         return EstopState(bool(robots or wide), robots, wide, groups)
 
     def _groups(self) -> dict[str, tuple[str, ...]]:
-        return self._gateway.config.safety.groups
+        return self._settings.config.safety.groups
 
     def _wide(self) -> dict[str, Any]:
-        return self._gateway.latches.wide
+        return self._latches.wide
 
     def _visible(self, session: Session) -> list[StopGroup]:
         """List the robots that a session may see, one by one."""
@@ -125,9 +161,9 @@ class Estop:
         keys, robots = self.check(session, asked)
         if asked.reset:
             freed = self._reset(keys, robots)
-            self._gateway.audit_writer.estop(session, sent, asked, keys, freed)
+            self._record(session, sent, asked, keys, freed)
             return self._state_now(session)
-        latches, by = self._gateway.latches, session.principal.name
+        latches, by = self._latches, session.principal.name
         fresh = [robot for robot in robots if robot.latch is None]
         for key in keys:
             latches.set(key, by, asked.reason)
@@ -136,8 +172,8 @@ class Estop:
         stops = self._stops.begin(robots)
         # After the halts: the latch keeps everything that waits from the robots meanwhile.
         self._due.append((robots, by, asked.reason))
-        self._gateway.loop.call_soon(self._end_due)
-        self._gateway.audit_writer.estop(session, sent, asked, keys, fresh)
+        self._loop.call_soon(self._end_due)
+        self._record(session, sent, asked, keys, fresh)
         return self._halted(session, stops, sent.deadline)
 
     def check(
@@ -147,7 +183,7 @@ class Estop:
         keys, robots = self._meant(session, asked.scope)
         if not asked.reset:
             return keys, robots
-        known = self._gateway.config.tenant_names
+        known = self._settings.config.tenant_names
         touched = {robot.tenant for robot in robots}
         for key, tenant in keys.items():
             touched.update(known if key == GATEWAY else [tenant or ""])
@@ -168,7 +204,7 @@ class Estop:
         """Let go of robots; return those that were held."""
         self._end_due()
         freed = [robot for robot in robots if robot.latch is not None]
-        latches = self._gateway.latches
+        latches = self._latches
         for robot in robots:
             latches.reset(robot.identity, robot.keys)
             latches.reset(robot.name, robot.keys)
@@ -185,7 +221,7 @@ class Estop:
         self, session: Session, scope: str | None
     ) -> tuple[dict[str, str | None], list[StopGroup]]:
         """Return the keys of the latches that a scope means, with their tenants, and the robots."""
-        tenants = self._gateway.identities.tenants_of(session.principal)
+        tenants = self._identities.tenants_of(session.principal)
         if scope is None and not session.rights.may_stop_all():
             scope = self._own_tenant(session)
         if scope is None:
@@ -284,24 +320,23 @@ class Estop:
 
     def _end_all(self, robots: list[StopGroup], by: str, reason: str | None) -> None:
         """End what runs, waits or is under way on stopped robots, and the leases on them."""
-        gateway = self._gateway
         ending: list[asyncio.Task[Any]] = []
         paths: set[str] = set()
         for robot in robots:
             for entry in robot.entries.values():
                 paths.add(entry.path)
                 if entry.moves:
-                    ending += gateway.deadman.cancel_writes(entry)
-        for command in list(gateway.commands.running.values()):
+                    ending += self._deadman.cancel_writes(entry)
+        for command in list(self._commands.running.values()):
             if command.path in paths or not paths.isdisjoint(command.touches):
                 if command.task is not None:
                     ending.append(command.task)
-                gateway.commands.cancel(command, "emergency stop")
+                self._commands.cancel(command, "emergency stop")
         if ending:
-            self._ending.add(task := gateway.loop.create_task(self._again(robots, ending)))
+            self._ending.add(task := self._loop.create_task(self._again(robots, ending)))
             task.add_done_callback(self._ending.discard)
         why = "emergency stop" + (f": {reason}" if reason else "")
-        gateway.leases.drop_on(paths, by, why)
+        self._drop_leases(paths, by, why)
 
     async def _again(self, robots: list[StopGroup], ending: list[asyncio.Task[Any]]) -> None:
         """Halt once more when all that was cancelled has ended.

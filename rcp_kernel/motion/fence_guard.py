@@ -6,16 +6,20 @@ command comes.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import structlog
 
+from rcp_kernel.clients.sessions import Sessions
 from rcp_kernel.model import Kind
+from rcp_kernel.motion.motion_limits import MotionLimits
+from rcp_kernel.motion.safety import Deadman
+from rcp_kernel.operations.command import CommandTable
+from rcp_kernel.record.audit import Audit
+from rcp_kernel.streaming.hub import Hub
 
 if TYPE_CHECKING:
     from rcp_kernel.clients.session import Session
-    from rcp_kernel.gateway import Gateway
     from rcp_kernel.motion.motion_limits import Bound
     from rcp_kernel.streaming.samples import Sample
 
@@ -40,20 +44,33 @@ class _Watcher:
 
 
 class FenceGuard:
-    """Who drives what, and the sensors that say where that is."""
+    """Watches the sensors that say where what is driven is."""
 
-    def __init__(self, gateway: Gateway, bound: dict[str, Bound]) -> None:
-        self._gateway = gateway
-        self._bound = bound
-        self._drivers: dict[str, Session] = {}
-        """Whose value is in force, by the path of the actuator."""
+    def __init__(
+        self,
+        limits: MotionLimits,
+        hub: Hub,
+        deadman: Deadman,
+        commands: CommandTable,
+        sessions: Sessions,
+        audit: Audit,
+    ) -> None:
+        self._limits = limits
+        self._drivers = limits.drivers
+        self._hub = hub
+        self._deadman = deadman
+        self._commands = commands
+        self._sessions = sessions
+        self._audit = audit
         self._watchers: dict[str, _Watcher] = {}
+        limits.on_bound.append(self._watch)
+        self._watch()
 
-    def watch(self, wanted: Iterable[tuple[str, Bound]]) -> None:
-        """Listen to these sensors from now on, each for what is bound to it."""
-        entries, hub = self._gateway.registry.entries, self._gateway.hub
+    def _watch(self) -> None:
+        """Listen to the sensors that are wanted from now on, each for what is bound to it."""
+        entries, hub = self._hub.registry.entries, self._hub
         by_sensor: dict[str, list[Bound]] = {}
-        for path, bound in wanted:
+        for path, bound in self._limits.watched():
             by_sensor.setdefault(path, []).append(bound)
         for path in [path for path in self._watchers if path not in by_sensor]:
             watcher = self._watchers.pop(path)
@@ -64,19 +81,8 @@ class FenceGuard:
             watcher.bound = several
             if (entry := entries.get(path)) is not None and watcher not in entry.listeners:
                 hub.listen(entry, watcher)
-        for path in [path for path in self._drivers if path not in self._bound]:
+        for path in [path for path in self._drivers if path not in self._limits.bound]:
             del self._drivers[path]
-
-    def drives(self, session: Session, bound: Bound, value: Any) -> None:
-        """Note whose value goes to an actuator that can be brought to rest."""
-        if bound.safe is None or value == bound.safe:
-            self._drivers.pop(bound.entry.path, None)
-        else:
-            self._drivers[bound.entry.path] = session
-
-    def rests(self, path: str) -> None:
-        """Note that an actuator is at rest."""
-        self._drivers.pop(path, None)
 
     def look(self, bound: Bound, sample: Sample) -> None:
         """Stop what drives a robot that is where its driver may not have it."""
@@ -84,13 +90,13 @@ class FenceGuard:
         driver = self._drivers.get(entry.path)
         if driver is not None and (why := _trouble(bound, driver, sample)) is not None:
             self._drivers.pop(entry.path)
-            self._gateway.deadman.stop(entry)
+            self._deadman.stop(entry)
             self._tell(driver, bound, *why)
         elif entry.kind is Kind.ACTION:
             self._look_at_commands(bound, sample)
 
     def _look_at_commands(self, bound: Bound, sample: Sample) -> None:
-        commands = self._gateway.commands
+        commands = self._commands
         for command in list(commands.running.values()):
             if command.path != bound.entry.path or command.asker is None or command.task is None:
                 continue
@@ -104,8 +110,8 @@ class FenceGuard:
         log.warning("fence_left", path=entry.path, envelope=envelope, sensor=sensor, reason=why)
         text = f"{entry.path} was brought to rest: {why}"
         facts = {"path": entry.path, "envelope": envelope, "message": text}
-        self._gateway.sessions.tell(session.holder, "fence_left", **facts)
-        self._gateway.audit.note(
+        self._sessions.tell(session.holder, "fence_left", **facts)
+        self._audit.note(
             "fence",
             principal=session.principal,
             tenant=entry.tenant,

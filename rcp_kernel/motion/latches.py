@@ -52,7 +52,7 @@ class Latches:
 
     def __init__(self, store: Store) -> None:
         self._store = store
-        self.changed: Callable[[], None] = lambda: None
+        self.on_change: list[Callable[[], None]] = []
         """Called after every change."""
         self._held = {key: _read(kept) for key, kept in store.load(LATCHES, unreadable={}).items()}
 
@@ -103,7 +103,8 @@ class Latches:
             freed = sorted(latch.freed)
             kept = {"by": latch.by, "reason": latch.reason, "since": latch.since, "freed": freed}
         self._store.put(LATCHES, key, kept)
-        self.changed()
+        for changed in self.on_change:
+            changed()
 
 
 def _read(kept: Any) -> Latch:

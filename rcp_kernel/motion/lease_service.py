@@ -7,12 +7,17 @@ from typing import Annotated, Any, Literal
 import msgspec
 from msgspec import Meta
 
+from rcp_kernel.access.identities import Identities
 from rcp_kernel.clients.session import Session
+from rcp_kernel.clients.sessions import Sessions
 from rcp_kernel.clock import iso
+from rcp_kernel.config.settings import Settings
 from rcp_kernel.errors import BadRequest, Forbidden, LeaseLost, OutOfRange, UnknownPath
-from rcp_kernel.gateway import Gateway
 from rcp_kernel.motion.lease import Lease
+from rcp_kernel.motion.leases import Leases
 from rcp_kernel.motion.scope import Scope
+from rcp_kernel.registry import Registry
+from rcp_kernel.shutdown import Shutdown
 from rcp_kernel.types import Time
 
 __all__ = ["LeaseRequest", "LeaseService", "LeaseState"]
@@ -53,13 +58,25 @@ class LeaseState(msgspec.Struct, frozen=True):
 class LeaseService:
     """The gateway's answers to lease requests."""
 
-    def __init__(self, gateway: Gateway) -> None:
-        self._gateway = gateway
-        self._leases = gateway.leases
+    def __init__(
+        self,
+        leases: Leases,
+        registry: Registry,
+        sessions: Sessions,
+        identities: Identities,
+        settings: Settings,
+        shutdown: Shutdown,
+    ) -> None:
+        self._leases = leases
+        self._registry = registry
+        self._sessions = sessions
+        self._identities = identities
+        self._settings = settings
+        self._shutdown = shutdown
 
     def view(self, session: Session) -> list[dict[str, Any]]:
         """List the leases on robots that a session may see."""
-        mask, registry = session.rights.mask, self._gateway.registry
+        mask, registry = session.rights.mask, self._registry
         return [
             msgspec.to_builtins(_state(lease))
             for lease in self._leases.held.values()
@@ -99,7 +116,7 @@ class LeaseService:
     def _acquire(
         self, session: Session, asked: LeaseRequest, scope: Scope, *, dry_run: bool
     ) -> LeaseState | None:
-        registry, mask = self._gateway.registry, session.rights.mask
+        registry, mask = self._registry, session.rights.mask
         ttl = self._ttl(asked)
         if not any(mask(entry.path) for entry in scope.entries(registry)):
             raise UnknownPath(f"there is nothing in {scope.text}", path=scope.text)
@@ -107,14 +124,14 @@ class LeaseService:
             raise Forbidden(
                 f"{session.principal.name} may command nothing in {scope.text}", path=scope.text
             )
-        self._gateway.check_open()
+        self._shutdown.check()
         if dry_run:
             self._leases.check_free(session, scope, asked.reason, take=asked.take)
             return None
         return _state(self._leases.acquire(session, scope, ttl, asked.reason, take=asked.take))
 
     def _ttl(self, asked: LeaseRequest) -> float:
-        safety = self._gateway.config.safety
+        safety = self._settings.config.safety
         ttl = asked.ttl if asked.ttl is not None else safety.lease_ttl
         if ttl > safety.lease_ttl_max:
             raise OutOfRange(
@@ -132,13 +149,13 @@ class LeaseService:
         """
         if not to:
             raise BadRequest("`hand_over` names nobody in `to`")
-        sessions = self._gateway.sessions
+        sessions = self._sessions
         others = [s for s in sessions.everyone() if s is not session]
         able = [
             s
             for s in others
             if to in (s.id[:8], s.principal.name)
-            and scope.tenant in self._gateway.identities.tenants_of(s.principal)
+            and scope.tenant in self._identities.tenants_of(s.principal)
             and self._leases.commands_in(s, scope)
         ]
         present = [s for s in able if not (s.stateless or s.listening)] or [

@@ -10,22 +10,26 @@ from __future__ import annotations
 import asyncio
 import secrets
 from collections.abc import Callable, Iterable
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import structlog
 
 from rcp_kernel.access.acl import reach
 from rcp_kernel.clients.session import Session
+from rcp_kernel.clients.sessions import Sessions
 from rcp_kernel.clock import iso, now
+from rcp_kernel.config.settings import Settings
 from rcp_kernel.errors import BadRequest, LeaseLost, LeaseRequired, RcpError
 from rcp_kernel.model import Kind, Operation, Pattern
 from rcp_kernel.motion.lease import Lease, refusal
 from rcp_kernel.motion.losses import Loss, Losses
+from rcp_kernel.motion.safety import Deadman
 from rcp_kernel.motion.scope import Scope
-from rcp_kernel.registry import Entry
-
-if TYPE_CHECKING:
-    from rcp_kernel.gateway import Gateway
+from rcp_kernel.operations.command import CommandTable
+from rcp_kernel.record.audit import Audit
+from rcp_kernel.record.store import Store
+from rcp_kernel.registry import Entry, Registry
+from rcp_kernel.shutdown import Shutdown
 
 __all__ = ["COMMANDING", "Leases"]
 
@@ -37,11 +41,31 @@ _TABLE = "leases"
 class Leases:
     """Every lease of the gateway, and what each write and execute is told of them."""
 
-    def __init__(self, gateway: Gateway) -> None:
-        self._gateway = gateway
+    def __init__(
+        self,
+        settings: Settings,
+        registry: Registry,
+        sessions: Sessions,
+        commands: CommandTable,
+        deadman: Deadman,
+        *,
+        store: Store,
+        audit: Audit,
+        shutdown: Shutdown,
+        loop: asyncio.AbstractEventLoop,
+    ) -> None:
+        self._settings = settings
+        self._registry = registry
+        self._sessions = sessions
+        self._commands = commands
+        self._deadman = deadman
+        self._store = store
+        self._audit = audit
+        self._shutdown = shutdown
+        self._loop = loop
         self.held: dict[str, Lease] = {}
         """By id."""
-        self.changed: Callable[[], None] = lambda: None
+        self.on_change: list[Callable[[], None]] = []
         """Called after every change."""
         self._lost = Losses()
         self._timers: dict[str, asyncio.TimerHandle] = {}
@@ -52,10 +76,12 @@ class Leases:
         self._active = False
         self.configure()
         self._restore()
+        sessions.on_end.append(self._ended)
+        sessions.on_review.append(self.review)
 
     def configure(self) -> None:
         """Take over the configuration's patterns of what is commanded only under a lease."""
-        texts = self._gateway.config.safety.lease_required
+        texts = self._settings.config.safety.lease_required
         self._required = tuple(
             Pattern(text if text.startswith("/tenant/") else f"/tenant/*{text}") for text in texts
         )
@@ -67,7 +93,7 @@ class Leases:
         self._active = bool(self.held or self._lost or self._required)
 
     def _restore(self) -> None:
-        for id_, kept in self._gateway.store.load(_TABLE).items():
+        for id_, kept in self._store.load(_TABLE).items():
             try:
                 lease = Lease(id_, Scope(kept.pop("scope")), **kept)
             except (RcpError, TypeError, KeyError, AttributeError) as error:
@@ -177,7 +203,7 @@ class Leases:
 
     def _told(self, session: Session, rival: Lease, scope: Scope) -> str:
         """Name the scope of a rival's lease, or the one asked for if the other's is hidden."""
-        mask, entries = session.rights.mask, rival.scope.entries(self._gateway.registry)
+        mask, entries = session.rights.mask, rival.scope.entries(self._registry)
         return rival.scope.text if any(mask(entry.path) for entry in entries) else scope.text
 
     def rivals(self, session: Session, scope: Scope) -> list[Lease]:
@@ -238,7 +264,7 @@ class Leases:
     def hand_over(self, session: Session, lease: Lease, heir: Session) -> None:
         """Give a lease, and the commands that run under it, to another session."""
         before = lease.key
-        for command in self._commands(lease):
+        for command in self._commands_under(lease):
             command.asker, command.session = heir, heir.id
             if not heir.stateless:
                 heir.commands[command.id] = command
@@ -252,7 +278,7 @@ class Leases:
         self._lost.forgive(lease.key, lease.scope)
         self._keep(lease)
         facts = {"lease": lease.id, "scope": lease.scope.text, "by": session.principal.name}
-        tell = self._gateway.sessions.tell
+        tell = self._sessions.tell
         tell(lease.key, "lease_given", **facts, to=lease.holder, expires=iso(lease.expires))
         if before != lease.key:
             tell(before, "lease_given", **facts, to=lease.holder)
@@ -267,23 +293,23 @@ class Leases:
         """
         if lease.id not in self.held:
             return
-        running = self._commands(lease)
+        running = self._commands_under(lease)
         self._remove(lease)
         loss = Loss(lease.id, lease.scope, by, reason)
         self._lost.add(lease.key, loss)
         self._refresh()
         for command in running:
             if not self._held_still(lease, command.path):
-                self._gateway.commands.withdraw(command, LeaseLost(loss.told, path=command.path))
+                self._commands.withdraw(command, LeaseLost(loss.told, path=command.path))
         if stop:
             self._bring_to_rest(lease)
         facts = {"lease": lease.id, "scope": lease.scope.text, "by": by, "reason": reason}
-        self._gateway.sessions.tell(lease.key, "lease_lost", **facts)
+        self._sessions.tell(lease.key, "lease_lost", **facts)
         self._note("lost", lease, None, by=by, reason=reason)
 
     def _bring_to_rest(self, lease: Lease) -> None:
-        deadman = self._gateway.deadman
-        for entry in lease.scope.entries(self._gateway.registry):
+        deadman = self._deadman
+        for entry in lease.scope.entries(self._registry):
             if entry.operations & Operation.WRITE and not self._held_still(lease, entry.path):
                 if entry.kind is Kind.ACTUATOR and deadman.holds(entry):
                     deadman.stop(entry)
@@ -295,10 +321,10 @@ class Leases:
         other = self.over(path)
         return other is not None and other.key == lease.key
 
-    def _commands(self, lease: Lease) -> list[Any]:
+    def _commands_under(self, lease: Lease) -> list[Any]:
         return [
             command
-            for command in self._gateway.commands.running.values()
+            for command in self._commands.running.values()
             if command.asker is not None
             and lease.key in command.asker.holders
             and lease.scope.covers(command.path)
@@ -314,9 +340,9 @@ class Leases:
             if any(map(lease.scope.covers, stopped)):
                 self.lose(lease, by, reason, stop=False)
 
-    def ended(self, session: Session) -> None:
+    def _ended(self, session: Session) -> None:
         """End the leases of a session that is no more, unless it is for the next run to find."""
-        if self._gateway.closing:
+        if self._shutdown.begun:
             return
         for lease in [one for one in self.held.values() if one.key == session.holder]:
             self.lose(lease, "the gateway", "its session ended")
@@ -325,7 +351,7 @@ class Leases:
         """End the leases whose holders may command nothing in them any more."""
         self.configure()
         for lease in list(self.held.values()):
-            holders = self._gateway.sessions.holding(lease.key)
+            holders = self._sessions.holding(lease.key)
             if holders and not any(self.commands_in(one, lease.scope) for one in holders):
                 self.lose(lease, "the gateway", "the holder's rights were withdrawn")
 
@@ -334,7 +360,7 @@ class Leases:
         mask = session.rights.mask
         return any(
             entry.operations & reach(mask(entry.path)) & COMMANDING
-            for entry in scope.entries(self._gateway.registry)
+            for entry in scope.entries(self._registry)
         )
 
     # -- bookkeeping ---------------------------------------------------------------------------
@@ -342,23 +368,27 @@ class Leases:
     def _set_timer(self, lease: Lease) -> None:
         if (timer := self._timers.pop(lease.id, None)) is not None:
             timer.cancel()
-        self._timers[lease.id] = self._gateway.loop.call_later(lease.left, self._lapse, lease)
+        self._timers[lease.id] = self._loop.call_later(lease.left, self._lapse, lease)
 
     def _keep(self, lease: Lease) -> None:
-        self._gateway.store.put(_TABLE, lease.id, lease.kept())
+        self._store.put(_TABLE, lease.id, lease.kept())
         self._refresh()
-        self.changed()
+        self._changed()
 
     def _remove(self, lease: Lease) -> None:
         del self.held[lease.id]
         if (timer := self._timers.pop(lease.id, None)) is not None:
             timer.cancel()
-        self._gateway.store.put(_TABLE, lease.id, None)
+        self._store.put(_TABLE, lease.id, None)
         self._refresh()
-        self.changed()
+        self._changed()
+
+    def _changed(self) -> None:
+        for changed in self.on_change:
+            changed()
 
     def _note(self, did: str, lease: Lease, session: Session | None, **facts: Any) -> None:
-        self._gateway.audit.note(
+        self._audit.note(
             "lease",
             principal=None if session is None else session.principal,
             tenant=lease.scope.tenant,

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 import msgspec
 
-from rcp_kernel.access.conditions import Condition, Conditions, Ref, condition
+from rcp_kernel.access.condition import Condition, Ref, condition
+from rcp_kernel.access.conditions import Conditions
 from rcp_kernel.config.envelopes import Bound, EnvelopeConfig
 from rcp_kernel.errors import ModeForbids, OutOfRange, PreconditionFailed
 from rcp_kernel.fields import Field

@@ -6,26 +6,23 @@ grants: a command on a path without an envelope costs one dictionary access.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
 
 import structlog
 
 from rcp_kernel.access.acl import Rights
-from rcp_kernel.access.conditions import condition
+from rcp_kernel.access.condition import condition
+from rcp_kernel.access.conditions import Conditions
 from rcp_kernel.access.identity import Grants
 from rcp_kernel.clients.session import Session
 from rcp_kernel.config.envelopes import EnvelopeConfig, patterns
 from rcp_kernel.model import Kind, Operation, Pattern, tenant_of
 from rcp_kernel.motion.commanded_values import CommandedValues
-from rcp_kernel.motion.fence_guard import FenceGuard
 from rcp_kernel.motion.motion_limit import MotionLimit
 from rcp_kernel.motion.narrowed import narrowed
 from rcp_kernel.motion.safety import safe_value
-from rcp_kernel.registry import Entry
-
-if TYPE_CHECKING:
-    from rcp_kernel.gateway import Gateway
+from rcp_kernel.registry import Entry, Registry
 
 __all__ = ["Bound", "MotionLimits"]
 
@@ -93,26 +90,29 @@ class Bound:
 class MotionLimits:
     """Every envelope of the gateway."""
 
-    def __init__(self, gateway: Gateway) -> None:
-        self._gateway = gateway
-        self._registry = gateway.registry
+    def __init__(
+        self, registry: Registry, conditions: Conditions, tables: Sequence[EnvelopeConfig]
+    ) -> None:
+        self._registry = registry
+        self._conditions = conditions
         self._tables: list[tuple[EnvelopeConfig, list[Pattern]]] = []
         self.bound: dict[str, Bound] = {}
         """By path."""
         self._faults: dict[str, list[str]] = {}
-        self.guard = FenceGuard(gateway, self.bound)
-        gateway.registry.on_added.append(self._added)
-        gateway.registry.on_removed.append(self._removed)
-        gateway.deadman.sending = self._sending
-        gateway.deadman.at_rest = self._at_rest
-        self.configure(gateway.config.envelopes)
+        self.drivers: dict[str, Session] = {}
+        """Whose value is in force, by the path of the actuator."""
+        self.on_bound: list[Callable[[], None]] = []
+        """Called when envelopes were bound anew."""
+        registry.on_added.append(self._added)
+        registry.on_removed.append(self._removed)
+        self.configure(tables)
 
     def configure(self, tables: Sequence[EnvelopeConfig]) -> None:
         """Take over the envelopes of a configuration; they count from now on."""
         self._tables = [(table, patterns(table.paths)) for table in tables]
         asked = [condition(table.when) for table in tables if table.when is not None]
         modes = [condition("mode")] if any(table.modes for table in tables) else []
-        self._gateway.conditions.use("envelopes", [*asked, *modes])
+        self._conditions.use("envelopes", [*asked, *modes])
         for entry in self._registry.entries.values():
             self._bind(entry)
         self._tend()
@@ -139,7 +139,14 @@ class MotionLimits:
         if _called(entry):
             bound.force.settle(value, value)
         else:
-            self.guard.drives(session, bound, value)
+            self._drives(session, bound, value)
+
+    def _drives(self, session: Session, bound: Bound, value: Any) -> None:
+        """Note whose value goes to an actuator that can be brought to rest."""
+        if bound.safe is None or value == bound.safe:
+            self.drivers.pop(bound.entry.path, None)
+        else:
+            self.drivers[bound.entry.path] = session
 
     def took(self, entry: Entry, value: Any, actual: Any) -> None:
         """Note that the robot took what was sent, as `actual`."""
@@ -153,16 +160,18 @@ class MotionLimits:
         if bound is not None:
             bound.force.withdraw(value)
 
-    def _sending(self, entry: Entry, safe: Any) -> None:
+    def note_stop(self, entry: Entry, safe: Any) -> None:
+        """Note that a safe value is on its way."""
         bound = self.bound.get(entry.path)
         if bound is not None:
             bound.force.attempt(safe)
 
-    def _at_rest(self, entry: Entry, safe: Any) -> None:
+    def note_rest(self, entry: Entry, safe: Any) -> None:
+        """Note that a safe value is in force, or the robot is brought to rest as a whole."""
         bound = self.bound.get(entry.path)
         if bound is not None:
             bound.force.rest(safe)
-            self.guard.rests(entry.path)
+            self.drivers.pop(entry.path, None)
 
     def applied(self, session: Session, entry: Entry) -> list[dict[str, Any]]:
         """List the envelopes that a command of the session has to stay in."""
@@ -211,7 +220,7 @@ class MotionLimits:
         if not tables:
             return
         envelopes = [
-            MotionLimit(table, entry, self._registry, self._gateway.conditions) for table in tables
+            MotionLimit(table, entry, self._registry, self._conditions) for table in tables
         ]
         force = old.force if old is not None and old.entry is entry else _first(entry)
         self.bound[path] = Bound(entry, envelopes, force)
@@ -222,9 +231,13 @@ class MotionLimits:
                 log.warning("envelope_does_not_fit", path=path, faults=found)
 
     def _tend(self) -> None:
-        """Have every sensor watched that says where a robot is that has to stay somewhere."""
+        for bound in self.on_bound:
+            bound()
+
+    def watched(self) -> Iterator[tuple[str, Bound]]:
+        """Name every sensor that says where a robot is that has to stay somewhere."""
         places = ((e.place, bound) for bound in self.bound.values() for e in bound.envelopes)
-        self.guard.watch((p.sensor, b) for p, b in places if p is not None and p.sensor is not None)
+        return ((p.sensor, b) for p, b in places if p is not None and p.sensor is not None)
 
 
 def _called(entry: Entry) -> bool:

@@ -99,8 +99,30 @@ class _Flight:
 class Deadman:
     """Writes the safe value when an actuator's last command lapses, until the device takes it."""
 
-    def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
+    def __init__(
+        self,
+        loop: asyncio.AbstractEventLoop,
+        *,
+        began: Callable[[Entry], None],
+        sending: Callable[[Entry, Any], None],
+        at_rest: Callable[[Entry, Any], None],
+        untaken: Callable[[Entry], list[asyncio.Task[None]]],
+        note: Callable[[Entry, str], None],
+    ) -> None:
+        """Bring to rest what lapses.
+
+        `began` is told before a write leaves, and when its window starts, and must cost next to
+        nothing; `sending`, when a safe value is on its way; `at_rest`, when it is in force, or the
+        robot is brought to rest as a whole. `untaken` is asked to stop the robot by other means
+        while a safe value is not taken, and returns what does. `note` keeps for the record that a
+        command lapsed, and that a safe value was taken.
+        """
         self._loop = loop
+        self._began = began
+        self._sending = sending
+        self._at_rest = at_rest
+        self._untaken = untaken
+        self._note = note
         self._timers: dict[str, asyncio.TimerHandle] = {}
         self._stops: dict[str, asyncio.Task[None]] = {}
         self._flights: dict[str, set[asyncio.Task[Any]]] = {}
@@ -109,16 +131,6 @@ class Deadman:
         """Cancelled writes that have not ended yet: nothing may overtake them."""
         self.lapsed = 0
         """How many commands have lapsed."""
-        self.note: Callable[[Entry, str], None] = _nobody
-        """Told for the record when a command lapses, and when a safe value was taken."""
-        self.sending: Callable[[Entry, Any], None] = _nobody
-        """Told when a safe value is on its way."""
-        self.at_rest: Callable[[Entry, Any], None] = _nobody
-        """Told when a safe value is in force, or the robot is brought to rest as a whole."""
-        self.untaken: Callable[[Entry], list[asyncio.Task[None]]] = lambda _entry: []
-        """Asked to stop the robot by other means while a safe value is not taken; returns what does."""
-        self.began: Callable[[Entry], None] = lambda _entry: None
-        """Told before a write leaves, and when its window starts; must cost next to nothing."""
 
     def window(self, entry: Entry, request: Request) -> float | None:
         """Return for how many seconds a write stands, or None for ever.
@@ -137,7 +149,7 @@ class Deadman:
 
     def in_flight(self, entry: Entry) -> _Flight:
         """Have the present task known as one that writes to an entry, for `ground` to cancel."""
-        self.began(entry)
+        self._began(entry)
         return _Flight(self._flights, entry.path)
 
     def cancel_writes(self, entry: Entry) -> list[asyncio.Task[Any]]:
@@ -146,7 +158,7 @@ class Deadman:
         Return the writes that were cancelled and have not ended yet.
         """
         self.cut(entry)
-        self.at_rest(entry, safe_value(entry))
+        self._at_rest(entry, safe_value(entry))
         return list(self.leaving.get(entry.path, ()))
 
     def stop(self, entry: Entry) -> None:
@@ -158,7 +170,7 @@ class Deadman:
         task = self._loop.create_task(self._stop(entry), name=f"dead-man {entry.path}")
         self._stops[entry.path] = task
         helping: list[asyncio.Task[None]] = []
-        late = self._loop.call_later(_UNTAKEN, lambda: helping.extend(self.untaken(entry)))
+        late = self._loop.call_later(_UNTAKEN, lambda: helping.extend(self._untaken(entry)))
 
         def forget(done: asyncio.Task[None]) -> None:
             late.cancel()
@@ -230,7 +242,7 @@ class Deadman:
 
     def arm(self, entry: Entry, seconds: float) -> asyncio.TimerHandle:
         """Start the window of a write that is in force now; return what `disarm` takes."""
-        self.began(entry)
+        self._began(entry)
         self.begin(entry)
         with unfenced():  # it outlives the write whose window it is
             timer = self._timers[entry.path] = self._loop.call_later(seconds, self._lapse, entry)
@@ -246,7 +258,7 @@ class Deadman:
         del self._timers[entry.path]
         self.lapsed += 1
         self._start(entry)
-        self.note(entry, "lapsed")
+        self._note(entry, "lapsed")
 
     async def _stop(self, entry: Entry) -> None:
         safe = safe_value(entry)
@@ -255,22 +267,18 @@ class Deadman:
             backend = entry.owner.backend
             if backend is None:  # it may still be driving: it is told when the link is back
                 raise entry.owner.unavailable()
-            self.sending(entry, safe)
+            self._sending(entry, safe)
             await backend.write(entry.name, safe)
 
         await retry_until_confirmed(once, "deadman_stop_failed", path=entry.path)
-        self.at_rest(entry, safe)
+        self._at_rest(entry, safe)
         entry.publish(safe, None)
-        self.note(entry, "ok")
+        self._note(entry, "ok")
 
     def close(self) -> None:
         """Forget all windows; the backends are halted by whoever closes them."""
         for handle in (*self._timers.values(), *self._stops.values()):
             handle.cancel()
-
-
-def _nobody(_entry: Entry, _value: Any) -> None:
-    """Take no notice."""
 
 
 def safe_value(entry: Entry) -> Any:

@@ -7,17 +7,19 @@ passes the first and ends there.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from rcp_kernel.access.resolver import Resolver
 from rcp_kernel.clients.session import Session
 from rcp_kernel.model import Operation
+from rcp_kernel.motion.leases import Leases
+from rcp_kernel.motion.motion_limits import MotionLimits
 from rcp_kernel.motion.safety import check_age, check_motion
+from rcp_kernel.record.audit_writer import AuditWriter
 from rcp_kernel.registry import Entry
+from rcp_kernel.shutdown import Shutdown
 from rcp_kernel.spi import Backend
 from rcp_kernel.wire import Request
-
-if TYPE_CHECKING:
-    from rcp_kernel.gateway import Gateway
 
 __all__ = ["Admission"]
 
@@ -25,10 +27,22 @@ __all__ = ["Admission"]
 class Admission:
     """The checks, in the order in which a client should learn of them."""
 
-    def __init__(self, gateway: Gateway) -> None:
-        self._gateway = gateway
-        self.check_thaw: Callable[[Entry], None] = lambda _entry: None
-        """Refuse what may have waited while the event loop stood still and its robot was stopped."""
+    def __init__(
+        self,
+        resolver: Resolver,
+        leases: Leases,
+        motion_limits: MotionLimits,
+        audit_writer: AuditWriter,
+        shutdown: Shutdown,
+        check_thaw: Callable[[Entry], None],
+    ) -> None:
+        self._resolver = resolver
+        self._leases = leases
+        self._motion_limits = motion_limits
+        self._audit_writer = audit_writer
+        self._shutdown = shutdown
+        self._check_thaw = check_thaw
+        """Refuses what may have waited while the event loop stood still and its robot was stopped."""
 
     def admit(self, session: Session, request: Request, entry: Entry, value: Any) -> None:
         """Refuse what may not be done now.
@@ -42,16 +56,16 @@ class Admission:
         """
         check_age(entry, request.timestamp)
         if entry.is_hold:  # bringing a robot to rest is open to whoever may execute it
-            self._gateway.check_open()
+            self._shutdown.check()
             return
         check_motion(entry, entry.unit.latch)
-        self.check_thaw(entry)
-        self._gateway.leases.check(session, entry)
-        self._gateway.check_open()
-        self._gateway.audit_writer.check()
+        self._check_thaw(entry)
+        self._leases.check(session, entry)
+        self._shutdown.check()
+        self._audit_writer.check()
         if entry.owner.backend is None:
             raise entry.owner.unavailable()
-        self._gateway.envelopes.check(session, entry, value)
+        self._motion_limits.check(session, entry, value)
 
     def confirm(
         self, session: Session, entry: Entry, value: Any, timestamp: str | float | None
@@ -68,15 +82,15 @@ class Admission:
         :raises OutOfRange, ModeForbids, PreconditionFailed: as above.
         """
         called = entry.operations & Operation.EXECUTE
-        self._gateway.check(session, entry, called or Operation.WRITE)
+        self._resolver.check(session, entry, called or Operation.WRITE)
         check_age(entry, timestamp)
         if not entry.is_hold:
             check_motion(entry, entry.unit.latch)
-            self._gateway.leases.check(session, entry)
+            self._leases.check(session, entry)
         backend = entry.owner.backend
         if backend is None:
             raise entry.owner.unavailable()
         if entry.is_hold:
             return backend
-        self._gateway.envelopes.send(session, entry, value)
+        self._motion_limits.send(session, entry, value)
         return backend

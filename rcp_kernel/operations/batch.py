@@ -7,14 +7,15 @@ from collections.abc import Generator, Hashable
 from copy import copy
 from functools import lru_cache, partial
 from itertools import takewhile
-from typing import TYPE_CHECKING
 
 import msgspec
 from msgspec import Raw
 
-from rcp_kernel.clients.session import Answer, Session
+from rcp_kernel.clients.session import Answer, Handler, Session
 from rcp_kernel.clock import iso, now
+from rcp_kernel.config.settings import Settings
 from rcp_kernel.errors import BadRequest, InvalidValue, PayloadTooLarge, RcpError
+from rcp_kernel.operations.inflight import InFlight
 from rcp_kernel.operations.pages import MOST_BATCH, shared_room
 from rcp_kernel.operations.parts import Parts, Written, expected
 from rcp_kernel.operations.pending import to_internal_error
@@ -31,9 +32,6 @@ from rcp_kernel.wire import (
     peek_header,
 )
 
-if TYPE_CHECKING:
-    from rcp_kernel.gateway import Gateway
-
 __all__ = ["BatchHandler"]
 
 _ESTOP = "/system/estop"
@@ -44,22 +42,37 @@ _LOOKS = frozenset(("read", "discover", "status"))
 class BatchHandler:
     """The handler of `batch`."""
 
-    def __init__(self, gateway: Gateway, turns: Turns) -> None:
-        self._gateway = gateway
+    def __init__(
+        self,
+        handle: Handler,
+        inflight: InFlight,
+        turns: Turns,
+        settings: Settings,
+        loop: asyncio.AbstractEventLoop,
+    ) -> None:
+        self._handle = handle
+        self._inflight = inflight
         self._turns = turns
+        self._settings = settings
+        self._loop = loop
 
     def batch(self, session: Session, request: Request, answer: Answer) -> Reply | None:
         """Handle every envelope of a list; the reply lists theirs in the same order."""
-        gateway = self._gateway
-        parts = _parts(request, gateway.limits.batch)
-        batch = _Batch(gateway, session, parts, request.encoding, expected(session, request))
-        timeout = request.deadline or gateway.limits.deadline
+        parts = _parts(request, self._settings.limits.batch)
+        whole: asyncio.Future[None] = self._loop.create_future()
+        room = min(MOST_BATCH, self._settings.limits.message)
+        batch = _Batch(
+            self._handle, session, parts, request.encoding, expected(session, request), room, whole
+        )
+        timeout = request.deadline or self._settings.limits.deadline
 
         def done(replies: Parts) -> Reply:
             return Reply(type="batch", id=request.id, body=replies, timestamp=iso(now()))
 
         owner = session.principal.identity
-        gateway.later(session, request, answer, batch.run(self._turns, owner), done, timeout, None)
+        self._inflight.later(
+            session, request, answer, batch.run(self._turns, owner), done, timeout, None
+        )
         return None
 
 
@@ -68,20 +81,22 @@ class _Batch:
 
     def __init__(
         self,
-        gateway: Gateway,
+        handle: Handler,
         session: Session,
         parts: list[bytes],
         encoding: Encoding,
         answer: Encoding,
+        room: int,
+        whole: asyncio.Future[None],
     ) -> None:
-        self._gateway = gateway
+        self._handle = handle
         self._session = session
         self._parts = parts
         self._encoding = encoding
         self._answer = answer
-        self._most = self._room = min(MOST_BATCH, gateway.limits.message)
+        self._most = self._room = room
         self._replies: dict[int, Reply] = {}
-        self._whole: asyncio.Future[None] = gateway.loop.create_future()
+        self._whole = whole
 
     async def run(self, turns: Turns, owner: Hashable) -> Parts:
         """Have all parts handled; return their replies."""
@@ -110,7 +125,7 @@ class _Batch:
             # Whatever of it is handled later takes this along.
             with shared_room(len(self._parts)):
                 answer = partial(self._settle, number)
-                self._gateway.handle(self._session, request, answer)
+                self._handle(self._session, request, answer)
             yield
 
     def _read(self, number: int, data: bytes) -> Request | None:

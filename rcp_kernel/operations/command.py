@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import secrets
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -29,7 +29,7 @@ from rcp_kernel.wire import FINAL, NO_BODY, Reply, Status
 if TYPE_CHECKING:
     from rcp_kernel.clients.session import Session
 
-__all__ = ["Command", "Record", "Work", "outcome_of", "status_of"]
+__all__ = ["Command", "CommandTable", "Record", "Work", "outcome_of", "status_of"]
 
 log = structlog.get_logger("rcp.commands")
 Follower = Callable[[Reply], None]
@@ -44,6 +44,27 @@ class Work(Protocol):
 
     def report(self, *, over: bool) -> Any:
         """Return how far it has come; with `over` it goes no further."""
+        ...
+
+
+class CommandTable(Protocol):
+    """The commands of the gateway, for who ends those that have lost their ground."""
+
+    @property
+    def running(self) -> Mapping[str, Command]:
+        """Those that have not ended, by id."""
+        ...
+
+    def every(self) -> Iterable[Command]:
+        """Go through all that are known, newest first."""
+        ...
+
+    def cancel(self, command: Command, reason: str) -> None:
+        """Have a command cancelled: the robot is told at once, the final status follows."""
+        ...
+
+    def withdraw(self, command: Command, error: Refused) -> None:
+        """End a command that has lost its ground: refused if it waits, else cancelled."""
         ...
 
 

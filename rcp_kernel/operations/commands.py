@@ -58,17 +58,15 @@ class CommandObserver(Protocol):
 class Commands:
     """Every command of the gateway: running, queued, and the recently finished."""
 
-    def __init__(self, confirm: Confirm, keeper: CommandObserver) -> None:
+    def __init__(self, keeper: CommandObserver, began: Callable[[Entry], None]) -> None:
+        """Note commands with `keeper`; `began` is told before one runs, and must cost nothing."""
         self.running: dict[str, Command] = {}
         self.finished = Finished(keeper.forget)
         self.counts: dict[tuple[str, str], int] = {}
         """Ended commands by path and final status."""
         self.seconds = Histogram()
         self.keeper = keeper
-        self.confirm = confirm
-        """Asked when a command's turn comes: the world may have changed while it waited."""
-        self.began: Callable[[Entry], None] = lambda _entry: None
-        """Told before a command runs; must cost next to nothing."""
+        self._began = began
         self._active: dict[str, Command] = {}
         """The command that holds each path, where the policy allows only one."""
         self._queues: dict[str, deque[Command]] = {}
@@ -115,10 +113,13 @@ class Commands:
         value: Any,
         timeout: float | None,
         deadline: float | None = None,
+        *,
+        confirm: Confirm,
     ) -> None:
         """Accept an admitted command and run it, now or when the path is free.
 
-        It has `timeout` seconds from then on, and `deadline` from now on.
+        It has `timeout` seconds from then on, and `deadline` from now on. `confirm` is asked when
+        its turn comes: the world may have changed while it waited.
         """
         command.asker = asker
         command.entry = entry
@@ -126,7 +127,7 @@ class Commands:
         self._note(command, Record("accepted", now(), message="Command accepted."))
 
         def begin() -> None:
-            self._run(command, asker, entry, value, timeout)
+            self._run(command, asker, entry, value, timeout, confirm)
 
         busy = self._active.get(entry.path)
         if busy is None or self._shared(entry):
@@ -154,26 +155,34 @@ class Commands:
         return policy == "parallel" or (policy is None and entry.kind is Kind.SERVICE)
 
     def _run(
-        self, command: Command, asker: Session, entry: Entry, value: Any, timeout: float | None
+        self,
+        command: Command,
+        asker: Session,
+        entry: Entry,
+        value: Any,
+        timeout: float | None,
+        confirm: Confirm,
     ) -> None:
-        self.began(entry)
+        self._began(entry)
         if not self._shared(entry):
             self._active[entry.path] = command
         if entry.moves:
             entry.unit.lost = None
         loop = asyncio.get_running_loop()
         command.task = loop.create_task(
-            self._call(command, asker, entry, value), name=f"command {command.id}"
+            self._call(command, asker, entry, value, confirm), name=f"command {command.id}"
         )
         if timeout and command.timer is None:
             command.timer = loop.call_later(timeout, self._expire, command, timeout)
         command.task.add_done_callback(lambda task: self._ended(command, task))
 
-    async def _call(self, command: Command, asker: Session, entry: Entry, value: Any) -> Any:
+    async def _call(
+        self, command: Command, asker: Session, entry: Entry, value: Any, confirm: Confirm
+    ) -> Any:
         work, stops = command.work, entry.unit.stops
         if command.ready is not None:
             await command.ready()
-        backend = self.confirm(asker, entry, value, command.timestamp)
+        backend = confirm(asker, entry, value, command.timestamp)
 
         def progress(feedback: Any = None, *, fraction: float | None = None) -> None:
             if not command.final:

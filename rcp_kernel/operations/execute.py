@@ -4,33 +4,42 @@ from __future__ import annotations
 
 import asyncio
 import secrets
-from collections.abc import Coroutine
+from collections.abc import Coroutine, Generator, Mapping
 from copy import copy
 from time import perf_counter
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any, Protocol
 
 import msgspec
 
-from rcp_kernel.access.acl import reach
-from rcp_kernel.access.visibility import EVERYTHING
-from rcp_kernel.clients.session import Answer, Session
+from rcp_kernel.access.approvals import Approvals
+from rcp_kernel.access.quotas import QuotaTracker
+from rcp_kernel.access.resolver import Resolver
+from rcp_kernel.clients.session import Answer, OwnCommand, Session
 from rcp_kernel.clock import iso, now
-from rcp_kernel.errors import RcpError, UnknownPath
+from rcp_kernel.config.settings import Settings
+from rcp_kernel.errors import RcpError
 from rcp_kernel.model import Kind, Operation
+from rcp_kernel.motion.motion_limits import MotionLimits
+from rcp_kernel.motion.safety import Deadman
+from rcp_kernel.operations.admission import Admission
 from rcp_kernel.operations.command import Command
+from rcp_kernel.operations.command_access import CommandAccess, is_own
+from rcp_kernel.operations.commands import Commands
+from rcp_kernel.operations.counts import RequestCounts
+from rcp_kernel.operations.idempotency import Keys
+from rcp_kernel.operations.inflight import InFlight
 from rcp_kernel.operations.write import dry_run_reply
 from rcp_kernel.plans.resource import PATH as PLANS
+from rcp_kernel.plans.resource import Plans
+from rcp_kernel.record.audit_writer import AuditWriter
 from rcp_kernel.registry import Entry
 from rcp_kernel.safety.hold import Hold
+from rcp_kernel.safety.partners import Partners
 from rcp_kernel.values import value_type
 from rcp_kernel.wire import Reply, Request
 
-if TYPE_CHECKING:
-    from rcp_kernel.gateway import Gateway
-
 __all__ = ["EstopLane", "ExecuteHandler", "Service"]
 
-_READ = Operation.READ
 _SERVICE_TIMEOUT = 10.0  # s for a service that declares none
 
 
@@ -64,42 +73,86 @@ _CANCEL = value_type(_Cancel | None)
 class ExecuteHandler:
     """The handlers of both requests."""
 
-    def __init__(self, gateway: Gateway) -> None:
-        self._gateway = gateway
+    def __init__(
+        self,
+        resolver: Resolver,
+        admission: Admission,
+        commands: Commands,
+        access: CommandAccess,
+        *,
+        estop: EstopLane,
+        services: Mapping[str, Service],
+        plans: Plans,
+        approvals: Approvals,
+        motion_limits: MotionLimits,
+        quotas: QuotaTracker,
+        keys: Keys,
+        inflight: InFlight,
+        counts: RequestCounts,
+        audit_writer: AuditWriter,
+        partners: Partners,
+        deadman: Deadman,
+        settings: Settings,
+        loop: asyncio.AbstractEventLoop,
+    ) -> None:
+        self._resolver = resolver
+        self._admission = admission
+        self._commands = commands
+        self._access = access
+        self._estop_lane = estop
+        self._services = services
+        self._plans = plans
+        self._approvals = approvals
+        self._motion_limits = motion_limits
+        self._quotas = quotas
+        self._keys = keys
+        self._inflight = inflight
+        self._counts = counts
+        self._audit_writer = audit_writer
+        self._partners = partners
+        self._deadman = deadman
+        self._settings = settings
+        self._loop = loop
+
+    def execute_in_steps(
+        self, session: Session, request: Request, answer: Answer
+    ) -> Generator[None, None, Reply | None]:
+        """Start a plan, whose conditions are read one at a time first."""
+        yield from self._plans.read_conditions(session, request)
+        return self.execute(session, request, answer)
 
     def execute(self, session: Session, request: Request, answer: Answer) -> Reply | None:
         """Start a command, or follow the one that the same key started."""
-        gateway = self._gateway
         started = perf_counter()
-        entry = gateway.resolve(session, request.path, Operation.EXECUTE)
+        entry = self._resolver.resolve(session, request.path, Operation.EXECUTE)
         value = self._input(request, entry)
         if entry.path == "/system/estop":
             return self._estop(session, request, answer, entry, value)
-        if (service := gateway.services.get(entry.path)) is not None:
+        if (service := self._services.get(entry.path)) is not None:
             self._serve(service, session, request, entry, value, answer)
             return None
-        known = gateway.keys.find(session, request, entry.path)
+        known = self._keys.find(session, request, entry.path)
         if isinstance(known, Command):
             self._follow(session, request, known, answer, started)
             return None
-        gateway.admission.admit(session, request, entry, value)
-        gateway.commands.admit(entry)
-        gateway.quota_tracker.check_command(session, entry.path)
+        self._admission.admit(session, request, entry, value)
+        self._commands.admit(entry)
+        self._quotas.check_command(session, entry.path)
         if entry.is_hold and not request.dry_run:
             self._hold(session, request, entry, answer, started)
             return None
-        work = gateway.plans.prepare(session, request, value) if entry.path == PLANS else None
+        work = self._plans.prepare(session, request, value) if entry.path == PLANS else None
         if request.dry_run:
             if work is not None:
                 return dry_run_reply(request, entry, work.would())
-            held = gateway.envelopes.applied(session, entry)
-            asks = gateway.approvals.wanted(session, entry, value) or None
+            held = self._motion_limits.applied(session, entry)
+            asks = self._approvals.wanted(session, entry, value) or None
             facts = {"envelopes": held or None, "approval": asks}
             return dry_run_reply(request, entry, {"execute": value, **facts})
         if work is not None:
             work.approve(session, request, entry)
         elif session.rights.approve:
-            gateway.approvals.check(session, request, entry, value)
+            self._approvals.check(session, request, entry, value)
         command = Command(
             id="cmd-" + secrets.token_hex(8),
             path=entry.path,
@@ -118,28 +171,35 @@ class ExecuteHandler:
         if work is not None:
             command.followers.append(work.told)
         if request.idempotency_key is not None:
-            command.ready = gateway.audit_writer.committed
+            command.ready = self._audit_writer.committed
             command.followers.append(self._settling(session, request, entry.path))
         self._follow(session, request, command, answer, started)
-        gateway.audit_writer.started(session, request, command)
-        gateway.keys.note(session, request, entry.path, command)
+        self._audit_writer.started(session, request, command)
+        self._keys.note(session, request, entry.path, command)
         timeout = self._timeout(request, entry)
-        gateway.quota_tracker.charge(session, command)
-        gateway.commands.start(command, session, entry, value, timeout, request.deadline)
+        self._quotas.charge(session, command)
+        self._commands.start(
+            command,
+            session,
+            entry,
+            value,
+            timeout,
+            request.deadline,
+            confirm=self._admission.confirm,
+        )
         return None
 
     def _hold(
         self, session: Session, request: Request, entry: Entry, answer: Answer, started: float
     ) -> None:
         """Bring a robot to rest without an e-stop, past leases, envelopes and quotas."""
-        gateway = self._gateway
         command = Command(
             id="cmd-" + secrets.token_hex(8),
             path=entry.path,
             principal=session.principal.name,
             proof=session.principal.proof,
             tenant=entry.tenant,
-            work=Hold([entry.unit, *gateway.partners.of(entry)], gateway.commands, gateway.deadman),
+            work=Hold([entry.unit, *self._partners.of(entry)], self._commands, self._deadman),
             request_id=request.id,
             custom=request.custom,
             timestamp=request.timestamp,
@@ -147,34 +207,40 @@ class ExecuteHandler:
             entry=entry,
         )
         self._follow(session, request, command, answer, started)
-        gateway.audit_writer.started(session, request, command)
+        self._audit_writer.started(session, request, command)
         timeout = self._timeout(request, entry)
-        gateway.commands.start(command, session, entry, None, timeout, request.deadline)
+        self._commands.start(
+            command,
+            session,
+            entry,
+            None,
+            timeout,
+            request.deadline,
+            confirm=self._admission.confirm,
+        )
 
     def stops(self, session: Session, request: Request) -> bool:
         """Tell whether a request brings a robot to rest."""
         if request.type != "execute":
             return False
         try:
-            return self._gateway.resolve(session, request.path, Operation.EXECUTE).is_hold
+            return self._resolver.resolve(session, request.path, Operation.EXECUTE).is_hold
         except RcpError:
             return False
 
     def _settling(self, session: Session, request: Request, path: str) -> Answer:
         def settle(reply: Reply) -> None:
             if reply.final:
-                self._gateway.keys.settle(session, request, path, reply)
+                self._keys.settle(session, request, path, reply)
 
         return settle
 
     def _estop(
         self, session: Session, request: Request, answer: Answer, entry: Entry, value: Any
     ) -> Reply | None:
-        gateway = self._gateway
-        assert gateway.estop is not None
         asked = value or entry.input_type.convert({})
         if request.dry_run:
-            robots = gateway.estop.names(session, asked)
+            robots = self._estop_lane.names(session, asked)
             return dry_run_reply(request, entry, {"execute": value, "robots": robots})
 
         def done(state: Any) -> Reply:
@@ -189,11 +255,11 @@ class ExecuteHandler:
                 timestamp=now_,
             )
 
-        work = gateway.estop.request(session, asked, request)
-        gateway.later(
+        work = self._estop_lane.request(session, asked, request)
+        self._inflight.later(
             session,
             request,
-            gateway.audit_writer.hold_estop(answer),
+            self._audit_writer.hold_estop(answer),
             work,
             done,
             entry.resource.timeout or 6.0,
@@ -214,14 +280,14 @@ class ExecuteHandler:
         """Do what the gateway does itself, at once; the answer leaves when that is kept."""
         started = perf_counter()
         reply = self._served(service, session, request, entry, value)
-        self._gateway.conclude(session, reply, started)
-        self._gateway.audit_writer.held(answer, request)(reply)
+        self._counts.conclude(session, reply, started)
+        self._audit_writer.held(answer, request)(reply)
 
     def _served(
         self, service: Service, session: Session, request: Request, entry: Entry, value: Any
     ) -> Reply:
         """Return the answer of a service; a repeat under the same key does nothing."""
-        known = self._gateway.keys.find(session, request, entry.path)
+        known = self._keys.find(session, request, entry.path)
         if isinstance(known, asyncio.Future):
             again = copy(known.result())
             again.id = request.id
@@ -239,10 +305,10 @@ class ExecuteHandler:
             custom=request.custom,
         )
         if request.idempotency_key is not None:
-            outcome: asyncio.Future[Reply] = self._gateway.loop.create_future()
+            outcome: asyncio.Future[Reply] = self._loop.create_future()
             outcome.set_result(reply)
-            self._gateway.keys.note(session, request, entry.path, outcome)
-            self._gateway.keys.settle(session, request, entry.path, reply)
+            self._keys.note(session, request, entry.path, outcome)
+            self._keys.settle(session, request, entry.path, reply)
         return reply
 
     def _input(self, request: Request, entry: Entry) -> Any:
@@ -252,7 +318,7 @@ class ExecuteHandler:
 
     def _timeout(self, request: Request, entry: Entry) -> float:
         default = (
-            _SERVICE_TIMEOUT if entry.kind is Kind.SERVICE else self._gateway.limits.action_timeout
+            _SERVICE_TIMEOUT if entry.kind is Kind.SERVICE else self._settings.limits.action_timeout
         )
         own = entry.resource.timeout or default
         return min(own, request.deadline) if request.deadline is not None else own
@@ -261,8 +327,8 @@ class ExecuteHandler:
         self, session: Session, request: Request, command: Command, answer: Answer, started: float
     ) -> None:
         """Have the request answered by the command's replies, those of its past included."""
-        key = self._gateway.claim(session, request)
-        answer = self._gateway.audit_writer.held(answer, request)
+        key = self._inflight.claim(session, request)
+        answer = self._audit_writer.held(answer, request)
         if not session.stateless:
             session.commands[command.id] = command
             if len(session.commands) > 256:
@@ -273,7 +339,7 @@ class ExecuteHandler:
             reply.id = request.id
             if reply.final:
                 session.inflight.pop(key, None)
-                self._gateway.conclude(session, reply, started)
+                self._counts.conclude(session, reply, started)
             answer(reply)
 
         if command.history and command.final:
@@ -285,21 +351,20 @@ class ExecuteHandler:
 
     def cancel(self, session: Session, request: Request, answer: Answer) -> Reply | None:
         """Cancel a command by its id, or whatever runs on a path; the robot is told at once."""
-        gateway = self._gateway
         body = request.decode_body(_CANCEL, "cancel")
         wanted = request.command or (body.command if body is not None else None)
-        found = [self._to_cancel(session, wanted)] if wanted is not None else []
+        found = [self._access.to_cancel(session, wanted)] if wanted is not None else []
         path = found[0].path if found else request.path
-        entry = gateway.resolve(session, path, Operation.EXECUTE, anyway=True)
+        entry = self._resolver.resolve(session, path, Operation.EXECUTE, anyway=True)
         if wanted is None:
-            running = [c for c in gateway.commands.running.values() if c.path == entry.path]
-            found = [c for c in running if self.sees(session, c)]
-        if not found or not all(_own(session, command) for command in found):
+            running = [c for c in self._commands.running.values() if c.path == entry.path]
+            found = [c for c in running if self._access.sees(session, c)]
+        if not found or not all(is_own(session, command) for command in found):
             # Whoever set something going may stop it, whatever has become of the conditions.
-            gateway.check(session, entry, Operation.EXECUTE)
+            self._resolver.check(session, entry, Operation.EXECUTE)
         live = [command for command in found if not command.final]
         for command in live:
-            gateway.commands.cancel(command, f"{session.principal.name} asked for it")
+            self._commands.cancel(command, f"{session.principal.name} asked for it")
         text = f"Cancel of {entry.path} sent." if live else f"Nothing is running on {entry.path}."
         return Reply(
             type="cancel",
@@ -311,53 +376,8 @@ class ExecuteHandler:
             custom=request.custom,
         )
 
-    def sees(self, session: Session, command: Command) -> bool:
-        """Tell whether a session may know of a command: of all that it is about."""
-        rights, sight = session.rights, self._gateway.visibility
-        if not rights.mask(command.path):
-            return False
-        if _own(session, command):  # also what is told of it already, unless the rights have gone
-            return sight.sees_all(rights, (p for p in command.touches if p != EVERYTHING))
-        if command.path == PLANS:
-            tenants = self._gateway.identities.tenants_of(session.principal)
-            # Of what a step has read the value is told.
-            if command.tenant not in tenants or not sight.sees_all(rights, command.touches, _READ):
-                return False
-        return not sight.names_hidden(rights, command.tenant, command.names)
 
-    def command(self, session: Session, id_: str) -> Command:
-        """Return a command that the session may see.
-
-        :raises UnknownPath: there is none, or not for this principal.
-        """
-        command = self._gateway.commands.find(id_)
-        mask = 0 if command is None else reach(session.rights.mask(command.path))
-        if command is None or not (mask & Operation.EXECUTE and self.sees(session, command)):
-            raise _no_command(id_)
-        return command
-
-    def _to_cancel(self, session: Session, id_: str) -> Command:
-        """Return a command that the session may see, or has sent: that it may stop in any case.
-
-        :raises UnknownPath: there is none, or not for this principal.
-        """
-        command = self._gateway.commands.find(id_)
-        if command is not None and _own(session, command) and session.rights.mask(command.path):
-            return command
-        return self.command(session, id_)
-
-
-def _own(session: Session, command: Command) -> bool:
-    principal = session.principal
-    return (command.principal, command.proof) == principal.identity
-
-
-def _no_command(id_: str) -> UnknownPath:
-    return UnknownPath(f"there is no command '{id_[:64]}'", remedy="List `commands`.")
-
-
-def _forget_finished(commands: dict[str, Command]) -> None:
-    # The newest one has not even been accepted yet, so it has no status.
-    known = [id_ for id_, command in commands.items() if command.history and command.final]
+def _forget_finished(commands: dict[str, OwnCommand]) -> None:
+    known = [id_ for id_, command in commands.items() if command.finished is not None]
     for id_ in known[:128]:
         del commands[id_]

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
+import asyncio
 import secrets
 from collections.abc import Callable
 from time import perf_counter
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from rcp_kernel.clients.session import Answer, Session
+from rcp_kernel.config.settings import Settings
 from rcp_kernel.errors import DuplicateRequest, QueueFull, RcpError
+from rcp_kernel.operations.counts import RequestCounts
 from rcp_kernel.operations.pending import Pace, Pending, to_internal_error
+from rcp_kernel.registry import Entry
 from rcp_kernel.wire import Reply, Request, failure
-
-if TYPE_CHECKING:
-    from rcp_kernel.gateway import Gateway
 
 __all__ = ["InFlight"]
 
@@ -21,9 +22,13 @@ __all__ = ["InFlight"]
 class InFlight:
     """Keeps the places, and answers when the work is done."""
 
-    def __init__(self, gateway: Gateway) -> None:
-        self._gateway = gateway
-        self._pace = Pace(gateway.loop)
+    def __init__(
+        self, settings: Settings, counts: RequestCounts, loop: asyncio.AbstractEventLoop
+    ) -> None:
+        self._settings = settings
+        self._counts = counts
+        self._loop = loop
+        self._pace = Pace(loop)
 
     def later(
         self,
@@ -61,11 +66,11 @@ class InFlight:
                 assert error is not None
                 reply = failure(error, request.type, request.id, path)
             reply.custom = request.custom
-            self._gateway.conclude(session, reply, started)
+            self._counts.conclude(session, reply, started)
             answer(reply)
 
         pace = None if urgent else self._pace
-        session.inflight[key] = Pending(self._gateway.loop, work, timeout, settle, path, pace)
+        session.inflight[key] = Pending(self._loop, work, timeout, settle, path, pace)
 
     def claim(self, session: Session, request: Request) -> str:
         """Reserve a place among the session's unanswered requests.
@@ -83,10 +88,15 @@ class InFlight:
         :raises DuplicateRequest, QueueFull: as `claim` does.
         """
         inflight = session.inflight
-        if len(inflight) >= self._gateway.limits.in_flight:
+        if len(inflight) >= self._settings.limits.in_flight:
             raise QueueFull(f"{len(inflight)} requests of this session are unanswered already")
         if request.id is None or session.stateless:
             return f"\0{secrets.token_hex(8)}"
         if request.id in inflight:
             raise DuplicateRequest(f"a request with the id '{request.id}' is still in flight")
         return request.id
+
+    def deadline(self, request: Request, entry: Entry) -> float:
+        """Return the seconds a read or write may take."""
+        own = entry.resource.timeout or self._settings.limits.deadline
+        return min(own, request.deadline) if request.deadline is not None else own

@@ -4,15 +4,20 @@ from __future__ import annotations
 
 import secrets
 import sys
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Mapping
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import msgspec
 
 from rcp_kernel.access.acl import reach
+from rcp_kernel.access.quotas import QuotaTracker
+from rcp_kernel.access.resolver import Resolver
+from rcp_kernel.clients.resume import SessionResume
 from rcp_kernel.clients.session import Answer, Session
+from rcp_kernel.clients.sessions import Sessions
 from rcp_kernel.clock import iso, now
+from rcp_kernel.config.settings import Settings
 from rcp_kernel.errors import (
     AdapterUnavailable,
     BadRequest,
@@ -25,15 +30,15 @@ from rcp_kernel.errors import (
 )
 from rcp_kernel.model import Operation, Pattern
 from rcp_kernel.operations.pages import MOST, cursor_of
+from rcp_kernel.operations.views import Filter, View
 from rcp_kernel.registry import Entry
+from rcp_kernel.streaming.conditional import ConditionalSubscriptions
 from rcp_kernel.streaming.filters import Change, Options, check_fields, parse_where, seconds
+from rcp_kernel.streaming.hub import Hub
 from rcp_kernel.streaming.notices import notice
 from rcp_kernel.streaming.subscription import Subscription
 from rcp_kernel.values import value_type
 from rcp_kernel.wire import Reply, Request, error_body
-
-if TYPE_CHECKING:
-    from rcp_kernel.gateway import Gateway
 
 __all__ = ["SubscribeHandler"]
 
@@ -51,15 +56,37 @@ _WHICH = value_type(_Which | None)
 class SubscribeHandler:
     """The handlers of both requests."""
 
-    def __init__(self, gateway: Gateway) -> None:
-        self._gateway = gateway
+    def __init__(
+        self,
+        resolver: Resolver,
+        hub: Hub,
+        conditional: ConditionalSubscriptions,
+        quotas: QuotaTracker,
+        resume: SessionResume,
+        sessions: Sessions,
+        *,
+        views: Mapping[str, View],
+        filters: Mapping[str, Filter],
+        settings: Settings,
+    ) -> None:
+        self._resolver = resolver
+        self._hub = hub
+        self._registry = hub.registry
+        self._conditional = conditional
+        self._quotas = quotas
+        self._resume = resume
+        self._views = views
+        self._filters = filters
+        self._settings = settings
+        sessions.on_renewal.append(self._renew_all)
 
-    def subscribe(self, session: Session, request: Request) -> Generator[None, None, Reply]:
+    def subscribe(
+        self, session: Session, request: Request, answer: Answer
+    ) -> Generator[None, None, Reply]:
         """Start a subscription in steps; its id is the request's.
 
         :raises RcpError: a path, right or option is wrong; nothing is subscribed then.
         """
-        gateway = self._gateway
         connection = session.connection
         if connection is None:
             raise UnsupportedOperation(
@@ -97,16 +124,17 @@ class SubscribeHandler:
             custom=request.custom,
         )
         # Control messages leave before updates, so the client knows the id before it sees one.
-        gateway.hub.add(subscription, entries)
+        self._hub.add(subscription, entries)
         return reply
 
     def _check_room(self, session: Session, id_: str) -> None:
-        gateway = self._gateway
         if id_ in session.subscriptions or id_ in session.inflight:
             raise DuplicateRequest(f"the id '{id_}' is in use in this session")
-        if len(session.subscriptions) >= gateway.limits.subscriptions:
-            raise QueueFull(f"a session holds at most {gateway.limits.subscriptions} subscriptions")
-        gateway.quota_tracker.check_subscription(session)
+        if len(session.subscriptions) >= self._settings.limits.subscriptions:
+            raise QueueFull(
+                f"a session holds at most {self._settings.limits.subscriptions} subscriptions"
+            )
+        self._quotas.check_subscription(session)
 
     def restore(self, session: Session, id_: str, texts: list[str], options: Options) -> None:
         """Start a subscription of an earlier run on what is there; the rest joins when it comes."""
@@ -114,14 +142,14 @@ class SubscribeHandler:
         subscription = self._begin(
             session, id_, patterns, msgspec.structs.replace(options, history=None)
         )
-        registry = self._gateway.registry
+        registry = self._registry
         matched = {e.path: e for p in patterns for e in registry.match(p) if subscription.may(e)}
-        self._gateway.hub.add(subscription, list(matched.values()))
+        self._hub.add(subscription, list(matched.values()))
 
     def _begin(
         self, session: Session, id_: str, patterns: list[Pattern], options: Options
     ) -> Subscription:
-        gateway, connection = self._gateway, session.connection
+        connection = session.connection
         assert connection is not None
 
         def may(entry: Entry) -> bool:
@@ -132,15 +160,15 @@ class SubscribeHandler:
             self._ended(session, subscription, reason, error)
 
         def view(entry: Entry) -> Callable[[], Any] | None:
-            shown = gateway.views.get(entry.path)
+            shown = self._views.get(entry.path)
             return None if shown is None else partial(shown, session)
 
         def visibility_filter(entry: Entry) -> Callable[[Any], Any] | None:
-            shown = gateway.visibility_filters.get(entry.path)
+            shown = self._filters.get(entry.path)
             return None if shown is None else partial(shown, session)
 
         subscription = Subscription(
-            gateway.hub,
+            self._hub,
             id_,
             patterns,
             options,
@@ -149,10 +177,10 @@ class SubscribeHandler:
             end=end,
             view=view,
             visibility_filter=visibility_filter,
-            placed=partial(gateway.conditional_subscriptions.place, session),
+            placed=partial(self._conditional.place, session),
         )
         session.subscriptions[id_] = subscription
-        gateway.session_resume.subscribed(session, subscription)
+        self._resume.subscribed(session, subscription)
         return subscription
 
     def _patterns(self, session: Session, request: Request, options: Options) -> list[Pattern]:
@@ -161,7 +189,7 @@ class SubscribeHandler:
             raise BadRequest(
                 "subscribe names no path", remedy="Give `path`, or `paths` in the body."
             )
-        if len(texts) > self._gateway.limits.subscriptions:
+        if len(texts) > self._settings.limits.subscriptions:
             raise PayloadTooLarge("a subscription names too many paths")
         return [Pattern(text, session.tenant) for text in texts]
 
@@ -169,7 +197,6 @@ class SubscribeHandler:
         self, session: Session, patterns: list[Pattern], options: Options
     ) -> Generator[None, None, list[Entry]]:
         """Find what the patterns reach now; a plain path must be there and allowed."""
-        gateway = self._gateway
         if options.where is not None:
             parse_where(options.where)
         if isinstance(options.history, str):
@@ -179,33 +206,37 @@ class SubscribeHandler:
         found: dict[str, Entry] = {}
         for pattern in patterns:
             if pattern.literal:
-                entry = gateway.resolve(session, pattern.text, Operation.SUBSCRIBE)
+                entry = self._resolver.resolve(session, pattern.text, Operation.SUBSCRIBE)
                 check_fields(options, entry)
                 found[entry.path] = entry
                 continue
-            for number, entry in enumerate(gateway.registry.match(pattern), 1):
+            for number, entry in enumerate(self._registry.match(pattern), 1):
                 mask = entry.operations & reach(session.rights.mask(entry.path))
                 if mask & Operation.SUBSCRIBE:
                     found[entry.path] = entry
                 if not number % _STEP:
                     yield
         held = sum(len(subscription.feeds) for subscription in session.subscriptions.values())
-        if held + len(found) > gateway.limits.paths:
+        if held + len(found) > self._settings.limits.paths:
             raise PayloadTooLarge(
                 f"the patterns match {len(found)} paths, and the session has {held} already; its "
-                f"subscriptions have at most {gateway.limits.paths} together",
+                f"subscriptions have at most {self._settings.limits.paths} together",
                 remedy="Use narrower patterns, or end a subscription that is not needed.",
-                details={"limit": gateway.limits.paths},
+                details={"limit": self._settings.limits.paths},
             )
         return list(found.values())
 
-    def renew(self, session: Session, subscription: Subscription) -> None:
+    def _renew_all(self, session: Session) -> None:
+        """Unlink the feeds that a session's rights do not allow any more."""
+        for subscription in session.subscriptions.values():
+            self._renew(session, subscription)
+
+    def _renew(self, session: Session, subscription: Subscription) -> None:
         """Bring a subscription under its session's new rights."""
-        gateway = self._gateway
-        hub = gateway.hub
+        hub = self._hub
         for path, feed in list(subscription.feeds.items()):
             if subscription.may(feed.entry):
-                gateway.conditional_subscriptions.place(session, feed)
+                self._conditional.place(session, feed)
                 continue
             hub.drop(feed)
             notice(
@@ -216,7 +247,7 @@ class SubscribeHandler:
                 message="the rules of this gateway have changed",
             )
         for pattern in subscription.patterns:
-            for entry in gateway.registry.match(pattern):
+            for entry in self._registry.match(pattern):
                 if entry.path not in subscription.feeds and subscription.may(entry):
                     hub.join(subscription, entry)
 
@@ -229,8 +260,8 @@ class SubscribeHandler:
         found = self._find(session, request, body.subscription if body is not None else None)
         for subscription in found:
             del session.subscriptions[subscription.id]
-            self._gateway.session_resume.unsubscribed(session, subscription.id)
-            self._gateway.hub.remove(subscription)
+            self._resume.unsubscribed(session, subscription.id)
+            self._hub.remove(subscription)
         return Reply(
             type="unsubscribe",
             id=request.id,
@@ -263,15 +294,15 @@ class SubscribeHandler:
     ) -> None:
         if session.subscriptions.pop(subscription.id, None) is None:
             return
-        self._gateway.session_resume.unsubscribed(session, subscription.id)
+        self._resume.unsubscribed(session, subscription.id)
         outbox = subscription.outbox
         if outbox is not None and error is None:
             # What was delivered to the queue before the end goes out before the notice of it.
             for data in _rest(subscription):
                 outbox.put(data)
-        self._gateway.hub.remove(subscription)
+        self._hub.remove(subscription)
         if error is not None:
-            self._gateway.hub.dropped["overrun"] += 1
+            self._hub.dropped["overrun"] += 1
         facts: dict[str, Any] = {"id": subscription.id, "reason": reason}
         if error is not None:
             facts |= {"error": error_body(error), "message": error.message}

@@ -6,22 +6,27 @@ import asyncio
 from copy import copy
 from functools import partial
 from time import perf_counter
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from rcp_kernel.access.approvals import Approvals
+from rcp_kernel.access.resolver import Resolver
 from rcp_kernel.clients.session import Answer, Session
 from rcp_kernel.clock import iso, now
 from rcp_kernel.errors import DeviceRejected, EstopActive, RcpError, Refused
 from rcp_kernel.model import Operation
-from rcp_kernel.motion.safety import ANSWER, check_motion, safe_value
+from rcp_kernel.motion.leases import Leases
+from rcp_kernel.motion.motion_limits import MotionLimits
+from rcp_kernel.motion.safety import ANSWER, Deadman, check_motion, safe_value
+from rcp_kernel.operations.admission import Admission
+from rcp_kernel.operations.idempotency import Keys
+from rcp_kernel.operations.inflight import InFlight
 from rcp_kernel.operations.pending import attribute_error
+from rcp_kernel.record.audit_writer import AuditWriter
 from rcp_kernel.registry import Entry
 from rcp_kernel.safety.fence import permitted
 from rcp_kernel.spi import Backend
 from rcp_kernel.streaming.samples import Sample
 from rcp_kernel.wire import Reply, Request
-
-if TYPE_CHECKING:
-    from rcp_kernel.gateway import Gateway
 
 __all__ = ["WriteHandler", "dry_run_reply"]
 
@@ -33,43 +38,64 @@ _UNCHANGED = (Refused, DeviceRejected)
 class WriteHandler:
     """The handler of `write`."""
 
-    def __init__(self, gateway: Gateway) -> None:
-        self._gateway = gateway
+    def __init__(
+        self,
+        resolver: Resolver,
+        admission: Admission,
+        inflight: InFlight,
+        deadman: Deadman,
+        *,
+        motion_limits: MotionLimits,
+        leases: Leases,
+        approvals: Approvals,
+        keys: Keys,
+        audit_writer: AuditWriter,
+        loop: asyncio.AbstractEventLoop,
+    ) -> None:
+        self._resolver = resolver
+        self._admission = admission
+        self._inflight = inflight
+        self._deadman = deadman
+        self._motion_limits = motion_limits
+        self._leases = leases
+        self._approvals = approvals
+        self._keys = keys
+        self._audit_writer = audit_writer
+        self._loop = loop
 
     def write(self, session: Session, request: Request, answer: Answer) -> Reply | None:
         """Start a write; a repeat under the same key waits for the first one's outcome."""
-        gateway = self._gateway
-        entry = gateway.resolve(session, request.path, Operation.WRITE)
+        entry = self._resolver.resolve(session, request.path, Operation.WRITE)
         value = request.decode_body(entry.value_type, entry.label)
-        first = gateway.keys.find(session, request, entry.path)
+        first = self._keys.find(session, request, entry.path)
         if isinstance(first, asyncio.Future):
-            held = gateway.audit_writer.held(answer, request, entry)
+            held = self._audit_writer.held(answer, request, entry)
             self._repeat(first, session, request, entry, held)
             return None
-        gateway.admission.admit(session, request, entry, value)
-        window = gateway.deadman.window(entry, request)
+        self._admission.admit(session, request, entry, value)
+        window = self._deadman.window(entry, request)
         if request.dry_run:
-            held = gateway.envelopes.applied(session, entry)
-            asks = gateway.approvals.wanted(session, entry, value) or None
+            held = self._motion_limits.applied(session, entry)
+            asks = self._approvals.wanted(session, entry, value) or None
             facts = {"valid_for": window, "envelopes": held or None, "approval": asks}
             return dry_run_reply(request, entry, {"write": value, **facts})
         if session.rights.approve:
-            gateway.approvals.check(session, request, entry, value)
-        noted = gateway.audit_writer.written(session, request, entry, answer)
+            self._approvals.check(session, request, entry, value)
+        noted = self._audit_writer.written(session, request, entry, answer)
         if request.idempotency_key is not None:
             noted = self._noting(session, request, entry, noted)
         try:
-            gateway.later(
+            self._inflight.later(
                 session,
                 request,
                 noted,
                 self._bring_into_force(session, request, entry, value, window, entry.unit.stops),
                 partial(_written, request, entry),
-                gateway.deadline(request, entry),
+                self._inflight.deadline(request, entry),
                 entry.path,
             )
         except RcpError:
-            gateway.keys.forget(session, request, entry.path)
+            self._keys.forget(session, request, entry.path)
             raise
         return None
 
@@ -78,7 +104,7 @@ class WriteHandler:
         if request.type != "write" or len(bytes(request.body)) > _SAFE:
             return False
         try:
-            entry = self._gateway.resolve(session, request.path, Operation.WRITE)
+            entry = self._resolver.resolve(session, request.path, Operation.WRITE)
             if entry.resource.safe is None:
                 return False
             return request.decode_body(entry.value_type, entry.label) == safe_value(entry)
@@ -94,29 +120,28 @@ class WriteHandler:
         window: float | None,
         stops: int,
     ) -> Sample:
-        gateway = self._gateway
         if request.idempotency_key is not None:
-            await gateway.audit_writer.committed()
-        with gateway.deadman.in_flight(entry), permitted(entry.unit, stops):
+            await self._audit_writer.committed()
+        with self._deadman.in_flight(entry), permitted(entry.unit, stops):
             try:
-                if entry.path in gateway.deadman.leaving:
-                    await gateway.deadman.cleared(entry)
-                backend = gateway.admission.confirm(session, entry, value, request.timestamp)
+                if entry.path in self._deadman.leaving:
+                    await self._deadman.cleared(entry)
+                backend = self._admission.confirm(session, entry, value, request.timestamp)
                 if entry.unit.stops != stops and entry.barred:
-                    gateway.envelopes.refused(entry, value)
+                    self._motion_limits.refused(entry, value)
                     text = "an e-stop has come and gone since this was sent"
                     raise EstopActive(text, path=entry.path)
                 return await self._send(backend, entry, value, window)
             except BaseException:
                 # An e-stop or a lost lease is why, whatever came of the write.
                 check_motion(entry, entry.unit.latch)
-                gateway.leases.check(session, entry)
+                self._leases.check(session, entry)
                 raise
 
     async def _send(
         self, backend: Backend, entry: Entry, value: Any, window: float | None
     ) -> Sample:
-        deadman, envelopes = self._gateway.deadman, self._gateway.envelopes
+        deadman, envelopes = self._deadman, self._motion_limits
         started = perf_counter()
         superseded = deadman.begin(entry)
         # Nobody knows what a robot makes of a write that it does not answer.
@@ -145,12 +170,12 @@ class WriteHandler:
 
     def _noting(self, session: Session, request: Request, entry: Entry, answer: Answer) -> Answer:
         """Remember a write under its key from now on, so that a repeat of it runs nothing."""
-        outcome: asyncio.Future[Reply] = self._gateway.loop.create_future()
-        self._gateway.keys.note(session, request, entry.path, outcome)
+        outcome: asyncio.Future[Reply] = self._loop.create_future()
+        self._keys.note(session, request, entry.path, outcome)
 
         def noted(reply: Reply) -> None:
             outcome.set_result(reply)
-            self._gateway.keys.settle(session, request, entry.path, reply)
+            self._keys.settle(session, request, entry.path, reply)
             answer(reply)
 
         return noted
@@ -168,9 +193,8 @@ class WriteHandler:
             reply.id = request.id
             return reply
 
-        gateway = self._gateway
-        timeout = gateway.deadline(request, entry)
-        gateway.later(session, request, answer, _outcome(first), again, timeout, entry.path)
+        timeout = self._inflight.deadline(request, entry)
+        self._inflight.later(session, request, answer, _outcome(first), again, timeout, entry.path)
 
 
 async def _outcome(first: asyncio.Future[Reply]) -> Reply:

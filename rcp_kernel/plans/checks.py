@@ -7,14 +7,19 @@ request.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Iterable, Iterator
+from collections.abc import Callable, Container, Generator, Iterable, Iterator
 from contextlib import suppress
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass
+from typing import Any
 
 from rcp_kernel._plain import is_map
-from rcp_kernel.access.conditions import ConditionTooCostly, condition
+from rcp_kernel.access.approvals import Approvals
+from rcp_kernel.access.condition import ConditionTooCostly, condition
+from rcp_kernel.access.conditions import Conditions
+from rcp_kernel.access.resolver import Resolver
 from rcp_kernel.access.visibility import EVERYTHING
 from rcp_kernel.clients.session import Session
+from rcp_kernel.config.settings import Settings
 from rcp_kernel.errors import (
     BY_CODE,
     BadRequest,
@@ -27,6 +32,8 @@ from rcp_kernel.errors import (
     UnsupportedOperation,
 )
 from rcp_kernel.model import Operation, Pattern
+from rcp_kernel.motion.leases import Leases
+from rcp_kernel.motion.motion_limits import MotionLimits
 from rcp_kernel.motion.safety import check_motion
 from rcp_kernel.motion.scope import Scope
 from rcp_kernel.operations.read import READ_OPTIONS
@@ -37,13 +44,10 @@ from rcp_kernel.plans.model import Execute, Group, Operate, Parallel, Plan, Read
 from rcp_kernel.plans.names import NameScope
 from rcp_kernel.plans.node import Checked, Node, references
 from rcp_kernel.plans.symbolic import from_symbolic
-from rcp_kernel.registry import Entry
+from rcp_kernel.registry import Entry, Registry
 from rcp_kernel.values import Encoding, ValueType, dump
 
-if TYPE_CHECKING:
-    from rcp_kernel.gateway import Gateway
-
-__all__ = ["check_plan", "read_conditions"]
+__all__ = ["PlanChecker", "read_conditions"]
 
 _OPERATIONS = {
     "read": Operation.READ,
@@ -55,22 +59,38 @@ _TEXT = 8192  # characters of all different conditions of a plan: reading them t
 _SEARCHES = 5  # misspelt paths of one plan for which near ones are looked for
 
 
-def check_plan(gateway: Gateway, session: Session, plan: Plan) -> Checked:
-    """Return a plan that may begin, or refuse it with everything that is wrong.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PlanChecker:
+    """Checks plans against all that their steps will have to pass."""
 
-    :raises RcpError: with the code of the first fault, and all in `details.faults`.
-    """
-    return _Check(gateway, session).check(plan)
+    registry: Registry
+    resolver: Resolver
+    conditions: Conditions
+    leases: Leases
+    motion_limits: MotionLimits
+    approvals: Approvals
+    settings: Settings
+    views: Container[str]
+    """Paths that show each reader something else."""
+    filters: Container[str]
+    """Paths of whose samples everybody sees their own only."""
+
+    def check(self, session: Session, plan: Plan) -> Checked:
+        """Return a plan that may begin, or refuse it with everything that is wrong.
+
+        :raises RcpError: with the code of the first fault, and all in `details.faults`.
+        """
+        return _Check(self, session).check(plan)
 
 
-def read_conditions(gateway: Gateway, session: Session, plan: Plan) -> Generator[None]:
+def read_conditions(conditions: Conditions, session: Session, plan: Plan) -> Generator[None]:
     """Read the conditions of a plan one at a time, so that its check finds them known.
 
     What is wrong with them, and whether they are too many, the check says.
 
     :raises RateLimited: whoever sent it has had too many read.
     """
-    allowance, principal = gateway.conditions.allowance, session.principal.name
+    allowance, principal = conditions.allowance, session.principal.name
     texts = list(dict.fromkeys(_texts(plan.steps or ())))
     if texts:
         allowance.check(principal)
@@ -95,10 +115,10 @@ def _texts(steps: Iterable[Step]) -> Iterator[str]:
 class _Check:
     """One check."""
 
-    def __init__(self, gateway: Gateway, session: Session) -> None:
-        self._gateway = gateway
+    def __init__(self, against: PlanChecker, session: Session) -> None:
+        self._against = against
         self._session = session
-        self._limits = gateway.config.plans
+        self._limits = self._against.settings.config.plans
         self._faults: list[Fault] = []
         self._ids: dict[str, Node] = {}
         self._types: dict[str, ValueType] = {}
@@ -134,7 +154,7 @@ class _Check:
         if plan.lines is not None:
             steps, self._faults = from_lines(plan.lines)
             return steps
-        naming = NameScope(self._gateway.registry, self._session)
+        naming = NameScope(self._against.registry, self._session)
         steps, self._faults = from_symbolic(plan.symbolic or "", self._limits, naming)
         return steps
 
@@ -250,14 +270,14 @@ class _Check:
         self._checked.touches.append(entry.path)
         self._types[node.id] = entry.output_type if isinstance(step, Execute) else entry.value_type
         if isinstance(step, Read):
-            if entry.path in self._gateway.views or entry.path in self._gateway.visibility_filters:
+            if entry.path in self._against.views or entry.path in self._against.filters:
                 self._checked.touches.append(EVERYTHING)  # it shows whoever sent the plan his own
             if not refers:
                 self._decode(READ_OPTIONS, step.value, "read")
             return
         value = None if refers else self._value(step, entry)
         self._admit(entry, value, refers=refers)
-        if self._gateway.approvals.wanted(self._session, entry, value):
+        if self._against.approvals.wanted(self._session, entry, value):
             self._checked.asks.append(node.id)
         if entry.path == "/system/leases" and is_map(step.value):
             self._acquires(step.value)
@@ -266,14 +286,14 @@ class _Check:
         pattern = Pattern(step.path, self._session.tenant)
         node.path = node.state.path = pattern.text
         self._decode(READ_OPTIONS, step.value, "read")
-        permits, found = self._session.rights.permits, self._gateway.registry.match(pattern)
+        permits, found = self._session.rights.permits, self._against.registry.match(pattern)
         assert self._checked is not None
         self._checked.touches += [e.path for e in found if permits(e, Operation.READ)]
 
     def _entry(self, step: Operate) -> Entry:
         operation = _OPERATIONS[step.do]
         try:
-            entry = self._gateway.resolve(self._session, step.path, operation, anyway=True)
+            entry = self._against.resolver.resolve(self._session, step.path, operation, anyway=True)
         except UnknownPath as error:
             near = self._near(error.path or step.path, operation)
             if near:
@@ -295,7 +315,7 @@ class _Check:
         if self._searches > _SEARCHES:
             return []
         mask = self._session.rights.mask
-        entries = self._gateway.registry.entries.values()
+        entries = self._against.registry.entries.values()
         tenants = self._session.rights.tenants
         offered = (
             entry.path
@@ -318,14 +338,13 @@ class _Check:
         return type_.decode(dump(value, Encoding.JSON), Encoding.JSON, label)
 
     def _admit(self, entry: Entry, value: Any, *, refers: bool) -> None:
-        gateway = self._gateway
         check_motion(entry, entry.unit.latch)
         if not any(scope.covers(entry.path) for scope in self._leased):
-            gateway.leases.check(self._session, entry)
+            self._against.leases.check(self._session, entry)
         if entry.owner.backend is None:
             raise entry.owner.unavailable()
         if not refers:
-            gateway.envelopes.check_later(self._session, entry, value)
+            self._against.motion_limits.check_later(self._session, entry, value)
 
     def _acquires(self, value: dict[str, Any]) -> None:
         scope = value.get("scope")
@@ -347,7 +366,7 @@ class _Check:
         except ConfigError as error:
             raise InvalidValue(f"`{name}`: {error}", details=details) from None
         assert self._checked is not None
-        self._checked.touches += looked_at(self._gateway, self._session, node, found)
+        self._checked.touches += looked_at(self._against.conditions, self._session, node, found)
         if name == "when":
             node.when = found
         else:

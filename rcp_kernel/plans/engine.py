@@ -8,11 +8,12 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from rcp_kernel.access.conditions import Condition
+from rcp_kernel.access.condition import Condition
+from rcp_kernel.access.conditions import Conditions
 from rcp_kernel.access.pace import Pace
-from rcp_kernel.clients.session import Session
+from rcp_kernel.clients.session import Handler, Session
 from rcp_kernel.clock import iso, now
 from rcp_kernel.errors import (
     BY_CODE,
@@ -22,16 +23,17 @@ from rcp_kernel.errors import (
     PreconditionFailed,
     RcpError,
 )
+from rcp_kernel.operations.commands import Commands
 from rcp_kernel.plans.limit import paced_timeout
 from rcp_kernel.plans.looking import looked_at, refuse_excess
 from rcp_kernel.plans.model import Group, Operate, Parallel, Retry, Wait
 from rcp_kernel.plans.node import Checked, Node, every
 from rcp_kernel.plans.progress import ProgressReport
 from rcp_kernel.plans.requests import StepRequests
+from rcp_kernel.record.audit_writer import AuditWriter
+from rcp_kernel.registry import Registry
+from rcp_kernel.turns import Turns
 from rcp_kernel.wire import Request, error_body
-
-if TYPE_CHECKING:
-    from rcp_kernel.gateway import Gateway
 
 __all__ = ["Engine"]
 
@@ -44,21 +46,32 @@ class Engine:
 
     def __init__(
         self,
-        gateway: Gateway,
         session: Session,
         checked: Checked,
         command: str,
         telling: ProgressReport,
+        *,
+        handle: Handler,
+        commands: Commands,
+        conditions: Conditions,
+        registry: Registry,
+        audit_writer: AuditWriter,
+        turns: Turns,
+        loop: asyncio.AbstractEventLoop,
     ) -> None:
-        self._gateway = gateway
+        self._handle = handle
+        self._values = conditions
+        self._registry = registry
+        self._loop = loop
         self._session = session
         self._checked = checked
         self._telling = telling
         nodes = list(every(checked.nodes))
-        self._sending = StepRequests(gateway, session, {node.id: node for node in nodes}, command)
+        known = {node.id: node for node in nodes}
+        self._sending = StepRequests(handle, commands, audit_writer, session, known, command, loop)
         self._part = f"plan {command}"
         self._asked: set[str] = set()
-        self._turns, self._owner = gateway.turns, session.principal.identity
+        self._turns, self._owner = turns, session.principal.identity
         self._pace = Pace(self._turns, self._owner)
         self._conditions = [c for node in nodes for c in (node.when, node.until) if c is not None]
 
@@ -69,12 +82,12 @@ class Engine:
         """
         self._sending.token = token
         if self._conditions:
-            self._gateway.conditions.use(self._part, self._conditions)
+            self._values.use(self._part, self._conditions)
         try:
             await self._sequence(self._checked.nodes)
         finally:
             if self._conditions:
-                self._gateway.conditions.use(self._part, ())
+                self._values.use(self._part, ())
 
     async def _sequence(self, nodes: Sequence[Node]) -> None:
         for node in nodes:
@@ -115,7 +128,7 @@ class Engine:
     # -- tries and deadlines -------------------------------------------------------------------
 
     async def _tries(self, node: Node) -> None:
-        loop = self._gateway.loop
+        loop = self._loop
         limit = node.step.deadline
         end = None if limit is None else loop.time() + limit
         retry = node.step.retry
@@ -256,9 +269,9 @@ class Engine:
         :raises PreconditionFailed: it cannot be known.
         """
         await self._pace.wait()
-        until = self._gateway.loop.time() + _UNKNOWN
+        until = self._loop.time() + _UNKNOWN
         while (found := self._look(node, when)) is None:
-            if self._gateway.loop.time() > until:
+            if self._loop.time() > until:
                 raise PreconditionFailed(
                     f"whether `{when.text}` holds cannot be known",
                     remedy="Look at the values that it names: they are stale, or never came.",
@@ -275,11 +288,11 @@ class Engine:
 
         :raises PreconditionFailed: its values are too large to be looked at.
         """
-        paths = looked_at(self._gateway, self._session, node, condition)  # rights may have gone
+        paths = looked_at(self._values, self._session, node, condition)  # rights may have gone
         with self._pace.spending():
-            found = self._gateway.conditions.holds(condition, node)
+            found = self._values.holds(condition, node)
             if found is None:
-                refuse_excess(self._gateway, node, condition)
+                refuse_excess(self._values, node, condition)
         if found is None:
             self._ask_for(paths)
         return found
@@ -287,11 +300,11 @@ class Engine:
     def _ask_for(self, paths: list[str]) -> None:
         """Have values read that no robot has published yet: some never do by themselves."""
         for path in paths:
-            entry = self._gateway.registry.entries.get(path)
+            entry = self._registry.entries.get(path)
             if entry is not None and entry.latest is None and path not in self._asked:
                 self._asked.add(path)
                 request = Request(type="read", path=path)
-                self._gateway.handle(self._session, request, lambda _reply: None)
+                self._handle(self._session, request, lambda _reply: None)
 
 
 def _again(retry: Retry | None, error: RcpError) -> bool:

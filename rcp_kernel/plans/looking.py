@@ -2,31 +2,29 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
-from rcp_kernel.access.conditions import Condition, ConditionTooCostly
+from rcp_kernel.access.condition import Condition, ConditionTooCostly
+from rcp_kernel.access.conditions import Conditions
 from rcp_kernel.clients.session import Session
 from rcp_kernel.errors import Forbidden, PreconditionFailed, UnknownPath
 from rcp_kernel.model import Operation
 from rcp_kernel.plans.node import Node
 
-if TYPE_CHECKING:
-    from rcp_kernel.gateway import Gateway
-
 __all__ = ["looked_at", "refuse_excess"]
 
 
-def looked_at(gateway: Gateway, session: Session, node: Node, condition: Condition) -> list[str]:
+def looked_at(
+    conditions: Conditions, session: Session, node: Node, condition: Condition
+) -> list[str]:
     """Return the paths that a condition of a step is about.
 
     :raises UnknownPath: one is not there, or hidden.
     :raises Forbidden: the session may not read one.
     """
-    return [_path(gateway, session, node, ref) for ref in condition.refs]
+    return [_path(conditions, session, node, ref) for ref in condition.refs]
 
 
-def _path(gateway: Gateway, session: Session, node: Node, ref: tuple[str, ...]) -> str:
-    found = gateway.conditions.resource(ref, node)
+def _path(conditions: Conditions, session: Session, node: Node, ref: tuple[str, ...]) -> str:
+    found = conditions.resource(ref, node)
     if found is None or not session.rights.mask(found[0].path):
         raise UnknownPath(
             f"the condition names {'.'.join(ref)}, which is no value of "
@@ -39,12 +37,12 @@ def _path(gateway: Gateway, session: Session, node: Node, ref: tuple[str, ...]) 
     return entry.path
 
 
-def refuse_excess(gateway: Gateway, node: Node, condition: Condition) -> None:
+def refuse_excess(conditions: Conditions, node: Node, condition: Condition) -> None:
     """Refuse a condition whose values are too large for it now.
 
     :raises PreconditionFailed: they are.
     """
-    why = gateway.conditions.excess(condition, node)
+    why = conditions.excess(condition, node)
     if why is not None:
         raise PreconditionFailed(
             f"the condition `{condition.text}` is too costly: {why}",

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator
 from typing import Any
 
 from rcp_kernel._plain import is_index, is_list, is_map
-from rcp_kernel.access.conditions import Condition
+from rcp_kernel.access.condition import Condition
 from rcp_kernel.errors import PreconditionFailed
 from rcp_kernel.plans.model import Group, Plan, Step, StepState
 

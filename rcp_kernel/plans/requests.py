@@ -4,19 +4,18 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from msgspec import Raw
 
-from rcp_kernel.clients.session import Session
+from rcp_kernel.clients.session import Handler, Session
 from rcp_kernel.errors import BY_CODE, InternalError, RcpError
+from rcp_kernel.operations.commands import Commands
 from rcp_kernel.plans.model import Execute, Operate, Read, Write
 from rcp_kernel.plans.node import Node, filled
+from rcp_kernel.record.audit_writer import AuditWriter
 from rcp_kernel.values import Encoding, dump, to_plain
 from rcp_kernel.wire import NO_BODY, Body, Reply, Request
-
-if TYPE_CHECKING:
-    from rcp_kernel.gateway import Gateway
 
 __all__ = ["StepRequests"]
 
@@ -29,9 +28,19 @@ class StepRequests:
     """Sends the operations of one plan."""
 
     def __init__(
-        self, gateway: Gateway, session: Session, known: dict[str, Node], command: str
+        self,
+        handle: Handler,
+        commands: Commands,
+        audit_writer: AuditWriter,
+        session: Session,
+        known: dict[str, Node],
+        command: str,
+        loop: asyncio.AbstractEventLoop,
     ) -> None:
-        self._gateway = gateway
+        self._handle = handle
+        self._commands = commands
+        self._audit_writer = audit_writer
+        self._loop = loop
         self._session = session
         self._known = known
         self._plan = command
@@ -45,7 +54,7 @@ class StepRequests:
 
         :raises RcpError: as the reply says.
         """
-        loop = self._gateway.loop
+        loop = self._loop
         end = loop.time() + (_PATIENCE if left is None else left)
         while True:
             limit = None if left is None else max(end - loop.time(), 0.001)
@@ -56,7 +65,7 @@ class StepRequests:
                 value = _plain(reply.body)
                 if isinstance(step, Read):  # as writes and commands are by themselves
                     path = reply.path or request.path or ""
-                    self._gateway.audit_writer.looked(self._session, request, path, value)
+                    self._audit_writer.looked(self._session, request, path, value)
                 return value, reply.message
             error = _error_of(reply.error)
             pause = error.retry_after or 0.0
@@ -77,7 +86,7 @@ class StepRequests:
         )
 
     async def _ask(self, node: Node, request: Request, told: Told) -> Reply:
-        final: asyncio.Future[Reply] = self._gateway.loop.create_future()
+        final: asyncio.Future[Reply] = self._loop.create_future()
 
         def answer(reply: Reply) -> None:
             if reply.command is not None and node.state.command is None:
@@ -90,7 +99,7 @@ class StepRequests:
             elif reply.status == "in_progress":
                 told(_plain(reply.body), reply.progress)
 
-        self._gateway.handle(self._session, request, answer)
+        self._handle(self._session, request, answer)
         try:
             return await asyncio.shield(final)
         except asyncio.CancelledError:
@@ -99,14 +108,14 @@ class StepRequests:
 
     async def _stop(self, node: Node, request: Request, final: asyncio.Future[Reply]) -> None:
         """Have what a step set going stopped, and wait until it is at rest."""
-        state, running = node.state, self._gateway.commands.running.values()
+        state, running = node.state, self._commands.running.values()
         # Not by its id: the reply that tells it may wait for its record.
         command = next((c for c in running if c.custom is request.custom), None)
         if command is None:
             if isinstance(node.step, (Write, Execute)):
                 state.message = "it was under way when the plan was ended: look at the robot"
             return
-        self._gateway.commands.cancel(command, "its plan was ended")
+        self._commands.cancel(command, "its plan was ended")
         done, _ = await asyncio.wait([final], timeout=_END)
         if not done:
             state.message = "the robot has not confirmed that it stopped"
@@ -115,7 +124,7 @@ class StepRequests:
 
     def _forget(self, id_: str) -> None:
         """Have a client that comes back told of the plan alone, not of each step's command."""
-        command = self._gateway.commands.find(id_)
+        command = self._commands.find(id_)
         if command is not None and command.entry is not None and command.entry.resource.outlives:
             self._session.commands.pop(id_, None)
 

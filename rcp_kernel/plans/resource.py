@@ -2,30 +2,38 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Callable, Generator
-from typing import TYPE_CHECKING, Any
+from functools import partial
+from typing import Any
 
 from rcp_kernel._plain import is_map
-from rcp_kernel.access.approvals import About
-from rcp_kernel.clients.session import Session
+from rcp_kernel.access.approvals import About, Approvals
+from rcp_kernel.access.conditions import Conditions
+from rcp_kernel.access.resolver import Resolver
+from rcp_kernel.clients.session import Handler, Session
 from rcp_kernel.clock import iso
+from rcp_kernel.config.settings import Settings
 from rcp_kernel.errors import PayloadTooLarge, QueueFull
 from rcp_kernel.model import Operation
 from rcp_kernel.operations.command import Command
-from rcp_kernel.plans.checks import check_plan, read_conditions
+from rcp_kernel.operations.command_access import CommandAccess
+from rcp_kernel.operations.commands import Commands
+from rcp_kernel.plans.checks import PlanChecker, read_conditions
 from rcp_kernel.plans.engine import Engine
 from rcp_kernel.plans.model import PATH, Plan, PlanState
 from rcp_kernel.plans.node import Checked, every
 from rcp_kernel.plans.progress import ProgressReport
-from rcp_kernel.registry import Entry
+from rcp_kernel.record.audit_writer import AuditWriter
+from rcp_kernel.registry import Entry, Registry
 from rcp_kernel.spi import Progress
+from rcp_kernel.turns import Turns
 from rcp_kernel.values import to_plain
 from rcp_kernel.wire import NO_BODY, Reply, Request
 
-if TYPE_CHECKING:
-    from rcp_kernel.gateway import Gateway
+__all__ = ["PATH", "PlanList", "Plans", "Work"]
 
-__all__ = ["PATH", "Plans", "Work"]
+MakeEngine = Callable[[Session, Checked, str, ProgressReport], Engine]
 
 _LISTED = 50  # plans
 
@@ -33,17 +41,23 @@ _LISTED = 50  # plans
 class Work:
     """A plan that may begin, as the work of a command."""
 
-    def __init__(self, gateway: Gateway, session: Session, checked: Checked) -> None:
-        self._gateway = gateway
+    def __init__(
+        self,
+        session: Session,
+        checked: Checked,
+        approvals: Approvals,
+        changed: Callable[[], None],
+        make_engine: MakeEngine,
+    ) -> None:
         self._checked = checked
+        self._approvals = approvals
+        self._changed = changed
+        self._make_engine = make_engine
         self.asks = tuple(checked.asks)
         self.asked = tuple(n.path or "" for n in every(checked.nodes) if n.id in checked.asks)
         self.touches = tuple(dict.fromkeys(checked.touches))
         self.tenant = session.tenant
-        self.telling = ProgressReport(checked, self._changed)
-
-    def _changed(self) -> None:
-        self._gateway.plans.changed()
+        self.telling = ProgressReport(checked, changed)
 
     def told(self, reply: Reply) -> None:
         """Take notice of a reply of the command: where it begins and ends, the list changes."""
@@ -65,18 +79,18 @@ class Work:
         about = About(self.asked, (*self.asked, *self.touches), self.asks)
         # With what it means now: names and relative paths may come to mean something else.
         shown = {"plan": self._checked.plan, "steps": self._checked.plain()}
-        self._gateway.approvals.demand(session, request, entry, shown, about)
+        self._approvals.demand(session, request, entry, shown, about)
 
     async def run(self, command: Command, session: Session, progress: Progress) -> Any:
         """Run the plan to its end, and return what became of each step."""
         self.telling.progress = progress
-        token = self._gateway.approvals.open(self.asked) if self.asks else None
-        engine = Engine(self._gateway, session, self._checked, command.id, self.telling)
+        token = self._approvals.open(self.asked) if self.asks else None
+        engine = self._make_engine(session, self._checked, command.id, self.telling)
         try:
             await engine.run(token)
         finally:
             self.telling.progress = None
-            self._gateway.approvals.close(token)
+            self._approvals.close(token)
         return self.telling.outcome(over=True)
 
     def report(self, *, over: bool) -> Any:
@@ -84,24 +98,69 @@ class Work:
         return self.telling.outcome(over=over)
 
 
-class Plans:
-    """The gateway's part in plans."""
+class PlanList:
+    """The plans that run or ran lately."""
 
-    def __init__(self, gateway: Gateway) -> None:
-        self._gateway = gateway
+    def __init__(self, access: CommandAccess, loop: asyncio.AbstractEventLoop) -> None:
+        self._access = access
+        self._loop = loop
         self._told = True
-        self.tell: Callable[[], None] = lambda: None
+        self.on_change: list[Callable[[], None]] = []
         """Called when the list may have changed: once for all that has in a turn of the loop."""
 
     def changed(self) -> None:
         """Take notice that the list may have changed."""
         if self._told:
             self._told = False
-            self._gateway.loop.call_soon(self._tell)
+            self._loop.call_soon(self._tell)
 
     def _tell(self) -> None:
         self._told = True
-        self.tell()
+        for changed in self.on_change:
+            changed()
+
+    def view(self, session: Session) -> list[dict[str, Any]]:
+        """List the plans that a session may see, newest first."""
+        found = [command for command in self._access.visible(session) if command.path == PATH]
+        return [to_plain(_state(c)) for c in found[:_LISTED]]
+
+
+class Plans:
+    """Makes commands of plans."""
+
+    def __init__(
+        self,
+        listed: PlanList,
+        checker: PlanChecker,
+        *,
+        handle: Handler,
+        resolver: Resolver,
+        commands: Commands,
+        approvals: Approvals,
+        conditions: Conditions,
+        registry: Registry,
+        audit_writer: AuditWriter,
+        settings: Settings,
+        turns: Turns,
+        loop: asyncio.AbstractEventLoop,
+    ) -> None:
+        self._listed = listed
+        self._checker = checker
+        self._resolver = resolver
+        self._commands = commands
+        self._approvals = approvals
+        self._conditions = conditions
+        self._settings = settings
+        self._make_engine = partial(
+            Engine,
+            handle=handle,
+            commands=commands,
+            conditions=conditions,
+            registry=registry,
+            audit_writer=audit_writer,
+            turns=turns,
+            loop=loop,
+        )
 
     def prepare(self, session: Session, request: Request, plan: Plan) -> Work:
         """Check a plan whole.
@@ -110,19 +169,20 @@ class Plans:
         :raises QueueFull: as many run as may.
         :raises RcpError: something is wrong with it; see `check_plan`.
         """
-        limits = self._gateway.config.plans
+        limits = self._settings.config.plans
         self._check_size(request)
-        running = [c for c in self._gateway.commands.running.values() if c.path == PATH]
+        running = [c for c in self._commands.running.values() if c.path == PATH]
         if sum(1 for c in running if c.tenant == session.tenant) >= limits.running:
             raise QueueFull(
                 f"{limits.running} plans of this tenant run already",
                 remedy="Wait for one to end, or cancel one.",
                 details={"limit": limits.running},
             )
-        return Work(self._gateway, session, check_plan(self._gateway, session, plan))
+        checked = self._checker.check(session, plan)
+        return Work(session, checked, self._approvals, self._listed.changed, self._make_engine)
 
     def _check_size(self, request: Request) -> None:
-        size, limit = len(bytes(request.body)), self._gateway.config.plans.size
+        size, limit = len(bytes(request.body)), self._settings.config.plans.size
         if size > limit:
             raise PayloadTooLarge(
                 f"the plan has {size} bytes; the limit is {limit}", details={"limit": limit}
@@ -134,20 +194,11 @@ class Plans:
         :raises RcpError: the session may send none, it is none or too long, or its conditions
             cannot be read now.
         """
-        entry = self._gateway.resolve(session, PATH, Operation.EXECUTE)
+        entry = self._resolver.resolve(session, PATH, Operation.EXECUTE)
         self._check_size(request)
         plan = request.decode_body(entry.input_type, f"input of {entry.label}")
         yield
-        yield from read_conditions(self._gateway, session, plan)
-
-    def view(self, session: Session) -> list[dict[str, Any]]:
-        """List the plans that a session may see, newest first."""
-        found = [
-            command
-            for command in self._gateway.commands.every()
-            if command.path == PATH and self._gateway.executing.sees(session, command)
-        ]
-        return [to_plain(_state(c)) for c in found[:_LISTED]]
+        yield from read_conditions(self._conditions, session, plan)
 
 
 def _state(command: Command) -> PlanState:

@@ -22,9 +22,9 @@ from rcp_kernel.record.damage import find_damage
 from rcp_kernel.record.store_cli import store
 
 if TYPE_CHECKING:
+    from rcp_kernel.app.server import Prepared, Server
     from rcp_kernel.process.demo import Demo
     from rcp_kernel.process.log import Recent
-    from rcp_kernel.process.server import Prepared, Server
 
 __all__ = ["main"]
 
@@ -90,7 +90,7 @@ def serve(config: Path) -> None:
 def check(config: Path) -> None:
     """Find every fault of a configuration without opening a robot or a socket."""
     from rcp_kernel.access.identities import store_file
-    from rcp_kernel.process.server import prepare
+    from rcp_kernel.app.server import prepare
 
     try:
         prepared = prepare(load(config), str(config))
@@ -198,10 +198,10 @@ def _fail(text: str) -> NoReturn:
 
 
 def _run(config: GatewayConfig, source: str, path: Path | None, demo: Demo | None) -> None:
+    from rcp_kernel.app.server import prepare
     from rcp_kernel.process.containment import end_in_time, run_contained
     from rcp_kernel.process.log import configure
     from rcp_kernel.process.memory import keep_freed_memory
-    from rcp_kernel.process.server import prepare
 
     keep_freed_memory()
     recent = configure(config.log.level, config.log.format)
@@ -230,8 +230,8 @@ def _loop_factory() -> Callable[[], asyncio.AbstractEventLoop] | None:
 
 async def _serve(prepared: Prepared, recent: Recent, path: Path | None, demo: Demo | None) -> int:
     """Serve until told to stop; return the exit code."""
+    from rcp_kernel.app.server import running
     from rcp_kernel.process.notify import notifying
-    from rcp_kernel.process.server import running
 
     loop = asyncio.get_running_loop()
     stop = asyncio.Event()
@@ -250,7 +250,7 @@ async def _serve(prepared: Prepared, recent: Recent, path: Path | None, demo: De
         async with running(prepared, recent) as server:
             notifier.send("READY=1")
             await _serve_until(stop, server, path, demo)
-    if not server.gateway.store.lost:
+    if not server.kernel.store.lost:
         return 0
     click.echo("rcpd: the store could not be written: the end of the record is lost", err=True)
     return _RECORD_LOST
@@ -259,11 +259,10 @@ async def _serve(prepared: Prepared, recent: Recent, path: Path | None, demo: De
 async def _serve_until(
     stop: asyncio.Event, server: Server, path: Path | None, demo: Demo | None
 ) -> None:
+    from rcp_kernel.app.reload import reload
     from rcp_kernel.process.garbage import collected_at_rest
-    from rcp_kernel.process.reload import reload
 
     loop = asyncio.get_running_loop()
-    gateway = server.gateway
     tasks: set[asyncio.Task[None]] = set()
     if path is not None:
 
@@ -273,7 +272,7 @@ async def _serve_until(
             task.add_done_callback(tasks.discard)
 
         loop.add_signal_handler(signal.SIGHUP, again)
-    with collected_at_rest(loop, lambda: gateway.moving):
+    with collected_at_rest(loop, lambda: server.kernel.moving):
         if demo is not None:
             with demo.credentials(server):
                 click.echo(demo.banner(server))

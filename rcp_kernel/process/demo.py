@@ -11,7 +11,7 @@ from contextlib import contextmanager, suppress
 from importlib.util import find_spec
 from pathlib import Path
 
-from rcp_kernel.process.server import Server
+from rcp_kernel.app.server import Server
 
 __all__ = ["Demo", "token_file"]
 

@@ -9,49 +9,56 @@ from __future__ import annotations
 
 import asyncio
 import json
-import os
-import time
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import msgspec
 import structlog
 
-from rcp_kernel.errors import StaleCommand
 from rcp_kernel.motion.retry import retry_until_confirmed
-from rcp_kernel.process.guard_process import GuardProcess
+from rcp_kernel.motion.safety import Deadman
+from rcp_kernel.operations.commands import Commands
+from rcp_kernel.process.guard_arming import GuardArming
 from rcp_kernel.process.supervisor import BackendSupervisor
-from rcp_kernel.registry import Entry
-
-if TYPE_CHECKING:
-    from rcp_kernel.gateway import Gateway
+from rcp_kernel.record.audit import Audit
+from rcp_kernel.registry import Registry
+from rcp_kernel.shutdown import Shutdown
 
 __all__ = ["GuardLink"]
 
 log = structlog.get_logger("rcp.guard")
-_PERIOD = 0.1  # s between two heartbeats at most; a fifth of `guard_after` if that is less
 _LINGER = 1.0  # s that a backend stays armed after its last command: it takes time to brake
 _UNKNOWN = 30.0  # s that it stays armed if nobody can know whether it rests
 _SETTLE = 10.0  # s that a backend has to verify its watchdogs before their lack is a warning
-_THAW = 0.5  # s after a freeze in which what comes in may have been sent before or during it
 _HOLD = 10.0  # s that a robot is told to rest after a stop by the guard
 
 
 class GuardLink:
     """Arms and feeds the guard, and says in the status what stops each robot without the gateway."""
 
-    def __init__(self, gateway: Gateway, supervisors: Sequence[BackendSupervisor]) -> None:
-        self._gateway = gateway
+    def __init__(
+        self,
+        arming: GuardArming,
+        supervisors: Sequence[BackendSupervisor],
+        registry: Registry,
+        deadman: Deadman,
+        commands: Commands,
+        audit: Audit,
+        shutdown: Shutdown,
+        loop: asyncio.AbstractEventLoop,
+    ) -> None:
+        self._arming = arming
+        self._process = arming.process
+        self._on = arming.on
         self._supervisors = supervisors
-        safety = gateway.config.safety
-        self._on = safety.guard and os.name == "posix"
-        self._after = safety.guard_after
-        self._period = min(_PERIOD, safety.guard_after / 5)
-        self._process = GuardProcess(gateway.loop, safety, self._told)
-        self._moved: dict[BackendSupervisor, float] = {}
-        """When a backend that may move was last told to."""
-        self._armed: frozenset[str] = frozenset()
+        self._registry = registry
+        self._deadman = deadman
+        self._commands = commands
+        self._audit = audit
+        self._shutdown = shutdown
+        self._loop = loop
+        arming.process.on_report.append(self._told)
         self._plans: dict[str, dict[str, Any]] = {}
         self._seen: list[tuple[str, int]] = []
         self._senders: dict[str, tuple[str, str]] = {}
@@ -59,10 +66,6 @@ class GuardLink:
         self._warned: set[tuple[str, str | None]] = set()
         self._holds: set[asyncio.Task[None]] = set()
         self._timer: asyncio.TimerHandle | None = None
-        self._expected = float("inf")
-        self._thawed = float("-inf")
-        self._frozen: frozenset[str] = frozenset()
-        """The backends that were armed when the loop last stood still."""
         self.lag = 0.0
         """The most that the event loop was late, s."""
         self.stops = 0
@@ -71,88 +74,46 @@ class GuardLink:
     # -- the heartbeat ---------------------------------------------------------------------------
 
     def start(self) -> None:
-        """Begin the heartbeat, and be told of whatever may move."""
-        gateway = self._gateway
-        gateway.deadman.began = gateway.commands.began = self.arm
-        gateway.admission.check_thaw = self.check_thaw
+        """Begin the heartbeat."""
         self._next()
 
     async def close(self) -> None:
         """End the heartbeat with a goodbye: the robots were brought to rest, nothing is sent."""
         if self._timer is not None:
             self._timer.cancel()
-        self._expected = float("inf")
+        self._arming.expected = float("inf")
         for task in self._holds:
             task.cancel()
         await self._process.close()
 
-    def arm(self, entry: Entry) -> None:
-        """Arm the guard before something moves; does next to nothing where it is armed."""
-        supervisor = entry.owner
-        if not entry.barred or not isinstance(supervisor, BackendSupervisor):
-            return
-        self._moved[supervisor] = self._gateway.loop.time()
-        if supervisor.name not in self._armed:
-            self._armed |= {supervisor.name}
-            self._process.arm(self._armed)
-
-    def check_thaw(self, entry: Entry) -> None:
-        """Refuse motion of a robot that the guard has stopped while a client's requests waited.
-
-        The loop may read these before anything else, also before it hears of the guard's stop.
-
-        :raises StaleCommand: the loop stood still until just now.
-        """
-        supervisor = entry.owner
-        if (
-            not self._on
-            or not entry.barred
-            or not isinstance(supervisor, BackendSupervisor)
-            or not supervisor.plans
-        ):
-            return
-        self._look_for_freeze()
-        left = self._thawed + _THAW - time.monotonic()
-        if left > 0 and supervisor.name in self._frozen:
-            raise StaleCommand(
-                "the gateway stood still and the guard has stopped the robot: this may be older",
-                path=entry.path,
-                remedy="Look at the robot, then send a new command.",
-            )
-
-    def _look_for_freeze(self) -> None:
-        now = time.monotonic()
-        if now - self._expected > self._after and now > self._thawed + _THAW:
-            self._thawed, self._frozen = now, self._armed
-
     def _next(self) -> None:
-        self._expected = self._gateway.loop.time() + self._period
-        self._timer = self._gateway.loop.call_at(self._expected, self._beat)
+        self._arming.expected = self._loop.time() + self._arming.period
+        self._timer = self._loop.call_at(self._arming.expected, self._beat)
 
     def _beat(self) -> None:
-        self._look_for_freeze()
-        late = self._gateway.loop.time() - self._expected
+        self._arming.look_for_freeze()
+        late = self._loop.time() - self._arming.expected
         self.lag = max(self.lag, late)
-        if late > self._after and self._armed:
-            log.error("loop_stood_still", seconds=round(late, 3), armed=sorted(self._armed))
+        if late > self._arming.after and self._arming.armed:
+            log.error("loop_stood_still", seconds=round(late, 3), armed=sorted(self._arming.armed))
         self._next()
         try:
             self._look()
-            self._armed = frozenset(
+            self._arming.armed = frozenset(
                 supervisor.name for supervisor in self._supervisors if self._may_move(supervisor)
             )
         except Exception:  # a heartbeat that fails would have the robots stopped
             log.exception("guard_link_failed")
-        self._process.beat(self._armed)
+        self._process.beat(self._arming.armed)
 
     def _look(self) -> None:
         """Take over plans that changed, and warn of robots that nothing would stop."""
         seen = [(supervisor.name, supervisor.plans_changed) for supervisor in self._supervisors]
         if self._on and seen != self._seen:
             self._seen = seen
-            self._moved = {
+            self._arming.moved = {
                 supervisor: at
-                for supervisor, at in self._moved.items()
+                for supervisor, at in self._arming.moved.items()
                 if supervisor in self._supervisors
             }
             self._ready = {
@@ -164,8 +125,8 @@ class GuardLink:
         for supervisor in self._supervisors:
             if supervisor not in self._ready:
                 if supervisor.backend is not None:
-                    self._ready[supervisor] = self._gateway.loop.time()
-            elif self._gateway.loop.time() - self._ready[supervisor] > _SETTLE:
+                    self._ready[supervisor] = self._loop.time()
+            elif self._loop.time() - self._ready[supervisor] > _SETTLE:
                 self._warn(supervisor)
 
     def _replace(self, plans: dict[str, dict[str, Any]]) -> None:
@@ -190,25 +151,24 @@ class GuardLink:
     def _may_move(self, supervisor: BackendSupervisor) -> bool:
         if any(unit.latch is not None for unit in supervisor.units):
             return True
-        moved = self._moved.get(supervisor)
+        moved = self._arming.moved.get(supervisor)
         if moved is None:
             return False
-        now = self._gateway.loop.time()
+        now = self._loop.time()
         if self._is_commanded(supervisor):
-            self._moved[supervisor] = now
+            self._arming.moved[supervisor] = now
             return True
         if now - moved > _LINGER and self._rests(supervisor, now - moved):
-            del self._moved[supervisor]
+            del self._arming.moved[supervisor]
             return False
         return True
 
     def _is_commanded(self, supervisor: BackendSupervisor) -> bool:
-        gateway = self._gateway
-        entries = gateway.registry.entries
-        running = gateway.commands.running.values()
+        entries = self._registry.entries
+        running = self._commands.running.values()
         return any(
             (entry := entries.get(path)) is not None and entry.owner is supervisor
-            for path in gateway.deadman.paths
+            for path in self._deadman.paths
         ) or any(
             c.entry is not None and c.entry.owner is supervisor and c.entry.barred for c in running
         )
@@ -221,7 +181,7 @@ class GuardLink:
                 state = backend.motion(None)
         if state is not None and state.at_rest is not None:
             return state.at_rest
-        if any(self._gateway.deadman.holds(entry) for entry in supervisor.entries.values()):
+        if any(self._deadman.holds(entry) for entry in supervisor.entries.values()):
             return False
         measures_nothing = backend is not None and state is None
         return measures_nothing or since > _UNKNOWN
@@ -250,30 +210,29 @@ class GuardLink:
 
     def _end(self, supervisor: BackendSupervisor, reason: str) -> None:
         """End what ran on a backend that the guard has stopped: nothing is to resume by itself."""
-        gateway = self._gateway
-        if gateway.closing:
+        if self._shutdown.begun:
             return
-        gateway.audit.note(
+        self._audit.note(
             "guard", principal=None, tenant=supervisor.tenant, robots=[supervisor.name]
         )
         supervisor.whole.count_stop()
         for entry in supervisor.entries.values():
             if entry.moves:
-                gateway.deadman.cancel_writes(entry)
-        for command in list(gateway.commands.running.values()):
+                self._deadman.cancel_writes(entry)
+        for command in list(self._commands.running.values()):
             if (
                 command.entry is not None
                 and command.entry.owner is supervisor
                 and command.entry.barred
             ):
-                gateway.commands.cancel(command, f"the guard has stopped the robot: {reason}")
+                self._commands.cancel(command, f"the guard has stopped the robot: {reason}")
         if supervisor.backend is not None:
             hold = retry_until_confirmed(
                 supervisor.whole.hold, "hold_failed", backend=supervisor.name
             )
             self._holds.add(hold)
             hold.add_done_callback(self._holds.discard)
-            gateway.loop.call_later(_HOLD, hold.cancel)
+            self._loop.call_later(_HOLD, hold.cancel)
 
     # -- the status ------------------------------------------------------------------------------
 
@@ -304,7 +263,7 @@ class GuardLink:
                 plans.append(one | told)
         return {
             "state": self.state,
-            "armed": not names.isdisjoint(self._armed),
+            "armed": not names.isdisjoint(self._arming.armed),
             "stops": self.stops,
             "plans": plans,
             "watchdogs": [

@@ -34,10 +34,11 @@ Report = Callable[[dict[str, Any]], None]
 class GuardProcess:
     """At most one guard at a time, with the plans and the armed groups that it was told."""
 
-    def __init__(self, loop: asyncio.AbstractEventLoop, safety: Safety, report: Report) -> None:
+    def __init__(self, loop: asyncio.AbstractEventLoop, safety: Safety) -> None:
         self._loop = loop
         self._safety = safety
-        self._report = report
+        self.on_report: list[Report] = []
+        """Called with each message of the guard."""
         self._process: subprocess.Popen[bytes] | None = None
         self._socket: socket.socket | None = None
         self._partial = b""
@@ -158,7 +159,7 @@ class GuardProcess:
         code = process.wait()
         self._process = self._socket = None
         self.restarts += 1
-        self._report({"event": "ended"})
+        self._tell({"event": "ended"})
         log.error("guard_ended", reason=why, code=code, again_in=self._pause)
         self._again()
 
@@ -194,4 +195,8 @@ class GuardProcess:
         *lines, self._partial = (self._partial + data).split(b"\n")
         for line in lines:
             with contextlib.suppress(ValueError):
-                self._report(json.loads(line))
+                self._tell(json.loads(line))
+
+    def _tell(self, message: dict[str, Any]) -> None:
+        for report in self.on_report:
+            report(message)

@@ -20,7 +20,8 @@ class Recent:
 
     def __init__(self) -> None:
         self.records: deque[dict[str, Any]] = deque(maxlen=_KEPT)
-        self.told: Callable[[dict[str, Any]], None] | None = None
+        self.on_record: list[Callable[[dict[str, Any]], None]] = []
+        """Called with each, from any thread."""
 
     def __call__(
         self, _logger: Any, method: str, event: MutableMapping[str, Any]
@@ -39,8 +40,8 @@ class Recent:
                 },
             }
             self.records.append(record)
-            if self.told is not None:
-                self.told(record)
+            for told in self.on_record:
+                told(record)
         return event
 
 

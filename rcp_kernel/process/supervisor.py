@@ -20,17 +20,22 @@ import structlog
 from rcp_kernel.clock import iso, now
 from rcp_kernel.config.file import BackendConfig
 from rcp_kernel.errors import AdapterUnavailable, ConfigError, NotReady, PluginError, RcpError
-from rcp_kernel.gateway import Gateway
 from rcp_kernel.model import Resource, full_path
-from rcp_kernel.motion.latches import Latch
+from rcp_kernel.motion.latches import Latch, Latches
 from rcp_kernel.motion.stop_group import StopGroup
 from rcp_kernel.operations.command import Command
+from rcp_kernel.operations.commands import Commands
 from rcp_kernel.process.containment import ContainedBackend, contained
-from rcp_kernel.registry import Entry
+from rcp_kernel.record.audit_writer import AuditWriter
+from rcp_kernel.record.history import History
+from rcp_kernel.registry import Entry, Registry
 from rcp_kernel.safety.fence import permitted
 from rcp_kernel.safety.hold import hold_resource
 from rcp_kernel.safety.loss import tell_cut_off
+from rcp_kernel.safety.stop import StopController
+from rcp_kernel.shutdown import Shutdown
 from rcp_kernel.spi import Backend, BackendKind, BaseBackend, Publication, StopPlan
+from rcp_kernel.streaming.hub import Hub
 
 __all__ = ["BackendSupervisor", "State"]
 
@@ -54,9 +59,30 @@ WIRE_STATE = {
 class BackendSupervisor:
     """One backend of the configuration, over all its lives. It is the `Host` of its plugin."""
 
-    def __init__(self, gateway: Gateway, config: BackendConfig) -> None:
-        self._gateway = gateway
+    def __init__(
+        self,
+        config: BackendConfig,
+        *,
+        registry: Registry,
+        hub: Hub,
+        commands: Commands,
+        history: History,
+        latches: Latches,
+        stops: StopController,
+        audit_writer: AuditWriter,
+        shutdown: Shutdown,
+        loop: asyncio.AbstractEventLoop,
+    ) -> None:
         self.config = config
+        self._registry = registry
+        self._hub = hub
+        self._commands = commands
+        self._history = history
+        self._latches = latches
+        self._stops = stops
+        self._audit_writer = audit_writer
+        self._shutdown = shutdown
+        self._loop = loop
         self.name = config.name
         self.tenant = config.tenant
         self.robot = config.robot
@@ -76,7 +102,7 @@ class BackendSupervisor:
         self._recoveries: dict[StopGroup, asyncio.Task[None]] = {}
         self._cut_off: list[Command] = []
         """Commands that an earlier gateway began, of which the policy is not told yet."""
-        self.whole = StopGroup(self, gateway.latches)
+        self.whole = StopGroup(self, self._latches)
         self.entries: dict[str, Entry] = {}
         self.settled = asyncio.Event()
         """Set once the first attempt to open has ended, well or not."""
@@ -100,9 +126,9 @@ class BackendSupervisor:
             return self.whole
         unit = self._units.get(robot)
         if unit is None:
-            unit = self._units[robot] = StopGroup(self, self._gateway.latches, robot)
+            unit = self._units[robot] = StopGroup(self, self._latches, robot)
             if self._backend is not None and unit.latch is not None:
-                self._gateway.stops.resume(unit)
+                self._stops.resume(unit)
         return unit
 
     @property
@@ -140,9 +166,7 @@ class BackendSupervisor:
     def declare(self, *resources: Resource) -> None:
         """Put resources into the tree."""
         for resource in resources:
-            entry = self._gateway.registry.declare(
-                self, resource, tenant=self.tenant, robot=self.robot
-            )
+            entry = self._registry.declare(self, resource, tenant=self.tenant, robot=self.robot)
             self.entries[resource.name] = entry.unit.own[resource.name] = entry
             if entry.moves:
                 self._offer_hold(entry.unit)
@@ -153,7 +177,7 @@ class BackendSupervisor:
         name = _hold_name(unit.robot)
         if name in self.entries:
             return
-        place = self._gateway.registry
+        place = self._registry
         path = full_path(self.tenant, self.robot, name)
         if path in place.entries:  # another backend of the same robot offers it for both
             return
@@ -163,10 +187,10 @@ class BackendSupervisor:
 
     def _find_lost(self, entry: Entry) -> None:
         """Note a command that an earlier gateway began and that the robot may still carry out."""
-        cut_off = [c for c in self._gateway.history.cut_off if c.path == entry.path]
+        cut_off = [c for c in self._history.cut_off if c.path == entry.path]
         if cut_off:
             for command in cut_off:
-                self._gateway.history.cut_off.remove(command)
+                self._history.cut_off.remove(command)
             self._cut_off += cut_off
             self._tell_cut_off()
             entry.unit.lost = entry.path
@@ -178,7 +202,7 @@ class BackendSupervisor:
             return
         for command in self._cut_off:
             tell_cut_off(command, self._on_loss)
-            self._gateway.history.save(command)
+            self._history.save(command)
         self._cut_off.clear()
 
     def withdraw(self, *names: str) -> None:
@@ -188,8 +212,8 @@ class BackendSupervisor:
             if entry is not None:
                 entry.unit.own.pop(name, None)
                 gone = AdapterUnavailable(f"{entry.path} was withdrawn by its backend")
-                self._gateway.commands.interrupt(entry.path, gone)
-                self._gateway.registry.withdraw(entry.path)
+                self._commands.interrupt(entry.path, gone)
+                self._registry.withdraw(entry.path)
                 self._take_hold_back(entry.unit)
 
     def _take_hold_back(self, unit: StopGroup) -> None:
@@ -217,8 +241,8 @@ class BackendSupervisor:
 
     def call_soon(self, function: Callable[..., object], *args: Any) -> None:
         """Run a function on the event loop, from any thread."""
-        gather = self._gateway.hub.flush_scheduler.gather
-        self._gateway.loop.call_soon_threadsafe(gather, self._call, function, *args)
+        gather = self._hub.flush_scheduler.gather
+        self._loop.call_soon_threadsafe(gather, self._call, function, *args)
 
     def _call(self, function: Callable[..., object], *args: Any) -> None:
         try:
@@ -320,7 +344,7 @@ class BackendSupervisor:
         if self.backend is None:
             return
         if unit.latch is not None:
-            self._gateway.stops.resume(unit)
+            self._stops.resume(unit)
         elif unit.lost is not None and unit not in self._recoveries:
             task = asyncio.create_task(self._recover(unit), name=f"recover {unit.name}")
             self._recoveries[unit] = task
@@ -348,7 +372,7 @@ class BackendSupervisor:
             else:
                 unit.lost = None
                 log.warning("recovered", backend=unit.name, command=lost, done=done)
-                self._gateway.audit_writer.recovered(unit, lost, done)
+                self._audit_writer.recovered(unit, lost, done)
 
     def _down(self, error: Exception) -> None:
         self._backend = None
@@ -367,14 +391,14 @@ class BackendSupervisor:
             error = AdapterUnavailable(
                 f"the link to backend '{self.name}' was lost: {why}", origin=self.name
             )
-            self._gateway.commands.interrupt(entry.path, error)
+            self._commands.interrupt(entry.path, error)
 
     def _note_growth(self) -> None:
         """Have paths that are not there answered by whether they may come."""
         opens = self.state in _OPENS or (self.state == "down" and self._backend is None)
         looks = self._discovering and self._backend is not None
         growing = not self._closing.is_set() and (opens or looks)
-        self._gateway.registry.grow(self, growing=growing)
+        self._registry.grow(self, growing=growing)
 
     def _enter(self, state: State, detail: str | None) -> None:
         changed = state != self.state
@@ -387,8 +411,8 @@ class BackendSupervisor:
         self.since = now()
         level = log.warning if state in ("degraded", "down", "failed", "unavailable") else log.info
         level("backend_state", backend=self.name, state=state, detail=detail)
-        if not self._gateway.closing:
-            self._gateway.hub.demand.backend_changed(list(self.entries.values()))
+        if not self._shutdown.begun:
+            self._hub.demand.backend_changed(list(self.entries.values()))
 
     def retire(self) -> None:
         """Let nothing move any more: the configuration has this backend no longer."""

@@ -44,7 +44,7 @@ class Audit:
         self.head: Head = (last[0][0], last[0][1]) if last else (0, GENESIS)
         """The last record made; not necessarily committed yet."""
         self._flood = DenialThrottle(loop, config.denials, self._sum_up)
-        self.told: Callable[[dict[str, Any]], object] | None = None
+        self.on_record: list[Callable[[dict[str, Any]], object]] = []
         """Called with each record once it is committed."""
 
     def note(
@@ -100,8 +100,8 @@ class Audit:
         digest = link(self.head[1], data)
         self.head = (seq, digest)
         self._store.append((seq, digest, data))
-        if self.told is not None:
-            self._store.settled(partial(self.told, msgspec.json.decode(data)))
+        for told in self.on_record:
+            self._store.settled(partial(told, msgspec.json.decode(data)))
 
     def past(self, last: int) -> list[dict[str, Any]]:
         """Return the last records of earlier runs. Blocks: for the start only."""

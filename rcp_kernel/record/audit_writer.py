@@ -7,23 +7,25 @@ request's deadline and then says so.
 
 from __future__ import annotations
 
+import asyncio
 from collections import deque
 from typing import TYPE_CHECKING, Any
 
 from rcp_kernel.access.identity import Principal
 from rcp_kernel.access.peer import Peer
 from rcp_kernel.clients.session import Answer, Session
+from rcp_kernel.config.settings import Settings
 from rcp_kernel.errors import DeadlineExceeded, QueueFull, RcpError
 from rcp_kernel.model import tenant_of
 from rcp_kernel.motion.safety import safe_value
 from rcp_kernel.plans.model import PATH as PLANS
-from rcp_kernel.record.audit import FULL, bounded, hashed, value_of
+from rcp_kernel.record.audit import FULL, Audit, bounded, hashed, value_of
 from rcp_kernel.record.outline import outline
+from rcp_kernel.record.store import Store
 from rcp_kernel.registry import Entry
 from rcp_kernel.wire import NO_BODY, Reply, Request, failure
 
 if TYPE_CHECKING:
-    from rcp_kernel.gateway import Gateway
     from rcp_kernel.motion.estop import EstopRequest
     from rcp_kernel.motion.stop_group import StopGroup
     from rcp_kernel.operations.command import Command
@@ -92,8 +94,13 @@ class _Held:
 class AuditWriter:
     """Makes the records of requests, and holds replies back until these are committed."""
 
-    def __init__(self, gateway: Gateway) -> None:
-        self._gateway = gateway
+    def __init__(
+        self, audit: Audit, store: Store, settings: Settings, loop: asyncio.AbstractEventLoop
+    ) -> None:
+        self._audit = audit
+        self._store = store
+        self._settings = settings
+        self._loop = loop
         self._held: deque[_Held] = deque()
         self._watching = False
 
@@ -102,7 +109,7 @@ class AuditWriter:
 
         :raises QueueFull: the store has trouble, or too many records wait.
         """
-        store = self._gateway.store
+        store = self._store
         if store.trouble is not None or store.waiting > FULL:
             raise QueueFull(
                 f"the record cannot be written ({store.trouble or 'the disk is slow'}); commands "
@@ -116,7 +123,7 @@ class AuditWriter:
     def refused(self, session: Session, request: Request, reply: Reply, answer: Answer) -> Answer:
         """Record a refusal; return what its reply goes to."""
         error = reply.error or {}
-        noted = self._gateway.audit.note(
+        noted = self._audit.note(
             "denial",
             principal=session.principal,
             session=session,
@@ -132,7 +139,7 @@ class AuditWriter:
         error = reply.error or {}
         if error.get("code") not in DENIALS:
             return answer
-        noted = self._gateway.audit.note(
+        noted = self._audit.note(
             "denial",
             principal=session.principal,
             session=session,
@@ -140,13 +147,13 @@ class AuditWriter:
             message=reply.message,
             request="hello",
         )
-        return self._until(answer, self._gateway.limits.deadline) if noted else answer
+        return self._until(answer, self._settings.limits.deadline) if noted else answer
 
     def stranger(
         self, transport: str, peer: Peer, error: RcpError, principal: Principal | None = None
     ) -> None:
         """Record that somebody proved nothing, or wanted in where they do not act."""
-        self._gateway.audit.note(
+        self._audit.note(
             "denial",
             principal=principal,
             transport=transport,
@@ -162,7 +169,7 @@ class AuditWriter:
         def done(reply: Reply) -> None:
             error = reply.error
             code = "ok" if error is None else error["code"]
-            self._gateway.audit.note(
+            self._audit.note(
                 "denial" if code in DENIALS else "write",
                 principal=session.principal,
                 session=session,
@@ -178,7 +185,7 @@ class AuditWriter:
 
     def dead_man(self, entry: Entry, outcome: str) -> None:
         """Record that a command lapsed, or that the robot took the safe value."""
-        self._gateway.audit.note(
+        self._audit.note(
             "deadman",
             principal=None,
             tenant=entry.tenant,
@@ -189,7 +196,7 @@ class AuditWriter:
 
     def stop_step(self, unit: StopGroup, step: str, detail: str | None) -> None:
         """Record that a robot under an e-stop was confirmed at rest, or that it moves again."""
-        self._gateway.audit.note(
+        self._audit.note(
             "stop",
             principal=None,
             tenant=unit.tenant,
@@ -201,7 +208,7 @@ class AuditWriter:
 
     def recovered(self, unit: StopGroup, command: str, done: str) -> None:
         """Record what was done with a robot whose command had been lost with its link."""
-        self._gateway.audit.note(
+        self._audit.note(
             "recovery",
             principal=None,
             tenant=unit.tenant,
@@ -213,7 +220,7 @@ class AuditWriter:
     def started(self, session: Session, request: Request, command: Command) -> None:
         """Record that a command was accepted."""
         work = command.work if command.path == PLANS else None
-        self._gateway.audit.note(
+        self._audit.note(
             "execute",
             principal=session.principal,
             session=session,
@@ -239,7 +246,7 @@ class AuditWriter:
         facts["value"] = None  # it is told in words of its own
         tenants = dict.fromkeys([*keys.values(), *(robot.tenant for robot in robots)])
         for tenant in tenants:
-            self._gateway.audit.note(
+            self._audit.note(
                 "estop",
                 principal=session.principal,
                 tenant=tenant,
@@ -259,7 +266,7 @@ class AuditWriter:
         facts = _facts(request)
         if not many and not path.startswith("/system/"):
             facts["value"] = bounded(value)
-        self._gateway.audit.note(
+        self._audit.note(
             "read",
             principal=session.principal,
             session=session,
@@ -273,7 +280,7 @@ class AuditWriter:
         """Record what became of a command, and what the robot said."""
         last, asker = command.history[-1], command.asker
         error, plan = last.error, command.path == PLANS
-        self._gateway.audit.note(
+        self._audit.note(
             "command",
             principal=None if asker is None else asker.principal,
             session=asker,
@@ -294,9 +301,9 @@ class AuditWriter:
 
     async def committed(self) -> None:
         """Wait until all that was put so far is committed."""
-        store = self._gateway.store
+        store = self._store
         if not store.idle:
-            done = self._gateway.loop.create_future()
+            done = self._loop.create_future()
             store.settled(lambda: done.done() or done.set_result(None))
             await done
 
@@ -304,46 +311,42 @@ class AuditWriter:
 
     def held(self, answer: Answer, request: Request, entry: Entry | None = None) -> Answer:
         """Return what holds replies back until all records made so far are committed."""
-        limit = request.deadline or self._gateway.limits.deadline
+        limit = request.deadline or self._settings.limits.deadline
         if entry is not None:
             limit = min(limit, entry.resource.timeout or limit)
         return self._until(answer, limit)
 
     def follower(self, answer: Answer) -> Answer:
         """Return what holds the replies back that a further follower of a command gets."""
-        return self._until(answer, self._gateway.limits.deadline)
+        return self._until(answer, self._settings.limits.deadline)
 
     def _until(self, answer: Answer, limit: float) -> Answer:
-        gateway = self._gateway
-        if not gateway.store.keeps:
+        if not self._store.keeps:
             return answer
-        until = gateway.loop.time() + limit
+        until = self._loop.time() + limit
         return lambda reply: self._hold(reply, answer, until)
 
     def hold_estop(self, answer: Answer) -> Answer:
         """Return what holds an e-stop's reply back for a moment; it is told in any case."""
-        if not self._gateway.store.keeps:
+        if not self._store.keeps:
             return answer
-        return lambda reply: self._hold(
-            reply, answer, self._gateway.loop.time() + _ESTOP, anyway=True
-        )
+        return lambda reply: self._hold(reply, answer, self._loop.time() + _ESTOP, anyway=True)
 
     def _hold(self, reply: Reply, answer: Answer, until: float, *, anyway: bool = False) -> None:
-        gateway = self._gateway
-        if gateway.store.idle:
+        if self._store.idle:
             answer(reply)
             return
-        moment = gateway.loop.time()
+        moment = self._loop.time()
         until = min(max(until, moment + _LOOK), moment + _LONGEST)
         held = _Held(reply, answer, until, anyway=anyway)
         self._held.append(held)
-        gateway.store.settled(held.release)
+        self._store.settled(held.release)
         if not self._watching:
             self._watching = True
-            gateway.loop.call_later(_LOOK, self._look)
+            self._loop.call_later(_LOOK, self._look)
 
     def _look(self) -> None:
-        moment = self._gateway.loop.time() + _LOOK
+        moment = self._loop.time() + _LOOK
         kept = [held for held in self._held if held.reply is not None]
         for held in kept:
             if held.until < moment:
@@ -351,7 +354,7 @@ class AuditWriter:
         self._held = deque(held for held in kept if held.reply is not None)
         self._watching = bool(self._held)
         if self._watching:
-            self._gateway.loop.call_later(_LOOK, self._look)
+            self._loop.call_later(_LOOK, self._look)
 
 
 class Recorded:

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Callable
 from typing import Any
 
 from rcp_kernel._plain import is_list, is_map
-from rcp_kernel.access.acl import Rights, Role
+from rcp_kernel.access.acl import Rights, Rules
 from rcp_kernel.access.identity import Grants
 from rcp_kernel.access.visibility import Visibility, names_in
 from rcp_kernel.clients.session import Session
@@ -28,9 +27,9 @@ _WHOLE = 2  # slashes of the key of a tenant
 class Disclosure:
     """Shows each reader the records, and the parts of records, that he may see."""
 
-    def __init__(self, visibility: Visibility, roles: Callable[[], dict[str, Role]]) -> None:
+    def __init__(self, visibility: Visibility, rules: Rules) -> None:
         self._visibility = visibility
-        self._roles = roles
+        self._rules = rules
         self._reach: dict[Grants, tuple[str, ...]] = {}
         self._reached: object = None
         self._names: OrderedDict[Any, frozenset[str]] = OrderedDict()
@@ -95,7 +94,7 @@ class Disclosure:
         return known
 
     def _reach_of(self, session: Session) -> tuple[str, ...]:
-        roles = self._roles()
+        roles = self._rules.roles
         if self._reached is not roles:
             self._reached = roles
             self._reach.clear()

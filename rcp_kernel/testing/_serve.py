@@ -10,11 +10,12 @@ from typing import Any
 import msgspec
 import structlog
 
+from rcp_kernel.app.server import Prepared, Server, running
+from rcp_kernel.clients.session import Handler
 from rcp_kernel.config.file import GatewayConfig, KeyConfig, decode_table, parse
 from rcp_kernel.config.safety import Safety
 from rcp_kernel.plugins import Plugins
 from rcp_kernel.process.log import Recent
-from rcp_kernel.process.server import Prepared, Server, running
 from rcp_kernel.process.supervisor import BackendSupervisor
 from rcp_kernel.spi import Backend, BackendKind, Host
 from rcp_kernel.testing._client import MemoryClient
@@ -75,11 +76,15 @@ class Served:
 
 @asynccontextmanager
 async def serve(
-    config: str | GatewayConfig, *kinds: BackendKind, recent: Recent | None = None
+    config: str | GatewayConfig,
+    *kinds: BackendKind,
+    recent: Recent | None = None,
+    interceptors: Sequence[Callable[[Handler], Handler]] = (),
 ) -> AsyncGenerator[Served]:
     """Run the gateway of a configuration while entered.
 
-    What was logged of late comes into its status where `recent`, of `configure`, is given. The `kinds` serve its `[[backends]]` by name, without an entry point. Transports that the
+    What was logged of late comes into its status where `recent`, of `configure`, is given. The `kinds` serve its `[[backends]]` by name, without an entry point, and `interceptors` wrap
+    every request. Transports that the
     configuration names are opened; a text that names none opens none. Where `guard_after` has its default, the
     guard waits as long as it can: the test, and whatever it simulates, share the gateway's event loop.
 
@@ -95,6 +100,7 @@ async def serve(
     elsewhere = tuple(b for b in config.backends if b.use not in given)
     plugins = Plugins(msgspec.structs.replace(config, backends=elsewhere))
     plugins.backends.update(given)
+    plugins.interceptors += interceptors
     tables = [
         decode_table(b.options, plugins.backends[b.use].config, f"test: backend '{b.name}': ")
         for b in config.backends

@@ -27,8 +27,8 @@ async def attempts(page: Page, gateway: Site, host: str = "127.0.0.1") -> dict[s
 
 def untouched(gateway: Site) -> bool:
     """Tell whether no command ran, nothing was written, and nobody has a session."""
-    kernel = gateway.server.gateway
-    asked = {type_ for _, type_, code in kernel.counts if code == "ok"}
+    kernel = gateway.server.kernel
+    asked = {type_ for _, type_, code in kernel.counts.outcomes if code == "ok"}
     return (
         not list(kernel.commands.every())
         and not gateway.robot.started.is_set()
@@ -42,7 +42,9 @@ def kept_out(found: dict[str, str], gateway: Site) -> None:
     assert not wrong
     assert len(found) > 25
     refused = sum(
-        n for (_, _, code), n in gateway.server.gateway.counts.items() if code == "forbidden"
+        n
+        for (_, _, code), n in gateway.server.kernel.counts.outcomes.items()
+        if code == "forbidden"
     )
     assert refused > 20, "the attempts have not come as far as the gateway"
     assert untouched(gateway)

@@ -11,10 +11,10 @@ from typing import Any
 import msgspec
 import pytest
 
+from rcp_kernel.app.server import Server
 from rcp_kernel.config.file import parse
 from rcp_kernel.errors import ConfigError, DeviceRejected
 from rcp_kernel.model import Resource
-from rcp_kernel.process.server import Server
 from rcp_kernel.spi import BackendKind, BaseBackend, Host, Progress
 from rcp_kernel.testing import (
     ADMIN,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from rcp_kernel.process.server import Server
+from rcp_kernel.app.server import Server
 from rcp_kernel.testing import Client, MemoryClient, TransportSuite
 from rcp_kernel.values import Encoding
 

@@ -15,8 +15,8 @@ from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 
 from conformance.wires import BASE, HttpClient, SseClient, WebSocketClient, address, bearer
-from rcp_kernel.access.acl import Role, Rule
 from rcp_kernel.config.file import GatewayConfig, KeyConfig, parse
+from rcp_kernel.config.role import Role, Rule
 from rcp_kernel.model import BRANCHES, Kind, Operation, Pattern, Resource, operation_names
 from rcp_kernel.spi import BackendKind, BaseBackend, Host, Progress
 from rcp_kernel.testing import Client, MemoryClient, serve
@@ -81,7 +81,7 @@ class Bench:
     """One gateway for every example, and one client."""
 
     def __init__(self, served: Served, gardens: list[Garden], client: Client, wire: str) -> None:
-        self.gateway = served.server.gateway
+        self.kernel = served.server.kernel
         self.gardens = dict(zip(("alpha", "beta"), gardens, strict=True))
         self.client = client
         self.wire = wire
@@ -262,8 +262,8 @@ async def test_nobody_is_told_of_what_is_hidden(
     for tenant, garden in bench.gardens.items():
         garden.grow(tree[tenant])
     model = Model(tree, named, held)
-    bench.gateway.reconfigure(configured(named, held))
-    for session in bench.gateway.sessions.known.values():
+    bench.kernel.reconfigure(configured(named, held))
+    for session in bench.kernel.sessions.known.values():
         session.tenant = model.tenants[0]  # as a client of these grants would have it
     bench.client.inbox.clear()
     bench.shown += len(model.visible())
@@ -359,7 +359,7 @@ async def test_an_open_subscription_follows_rules_and_tree_and_tells_of_nothing_
     for number, (tree, named, held) in enumerate(steps):
         model = Model(tree, named, held)
         client.inbox.clear()
-        bench.gateway.reconfigure(configured(named, held))
+        bench.kernel.reconfigure(configured(named, held))
         for tenant, garden in bench.gardens.items():
             garden.grow(tree[tenant])
         if id_ is None:

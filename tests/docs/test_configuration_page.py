@@ -13,7 +13,6 @@ from docs.pages import DOCS, ROOT, keys, rows, section
 from rcp_a2a.config import Provider, PushConfig
 from rcp_asgi.config import TlsConfig
 from rcp_dashboard import DashboardConfig
-from rcp_kernel.access.acl import Role, Rule
 from rcp_kernel.config.envelopes import Bound, EnvelopeConfig, Fence
 from rcp_kernel.config.file import (
     Anonymous,
@@ -30,6 +29,7 @@ from rcp_kernel.config.file import (
     TenantConfig,
     parse,
 )
+from rcp_kernel.config.role import Role, Rule
 from rcp_kernel.config.safety import Safety
 from rcp_kernel.plans.config import ActionTable, PlansConfig
 from rcp_kernel.plugins import Plugins

@@ -10,17 +10,17 @@ import pytest
 
 from docs.pages import DOCS, keys, rows, section
 from rcp_kernel.access.approvals import ApprovalRequest
-from rcp_kernel.clients.connections import Hello
+from rcp_kernel.app.composition import compose
+from rcp_kernel.clients.hello import Hello
 from rcp_kernel.config.file import GatewayConfig
 from rcp_kernel.errors import BY_CODE
-from rcp_kernel.gateway import Gateway
 from rcp_kernel.model import BRANCHES, Policy, operation_names
 from rcp_kernel.operations.discovery import Query
 from rcp_kernel.operations.read import ReadOptions
 from rcp_kernel.process.log import Recent
-from rcp_kernel.status import StatusReport
+from rcp_kernel.record.store import Store
 from rcp_kernel.streaming.filters import Options, Qos
-from rcp_kernel.system import EstopRequest, LeaseRequest, System
+from rcp_kernel.system import EstopRequest, LeaseRequest
 from rcp_kernel.wire import Reply, Request, RequestType, Status
 
 PAGE = DOCS / "protocol.md"
@@ -91,15 +91,14 @@ def test_every_policy_is_told() -> None:
 
 
 async def test_the_system_branch_and_the_metrics_are_told() -> None:
-    gateway = Gateway(GatewayConfig(), asyncio.get_running_loop())
-    status = StatusReport(gateway, [], Recent())
-    System(gateway, [], status, Recent())
+    loop = asyncio.get_running_loop()
+    kernel = compose(GatewayConfig(), loop, store=Store(), recent=Recent())
     told = {row[0].strip("`"): row[1] for row in rows(section(PAGE, "The system branch"))}
     assert told == {
         path: ", ".join(sorted(operation_names(entry.operations), key=_told_order))
-        for path, entry in gateway.registry.entries.items()
+        for path, entry in kernel.registry.entries.items()
     }
-    families = {m.split("# TYPE ")[1].split()[0] for m in _types(status.metrics.text())}
+    families = {m.split("# TYPE ")[1].split()[0] for m in _types(kernel.status.metrics.text())}
     assert set(keys(section(PAGE, "Health and metrics"))) - families == set()
     assert {name for name in families if name.startswith("rcp_")} == {
         name for name in keys(section(PAGE, "Health and metrics")) if name.startswith("rcp_")

@@ -23,10 +23,10 @@ from typing import Any
 
 import msgspec
 
+from rcp_kernel.app.server import Prepared, Server, running
 from rcp_kernel.config.file import parse
 from rcp_kernel.model import Resource
 from rcp_kernel.process.log import Recent, configure
-from rcp_kernel.process.server import Prepared, Server, running
 from rcp_kernel.record.damage import find_damage
 from rcp_kernel.record.examination import examined
 from rcp_kernel.record.file import open_read_only

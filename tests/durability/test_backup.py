@@ -38,7 +38,7 @@ def store(*words: str | Path, code: int = 0) -> str:
 async def wrote(world: World, value: float) -> None:
     done = await world.client().ask(type="write", path=LIMIT, body=value)
     assert done["status"] == "completed", done.get("error") or done
-    await settled(world.server.gateway.store)
+    await settled(world.server.kernel.store)
 
 
 async def stop_and_reset(world: World) -> None:
@@ -65,7 +65,7 @@ async def latched(world: World) -> Any:
 async def test_a_backup_under_load_is_whole_and_holds_nobody_up(tmp_path: Path) -> None:
     path, file = tmp_path / "store.db", tmp_path / "backup.db"
     async with world_of(kept_in(path)) as world:
-        audit, kept = world.server.gateway.audit, world.server.gateway.store
+        audit, kept = world.server.kernel.audit, world.server.kernel.store
         for number in range(RECORDS):
             audit.note("login", principal=None, message="x" * 400, number=number)
         await settled(kept)

@@ -17,11 +17,11 @@ from typing import Any
 import msgspec
 import uvloop
 
+from rcp_kernel.app.server import Prepared, prepare, running
 from rcp_kernel.config.file import BackendConfig, parse
 from rcp_kernel.model import Resource
 from rcp_kernel.process.garbage import collected_at_rest
 from rcp_kernel.process.log import configure
-from rcp_kernel.process.server import Prepared, prepare, running
 from rcp_kernel.spi import BackendKind, BaseBackend, Host, Progress
 from rcp_kernel.types import Point, PoseStamped, Quaternion, Twist
 
@@ -169,7 +169,7 @@ async def _serve(folder: Path) -> None:
     made = Prepared(config, bare.plugins, options, bare.transports, bare.adapters)
     async with running(made) as server:
         loop = asyncio.get_running_loop()
-        with collected_at_rest(loop, lambda: server.gateway.moving):
+        with collected_at_rest(loop, lambda: server.kernel.moving):
             url = next(f["url"] for f in server.status.transports if "url" in f)
             sys.stdout.write(f"{url}\n")
             sys.stdout.flush()

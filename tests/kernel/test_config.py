@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
+from rcp_kernel.app.server import prepare
 from rcp_kernel.config.file import load, parse
 from rcp_kernel.errors import ConfigError
-from rcp_kernel.process.server import prepare
 
 GOOD = """
 [[backends]]

@@ -13,10 +13,10 @@ import pluggy
 import pytest
 
 from rcp_kernel import hookspecs, plugins
+from rcp_kernel.app.server import prepare, running
 from rcp_kernel.config.file import parse
 from rcp_kernel.errors import PluginError
 from rcp_kernel.hookspecs import hookimpl
-from rcp_kernel.process.server import prepare, running
 from rcp_kernel.spi import BackendKind
 
 NO_TRANSPORTS = "transports = {asgi = false, http = false, ws = false, sse = false}\n"

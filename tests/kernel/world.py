@@ -12,12 +12,12 @@ from typing import Any
 
 import msgspec
 
+from rcp_kernel.app.server import Prepared, Server, running
 from rcp_kernel.client_api import ClientApi
 from rcp_kernel.config.file import GatewayConfig, parse
 from rcp_kernel.errors import DeviceRejected
 from rcp_kernel.model import Resource
 from rcp_kernel.process.log import configure
-from rcp_kernel.process.server import Prepared, Server, running
 from rcp_kernel.record.store import Store
 from rcp_kernel.spi import BackendKind, BaseBackend, Host, Progress
 from rcp_kernel.types import Twist, quantity

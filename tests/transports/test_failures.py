@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from collections.abc import AsyncGenerator
 from typing import Any, NoReturn
 
 import httpx
@@ -10,10 +11,9 @@ import pytest
 from structlog.testing import capture_logs
 
 from rcp_kernel.clients.session import Answer, Handler, Session
-from rcp_kernel.operations.interceptors import intercepted
 from rcp_kernel.wire import Request
 from transports.raw import opened
-from transports.robot import BOUND, KEY, Site
+from transports.robot import BOUND, KEY, Site, site
 
 pytestmark = pytest.mark.anyio
 POSE = "/tenant/alpha/sensor/pose"
@@ -45,10 +45,30 @@ def after_the_answer(handler: Handler) -> Handler:
     return handle
 
 
-def intercept(gateway: Site, wrap: Any) -> None:
-    inner = gateway.server.gateway
-    inner.handle = intercepted([wrap], inner._admit)
-    inner.quick = False
+class Switch:
+    """An interceptor that becomes another one while the gateway runs."""
+
+    def __call__(self, handler: Handler) -> Handler:
+        self.handler = self.handle = handler
+
+        def handle(session: Session, request: Request, answer: Answer) -> None:
+            self.handle(session, request, answer)
+
+        return handle
+
+    def to(self, wrap: Any) -> None:
+        self.handle = wrap(self.handler)
+
+
+@pytest.fixture
+def switch() -> Switch:
+    return Switch()
+
+
+@pytest.fixture
+async def gateway(switch: Switch) -> AsyncGenerator[Site]:
+    async with site(interceptors=[switch]) as made:
+        yield made
 
 
 def crashes(said: list[Any]) -> list[str]:
@@ -70,9 +90,9 @@ REQUESTS = [
 )
 @pytest.mark.parametrize("wrap", [on_the_way_in, on_the_way_out])
 async def test_an_interceptor_that_raises_leaves_nobody_without_an_answer(
-    gateway: Site, wrap: Any, request_: dict[str, Any]
+    gateway: Site, switch: Switch, wrap: Any, request_: dict[str, Any]
 ) -> None:
-    intercept(gateway, wrap)
+    switch.to(wrap)
     async with asyncio.timeout(BOUND), opened(gateway, authorization=AUTH) as raw:
         with capture_logs() as said:
             raw.ask(**request_)
@@ -83,9 +103,9 @@ async def test_an_interceptor_that_raises_leaves_nobody_without_an_answer(
 
 
 async def test_an_interceptor_that_raises_after_the_answer_is_logged_and_gives_no_second_one(
-    gateway: Site,
+    gateway: Site, switch: Switch
 ) -> None:
-    intercept(gateway, after_the_answer)
+    switch.to(after_the_answer)
     async with asyncio.timeout(BOUND), opened(gateway, authorization=AUTH) as raw:
         with capture_logs() as said:
             raw.ask(type="ping", id="1")
@@ -110,9 +130,9 @@ async def test_an_interceptor_that_raises_after_the_answer_is_logged_and_gives_n
     ],
 )
 async def test_over_http_it_is_a_500_with_the_trace_id(
-    gateway: Site, http: httpx.AsyncClient, wrap: Any, method: str, path: str, body: Any
+    switch: Switch, http: httpx.AsyncClient, wrap: Any, method: str, path: str, body: Any
 ) -> None:
-    intercept(gateway, wrap)
+    switch.to(wrap)
     with capture_logs() as said:
         response = await http.request(method, path, json=body)
     error = response.json()["error"]

@@ -13,8 +13,8 @@ import msgspec
 import pytest
 
 from conformance.wires import BASE, LISTENER, HttpClient, SseClient, WebSocketClient
+from rcp_kernel.app.server import Server
 from rcp_kernel.config.file import GatewayConfig, KeyConfig
-from rcp_kernel.process.server import Server
 from rcp_kernel.testing import OPERATOR, Client, Message, serve
 from rcp_kernel.testing.wire import DEAD, ROBOT, configuration
 from rcp_kernel.testing.wire._robot import WireRobot
@@ -52,12 +52,12 @@ class Clients:
     @property
     def connected(self) -> bool:
         """Whether anybody has a connection."""
-        known = self._server.gateway.sessions.known
+        known = self._server.kernel.sessions.known
         return any(one.connection is not None for one in known.values())
 
     def reconfigure(self, to: GatewayConfig) -> None:
         """Change the rules of the running gateway."""
-        self._server.gateway.reconfigure(to)
+        self._server.kernel.reconfigure(to)
 
     def _kept(self, client: C) -> C:
         self._stack.push_async_callback(client.close)

@@ -6,9 +6,9 @@ from websockets.asyncio.client import connect
 from websockets.exceptions import InvalidStatus
 
 from rcp_asgi.origins import Origins
+from rcp_kernel.app.server import prepare
 from rcp_kernel.config.file import parse
 from rcp_kernel.errors import ConfigError, Forbidden
-from rcp_kernel.process.server import prepare
 from transports.raw import answer, connected, handshake
 from transports.robot import Site, site
 
@@ -95,7 +95,7 @@ async def test_a_foreign_origin_gets_nothing_by_any_method(origin: str) -> None:
         assert (await http.options(LIMIT, headers=preflight)).status_code == 403
         with pytest.raises(InvalidStatus, match="403"):
             await connect(gateway.ws, origin=origin).__aenter__()  # type: ignore[arg-type]
-        assert not gateway.server.gateway.sessions.known
+        assert not gateway.server.kernel.sessions.known
 
 
 @pytest.mark.parametrize("site_", ["cross-site", "same-site"])

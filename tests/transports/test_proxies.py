@@ -6,11 +6,11 @@ import httpx
 import pytest
 
 from rcp_asgi.proxies import Proxies
+from rcp_kernel.app.server import prepare
 from rcp_kernel.asgi import peer_of, respond
 from rcp_kernel.client_api import Mount
 from rcp_kernel.config.file import parse
 from rcp_kernel.errors import ConfigError
-from rcp_kernel.process.server import prepare
 from transports.robot import Site, site
 
 pytestmark = pytest.mark.anyio

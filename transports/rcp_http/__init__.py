@@ -10,8 +10,8 @@ from rcp_http.app import PREFIX, HttpApp
 from rcp_http.config import HttpConfig
 from rcp_http.openapi import Described
 from rcp_kernel.client_api import ClientApi, Mount
+from rcp_kernel.client_kinds import TransportKind
 from rcp_kernel.hookspecs import hookimpl
-from rcp_kernel.spi import TransportKind
 
 __all__ = ["HttpConfig", "open_http", "rcp_transports"]
 

@@ -10,7 +10,8 @@ from msgspec import Raw
 from rcp_kernel.access.identity import Principal
 from rcp_kernel.asgi import Receive, Scope, Send, bearer, header, peer_of
 from rcp_kernel.client_api import ClientApi
-from rcp_kernel.clients.connections import Connection, Hello
+from rcp_kernel.clients.connections import Connection
+from rcp_kernel.clients.hello import Hello
 from rcp_kernel.clients.outbox import Wrap
 from rcp_kernel.clock import iso, now
 from rcp_kernel.errors import Gap, RcpError

@@ -12,7 +12,7 @@ import structlog
 from rcp_kernel.access import peer
 from rcp_kernel.access.identity import Principal
 from rcp_kernel.client_api import ClientApi
-from rcp_kernel.clients.connections import Hello
+from rcp_kernel.clients.hello import Hello
 from rcp_kernel.clients.outbound import SHARE
 from rcp_kernel.errors import BadRequest, PayloadTooLarge, RcpError, Unauthenticated
 from rcp_kernel.values import Encoding

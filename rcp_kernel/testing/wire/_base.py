@@ -9,8 +9,8 @@ from typing import Any, ClassVar
 import msgspec
 import pytest
 
+from rcp_kernel.app.server import Server
 from rcp_kernel.config.file import GatewayConfig, StoreConfig, parse
-from rcp_kernel.process.server import Server
 from rcp_kernel.testing._client import Client
 from rcp_kernel.testing._serve import ADMIN, OPERATOR, VIEWER, Served, serve
 from rcp_kernel.testing._suite import Suite, eventually
@@ -150,9 +150,9 @@ class World:
 
     def limit(self, **limits: int) -> None:
         """Change limits of the gateway while it runs, as a reload of its configuration does."""
-        config = self.server.gateway.config
+        config = self.server.kernel.settings.config
         changed = msgspec.structs.replace(config.limits, **limits)
-        self.server.gateway.reconfigure(msgspec.structs.replace(config, limits=changed))
+        self.server.kernel.reconfigure(msgspec.structs.replace(config, limits=changed))
 
     async def client(
         self, token: str | None = OPERATOR, encoding: Encoding = Encoding.JSON

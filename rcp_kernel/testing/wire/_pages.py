@@ -75,7 +75,7 @@ class Pages(Wire):
     async def test_a_page_has_no_more_bytes_than_a_message_may_have(self, world: World) -> None:
         names = _declare(world, 200, str, "x" * LONG)
         client = await world.client()
-        longest = world.server.gateway.limits.message
+        longest = world.server.client_api.limits.message
         pages = await _pages(client, "read", PATTERN)
         assert len(pages) > 2
         assert all(len(dump(page["body"], Encoding.JSON)) <= longest for page in pages)
@@ -133,7 +133,7 @@ class Pages(Wire):
             "batch", body=[{**read, "deadline": BOUND}] * 8, deadline=BOUND
         )
         assert reply["status"] == "completed", reply.get("error")
-        assert len(dump(reply["body"], Encoding.JSON)) <= world.server.gateway.limits.message
+        assert len(dump(reply["body"], Encoding.JSON)) <= world.server.client_api.limits.message
         for part in reply["body"]:
             assert (part["status"], part["truncated"]) == ("completed", True)
             rest = await _pages(client, "read", PATTERN, {"cursor": part["cursor"]})
@@ -143,7 +143,7 @@ class Pages(Wire):
     async def test_a_batch_refers_what_it_has_no_room_for_to_requests_of_their_own(
         self, world: World
     ) -> None:
-        longest = world.server.gateway.limits.message
+        longest = world.server.client_api.limits.message
         (name,) = _declare(world, 1, str, "x" * (longest // 4))
         client = await world.client()
         read: Message = {"type": "read", "path": name}
@@ -160,7 +160,7 @@ class Pages(Wire):
     ) -> None:
         names = _declare(world, MANY, quantity("1"), 0.5)
         client = await world.client()
-        longest = world.server.gateway.limits.message
+        longest = world.server.client_api.limits.message
         pages = await _pages(client, "discover", PATTERN, {"limit": 1000})
         for page in pages:
             assert len(dump(page["body"]["resources"], Encoding.JSON)) <= longest

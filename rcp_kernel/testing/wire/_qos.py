@@ -53,7 +53,7 @@ class Quality(Wire):
         world.publish("sensor/level", *map(float, range(20)))
         told = await client.notice("overrun")
         assert (told["id"], told["error"]["code"]) == (id_, "overrun")
-        assert world.server.gateway.hub.subscriptions == set()
+        assert world.server.kernel.hub.subscriptions == set()
 
     @proves("stream.deadline", "stream.stale")
     async def test_a_source_that_falls_silent_is_told(self, world: World) -> None:

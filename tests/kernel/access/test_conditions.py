@@ -14,7 +14,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from kernel.world import BOUND, World
-from rcp_kernel.access.conditions import Condition, Conditions
+from rcp_kernel.access.condition import Condition
+from rcp_kernel.access.conditions import Conditions
 from rcp_kernel.errors import ConfigError
 from rcp_kernel.model import Resource
 from rcp_kernel.registry import Entry
@@ -42,7 +43,7 @@ def entry(world: World) -> Entry:
     host.publish("sensor/battery-1", Battery(10.0))
     host.publish("sensor/arm/left", 0.5)
     host.publish("sensor/mode", "auto")
-    return world.server.gateway.registry.entries["/tenant/alpha/actuator/drive"]
+    return world.server.kernel.registry.entries["/tenant/alpha/actuator/drive"]
 
 
 async def until(holds: Callable[[], bool]) -> None:
@@ -52,7 +53,7 @@ async def until(holds: Callable[[], bool]) -> None:
 
 
 def conditions(world: World) -> Conditions:
-    return world.server.gateway.conditions
+    return world.server.kernel.conditions
 
 
 @pytest.mark.parametrize(
@@ -109,10 +110,10 @@ def test_what_is_wrong_with_a_condition_is_told_with_its_text(text: str, why: st
 
 async def test_the_clock_is_the_gateways_own(world: World, entry: Entry) -> None:
     noon = datetime(2026, 5, 31, 12, 30).astimezone()  # a Sunday
-    told = Conditions(world.server.gateway.hub, lambda: noon)
+    told = Conditions(world.server.kernel.hub, lambda: noon)
     text = "time.hour == 12 && time.minute == 30 && time.weekday == 6"
     assert told.holds(Condition(text), entry) is True
-    system = world.server.gateway.registry.entries["/system/status"]
+    system = world.server.kernel.registry.entries["/system/status"]
     assert told.holds(Condition(text), system) is True
     assert told.holds(Condition("mode == 'auto'"), system) is None
 
@@ -121,7 +122,7 @@ async def test_a_value_past_its_deadline_is_not_known(world: World, entry: Entry
     fits = Condition("sensor.level > 0.0")
     world.robot.host.publish("sensor/level", 1.0)
     assert conditions(world).holds(fits, entry) is True
-    level = world.server.gateway.registry.entries["/tenant/alpha/sensor/level"]
+    level = world.server.kernel.registry.entries["/tenant/alpha/sensor/level"]
     await until(lambda: level.stale)
     assert conditions(world).holds(fits, entry) is None
 

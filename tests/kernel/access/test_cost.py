@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rcp_kernel.access.conditions import Condition, ConditionTooCostly, condition
+from rcp_kernel.access.condition import Condition, ConditionTooCostly, condition
 from rcp_kernel.access.cost import ASSUMED, BUDGET, cost, size_of
 from rcp_kernel.access.expression import DEPTH, LENGTH, TERMS, ExpressionError, parse, write
 from rcp_kernel.errors import ConfigError

@@ -22,7 +22,7 @@ async def killed(tmp_path: Path, config: str = CONFIG) -> AsyncGenerator[tuple[C
     async with world_of(kept_in(tmp_path / "run.db", config)) as world:
         client = world.client()
         yield client, world
-        await settled(world.server.gateway.store)
+        await settled(world.server.kernel.store)
         for suffix in (".head", "", "-wal"):
             shutil.copy(tmp_path / f"run.db{suffix}", tmp_path / f"crashed.db{suffix}")
 
@@ -114,8 +114,8 @@ async def test_a_session_is_kept_no_longer_than_its_time(tmp_path: Path) -> None
     async with after(tmp_path, short) as world:
         reply = await world.client().ask(type="hello", body=returning(hello))
         assert reply["error"]["code"] == "gap"
-        await settled(world.server.gateway.store)
-        assert world.server.gateway.store.load("sessions") == {}
+        await settled(world.server.kernel.store)
+        assert world.server.kernel.store.load("sessions") == {}
 
 
 async def test_a_gateway_that_was_stopped_keeps_its_sessions_too(tmp_path: Path) -> None:
@@ -125,7 +125,7 @@ async def test_a_gateway_that_was_stopped_keeps_its_sessions_too(tmp_path: Path)
         await client.ask(type="subscribe", path="/sensor/level", id="level")
         gone = world.client()
         left = await greeting(gone)
-        world.server.gateway.sessions.drop(gone.connection.session)
+        world.server.kernel.sessions.drop(gone.connection.session)
     async with world_of(kept_in(tmp_path / "run.db")) as world:
         client = world.client()
         assert (await greeting(client, **returning(hello)))["session"] == hello["session"]

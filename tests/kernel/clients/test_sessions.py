@@ -7,9 +7,9 @@ from typing import Any
 import pytest
 
 from kernel.world import CONFIG, Client, World, prepared, world_of
+from rcp_kernel.app.reload import apply
 from rcp_kernel.config.file import parse
 from rcp_kernel.errors import QueueFull
-from rcp_kernel.process.reload import apply
 
 pytestmark = pytest.mark.anyio
 LEVEL = "/tenant/alpha/sensor/level"
@@ -124,15 +124,15 @@ async def test_a_session_that_was_never_greeted_ends_with_its_connection(world: 
     client = world.client()
     await client.ask(type="subscribe", path=LEVEL)
     client.connection.close()
-    assert world.server.gateway.sessions.known == {}
-    assert world.server.gateway.hub.subscriptions == set()
+    assert world.server.kernel.sessions.known == {}
+    assert world.server.kernel.hub.subscriptions == set()
 
 
 async def test_an_expired_session_is_a_gap(world: World) -> None:
     client = world.client()
     session = (await greeted(client))["session"]
     client.connection.close()
-    world.server.gateway.sessions.drop(world.server.gateway.sessions.known[session])
+    world.server.kernel.sessions.drop(world.server.kernel.sessions.known[session])
     reply = await world.client().ask(type="hello", body={"session": session})
     assert reply["error"]["code"] == "gap"
 
@@ -172,7 +172,7 @@ async def test_a_full_gateway_lets_the_longest_absent_go_for_who_is_here() -> No
             await greeted(client)
             client.connection.close()
         third = await greeted(world.client())
-        known = world.server.gateway.sessions.known
+        known = world.server.kernel.sessions.known
         assert set(known) == {second.connection.session.id, third["session"]}
         world.client()
         with pytest.raises(QueueFull):

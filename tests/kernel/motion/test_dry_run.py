@@ -24,10 +24,10 @@ pytestmark = pytest.mark.anyio
 
 async def test_a_dry_run_lists_the_envelopes_and_changes_nothing(clock: Clock) -> None:
     async with fenced(GENTLE + EDGE) as world:
-        client, gateway = world.client(AGENT), world.server.gateway
+        client, kernel = world.client(AGENT), world.server.kernel
         world.robot.at(1)
         clock.now += 1.0
-        samples = gateway.registry.entries["/tenant/alpha/actuator/drive"].seq
+        samples = kernel.registry.entries["/tenant/alpha/actuator/drive"].seq
         for _ in range(3):
             reply = await drive(client, 0.9, dry_run=True, idempotency_key="k")
             assert reply["body"]["envelopes"] == [
@@ -40,9 +40,9 @@ async def test_a_dry_run_lists_the_envelopes_and_changes_nothing(clock: Clock) -
         batch = await client.ask(type="batch", body=[go | {"id": "x"}])
         assert batch["body"][0]["dry_run"] is True
         assert world.robot.writes == []
-        assert not gateway.commands.running
-        assert gateway.registry.entries["/tenant/alpha/actuator/drive"].seq == samples
-        assert gateway.deadman._timers == {}  # pyright: ignore[reportPrivateUsage]
+        assert not kernel.commands.running
+        assert kernel.registry.entries["/tenant/alpha/actuator/drive"].seq == samples
+        assert kernel.deadman._timers == {}  # pyright: ignore[reportPrivateUsage]
         assert code(await drive(client, 0.5, idempotency_key="k")) == "completed"
 
 

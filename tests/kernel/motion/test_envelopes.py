@@ -201,7 +201,7 @@ async def test_a_condition_refuses_unless_it_is_known_to_hold(
         assert refusal["error"]["details"]["values"] == {"sensor.level": 0.5}
         publish("sensor/level", 2.0)
         assert code(await drive(client, 0.1)) == "completed"
-        entry = world.server.gateway.registry.entries["/tenant/alpha/sensor/level"]
+        entry = world.server.kernel.registry.entries["/tenant/alpha/sensor/level"]
         monkeypatch.setattr(entry, "_heard", entry._heard - 60)  # pyright: ignore[reportPrivateUsage]
         assert code(await drive(client, 0.1)) == "precondition_failed"
         assert code(await drive(client, 0.0)) == "completed"

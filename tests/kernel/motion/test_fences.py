@@ -82,7 +82,7 @@ async def test_where_the_robot_is_is_told_to_those_who_may_read_it() -> None:
 async def test_a_place_that_is_too_old_is_not_known(monkeypatch: pytest.MonkeyPatch) -> None:
     async with fenced(EDGE.replace('"sensor/pose",', '"sensor/pose", max_age = 0.05,')) as world:
         world.robot.at(1)
-        entry = world.server.gateway.registry.entries["/tenant/alpha/sensor/pose"]
+        entry = world.server.kernel.registry.entries["/tenant/alpha/sensor/pose"]
         monkeypatch.setattr(entry, "_heard", entry._heard - 0.1)  # pyright: ignore[reportPrivateUsage]
         assert code(await drive(world.client(AGENT), 0.1)) == "precondition_failed"
 
@@ -153,7 +153,7 @@ async def test_who_is_not_fenced_drives_on_outside() -> None:
         assert code(await drive(world.client(AGENT), 0.5)) == "completed"
         assert code(await drive(world.client(OPERATOR), 0.5)) == "completed"
         robot.at(11)
-        assert not world.server.gateway.deadman._stops  # pyright: ignore[reportPrivateUsage]
+        assert not world.server.kernel.deadman._stops  # pyright: ignore[reportPrivateUsage]
 
 
 async def test_an_action_that_leaves_the_fence_is_cancelled() -> None:

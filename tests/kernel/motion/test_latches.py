@@ -10,8 +10,8 @@ from typing import Any
 import pytest
 
 from kernel.world import BOUND, Client, World, kept_in, prepared, settled, world_of
+from rcp_kernel.app.reload import apply
 from rcp_kernel.config.file import parse
-from rcp_kernel.process.reload import apply
 
 pytestmark = pytest.mark.anyio
 HEAD = """
@@ -160,7 +160,7 @@ async def test_a_latch_outlives_the_gateway(tmp_path: Path) -> None:
         admin = world.client(ADMIN)
         await estop(admin, scope="/tenant/alpha", reason="smoke")
         await estop(admin, scope="r2", reset=True)
-        await settled(world.server.gateway.store)
+        await settled(world.server.kernel.store)
     async with world_of(text) as world:
         admin = world.client(ADMIN)
         state = (await admin.ask(type="read", path="/system/estop"))["body"]
@@ -170,7 +170,7 @@ async def test_a_latch_outlives_the_gateway(tmp_path: Path) -> None:
         assert world.robots[0].halts >= 1
         await estop(admin, reset=True)
         assert await moves(admin, "r1")
-        await settled(world.server.gateway.store)
+        await settled(world.server.kernel.store)
     async with world_of(text) as world:
         assert await moves(world.client(ADMIN), "r1")
 

@@ -370,7 +370,7 @@ async def test_a_lease_outlives_the_gateway_that_gave_it(tmp_path: Path) -> None
         request = Request(type="execute", path="/system/leases", encoding=Encoding.JSON)
         request.body = type(request.body)(b'{"do":"acquire","scope":"/tenant/alpha","ttl":100}')
         before = (await client_api.ask(http, request)).body
-        await settled(world.server.gateway.store)
+        await settled(world.server.kernel.store)
     async with world_of(text) as world:
         client = world.client(ADMIN)
         assert code(await drive(client)) == "lease_held"

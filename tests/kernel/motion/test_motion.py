@@ -8,11 +8,11 @@ from typing import Any
 import pytest
 
 from kernel.world import BOUND, CONFIG, Client, World, prepared
+from rcp_kernel.app.reload import apply
 from rcp_kernel.config.file import parse
 from rcp_kernel.errors import DeviceRejected
 from rcp_kernel.motion import safety
 from rcp_kernel.operations import write
-from rcp_kernel.process.reload import apply
 from rcp_kernel.types import Twist
 
 pytestmark = pytest.mark.anyio
@@ -110,7 +110,7 @@ async def test_what_came_in_just_before_an_estop_does_not_begin_after_it(world: 
 
 
 async def test_a_gateway_that_is_closing_moves_nothing_any_more(world: World) -> None:
-    world.server.gateway.closing = True
+    world.server.kernel.shutdown.begun = True
     client = world.client()
     for request in (
         {"type": "write", "path": "/actuator/drive", "body": FORWARD},

@@ -16,11 +16,11 @@ from contextlib import asynccontextmanager
 from typing import Any, NoReturn
 
 from kernel.world import CONFIG, Client, NoOptions, Robot, prepared
+from rcp_kernel.app.server import running
 from rcp_kernel.config.file import parse
 from rcp_kernel.process.cli import _loop_factory
 from rcp_kernel.process.containment import end_in_time, run_contained
 from rcp_kernel.process.log import configure
-from rcp_kernel.process.server import running
 from rcp_kernel.spi import BackendKind, Host, Progress
 
 EXITS = {"exit": SystemExit(3), "interrupt": KeyboardInterrupt()}

@@ -10,9 +10,9 @@ from typing import Any
 import pytest
 
 from kernel.world import BOUND, CONFIG, Client, NoOptions, Robot, prepared
+from rcp_kernel.app.server import Server, running
 from rcp_kernel.config.file import parse
 from rcp_kernel.errors import ConfigError, NotReady
-from rcp_kernel.process.server import Server, running
 from rcp_kernel.spi import BackendKind, Host
 
 pytestmark = pytest.mark.anyio

@@ -9,10 +9,10 @@ from typing import Any
 import pytest
 
 from kernel.world import CONFIG, Client, NoOptions, Robot, World, prepared, world_of
+from rcp_kernel.app.reload import apply
+from rcp_kernel.app.server import Prepared, Server, running
 from rcp_kernel.config.file import parse
 from rcp_kernel.errors import ConfigError, NotReady
-from rcp_kernel.process.reload import apply
-from rcp_kernel.process.server import Prepared, Server, running
 from rcp_kernel.spi import BackendKind, Host
 
 pytestmark = pytest.mark.anyio

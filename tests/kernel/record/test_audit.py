@@ -55,8 +55,8 @@ key = "admin-of-everything"
 
 
 async def records(world: World, **wanted: Any) -> list[dict[str, Any]]:
-    await settled(world.server.gateway.store)
-    entry = world.server.gateway.registry.entries["/system/audit"]
+    await settled(world.server.kernel.store)
+    entry = world.server.kernel.registry.entries["/system/audit"]
     found = [sample.value for sample in entry.ring]
     return [r for r in found if all(r.get(key) == value for key, value in wanted.items())]
 
@@ -160,7 +160,7 @@ async def test_a_long_value_is_told_by_its_length_and_hash(world: World) -> None
 
 async def test_a_flood_of_refusals_becomes_one_record_a_window(world: World) -> None:
     client = world.client(None)
-    flood = world.server.gateway.audit._flood
+    flood = world.server.kernel.audit._flood
     for _ in range(50):
         await client.ask(type="write", path=LIMIT, body=1)
     assert len(await records(world, what="denial")) == 10
@@ -180,7 +180,7 @@ async def test_a_flood_in_two_tenants_is_summed_up_for_each_of_them() -> None:
         for _ in range(12):
             for path in paths:
                 await bea.ask(type="write", path=path, body=1)
-        flood = world.server.gateway.audit._flood
+        flood = world.server.kernel.audit._flood
         flood._close(flood._windows["=bea"])
         sums = await records(world, what="denials")
         assert [(s["tenant"], s["roles"], s["paths"]) for s in sums] == [
@@ -194,7 +194,7 @@ async def test_an_acknowledged_lease_is_kept(tmp_path: Path) -> None:
     ask = {"type": "execute", "path": "/system/leases"}
     body = {"do": "acquire", "scope": "/tenant/alpha/param"}
     async with world_of(kept_in(path)) as world:
-        await settled(world.server.gateway.store)
+        await settled(world.server.kernel.store)
         client = world.client()
         with closing(sqlite3.connect(path)) as other:
             other.execute("BEGIN IMMEDIATE")
@@ -299,7 +299,7 @@ async def test_old_records_are_deleted_and_the_chain_holds_from_there(tmp_path: 
         await admin.ask(type="subscribe", path="/system/audit", body={"history": 100})
         pruned = await admin.until(lambda m: m["type"] == "update" and m["body"]["what"] == "prune")
         assert pruned["body"]["to"] >= 5
-        await settled(world.server.gateway.store)
+        await settled(world.server.kernel.store)
     verdict = examined(path)
     assert verdict.findings == []
     assert verdict.first > 5
@@ -313,7 +313,7 @@ async def test_no_reply_leaves_before_its_record_is_committed(
 ) -> None:
     path = tmp_path / "store.db"
     async with world_of(kept_in(path)) as world:
-        await settled(world.server.gateway.store)
+        await settled(world.server.kernel.store)
         client = world.client()
         with closing(sqlite3.connect(path)) as other:
             other.execute("BEGIN IMMEDIATE")
@@ -333,13 +333,13 @@ async def test_no_reply_leaves_before_its_record_is_committed(
 
 async def test_what_cannot_go_on_record_is_refused_but_never_the_estop(tmp_path: Path) -> None:
     async with world_of(kept_in(tmp_path / "store.db")) as world:
-        store = world.server.gateway.store
+        store = world.server.kernel.store
         await settled(store)
         with closing(sqlite3.connect(tmp_path / "store.db")) as other:
             other.execute("BEGIN IMMEDIATE")
-            gateway = world.server.gateway
+            kernel = world.server.kernel
             for number in range(6000):
-                gateway.audit.note("write", principal=None, number=number)
+                kernel.audit.note("write", principal=None, number=number)
             client = world.client()
             for envelope in (
                 {"type": "write", "path": LIMIT, "body": 1.0},
@@ -365,15 +365,15 @@ async def test_the_oldest_records_go_while_the_store_is_too_large(tmp_path: Path
     path = tmp_path / "store.db"
     text = kept_in(path) + "[audit]\nkeep_mb = 1\n"
     async with world_of(text) as world:
-        gateway = world.server.gateway
+        kernel = world.server.kernel
         for number in range(2000):
-            gateway.audit.note("write", principal=None, number=number, message="x" * 500)
+            kernel.audit.note("write", principal=None, number=number, message="x" * 500)
     assert path.stat().st_size > 1_000_000
     async with world_of(text) as world:
         admin = world.client("admin-admin-admin")
         await admin.ask(type="subscribe", path="/system/audit", body={"history": 100})
         await admin.until(lambda m: m["type"] == "update" and m["body"]["what"] == "prune")
-        await settled(world.server.gateway.store)
+        await settled(world.server.kernel.store)
     verdict = examined(path)
     assert verdict.findings == []
     assert 500 < verdict.count < 1900
@@ -384,7 +384,7 @@ async def test_a_store_that_cannot_be_written_makes_the_gateway_degraded(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     async with world_of(kept_in(tmp_path / "store.db")) as world:
-        store = world.server.gateway.store
+        store = world.server.kernel.store
         admin = world.client("admin-admin-admin")
         assert (await admin.ask(type="status"))["body"]["state"] == "ok"
         await settled(store)  # the login of the admin too
@@ -393,7 +393,7 @@ async def test_a_store_that_cannot_be_written_makes_the_gateway_degraded(
         monkeypatch.setattr(store, "_failed", lambda reason: (told(reason), failed.set()))
         with closing(sqlite3.connect(tmp_path / "store.db")) as other:
             other.execute("BEGIN IMMEDIATE")
-            world.server.gateway.audit.note("login", principal=None)
+            world.server.kernel.audit.note("login", principal=None)
             await asyncio.wait_for(failed.wait(), 5)
             status = (await admin.ask(type="status"))["body"]
             assert status["state"] == "degraded"

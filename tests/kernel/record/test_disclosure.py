@@ -131,7 +131,7 @@ async def watched(world: World, token: str) -> Client:
 async def heard(world: World, client: Client) -> list[dict[str, Any]]:
     """Return what somebody was told until a mark that all see, without the mark."""
     marker = world.client(client_token(client))
-    await settled(world.server.gateway.store)
+    await settled(world.server.kernel.store)
     await marker.ask(type="write", path=f"{place(client)}/param/limit", body=9.75, id="mark")
     found: list[dict[str, Any]] = []
     async with asyncio.timeout(BOUND):
@@ -324,7 +324,7 @@ async def test_what_names_something_hidden_is_not_shown(world: World) -> None:
 
 
 async def test_a_record_of_very_many_names_is_cheap_to_judge(world: World) -> None:
-    gateway = world.server.gateway
+    kernel = world.server.kernel
     many = " ".join(f"/tenant/alpha/sensor/x{n}" for n in range(150))
     session = world.client(PARTIAL).connection.session
     weighed: list[str] = []
@@ -337,10 +337,10 @@ async def test_a_record_of_very_many_names_is_cheap_to_judge(world: World) -> No
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(type(session.rights), "compute_mask", counted)
         record = {"seq": 1, "what": "write", "tenant": "alpha", "path": ALPHA, "value": many}
-        assert gateway.disclosure.shown(session, record) is None
+        assert kernel.disclosure.shown(session, record) is None
         assert len(weighed) < 40
     whole = world.client(ROOT).connection.session
-    assert gateway.disclosure.shown(whole, {**record, "seq": 2}) is not None
+    assert kernel.disclosure.shown(whole, {**record, "seq": 2}) is not None
 
 
 async def test_old_records_of_whole_plans_are_for_those_who_see_everything(tmp_path: Path) -> None:
@@ -349,7 +349,7 @@ async def test_old_records_of_whole_plans_are_for_those_who_see_everything(tmp_p
         "steps": [{"step": "1", "do": "read", "path": "/tenant/beta/sensor/hush", "result": SECRET}]
     }
     async with world_of(kept_in(path, CONFIG), make=Talking) as world:
-        audit, session = world.server.gateway.audit, world.client(BOTH).connection.session
+        audit, session = world.server.kernel.audit, world.client(BOTH).connection.session
         # As gateways before this one wrote them: whole, in the tenant of the session.
         for what, value in (
             ("execute", {"lines": "read /tenant/beta/sensor/hush"}),
@@ -359,7 +359,7 @@ async def test_old_records_of_whole_plans_are_for_those_who_see_everything(tmp_p
             audit.note(what, principal=session.principal, **facts)
         facts = {"tenant": "alpha", "path": ALPHA, "value": {"steps": [{"value": SECRET}]}}
         audit.note("denial", principal=session.principal, outcome="out_of_range", **facts)
-        await settled(world.server.gateway.store)
+        await settled(world.server.kernel.store)
     async with world_of(kept_in(path, CONFIG), make=Talking) as world:
         ada, root = world.client(ADA), world.client(ROOT)
         for client in (ada, root):

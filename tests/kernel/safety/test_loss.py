@@ -112,7 +112,7 @@ async def test_a_command_that_a_killed_gateway_left_behind_is_settled_by_the_nex
         admin.send(type="execute", path=GO, body=1)
         async with asyncio.timeout(BOUND):
             await robot.started.get()
-        await settled(world.server.gateway.store)
+        await settled(world.server.kernel.store)
         kept = [store.with_name(f"rcp.db{end}").read_bytes() for end in ("", "-wal", ".head")]
     killed = tmp_path / "killed" / "rcp.db"
     killed.parent.mkdir()

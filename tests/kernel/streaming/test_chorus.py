@@ -58,7 +58,7 @@ def publish(world: World, *values: float) -> None:
 
 async def test_receivers_of_the_same_bytes_are_served_from_one_ring(world: World) -> None:
     sockets = [Socket(world, 8) for _ in range(3)]
-    listeners = world.server.gateway.registry.entries[LEVEL].listeners
+    listeners = world.server.kernel.registry.entries[LEVEL].listeners
     assert [type(listener) for listener in listeners] == [SharedFanout]
     publish(world, 1.0, 2.0)
     taken = [socket.take() for socket in sockets]
@@ -91,7 +91,7 @@ async def test_a_newcomer_hears_only_what_comes_after_it(world: World) -> None:
 
 async def test_those_who_leave_are_forgotten(world: World) -> None:
     sockets = [Socket(world, 8) for _ in range(2)]
-    listeners = world.server.gateway.registry.entries[LEVEL].listeners
+    listeners = world.server.kernel.registry.entries[LEVEL].listeners
     sockets[0].connection.close()
     publish(world, 1.0)
     assert [m["body"] for m in sockets[1].take()] == [1.0]

@@ -10,7 +10,7 @@ import msgspec
 import pytest
 
 from plugins.a2a.agent import KEY_BETA, VERSION, agent, caller, rpc, sent, text
-from rcp_kernel.access.acl import Rule
+from rcp_kernel.config.role import Rule
 from transports.robot import KEY, Site
 
 pytestmark = pytest.mark.anyio
@@ -143,10 +143,10 @@ async def test_a_task_does_not_show_what_its_owner_may_not_see_any_more() -> Non
             "pose",
         ]
         assert "swordfish" in str(before)
-        gateway = made.server.gateway
-        some = msgspec.structs.replace(gateway.config.roles["some"], deny=(DENIED,))
-        roles = {**gateway.config.roles, "some": some}
-        gateway.reconfigure(msgspec.structs.replace(gateway.config, roles=roles))
+        kernel = made.server.kernel
+        some = msgspec.structs.replace(kernel.settings.config.roles["some"], deny=(DENIED,))
+        roles = {**kernel.settings.config.roles, "some": some}
+        kernel.reconfigure(msgspec.structs.replace(kernel.settings.config, roles=roles))
         after = (await rpc(client, "GetTask", id=id_))["result"]
         listed = (await rpc(client, "ListTasks", includeArtifacts=True))["result"]
         for told_ in (after, listed["tasks"][0]):

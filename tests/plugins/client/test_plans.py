@@ -15,9 +15,9 @@ from typing import Any
 import pytest
 
 from rcp_client import Client, Feedback, connect
+from rcp_kernel.app.server import Server, prepare, running
 from rcp_kernel.config.file import parse
 from rcp_kernel.errors import ApprovalRequired, Cancelled, DeviceRejected, UnknownPath
-from rcp_kernel.process.server import Server, prepare, running
 
 pytestmark = pytest.mark.anyio
 BIN = Path(sys.executable).parent

@@ -9,13 +9,13 @@ import pytest
 from issuer import Issuer, Key, issuing, who
 from kernel.world import CONFIG, World, prepared, world_of
 from rcp_kernel.access import issuers, jwks
+from rcp_kernel.app.reload import apply
 from rcp_kernel.config import identity as config_identity
 from rcp_kernel.config.file import parse
 from rcp_kernel.errors import (
     AdapterUnavailable,
     Unauthenticated,
 )
-from rcp_kernel.process.reload import apply
 
 pytestmark = pytest.mark.anyio
 

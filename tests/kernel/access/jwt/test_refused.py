@@ -18,6 +18,7 @@ from issuer import AUDIENCE, Issuer, Key, issuing, who
 from kernel.world import CONFIG, World, world_of
 from rcp_kernel.access.issuers import Issuers
 from rcp_kernel.access.webtokens import read_token, verify
+from rcp_kernel.app.server import prepare
 from rcp_kernel.config.file import parse
 from rcp_kernel.config.identity import JwtConfig
 from rcp_kernel.errors import (
@@ -27,7 +28,6 @@ from rcp_kernel.errors import (
     TokenExpired,
     Unauthenticated,
 )
-from rcp_kernel.process.server import prepare
 
 pytestmark = pytest.mark.anyio
 

@@ -21,10 +21,10 @@ from hypothesis.stateful import (
 from kernel.access.quota.home import AGENT, ANN, BOB, LEVEL, at_home
 from kernel.world import Client, World, prepared, world_of
 from rcp_kernel.access.token_bucket import QuotaUsage
+from rcp_kernel.app.reload import apply
 from rcp_kernel.clients.session import Session
 from rcp_kernel.config.file import parse
 from rcp_kernel.errors import QueueFull
-from rcp_kernel.process.reload import apply
 
 LOOSE = "\n[tenants.alpha.quota]\nsessions = 4\nsubscriptions = 5\ncommands = 3\n"
 TIGHT = (
@@ -131,7 +131,7 @@ class Counts(RuleBasedStateMachine):
     def finish(self) -> None:
         async def work() -> None:
             self.world.robot.release.set()
-            while self.world.server.gateway.commands.running:  # noqa: ASYNC110
+            while self.world.server.kernel.commands.running:  # noqa: ASYNC110
                 await asyncio.sleep(0.001)
             self.world.robot.release.clear()
 
@@ -145,7 +145,7 @@ class Counts(RuleBasedStateMachine):
     @rule()
     def expire(self) -> None:
         async def work() -> None:
-            sessions = self.world.server.gateway.sessions
+            sessions = self.world.server.kernel.sessions
             for session in [s for s in sessions.known.values() if s.cut is not None]:
                 sessions.drop(session)
 
@@ -156,14 +156,14 @@ class Counts(RuleBasedStateMachine):
         if not hasattr(self, "world"):
             return
         self.do(asyncio.sleep(0))
-        gateway = self.world.server.gateway
-        accounts = [*gateway.quota_tracker.of("tenant"), *gateway.quota_tracker.of("principal")]
+        kernel = self.world.server.kernel
+        accounts = [*kernel.quotas.of("tenant"), *kernel.quotas.of("principal")]
         for account in accounts:
-            concerned = [s for s in gateway.sessions.known.values() if concerns(account, s)]
+            concerned = [s for s in kernel.sessions.known.values() if concerns(account, s)]
             assert account.sessions == set(concerned)
             running = {
                 id_
-                for id_, command in gateway.commands.running.items()
+                for id_, command in kernel.commands.running.items()
                 if command.asker is not None and concerns(account, command.asker)
             }
             assert account.commands == running

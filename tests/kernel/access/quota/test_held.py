@@ -9,9 +9,9 @@ import pytest
 
 from kernel.access.quota.home import AGENT, ANN, BOB, LEVEL, at_home
 from kernel.world import BOUND, Client, prepared, world_of
+from rcp_kernel.app.reload import apply
 from rcp_kernel.config.file import parse
 from rcp_kernel.errors import QueueFull
-from rcp_kernel.process.reload import apply
 
 pytestmark = pytest.mark.anyio
 
@@ -116,7 +116,7 @@ async def test_a_session_whose_command_runs_is_given_back_when_its_quota_goes() 
         client = world.client(ANN)
         client.send(type="execute", path="/action/go", body=1)
         await client.until(lambda m: m.get("status") == "in_progress")
-        [account] = world.server.gateway.quota_tracker.of("tenant")
+        [account] = world.server.kernel.quotas.of("tenant")
         assert account.connected == 1
         await apply(world.server, prepared(parse(at_home(""), "test"), []))
         assert account.connected == 0

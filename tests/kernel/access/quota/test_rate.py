@@ -12,10 +12,10 @@ import pytest
 from kernel.access.quota.home import AGENT, ANN, BOB, LEVEL, SECOND, SLOW, at_home
 from kernel.world import World, prepared, world_of
 from rcp_kernel.access.token_bucket import QuotaUsage, TokenBucket
+from rcp_kernel.app.reload import apply
 from rcp_kernel.config.file import parse
 from rcp_kernel.config.limits import Quota
 from rcp_kernel.errors import ConfigError, RateLimited
-from rcp_kernel.process.reload import apply
 from rcp_kernel.values import Encoding, dump
 from rcp_kernel.wire import Request
 

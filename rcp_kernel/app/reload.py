@@ -7,9 +7,9 @@ from pathlib import Path
 import msgspec
 import structlog
 
+from rcp_kernel.app.server import Prepared, Server, prepare, retire, start_backend
 from rcp_kernel.config.file import load
 from rcp_kernel.errors import StartupError
-from rcp_kernel.process.server import Prepared, Server, prepare, retire, start_backend
 
 __all__ = ["apply", "reload"]
 
@@ -25,7 +25,7 @@ async def reload(server: Server, path: Path) -> None:
 
     Its rules have to be safe with its own listeners, and with those that go on as they are.
     """
-    running = server.gateway.config
+    running = server.kernel.settings.config
     try:
         fresh = load(path)
         prepare(fresh, str(path))
@@ -33,11 +33,11 @@ async def reload(server: Server, path: Path) -> None:
         prepared = prepare(msgspec.structs.replace(fresh, **kept), str(path))
     except StartupError as error:
         log.error("reload_refused", reason=str(error))
-        server.gateway.audit.note("reload", principal=None, outcome="refused")
+        server.kernel.audit.note("reload", principal=None, outcome="refused")
         return
     except Exception:
         log.exception("reload_failed", reason="a plugin or the gateway has a bug")
-        server.gateway.audit.note("reload", principal=None, outcome="failed")
+        server.kernel.audit.note("reload", principal=None, outcome="failed")
         return
     for part in _FIXED:
         if getattr(running, part) != getattr(fresh, part):
@@ -54,26 +54,26 @@ async def apply(server: Server, prepared: Prepared) -> None:
     What clients may do changes at once. Backends change one reload after the other: one that
     takes long to close must not delay a revoked key, nor may what came before be applied after it.
     """
-    gateway, turn = server.gateway, server.reloading
+    kernel, turn = server.kernel, server.reloading
     turn.newest = prepared
-    gateway.reconfigure(prepared.config)
+    kernel.reconfigure(prepared.config)
     async with turn.lock:
         if turn.newest is not prepared:
-            gateway.audit.note("reload", principal=None, outcome="superseded")
+            kernel.audit.note("reload", principal=None, outcome="superseded")
             return
         new = prepared.config
         gone = [
             supervisor for supervisor in server.supervisors if supervisor.config not in new.backends
         ]
         await retire(server, gone)
-        if turn.newest is not prepared or gateway.closing:
-            gateway.audit.note("reload", principal=None, outcome="superseded")
+        if turn.newest is not prepared or kernel.shutdown.begun:
+            kernel.audit.note("reload", principal=None, outcome="superseded")
             return
         kept = {supervisor.config.name for supervisor in server.supervisors}
         for backend, table in zip(new.backends, prepared.backends, strict=True):
             if backend.name not in kept:
                 start_backend(server, prepared, backend, table)
-    gateway.audit.note(
+    kernel.audit.note(
         "reload", principal=None, backends=[supervisor.name for supervisor in server.supervisors]
     )
     log.info(

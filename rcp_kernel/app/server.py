@@ -11,19 +11,18 @@ import msgspec
 import structlog
 
 from rcp_kernel.access.identities import check_proofs, store_file
+from rcp_kernel.app.composition import compose
+from rcp_kernel.app.kernel import Kernel
 from rcp_kernel.client_api import ClientApi
+from rcp_kernel.client_kinds import AdapterKind, TransportKind
 from rcp_kernel.config.file import BackendConfig, GatewayConfig, decode_table
 from rcp_kernel.errors import ConfigError
-from rcp_kernel.gateway import Gateway
 from rcp_kernel.motion.retry import retry_until_confirmed
 from rcp_kernel.plugins import Missing, Plugins
-from rcp_kernel.process.guard import GuardLink
 from rcp_kernel.process.log import Recent
 from rcp_kernel.process.supervisor import BackendSupervisor
 from rcp_kernel.record.store import DiskStore, Store
-from rcp_kernel.spi import AdapterKind, TransportKind
 from rcp_kernel.status import StatusReport, gateway_version
-from rcp_kernel.system import System
 
 __all__ = [
     "Prepared",
@@ -65,7 +64,7 @@ class Reloading:
 class Server(msgspec.Struct, frozen=True):
     """A gateway that is up."""
 
-    gateway: Gateway
+    kernel: Kernel
     client_api: ClientApi
     status: StatusReport
     supervisors: list[BackendSupervisor]
@@ -126,50 +125,47 @@ async def running(prepared: Prepared, recent: Recent | None = None) -> AsyncGene
         if path is not None:
             store = DiskStore(path, loop)
             stack.callback(store.close)
-        gateway = Gateway(
+        kernel = compose(
             config,
             loop,
             store=store,
+            recent=recent,
             authenticator=plugins.authenticator,
             interceptors=plugins.interceptors,
         )
-        supervisors: list[BackendSupervisor] = []
-        status = StatusReport(gateway, supervisors, recent)
-        System(gateway, supervisors, status, recent)
-        _keep_record(stack, gateway)
-        stack.callback(setattr, recent, "told", None)
+        client_api, status = kernel.client_api, kernel.status
+        server = Server(kernel, client_api, status, kernel.supervisors, {})
+        _keep_record(stack, kernel)
+        stack.callback(kernel.system.close)
         status.start()
         stack.callback(status.stop)
-        stack.push_async_callback(gateway.close)
-        await stack.enter_async_context(gateway.identities.running())
-        client_api = ClientApi(gateway, status, "gateway")
-        server = Server(gateway, client_api, status, supervisors, {})
-        status.guard = GuardLink(gateway, supervisors)
-        status.guard.start()
-        stack.push_async_callback(status.guard.close)
+        stack.push_async_callback(kernel.close)
+        await stack.enter_async_context(kernel.identities.running())
+        kernel.guard.start()
+        stack.push_async_callback(kernel.guard.close)
         await stack.enter_async_context(_backends(server, prepared))
         first = loop.time() + _FIRST_OPEN
         await _open_all(stack, client_api, prepared.adapters, plugins.adapters, status.adapters)
-        await _settled(supervisors, first - loop.time())
+        await _settled(kernel.supervisors, first - loop.time())
         await _open_all(
             stack, client_api, prepared.transports, plugins.transports, status.transports
         )
         _report_missing(plugins.missing, status)
-        stack.push_async_callback(_rest, gateway, supervisors)
+        stack.push_async_callback(_rest, kernel)
         yield server
 
 
-def _keep_record(stack: AsyncExitStack, gateway: Gateway) -> None:
-    audit = gateway.audit
-    audit.start(name=gateway.config.name, version=gateway_version())
-    for command in gateway.history.cut_off:
-        gateway.audit_writer.ended(command)
-    gateway.retention.start()
-    gateway.session_resume.start()
+def _keep_record(stack: AsyncExitStack, kernel: Kernel) -> None:
+    audit = kernel.audit
+    audit.start(name=kernel.settings.config.name, version=gateway_version())
+    for command in kernel.history.cut_off:
+        kernel.audit_writer.ended(command)
+    kernel.retention.start()
+    kernel.resume.start()
 
     def stop() -> None:
-        gateway.retention.stop()
-        gateway.session_resume.stop()
+        kernel.retention.stop()
+        kernel.resume.stop()
         audit.close()
         audit.note("stop", principal=None)
 
@@ -222,7 +218,7 @@ async def _settled(supervisors: Sequence[BackendSupervisor], within: float) -> N
 
 def start_backend(server: Server, prepared: Prepared, config: BackendConfig, table: Any) -> None:
     """Start the life of one backend."""
-    supervisor = BackendSupervisor(server.gateway, config)
+    supervisor = server.kernel.supervise(config)
     server.supervisors.append(supervisor)
     missing = prepared.plugins.is_missing("backends", config.use)
     if missing is not None:
@@ -243,33 +239,33 @@ async def stop_backend(server: Server, supervisor: BackendSupervisor) -> None:
             log.error("backend_does_not_close", backend=supervisor.name)
             task.cancel()
     for entry in supervisor.entries.values():
-        server.gateway.deadman.begin(entry)  # there is nobody left to be told to stop
+        server.kernel.deadman.begin(entry)  # there is nobody left to be told to stop
     supervisor.withdraw(*list(supervisor.entries))
     if supervisor in server.supervisors:
         server.supervisors.remove(supervisor)
 
 
-async def _rest(gateway: Gateway, supervisors: list[BackendSupervisor]) -> None:
+async def _rest(kernel: Kernel) -> None:
     """Bring everything that moves to rest before anything closes."""
-    gateway.closing = True
-    _ground(gateway, supervisors)
-    halts = _halts(supervisors)
-    await gateway.commands.close()
+    kernel.shutdown.begin()
+    _cancel_writes(kernel, kernel.supervisors)
+    halts = _halts(kernel.supervisors)
+    await kernel.commands.close()
     await _halted(halts)
 
 
-def _ground(gateway: Gateway, supervisors: list[BackendSupervisor]) -> None:
+def _cancel_writes(kernel: Kernel, supervisors: list[BackendSupervisor]) -> None:
     for supervisor in supervisors:
         for entry in supervisor.entries.values():
             if entry.moves:
-                gateway.deadman.cancel_writes(entry)
+                kernel.deadman.cancel_writes(entry)
 
 
 async def retire(server: Server, supervisors: list[BackendSupervisor]) -> None:
     """Bring backends to rest that the gateway goes on without, then close them."""
     for supervisor in supervisors:
         supervisor.retire()
-    _ground(server.gateway, supervisors)
+    _cancel_writes(server.kernel, supervisors)
     await _halted(_halts(supervisors))
     await asyncio.gather(*(stop_backend(server, supervisor) for supervisor in supervisors))
 

@@ -1,0 +1,591 @@
+"""Builds every part of a gateway once, from the bottom up, and gives each what it uses.
+
+Nothing is set afterwards: a part that has to hear of another further up keeps a list of listeners,
+and whoever wants to hear adds itself when it is made.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+
+from rcp_kernel.access.acl import Rules
+from rcp_kernel.access.approvals import Approvals
+from rcp_kernel.access.conditions import Conditions
+from rcp_kernel.access.identities import Authenticator, Identities
+from rcp_kernel.access.quotas import QuotaTracker
+from rcp_kernel.access.resolver import Resolver
+from rcp_kernel.access.visibility import Visibility
+from rcp_kernel.app.kernel import Kernel
+from rcp_kernel.client_api import ClientApi, ClientApiParts
+from rcp_kernel.clients.connections import ConnectionParts
+from rcp_kernel.clients.handshake import Handshake
+from rcp_kernel.clients.outbound import Outbound
+from rcp_kernel.clients.resume import SessionResume
+from rcp_kernel.clients.session import Handler, Session
+from rcp_kernel.clients.sessions import Sessions
+from rcp_kernel.config.file import GatewayConfig
+from rcp_kernel.config.settings import Settings
+from rcp_kernel.motion.estop import Estop
+from rcp_kernel.motion.fence_guard import FenceGuard
+from rcp_kernel.motion.latches import Latches
+from rcp_kernel.motion.lease_service import LeaseService
+from rcp_kernel.motion.leases import Leases
+from rcp_kernel.motion.motion_limits import MotionLimits
+from rcp_kernel.motion.safety import Deadman
+from rcp_kernel.operations.admission import Admission
+from rcp_kernel.operations.batch import BatchHandler
+from rcp_kernel.operations.command_access import CommandAccess
+from rcp_kernel.operations.commands import Commands
+from rcp_kernel.operations.counts import RequestCounts
+from rcp_kernel.operations.discover import DiscoverHandler
+from rcp_kernel.operations.discovery import Discovery
+from rcp_kernel.operations.execute import ExecuteHandler
+from rcp_kernel.operations.idempotency import Keys
+from rcp_kernel.operations.inflight import InFlight
+from rcp_kernel.operations.read import ReadHandler
+from rcp_kernel.operations.router import RequestRouter
+from rcp_kernel.operations.subscribe import SubscribeHandler
+from rcp_kernel.operations.write import WriteHandler
+from rcp_kernel.plans.checks import PlanChecker
+from rcp_kernel.plans.resource import PlanList, Plans
+from rcp_kernel.process.guard import GuardLink
+from rcp_kernel.process.guard_arming import GuardArming
+from rcp_kernel.process.log import Recent
+from rcp_kernel.process.supervisor import BackendSupervisor
+from rcp_kernel.record.audit import Audit
+from rcp_kernel.record.audit_writer import AuditWriter, Recorded
+from rcp_kernel.record.disclosure import Disclosure
+from rcp_kernel.record.history import History
+from rcp_kernel.record.retention import Retention
+from rcp_kernel.record.store import Store
+from rcp_kernel.registry import Registry
+from rcp_kernel.safety.partners import Partners
+from rcp_kernel.safety.stop import StopController
+from rcp_kernel.shutdown import Shutdown
+from rcp_kernel.status import StatusReport
+from rcp_kernel.streaming.conditional import ConditionalSubscriptions
+from rcp_kernel.streaming.hub import Hub
+from rcp_kernel.system import System
+from rcp_kernel.turns import Turns
+
+__all__ = ["compose"]
+
+
+@dataclass(frozen=True, slots=True)
+class _Base:
+    """What is there for every other part."""
+
+    settings: Settings
+    shutdown: Shutdown
+    loop: asyncio.AbstractEventLoop
+    turns: Turns
+    registry: Registry
+    hub: Hub
+    conditions: Conditions
+    visibility: Visibility
+    rules: Rules
+    counts: RequestCounts
+    supervisors: list[BackendSupervisor]
+
+
+@dataclass(frozen=True, slots=True)
+class _Records:
+    """What survives the process."""
+
+    store: Store
+    audit: Audit
+    writer: AuditWriter
+    history: History
+
+
+@dataclass(frozen=True, slots=True)
+class _Motion:
+    """What moves robots, and what brings them to rest."""
+
+    arming: GuardArming
+    limits: MotionLimits
+    partners: Partners
+    deadman: Deadman
+    commands: Commands
+    latches: Latches
+    stops: StopController
+
+
+@dataclass(frozen=True, slots=True)
+class _Clients:
+    """Who is there, as whom, and what they hold."""
+
+    identities: Identities
+    outbound: Outbound
+    quotas: QuotaTracker
+    resume: SessionResume
+    sessions: Sessions
+    access: CommandAccess
+    leases: Leases
+
+
+@dataclass(frozen=True, slots=True)
+class _Requests:
+    """What a request passes before it is handled."""
+
+    router: RequestRouter
+    resolver: Resolver
+    inflight: InFlight
+    approvals: Approvals
+    admission: Admission
+    keys: Keys
+
+
+@dataclass(frozen=True, slots=True)
+class _System:
+    """The gateway's own branch, and what it is made of."""
+
+    estop: Estop
+    guard: GuardLink
+    status: StatusReport
+    plans: PlanList
+    disclosure: Disclosure
+    branch: System
+
+
+@dataclass(frozen=True, slots=True)
+class _Handlers:
+    """Those of the handlers that are called for more than their own requests."""
+
+    read: ReadHandler
+    subscribe: SubscribeHandler
+
+
+def compose(
+    config: GatewayConfig,
+    loop: asyncio.AbstractEventLoop,
+    *,
+    store: Store,
+    recent: Recent,
+    authenticator: Authenticator | None = None,
+    interceptors: Sequence[Callable[[Handler], Handler]] = (),
+) -> Kernel:
+    """Build a gateway that serves nobody yet and has no backends."""
+    base = _base(config, loop)
+    records = _records(base, store)
+    motion = _motion(base, records)
+    clients = _clients(base, records, motion, authenticator)
+    requests = _requests(base, records, motion, clients, interceptors)
+    system = _system(base, records, motion, clients, requests, recent)
+    handlers = _handlers(base, records, motion, clients, requests, system)
+    return Kernel(
+        settings=base.settings,
+        shutdown=base.shutdown,
+        loop=loop,
+        registry=base.registry,
+        hub=base.hub,
+        conditions=base.conditions,
+        rules=base.rules,
+        counts=base.counts,
+        store=store,
+        audit=records.audit,
+        audit_writer=records.writer,
+        retention=Retention(records.audit, store, loop, config.audit),
+        history=records.history,
+        disclosure=system.disclosure,
+        motion_limits=motion.limits,
+        deadman=motion.deadman,
+        commands=motion.commands,
+        stops=motion.stops,
+        identities=clients.identities,
+        outbound=clients.outbound,
+        quotas=clients.quotas,
+        resume=clients.resume,
+        sessions=clients.sessions,
+        leases=clients.leases,
+        guard=system.guard,
+        status=system.status,
+        system=system.branch,
+        supervisors=base.supervisors,
+        supervise=_supervise(base, records, motion),
+        client_api=_client_api(base, records, motion, clients, requests, system, handlers),
+    )
+
+
+def _base(config: GatewayConfig, loop: asyncio.AbstractEventLoop) -> _Base:
+    registry = Registry()
+    hub = Hub(registry, loop, config.limits.pattern_value)
+    conditions = Conditions(hub)
+    return _Base(
+        settings=Settings(config),
+        shutdown=Shutdown(),
+        loop=loop,
+        turns=Turns(loop),
+        registry=registry,
+        hub=hub,
+        conditions=conditions,
+        visibility=Visibility(registry),
+        rules=Rules(config.roles, conditions),
+        counts=RequestCounts(),
+        supervisors=[],
+    )
+
+
+def _records(base: _Base, store: Store) -> _Records:
+    audit = Audit(store, base.loop, base.settings.config.audit)
+    writer = AuditWriter(audit, store, base.settings, base.loop)
+    return _Records(store, audit, writer, History(store))
+
+
+def _motion(base: _Base, records: _Records) -> _Motion:
+    config = base.settings.config
+    arming = GuardArming(base.loop, config.safety)
+    limits = MotionLimits(base.registry, base.conditions, config.envelopes)
+    partners = Partners(base.registry)
+    deadman = Deadman(
+        base.loop,
+        began=arming.arm,
+        sending=limits.note_stop,
+        at_rest=limits.note_rest,
+        untaken=partners.halt,
+        note=records.writer.dead_man,
+    )
+    commands = Commands(Recorded(records.writer, records.history), arming.arm)
+    commands.remember(records.history.load())
+    return _Motion(
+        arming,
+        limits,
+        partners,
+        deadman,
+        commands,
+        Latches(records.store),
+        StopController(base.loop, records.writer.stop_step),
+    )
+
+
+def _clients(
+    base: _Base, records: _Records, motion: _Motion, authenticator: Authenticator | None
+) -> _Clients:
+    settings, loop, commands = base.settings, base.loop, motion.commands
+    identities = Identities(settings, records.store, records.audit, loop, authenticator)
+    outbound = Outbound(loop, settings.limits)
+    known: dict[str, Session] = {}
+    quotas = QuotaTracker(settings, base.rules, loop, known, commands.running)
+    resume = SessionResume(records.store, settings, base.shutdown, loop)
+    sessions = Sessions(
+        known,
+        settings=settings,
+        shutdown=base.shutdown,
+        rules=base.rules,
+        identities=identities,
+        quotas=quotas,
+        commands=commands,
+        resume=resume,
+        audit=records.audit,
+        hub=base.hub,
+        outbound=outbound,
+        loop=loop,
+    )
+    leases = Leases(
+        settings,
+        base.registry,
+        sessions,
+        commands,
+        motion.deadman,
+        store=records.store,
+        audit=records.audit,
+        shutdown=base.shutdown,
+        loop=loop,
+    )
+    FenceGuard(motion.limits, base.hub, motion.deadman, commands, sessions, records.audit)
+    access = CommandAccess(commands, base.visibility, identities)
+    return _Clients(identities, outbound, quotas, resume, sessions, access, leases)
+
+
+def _requests(
+    base: _Base,
+    records: _Records,
+    motion: _Motion,
+    clients: _Clients,
+    interceptors: Sequence[Callable[[Handler], Handler]],
+) -> _Requests:
+    resolver = Resolver(base.registry)
+    inflight = InFlight(base.settings, base.counts, base.loop)
+    admission = Admission(
+        resolver,
+        clients.leases,
+        motion.limits,
+        records.writer,
+        base.shutdown,
+        motion.arming.check_thaw,
+    )
+    keys = Keys(records.store, base.loop)
+    keys.load(motion.commands.find)
+    return _Requests(
+        RequestRouter(base.turns, base.counts, records.writer, interceptors),
+        resolver,
+        inflight,
+        Approvals(base.settings, base.visibility, records.audit, inflight.place, base.loop),
+        admission,
+        keys,
+    )
+
+
+def _system(
+    base: _Base,
+    records: _Records,
+    motion: _Motion,
+    clients: _Clients,
+    requests: _Requests,
+    recent: Recent,
+) -> _System:
+    estop = Estop(
+        base.supervisors,
+        motion.stops,
+        motion.latches,
+        motion.deadman,
+        motion.commands,
+        identities=clients.identities,
+        settings=base.settings,
+        drop_leases=clients.leases.drop_on,
+        record=records.writer.estop,
+        loop=base.loop,
+    )
+    guard = GuardLink(
+        motion.arming,
+        base.supervisors,
+        base.registry,
+        motion.deadman,
+        motion.commands,
+        records.audit,
+        base.shutdown,
+        base.loop,
+    )
+    status = StatusReport(
+        base.supervisors,
+        guard,
+        recent,
+        registry=base.registry,
+        hub=base.hub,
+        visibility=base.visibility,
+        identities=clients.identities,
+        sessions=clients.sessions,
+        outbound=clients.outbound,
+        quotas=clients.quotas,
+        commands=motion.commands,
+        counts=base.counts,
+        motion_limits=motion.limits,
+        store=records.store,
+        loop=base.loop,
+    )
+    plans = PlanList(clients.access, base.loop)
+    disclosure = Disclosure(base.visibility, base.rules)
+    branch = System(
+        status,
+        estop,
+        lease_service=LeaseService(
+            clients.leases,
+            base.registry,
+            clients.sessions,
+            clients.identities,
+            base.settings,
+            base.shutdown,
+        ),
+        leases=clients.leases,
+        plans=plans,
+        approvals=requests.approvals,
+        access=clients.access,
+        sessions=clients.sessions,
+        quotas=clients.quotas,
+        audit=records.audit,
+        disclosure=disclosure,
+        latches=motion.latches,
+        stops=motion.stops,
+        registry=base.registry,
+        hub=base.hub,
+        recent=recent,
+        loop=base.loop,
+    )
+    return _System(estop, guard, status, plans, disclosure, branch)
+
+
+def _handlers(
+    base: _Base,
+    records: _Records,
+    motion: _Motion,
+    clients: _Clients,
+    requests: _Requests,
+    system: _System,
+) -> _Handlers:
+    """Make the handlers, and have the router send them their requests."""
+    router, inflight = requests.router, requests.inflight
+    read = ReadHandler(
+        base.registry,
+        requests.resolver,
+        inflight,
+        base.counts,
+        base.turns,
+        views=system.branch.views,
+        filters=system.branch.filters,
+        settings=base.settings,
+    )
+    subscribe = SubscribeHandler(
+        requests.resolver,
+        base.hub,
+        ConditionalSubscriptions(base.hub),
+        clients.quotas,
+        clients.resume,
+        clients.sessions,
+        views=system.branch.views,
+        filters=system.branch.filters,
+        settings=base.settings,
+    )
+    write = WriteHandler(
+        requests.resolver,
+        requests.admission,
+        inflight,
+        motion.deadman,
+        motion_limits=motion.limits,
+        leases=clients.leases,
+        approvals=requests.approvals,
+        keys=requests.keys,
+        audit_writer=records.writer,
+        loop=base.loop,
+    )
+    execute = ExecuteHandler(
+        requests.resolver,
+        requests.admission,
+        motion.commands,
+        clients.access,
+        estop=system.estop,
+        services=system.branch.services,
+        plans=_plans(base, records, motion, clients, requests, system),
+        approvals=requests.approvals,
+        motion_limits=motion.limits,
+        quotas=clients.quotas,
+        keys=requests.keys,
+        inflight=inflight,
+        counts=base.counts,
+        audit_writer=records.writer,
+        partners=motion.partners,
+        deadman=motion.deadman,
+        settings=base.settings,
+        loop=base.loop,
+    )
+    batch = BatchHandler(router.handle, inflight, base.turns, base.settings, base.loop)
+    router.add("read", read.read)
+    router.add("status", read.status)
+    router.add("write", write.write, stops=write.stops)
+    router.add("execute", execute.execute, stepped=execute.execute_in_steps, stops=execute.stops)
+    router.add("cancel", execute.cancel)
+    router.add("batch", batch.batch)
+    router.add("subscribe", stepped=subscribe.subscribe)
+    router.add("unsubscribe", subscribe.unsubscribe)
+    return _Handlers(read, subscribe)
+
+
+def _plans(
+    base: _Base,
+    records: _Records,
+    motion: _Motion,
+    clients: _Clients,
+    requests: _Requests,
+    system: _System,
+) -> Plans:
+    checker = PlanChecker(
+        registry=base.registry,
+        resolver=requests.resolver,
+        conditions=base.conditions,
+        leases=clients.leases,
+        motion_limits=motion.limits,
+        approvals=requests.approvals,
+        settings=base.settings,
+        views=system.branch.views,
+        filters=system.branch.filters,
+    )
+    return Plans(
+        system.plans,
+        checker,
+        handle=requests.router.handle,
+        resolver=requests.resolver,
+        commands=motion.commands,
+        approvals=requests.approvals,
+        conditions=base.conditions,
+        registry=base.registry,
+        audit_writer=records.writer,
+        settings=base.settings,
+        turns=base.turns,
+        loop=base.loop,
+    )
+
+
+def _supervise(base: _Base, records: _Records, motion: _Motion) -> Callable[..., BackendSupervisor]:
+    return partial(
+        BackendSupervisor,
+        registry=base.registry,
+        hub=base.hub,
+        commands=motion.commands,
+        history=records.history,
+        latches=motion.latches,
+        stops=motion.stops,
+        audit_writer=records.writer,
+        shutdown=base.shutdown,
+        loop=base.loop,
+    )
+
+
+def _client_api(
+    base: _Base,
+    records: _Records,
+    motion: _Motion,
+    clients: _Clients,
+    requests: _Requests,
+    system: _System,
+    handlers: _Handlers,
+) -> ClientApi:
+    discovery = Discovery(base.registry, motion.limits)
+    requests.router.add("discover", stepped=DiscoverHandler(discovery, base.settings).discover)
+    handshake = Handshake(
+        clients.sessions,
+        settings=base.settings,
+        rules=base.rules,
+        identities=clients.identities,
+        quotas=clients.quotas,
+        commands=motion.commands,
+        resume=clients.resume,
+        subscribe=handlers.subscribe.restore,
+        hub=base.hub,
+        follower=records.writer.follower,
+    )
+    connections = ConnectionParts(
+        handle=requests.router.handle,
+        read_at_once=handlers.read.read_at_once,
+        quick=requests.router.quick,
+        handshake=handshake,
+        sessions=clients.sessions,
+        identities=clients.identities,
+        audit_writer=records.writer,
+        counts=base.counts,
+        outbound=clients.outbound,
+        settings=base.settings,
+        scheduler=base.hub.flush_scheduler,
+        loop=base.loop,
+    )
+    parts = ClientApiParts(
+        connections=connections,
+        settings=base.settings,
+        shutdown=base.shutdown,
+        rules=base.rules,
+        identities=clients.identities,
+        visibility=base.visibility,
+        sessions=clients.sessions,
+        handshake=handshake,
+        outbound=clients.outbound,
+        discovery=discovery,
+        access=clients.access,
+        approvals=requests.approvals,
+        audit_writer=records.writer,
+        counts=base.counts,
+        store=records.store,
+        status=system.status,
+        loop=base.loop,
+    )
+    return ClientApi(parts, "gateway", [])

@@ -1,0 +1,104 @@
+"""The parts of a gateway, for who runs it: the application, and tests."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from rcp_kernel.access.acl import Rules
+from rcp_kernel.access.conditions import Conditions
+from rcp_kernel.access.identities import Identities
+from rcp_kernel.access.quotas import QuotaTracker
+from rcp_kernel.client_api import ClientApi
+from rcp_kernel.clients.outbound import Outbound
+from rcp_kernel.clients.resume import SessionResume
+from rcp_kernel.clients.sessions import Sessions
+from rcp_kernel.config.file import GatewayConfig
+from rcp_kernel.config.settings import Settings
+from rcp_kernel.motion.leases import Leases
+from rcp_kernel.motion.motion_limits import MotionLimits
+from rcp_kernel.motion.safety import Deadman
+from rcp_kernel.operations.commands import Commands
+from rcp_kernel.operations.counts import RequestCounts
+from rcp_kernel.process.guard import GuardLink
+from rcp_kernel.process.supervisor import BackendSupervisor
+from rcp_kernel.record.audit import Audit
+from rcp_kernel.record.audit_writer import AuditWriter
+from rcp_kernel.record.disclosure import Disclosure
+from rcp_kernel.record.history import History
+from rcp_kernel.record.retention import Retention
+from rcp_kernel.record.store import Store
+from rcp_kernel.registry import Registry
+from rcp_kernel.safety.stop import StopController
+from rcp_kernel.shutdown import Shutdown
+from rcp_kernel.status import StatusReport
+from rcp_kernel.streaming.hub import Hub
+from rcp_kernel.system import System
+
+__all__ = ["Kernel"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Kernel:
+    """What was composed. No part of it holds this record."""
+
+    settings: Settings
+    shutdown: Shutdown
+    loop: asyncio.AbstractEventLoop
+    registry: Registry
+    hub: Hub
+    conditions: Conditions
+    rules: Rules
+    counts: RequestCounts
+    store: Store
+    audit: Audit
+    audit_writer: AuditWriter
+    retention: Retention
+    history: History
+    disclosure: Disclosure
+    motion_limits: MotionLimits
+    deadman: Deadman
+    commands: Commands
+    stops: StopController
+    identities: Identities
+    outbound: Outbound
+    quotas: QuotaTracker
+    resume: SessionResume
+    sessions: Sessions
+    leases: Leases
+    guard: GuardLink
+    status: StatusReport
+    system: System
+    supervisors: list[BackendSupervisor]
+    supervise: Callable[..., BackendSupervisor]
+    """Makes the supervisor of a backend from its table of the configuration."""
+    client_api: ClientApi
+
+    @property
+    def moving(self) -> bool:
+        """Whether a robot is driven, or carries something out."""
+        return self.deadman.driving or bool(self.commands.running)
+
+    def reconfigure(self, config: GatewayConfig) -> None:
+        """Take over the rules, keys and limits of another configuration; open sessions feel it."""
+        self.settings.replace(config)
+        self.outbound.configure(config.limits)
+        self.hub.pattern_value = config.limits.pattern_value
+        self.rules.configure(config.roles)
+        self.identities.reconfigure(config)
+        self.retention.config = config.audit
+        self.motion_limits.configure(config.envelopes)
+        self.sessions.review()
+
+    async def close(self) -> None:
+        """Cancel what runs and stop all streams; the backends are still there."""
+        self.shutdown.begin()
+        self.leases.close()
+        self.stops.close()
+        self.quotas.close()
+        self.sessions.relief.close()
+        self.outbound.close()
+        self.deadman.close()
+        await self.commands.close()
+        await self.hub.close()

@@ -1,0 +1,46 @@
+"""What a plugin offers that brings clients in: a transport, or an adapter."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import AbstractAsyncContextManager
+from typing import Any
+
+import msgspec
+
+from rcp_kernel.client_api import ClientApi
+from rcp_kernel.config.file import GatewayConfig
+
+__all__ = ["AdapterKind", "TransportKind"]
+
+
+class TransportKind(msgspec.Struct, frozen=True):
+    """A wire that clients come in by; offered by the hook `rcp_transports`.
+
+    `open(config, client_api)` is an async context manager: entered, it accepts clients; left, it has
+    let go of them. It is yielded to as a mapping of facts for `/system/status` (its address).
+    """
+
+    name: str
+    """Its table in the configuration: `[transports.<name>]`."""
+    config: type[msgspec.Struct]
+    open: Callable[[Any, ClientApi], AbstractAsyncContextManager[dict[str, Any]]]
+    description: str = ""
+    check: Callable[[Any, GatewayConfig], None] | None = None
+    """Raise `ConfigError` for what this table and the rest of the configuration must not say
+    together; asked by `rcpd check` too, so it opens nothing."""
+    listens: bool = False
+    """Opened after all others, because it begins to accept clients."""
+
+
+class AdapterKind(msgspec.Struct, frozen=True):
+    """A translation for one kind of client; offered by the hook `rcp_adapters`.
+
+    Opened like a transport, before the transports are.
+    """
+
+    name: str
+    """Its table in the configuration: `[plugins.<name>]`."""
+    config: type[msgspec.Struct]
+    open: Callable[[Any, ClientApi], AbstractAsyncContextManager[dict[str, Any]]]
+    description: str = ""

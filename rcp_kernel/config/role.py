@@ -1,0 +1,77 @@
+"""Roles: named sets of rules, those of the configuration and those that need none."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+import msgspec
+from msgspec import Meta
+
+from rcp_kernel.config.limits import Quota
+from rcp_kernel.model import Operation
+
+__all__ = ["ASK", "BUILTIN_ROLES", "DECIDE", "OPERATIONS", "Role", "Rule"]
+
+OperationName = Literal["discover", "read", "write", "execute", "subscribe", "*"]
+OPERATIONS = (
+    Operation.READ | Operation.WRITE | Operation.EXECUTE | Operation.SUBSCRIBE | Operation.DISCOVER
+)
+"""All that a rule can allow."""
+
+
+class Rule(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Operations on the paths of some patterns."""
+
+    operations: tuple[OperationName, ...]
+    paths: tuple[str, ...]
+    when: str | None = None
+    """A condition: an `allow` counts only while it holds, a `deny` unless it certainly does not."""
+
+    @property
+    def mask(self) -> Operation:
+        """The operations as bits; whatever may be done may be discovered too."""
+        bits = Operation.NONE
+        for name in self.operations:
+            bits |= OPERATIONS if name == "*" else Operation[name.upper()]
+        return bits
+
+
+class Role(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A named set of rules."""
+
+    allow: tuple[Rule, ...] = ()
+    deny: tuple[Rule, ...] = ()
+    reset: bool = False
+    """May reset a latched e-stop."""
+    stop_all: bool = True
+    """May stop the robots of all its tenants at once; without it an e-stop that names no scope
+    stops those of the session's own tenant."""
+    priority: Annotated[int, Meta(ge=0, le=100)] = 50
+    """Who takes a lease from whom: a person (50) beats an agent (10)."""
+    quota: Quota | None = None
+    """What each principal with this role may have."""
+    approve: tuple[str, ...] = ()
+    """Paths that this role commands only when a person has approved it."""
+    may_approve: bool = False
+    """May decide on what others ask for."""
+    approve_own: bool = False
+    """The person at the client of an adapter may approve what the principal itself asks for."""
+
+
+_LOOK: tuple[OperationName, ...] = ("discover", "read", "subscribe")
+_HEALTH = Rule(_LOOK, ("/system/status",))
+_ESTOP = Rule(("discover", "read", "subscribe", "execute"), ("/system/estop",))
+_OWN = Rule(_LOOK, ("/system/commands", "/system/sessions"))
+_LEASES = Rule((*_LOOK, "execute"), ("/system/leases", "/system/plans"))
+ASK = Rule(_LOOK, ("/system/approvals",))
+DECIDE = Rule((*_LOOK, "execute"), ("/system/approvals",))
+BUILTIN_ROLES: dict[str, Role] = {
+    "viewer": Role(allow=(Rule(_LOOK, ("/**",)), _HEALTH, _ESTOP)),
+    "operator": Role(allow=(Rule(("*",), ("/**",)), _HEALTH, _ESTOP, _OWN, _LEASES)),
+    "agent": Role(allow=(Rule(("*",), ("/**",)), _HEALTH, _ESTOP, _OWN, _LEASES), priority=10),
+    "admin": Role(
+        allow=(Rule(("*",), ("/**", "/system/**")),), reset=True, priority=60, may_approve=True
+    ),
+}
+"""Roles that need no configuration: look, operate, operate as a program that gives way to people,
+and all of it with the gateway's own branch."""

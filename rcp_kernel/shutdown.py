@@ -1,0 +1,28 @@
+"""Whether the gateway is on its way down."""
+
+from __future__ import annotations
+
+from rcp_kernel.errors import AdapterUnavailable
+
+__all__ = ["Shutdown"]
+
+
+class Shutdown:
+    """Begins once, and never ends."""
+
+    __slots__ = ("begun",)
+
+    def __init__(self) -> None:
+        self.begun = False
+
+    def begin(self) -> None:
+        """Have everything refused that would change something."""
+        self.begun = True
+
+    def check(self) -> None:
+        """Refuse what would change something while the robots are brought to rest.
+
+        :raises AdapterUnavailable: the gateway is closing.
+        """
+        if self.begun:
+            raise AdapterUnavailable("the gateway is closing")
