@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
+from rcp_mavlink.sim.failsafes import Failsafes
+from rcp_mavlink.sim.fence import Fence
+from rcp_mavlink.sim.flight import Flight
 from rcp_mavlink.sim.modes import Mode, armable, needs_position
-
-if TYPE_CHECKING:
-    from rcp_mavlink.sim.vehicle import Vehicle
+from rcp_mavlink.sim.state import VehicleState
 
 __all__ = ["complaints", "mode_complaint"]
 
@@ -15,7 +14,9 @@ _ARM_IN_AUTO = 1
 _GYROS, _HOME = 0.2, 0.5  # parts of the time to warm up
 
 
-def complaints(vehicle: Vehicle) -> list[str]:
+def complaints(
+    vehicle: VehicleState, flight: Flight, failsafes: Failsafes, fence: Fence
+) -> list[str]:
     """List what speaks against arming, as the real one words it; nothing: it may."""
     if not vehicle.params["ARMING_CHECK"]:
         return []
@@ -25,26 +26,26 @@ def complaints(vehicle: Vehicle) -> list[str]:
         found.append("Gyros inconsistent")
     elif warm < _HOME:
         found.append("AHRS: waiting for home")
-    elif not vehicle.position_ok and needs_position(vehicle.flight.mode):
+    elif not vehicle.position_ok and needs_position(flight.mode):
         found.append("Need Position Estimate")
     lowest = vehicle.params["BATT_ARM_VOLT"]
     if lowest and vehicle.battery.voltage < lowest:
         found.append("Battery 1 below minimum arming voltage")
-    if vehicle.failsafes.radio_lost:
+    if failsafes.radio_lost:
         found.append("Radio failsafe on")
-    if vehicle.failsafes.battery_low and vehicle.params["BATT_FS_LOW_ACT"]:
+    if failsafes.battery_low and vehicle.params["BATT_FS_LOW_ACT"]:
         found.append("Battery 1 low voltage failsafe")
-    if vehicle.params["FENCE_ENABLE"] and vehicle.fence.breached:
+    if vehicle.params["FENCE_ENABLE"] and fence.breached:
         found.append("vehicle outside fence")
     return found
 
 
-def mode_complaint(vehicle: Vehicle) -> str | None:
+def mode_complaint(vehicle: VehicleState, flight: Flight) -> str | None:
     """Say what speaks against arming in the mode it is in."""
-    mode = vehicle.flight.mode
+    mode = flight.mode
     if not armable(mode):
         return f"{mode.name} mode not armable"
-    if mode is Mode.AUTO and not vehicle.flight.mission.flyable:
+    if mode is Mode.AUTO and not flight.mission.flyable:
         return "Mode requires mission"
     copter = vehicle.kind.name == "copter"
     if mode is Mode.AUTO and copter and not int(vehicle.params["AUTO_OPTIONS"]) & _ARM_IN_AUTO:

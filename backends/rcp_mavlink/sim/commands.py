@@ -4,19 +4,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 import msgspec
 
-from rcp_mavlink.sim.arming import complaints
 from rcp_mavlink.sim.modes import Mode
+from rcp_mavlink.sim.streams import Streams
 from rcp_mavlink.sim.telemetry import MAKERS
+from rcp_mavlink.sim.vehicle import Vehicle
 from rcp_mavlink.sim.wire import mav
 
-if TYPE_CHECKING:
-    from rcp_mavlink.sim.ground_station import GroundStation
-
-__all__ = ["KNOWN", "CommandRequest", "run"]
+__all__ = ["KNOWN", "CommandRequest", "Peer", "run"]
 
 _OK, _FAILED, _DENIED = (
     mav.MAV_RESULT_ACCEPTED,
@@ -36,10 +34,23 @@ _TURNED = frozenset({Mode.GUIDED, Mode.AUTO, Mode.RTL, Mode.LAND})
 _GLOBAL_FRAMES = {0: False, 5: False, 3: True, 6: True}
 
 
+class Peer(Protocol):
+    """Who sends commands, as far as they concern it."""
+
+    vehicle: Vehicle
+    streams: Streams
+
+    def send(self, message: Any) -> None:
+        """Send a message to it, with the next turn."""
+
+    def later(self, do: Callable[[], None]) -> None:
+        """Do something once what is to be answered has been sent."""
+
+
 class CommandRequest(msgspec.Struct, frozen=True):
     """A command as it came, LONG or INT."""
 
-    peer: Any
+    peer: Peer
     number: int
     p: tuple[float, float, float, float, float, float, float]
     """Its parameters; latitude and longitude in degrees."""
@@ -49,7 +60,7 @@ class CommandRequest(msgspec.Struct, frozen=True):
     sender: tuple[int, int]
 
 
-def run(peer: GroundStation, message: Any) -> int:
+def run(peer: Peer, message: Any) -> int:
     """Do it; return its MAV_RESULT."""
     whole = message.get_type() == "COMMAND_INT"
     if whole:
@@ -77,7 +88,7 @@ def _result(done: bool) -> int:  # noqa: FBT001 - what was done, as a result
 
 def _arm(c: CommandRequest) -> int:
     vehicle = c.peer.vehicle
-    return _result(vehicle.arm(c.p[1]) if c.p[0] == 1 else vehicle.disarm(c.p[1]))
+    return _result(vehicle.arm(c.p[1]) if c.p[0] == 1 else vehicle.flight.disarm(c.p[1]))
 
 
 def _take_off(c: CommandRequest) -> int:
@@ -89,7 +100,7 @@ def _mode(mode: Mode) -> Callable[[CommandRequest], int]:
         vehicle = c.peer.vehicle
         if mode not in vehicle.kind.modes.values():
             return _UNSUPPORTED
-        return _result(vehicle.set_mode(mode))
+        return _result(vehicle.flight.set_mode(mode))
 
     return change
 
@@ -118,7 +129,7 @@ def _reposition(c: CommandRequest) -> int:
     height = c.p[6] if relative else c.p[6] - vehicle.origin[2]
     if vehicle.params["FENCE_ENABLE"] and vehicle.fence.crossed((lat, lon), height):
         return _FAILED  # as the real one: without a word
-    if flight.mode is not Mode.GUIDED and not vehicle.set_mode(Mode.GUIDED):
+    if flight.mode is not Mode.GUIDED and not vehicle.flight.set_mode(Mode.GUIDED):
         return _FAILED
     if vehicle.kind.drives and c.p[0] > 0 and not flight.change_speed(c.p[0]):
         return _FAILED
@@ -181,7 +192,7 @@ def _start(c: CommandRequest) -> int:
     vehicle = c.peer.vehicle
     if c.p[0] or c.p[1]:  # a part of a mission is not flown
         return _DENIED
-    if not vehicle.armed or not vehicle.set_mode(Mode.AUTO):
+    if not vehicle.armed or not vehicle.flight.set_mode(Mode.AUTO):
         return _FAILED
     vehicle.flight.mission.start()
     return _result(vehicle.flight.mission.running)
@@ -207,7 +218,7 @@ def _terminate(c: CommandRequest) -> int:
         return _FAILED
     if not c.p[0] > 0.5:
         return _FAILED
-    vehicle.disarm(21196)
+    vehicle.flight.disarm(21196)
     return _OK
 
 
@@ -240,7 +251,7 @@ def _checks(c: CommandRequest) -> int:
     vehicle = c.peer.vehicle
     if vehicle.armed:
         return mav.MAV_RESULT_TEMPORARILY_REJECTED
-    for reason in complaints(vehicle):
+    for reason in vehicle.complaints():
         vehicle.say(2, f"PreArm: {reason}")
     return _OK
 
@@ -272,7 +283,7 @@ def _version(c: CommandRequest) -> int:
 
 
 def _get_home(c: CommandRequest) -> int:
-    message = MAKERS[mav.MAVLINK_MSG_ID_HOME_POSITION](c.peer.vehicle)
+    message = c.peer.vehicle.home_position()
     if message is None:
         return _FAILED
     c.peer.send(message)

@@ -1,25 +1,19 @@
-"""Of what a vehicle of each kind is made."""
+"""The body of a vehicle of each kind, and what steers it."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from rcp_mavlink.sim.copter import CopterFlight, Quad, QuadPilot
-from rcp_mavlink.sim.ground import GroundFlight, GroundPilot, Hull
-from rcp_mavlink.sim.plane import PlaneFlight, PlanePilot, Wing
+from rcp_mavlink.sim.copter.body import Quad
+from rcp_mavlink.sim.copter.pilot import QuadPilot
+from rcp_mavlink.sim.ground.body import Hull
+from rcp_mavlink.sim.ground.pilot import GroundPilot
+from rcp_mavlink.sim.kinds import Kind
+from rcp_mavlink.sim.plane.body import Wing
+from rcp_mavlink.sim.plane.pilot import PlanePilot
 
-if TYPE_CHECKING:
-    from rcp_mavlink.sim.kinds import Kind
-    from rcp_mavlink.sim.vehicle import Vehicle
+__all__ = ["body_of", "pilot_of"]
 
-__all__ = ["body_of", "flight_of", "pilot_of"]
-
-_FLIGHTS = {
-    "copter": CopterFlight,
-    "plane": PlaneFlight,
-    "rover": GroundFlight,
-    "boat": GroundFlight,
-}
 _PILOTS: dict[str, Any] = {
     "copter": QuadPilot,
     "plane": PlanePilot,
@@ -38,8 +32,3 @@ def body_of(kind: Kind) -> Any:
 def pilot_of(kind: Kind, body: Any) -> Any:
     """Return what steers the body."""
     return _PILOTS[kind.name](body)
-
-
-def flight_of(vehicle: Vehicle) -> Any:
-    """Return what leads the pilot."""
-    return _FLIGHTS[vehicle.kind.name](vehicle)

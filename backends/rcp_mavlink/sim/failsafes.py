@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
+from rcp_mavlink.sim.flight import Flight
 from rcp_mavlink.sim.modes import Mode
-
-if TYPE_CHECKING:
-    from rcp_mavlink.sim.vehicle import Vehicle
+from rcp_mavlink.sim.state import VehicleState
 
 __all__ = ["Failsafes"]
 
@@ -15,15 +12,15 @@ _RADIO_LATE = 1.5  # s without pulses of the receiver
 _BLIND = 1.0  # s without a position
 _LAND_ON_GCS, _LAND_ON_RADIO, _LAND_ON_LOW = 5, 3, 1
 _BRAKE_ON_GCS, _HOLD_ON_EKF = 7, 2
-_IN_AUTO, _IN_PILOTED = 1 << 1, 1 << 4  # of FS_OPTIONS
+_IN_AUTO, _WHILE_LANDING, _IN_PILOTED = 1 << 1, 1 << 3, 1 << 4  # of FS_OPTIONS
 _PILOTED = frozenset({Mode.STABILIZE, Mode.ALT_HOLD, Mode.LOITER, Mode.POSHOLD, Mode.BRAKE})
 
 
 class Failsafes:
     """What has failed, and what was done about it."""
 
-    def __init__(self, vehicle: Vehicle) -> None:
-        self._vehicle = vehicle
+    def __init__(self, vehicle: VehicleState, flight: Flight) -> None:
+        self._vehicle, self._flight = vehicle, flight
         self.battery_low = self.battery_critical = False
         self.station_lost = self.radio_lost = self.blind = False
         self._station_seen = False
@@ -49,6 +46,24 @@ class Failsafes:
             self.station_lost = False
             self._vehicle.say(4, "GCS Failsafe Cleared")
 
+    def act(self, why: str, *, return_home: bool, to: Mode | None = None) -> None:
+        """Come back, or down where the way back is not known; the real one's words say what.
+
+        `to` is a mode for it, where that can be entered.
+        """
+        vehicle, flight = self._vehicle, self._flight
+        copter = vehicle.kind.name == "copter"
+        goes_on = not copter or int(vehicle.params["FS_OPTIONS"]) & _WHILE_LANDING
+        if vehicle.kind.flies and vehicle.body.landed:
+            vehicle.say(4, f"{why} Failsafe - Disarming")
+            flight.disarm()
+            return
+        if vehicle.kind.flies and flight.landing and goes_on:
+            vehicle.say(4, f"{why} Failsafe - Continuing Landing")
+            return
+        vehicle.say(4, f"{why} Failsafe")
+        flight.retreat(return_home=return_home, to=to)
+
     def _battery(self, seconds: float) -> None:
         vehicle, p = self._vehicle, self._vehicle.params
         self._low_for = self._low_for + seconds if self._below("LOW") else 0.0
@@ -58,12 +73,12 @@ class Failsafes:
             self.battery_low = True
             vehicle.say(4, f"Battery 1 is low {used}")
             if vehicle.armed and (action := p["BATT_FS_LOW_ACT"]):
-                vehicle.failsafe("Battery", return_home=action != _LAND_ON_LOW)
+                self.act("Battery", return_home=action != _LAND_ON_LOW)
         if not self.battery_critical and self._critical_for >= p["BATT_LOW_TIMER"]:
             self.battery_critical = True
             vehicle.say(2, f"Battery 1 is critical {used}")
             if vehicle.armed and (action := p["BATT_FS_CRT_ACT"]):
-                vehicle.failsafe("Battery", return_home=action != _LAND_ON_LOW)
+                self.act("Battery", return_home=action != _LAND_ON_LOW)
 
     def _below(self, level: str) -> bool:
         p, battery = self._vehicle.params, self._vehicle.battery
@@ -84,16 +99,16 @@ class Failsafes:
         elif (going_on := self._goes_on()) is not None:
             vehicle.say(4, f"GCS Failsafe - Continuing {going_on}")
         elif (action := p[vehicle.kind.param("FS_GCS_ENABLE")]) == _BRAKE_ON_GCS:
-            vehicle.failsafe("GCS", return_home=False, to=Mode.BRAKE)
+            self.act("GCS", return_home=False, to=Mode.BRAKE)
         else:
-            vehicle.failsafe("GCS", return_home=action != _LAND_ON_GCS)
+            self.act("GCS", return_home=action != _LAND_ON_GCS)
 
     def _goes_on(self) -> str | None:
         """Return what a copter goes on with although its ground station is lost."""
         vehicle = self._vehicle
-        if vehicle.kind.name != "copter" or vehicle.body.landed or vehicle.flight.landing:
+        if vehicle.kind.name != "copter" or vehicle.body.landed or self._flight.landing:
             return None
-        options, mode = int(vehicle.params["FS_OPTIONS"]), vehicle.flight.mode
+        options, mode = int(vehicle.params["FS_OPTIONS"]), self._flight.mode
         if mode is Mode.AUTO and options & _IN_AUTO:
             return "Auto Mode"
         return "Pilot Control" if mode in _PILOTED and options & _IN_PILOTED else None
@@ -112,7 +127,7 @@ class Failsafes:
         ):
             self.radio_lost = True
             if vehicle.armed:
-                vehicle.failsafe(
+                self.act(
                     "Radio", return_home=p[vehicle.kind.param("FS_THR_ENABLE")] != _LAND_ON_RADIO
                 )
             else:
@@ -129,6 +144,6 @@ class Failsafes:
             self.blind = True
             vehicle.say(2, "EKF variance: position horizontal")
             action = vehicle.params["FS_EKF_ACTION"] if vehicle.kind.name == "copter" else 1
-            if vehicle.flight.mode not in (Mode.STABILIZE, Mode.ALT_HOLD) and action:
+            if self._flight.mode not in (Mode.STABILIZE, Mode.ALT_HOLD) and action:
                 to = Mode.ALT_HOLD if action == _HOLD_ON_EKF else None
-                vehicle.failsafe("EKF", return_home=False, to=to)
+                self.act("EKF", return_home=False, to=to)

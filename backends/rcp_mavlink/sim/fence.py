@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 from rcp_mavlink.geo import distance
+from rcp_mavlink.sim.flight import Flight
 from rcp_mavlink.sim.modes import Mode
 from rcp_mavlink.sim.plans import Plan
+from rcp_mavlink.sim.state import VehicleState
 from rcp_mavlink.sim.wire import mav
-
-if TYPE_CHECKING:
-    from rcp_mavlink.sim.vehicle import Vehicle
 
 __all__ = ["Fence"]
 
@@ -24,8 +22,8 @@ Point = tuple[float, float]
 class Fence:
     """What is fenced in and out, and whether it was left."""
 
-    def __init__(self, vehicle: Vehicle) -> None:
-        self._vehicle = vehicle
+    def __init__(self, vehicle: VehicleState, flight: Flight) -> None:
+        self._vehicle, self._flight = vehicle, flight
         self.plan = Plan(mav.MAV_MISSION_TYPE_FENCE)
         self.breached = 0
         """The kinds of fences that are crossed now, as bits of FENCE_TYPE."""
@@ -72,10 +70,10 @@ class Fence:
         if not action:
             return
         if vehicle.body.landed and vehicle.kind.flies:
-            vehicle.disarm()
+            self._flight.disarm()
             return
         brake = Mode.BRAKE if action == _BRAKE and vehicle.kind.name == "copter" else None
-        vehicle.retreat(return_home=action not in (_LAND, _BRAKE), to=brake)
+        self._flight.retreat(return_home=action not in (_LAND, _BRAKE), to=brake)
 
     def _inside(self, place: Point) -> bool:
         items, at = self.plan.items, 0

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import struct
-from typing import TYPE_CHECKING
 from urllib.parse import parse_qs
 
+from rcp_mavlink.sim.flightlog import FlightLog
+from rcp_mavlink.sim.parameters import Parameters
 from rcp_mavlink.sim.parameters_table import CASTS, table
-
-if TYPE_CHECKING:
-    from rcp_mavlink.sim.vehicle import Vehicle
 
 __all__ = ["Files"]
 
@@ -22,8 +20,8 @@ _WITH_DEFAULTS = 0x671C
 class Files:
     """Directories and files by their path without slashes around it; the root is empty."""
 
-    def __init__(self, vehicle: Vehicle) -> None:
-        self._vehicle = vehicle
+    def __init__(self, kind: str, params: Parameters, log: FlightLog) -> None:
+        self._kind, self._params, self._flights = kind, params, log
         self._stored: dict[str, bytearray] = {
             "@ROMFS/locations.txt": bytearray(
                 b"#NAME=latitude,longitude,absolute-altitude,heading\n"
@@ -120,12 +118,12 @@ class Files:
         return path in self._folders or path in self._stored or path in self._made()
 
     def _made(self) -> list[str]:
-        logs = [f"{_LOGS}/{number:08d}.BIN" for number in self._vehicle.log.logs]
+        logs = [f"{_LOGS}/{number:08d}.BIN" for number in self._flights.logs]
         return ["@PARAM/param.pck", "@SYS/uarts.txt", *logs]
 
     def _log(self, path: str) -> bytes | None:
         number = path.rpartition("/")[2].removesuffix(".BIN")
-        log = self._vehicle.log.logs.get(int(number)) if number.isdigit() else None
+        log = self._flights.logs.get(int(number)) if number.isdigit() else None
         return None if log is None else bytes(log)
 
     def _packed(self, query: str) -> bytes:
@@ -133,7 +131,7 @@ class Files:
         asked = {name: values[0] for name, values in parse_qs(query).items()}
         start, most = int(asked.get("start", 0)), int(asked.get("count", 0))
         defaults = asked.get("withdefaults") == "1"
-        params, usual = self._vehicle.params, table(self._vehicle.kind.name)
+        params, usual = self._params, table(self._kind)
         names = params.listed()
         wanted = names[start : start + most if most else None]
         magic = _WITH_DEFAULTS if defaults else _PACKED

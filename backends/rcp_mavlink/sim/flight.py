@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 from rcp_mavlink.sim.mission import Mission
 from rcp_mavlink.sim.modes import Mode, needs_position
+from rcp_mavlink.sim.state import VehicleState
 
-if TYPE_CHECKING:
-    from rcp_mavlink.sim.vehicle import Vehicle
+__all__ = ["FORCE", "Flight", "Submode"]
 
-__all__ = ["Flight", "Submode"]
+FORCE = (21196.0, 2989.0)
+"""Of the second parameter of COMPONENT_ARM_DISARM: whatever speaks against it."""
 
 Submode = Literal["", "takeoff", "place", "velocity", "attitude"]
 
@@ -28,10 +29,10 @@ class Flight(ABC):
     paced = frozenset({Mode.GUIDED, Mode.AUTO})
     """Modes in which DO_CHANGE_SPEED is heeded; it fails in others."""
 
-    def __init__(self, vehicle: Vehicle) -> None:
+    def __init__(self, vehicle: VehicleState) -> None:
         self._vehicle = vehicle
         self.mode = vehicle.kind.first
-        self.mission = Mission(vehicle)
+        self.mission = Mission(vehicle, self)
         self.landed_for = 0.0
         """Simulated seconds on the floor."""
         self.taking_off = False
@@ -42,6 +43,38 @@ class Flight(ABC):
         self._speeds: dict[str, float] = {}
         """What DO_CHANGE_SPEED asked for, by the name of the limit."""
         self._setpoint_ends: float | None = None
+
+    def set_mode(self, mode: Mode) -> bool:
+        """Change the mode; tell whether it could be."""
+        if mode is self.mode:
+            return True
+        if (reason := self.refusal(mode)) is not None:
+            self._vehicle.say(4, reason)
+            return False
+        self.enter(mode)
+        return True
+
+    def retreat(self, *, return_home: bool, to: Mode | None = None) -> None:
+        """Enter the mode of a failsafe, or of a crossed fence."""
+        vehicle = self._vehicle
+        done = Mode.RTL if return_home and vehicle.position_ok else vehicle.kind.down
+        if to is not None and self.refusal(to) is None:
+            done = to
+        if self.mode is not done:
+            self.enter(done)
+
+    def disarm(self, force: float = 0.0) -> bool:
+        """Stop the motors; not in the air, unless forced."""
+        vehicle = self._vehicle
+        if not vehicle.armed:
+            return True
+        if not vehicle.body.landed and force not in FORCE:
+            return False
+        vehicle.say(6, "Disarming motors")
+        vehicle.armed = vehicle.pilot.spinning = False
+        self.mission.leave()
+        self.taking_off = False
+        return True
 
     def refusal(self, mode: Mode) -> str | None:
         """Say why a mode cannot be entered now; None: it can."""

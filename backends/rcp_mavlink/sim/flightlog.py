@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from rcp_mavlink.sim.vehicle import Vehicle
+from rcp_mavlink.sim.modes import Mode
+from rcp_mavlink.sim.state import VehicleState
 
 __all__ = ["FlightLog"]
 
@@ -30,7 +28,7 @@ class FlightLog:
             del self.logs[min(self.logs)]
         self._since = _PERIOD
 
-    def step(self, vehicle: Vehicle, dt: float) -> None:
+    def step(self, vehicle: VehicleState, mode: Mode, dt: float) -> None:
         """Write, if a line is due."""
         if not vehicle.armed:
             return
@@ -41,6 +39,6 @@ class FlightLog:
         self._since = 0.0
         b = vehicle.body
         log += (
-            f"{vehicle.time:.2f},{vehicle.flight.mode.name},{b.n:.2f},{b.e:.2f},{b.d:.2f},"
+            f"{vehicle.time:.2f},{mode.name},{b.n:.2f},{b.e:.2f},{b.d:.2f},"
             f"{b.roll:.3f},{b.pitch:.3f},{b.yaw:.3f},{vehicle.battery.voltage:.2f}\n"
         ).encode()

@@ -3,26 +3,55 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 from rcp_mavlink.sim.plans import Item, Plan
+from rcp_mavlink.sim.state import VehicleState
 from rcp_mavlink.sim.wire import mav
 
-if TYPE_CHECKING:
-    from rcp_mavlink.sim.vehicle import Vehicle
-
-__all__ = ["Mission"]
+__all__ = ["Manoeuvres", "Mission"]
 
 _NAMES = {16: "WP", 17: "LoitUnlim", 18: "LoitTurns", 19: "LoitTime", 20: "RTL", 21: "Land", 22: "Takeoff", 82: "Spline", 93: "Delay", 112: "Delay", 115: "Yaw", 177: "Jump", 178: "ChangeSpeed", 179: "SetHome"}  # fmt: skip
 _LAST_MOVE = mav.MAV_CMD_NAV_LAST
 _TRAVELS = frozenset({16, 17, 18, 19, 82})
 
 
+class Manoeuvres(Protocol):
+    """What a mission has the vehicle do."""
+
+    radius: float
+    """Within which a waypoint is reached, m."""
+
+    def lift(self, height: float) -> None:
+        """Rise from here."""
+
+    def risen(self) -> bool:
+        """Tell whether it has risen as high as it should."""
+        ...
+
+    def begin_landing(self, place: tuple[float, float]) -> None:
+        """Go to a place in order to land there."""
+
+    def begin_return(self) -> None:
+        """Go home; `come_down` goes on with it."""
+
+    def come_down(self) -> bool:
+        """Go on with the landing; tell whether it is over."""
+        ...
+
+    def change_speed(self, speed: float) -> bool:
+        """Take DO_CHANGE_SPEED, m/s; tell whether that can be now."""
+        ...
+
+    def finished(self) -> None:
+        """Do what is due at the end."""
+
+
 class Mission:
     """The mission that is stored, and the item that is flown."""
 
-    def __init__(self, vehicle: Vehicle) -> None:
-        self._vehicle = vehicle
+    def __init__(self, vehicle: VehicleState, flight: Manoeuvres) -> None:
+        self._vehicle, self._flight = vehicle, flight
         self.plan = Plan(mav.MAV_MISSION_TYPE_MISSION)
         self.current = 0
         self.running = self.complete = self.paused = False
@@ -108,7 +137,7 @@ class Mission:
             self.current = len(self.plan.items) - 1
             self.running, self.complete = False, True
             self._vehicle.pilot.hold()
-            self._vehicle.flight.finished()
+            self._flight.finished()
 
     def _jump(self, item: Item) -> bool:
         done = self._jumps.get(self.current, 0)
@@ -124,17 +153,18 @@ class Mission:
         pilot = vehicle.pilot
         match item.command:
             case mav.MAV_CMD_NAV_TAKEOFF:
-                vehicle.flight.lift(item.alt)
+                self._flight.lift(item.alt)
             case mav.MAV_CMD_NAV_LAND:
-                vehicle.flight.begin_landing(self._place(item))
+                self._flight.begin_landing(self._place(item))
             case mav.MAV_CMD_NAV_RETURN_TO_LAUNCH:
-                vehicle.flight.begin_return()
+                self._flight.begin_return()
             case mav.MAV_CMD_DO_CHANGE_SPEED if item.params[1] > 0:
-                vehicle.flight.change_speed(item.params[1])
+                self._flight.change_speed(item.params[1])
             case mav.MAV_CMD_CONDITION_YAW:
                 pilot.yaw = math.radians(item.params[0])
             case mav.MAV_CMD_DO_SET_HOME:
-                vehicle.command(item.command, item.params, (item.lat, item.lon, item.alt))
+                here = item.params[0] == 1
+                vehicle.set_home(None if here else (item.lat, item.lon, item.alt))
             case command if command in _TRAVELS:
                 self._travel(item)
             case _:
@@ -162,12 +192,11 @@ class Mission:
         return -height
 
     def _done(self, item: Item, dt: float) -> bool:
-        vehicle = self._vehicle
         match item.command:
             case mav.MAV_CMD_NAV_TAKEOFF:
-                return vehicle.flight.risen()
+                return self._flight.risen()
             case mav.MAV_CMD_NAV_LAND | mav.MAV_CMD_NAV_RETURN_TO_LAUNCH:
-                return vehicle.flight.come_down()
+                return self._flight.come_down()
             case mav.MAV_CMD_NAV_LOITER_UNLIM:
                 return False
             case mav.MAV_CMD_NAV_WAYPOINT | mav.MAV_CMD_NAV_SPLINE_WAYPOINT:
@@ -181,6 +210,6 @@ class Mission:
                 return True
 
     def _stayed(self, seconds: float, dt: float) -> bool:
-        if self._waited or self._vehicle.pilot.at_place(self._vehicle.flight.radius):
+        if self._waited or self._vehicle.pilot.at_place(self._flight.radius):
             self._waited += dt
         return self._waited > max(0.0, seconds)

@@ -3,29 +3,13 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
 
-from rcp_mavlink.sim.sensing import milliseconds
+from rcp_mavlink.sim.state import VehicleState
 from rcp_mavlink.sim.wire import mav
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from rcp_mavlink.sim.vehicle import Vehicle
-
-__all__ = ["MAKERS", "Mount"]
+__all__ = ["Mount", "quaternion"]
 
 _QUICKEST = 90.0  # deg/s
-_DEVICE = 1
-_ABLE = (
-    mav.GIMBAL_MANAGER_CAP_FLAGS_HAS_RETRACT
-    | mav.GIMBAL_MANAGER_CAP_FLAGS_HAS_NEUTRAL
-    | mav.GIMBAL_MANAGER_CAP_FLAGS_HAS_PITCH_AXIS
-    | mav.GIMBAL_MANAGER_CAP_FLAGS_HAS_PITCH_LOCK
-    | mav.GIMBAL_MANAGER_CAP_FLAGS_HAS_YAW_AXIS
-    | mav.GIMBAL_MANAGER_CAP_FLAGS_HAS_YAW_FOLLOW
-    | mav.GIMBAL_MANAGER_CAP_FLAGS_HAS_YAW_LOCK
-)
 _LEVEL = mav.GIMBAL_DEVICE_FLAGS_ROLL_LOCK | mav.GIMBAL_DEVICE_FLAGS_PITCH_LOCK
 _YAW_LOCK = mav.GIMBAL_DEVICE_FLAGS_YAW_LOCK
 _IN_VEHICLE = mav.GIMBAL_DEVICE_FLAGS_YAW_IN_VEHICLE_FRAME
@@ -34,13 +18,13 @@ _IN_VEHICLE = mav.GIMBAL_DEVICE_FLAGS_YAW_IN_VEHICLE_FRAME
 class Mount:
     """Where the camera looks, and what it has taken."""
 
-    def __init__(self, vehicle: Vehicle) -> None:
+    def __init__(self, vehicle: VehicleState) -> None:
         self._vehicle = vehicle
         self.roll = self.pitch = self.yaw = 0.0
         """Yaw from where the vehicle looks."""
         self._wanted = (0.0, 0.0, 0.0)
         self._locked = False
-        self.control = (0, 0)
+        self.control: tuple[int, int] = (0, 0)
         """System and component of who has taken it."""
         self.photos = 0
 
@@ -87,60 +71,6 @@ def _within(value: float, least: float, most: float) -> float:
     return min(most, max(least, value))
 
 
-def _status(v: Vehicle) -> Any:
-    mount = v.mount
-    return mav.MAVLink_mount_status_message(
-        0, 0, round(mount.pitch * 100), round(mount.roll * 100), round(mount.yaw * 100)
-    )
-
-
-def _device(v: Vehicle) -> Any:
-    roll, pitch, yaw = (math.radians(a) for a in (v.mount.roll, v.mount.pitch, v.mount.yaw))
-    q = quaternion(roll, pitch, yaw)
-    nan = math.nan
-    return mav.MAVLink_gimbal_device_attitude_status_message(
-        0, 0, milliseconds(v), v.mount.flags(), q, nan, nan, nan, 0, v.body.yaw, nan, _DEVICE
-    )
-
-
-def _manager(v: Vehicle) -> Any:
-    p = v.params
-    pitch = (math.radians(p["MNT1_PITCH_MIN"]), math.radians(p["MNT1_PITCH_MAX"]))
-    yaw = (math.radians(p["MNT1_YAW_MIN"]), math.radians(p["MNT1_YAW_MAX"]))
-    return mav.MAVLink_gimbal_manager_information_message(
-        milliseconds(v), _ABLE, _DEVICE, 0.0, 0.0, *pitch, *yaw
-    )
-
-
-def _manager_status(v: Vehicle) -> Any:
-    return mav.MAVLink_gimbal_manager_status_message(
-        milliseconds(v), v.mount.flags(), _DEVICE, *v.mount.control, 0, 0
-    )
-
-
-def _gimbal(v: Vehicle) -> Any:
-    p = v.params
-    pitch = (math.radians(p["MNT1_PITCH_MIN"]), math.radians(p["MNT1_PITCH_MAX"]))
-    yaw = (math.radians(p["MNT1_YAW_MIN"]), math.radians(p["MNT1_YAW_MAX"]))
-    return mav.MAVLink_gimbal_device_information_message(
-        milliseconds(v), b"rcp", b"simulated", b"", 0, 0, 0, _ABLE, 0, 0.0, 0.0, *pitch, *yaw, _DEVICE
-    )  # fmt: skip
-
-
-def _camera(v: Vehicle) -> Any:
-    nothing, able = math.nan, mav.CAMERA_CAP_FLAGS_CAPTURE_IMAGE
-    return mav.MAVLink_camera_information_message(
-        milliseconds(v), list(b"rcp".ljust(32, b"\0")), list(b"simulated".ljust(32, b"\0")), 0,
-        nothing, nothing, nothing, 4000, 3000, 0, able, 0, b"",
-    )  # fmt: skip
-
-
-def _captures(v: Vehicle) -> Any:
-    return mav.MAVLink_camera_capture_status_message(
-        milliseconds(v), 0, 0, 0.0, 0, 0.0, v.mount.photos
-    )
-
-
 def quaternion(roll: float, pitch: float, yaw: float) -> tuple[float, float, float, float]:
     """Return w, x, y, z."""
     cr, sr = math.cos(roll / 2), math.sin(roll / 2)
@@ -152,15 +82,3 @@ def quaternion(roll: float, pitch: float, yaw: float) -> tuple[float, float, flo
         cr * sp * cy + sr * cp * sy,
         cr * cp * sy - sr * sp * cy,
     )
-
-
-MAKERS: dict[int, Callable[[Vehicle], Any]] = {
-    mav.MAVLINK_MSG_ID_MOUNT_STATUS: _status,
-    mav.MAVLINK_MSG_ID_GIMBAL_DEVICE_ATTITUDE_STATUS: _device,
-    mav.MAVLINK_MSG_ID_GIMBAL_MANAGER_INFORMATION: _manager,
-    mav.MAVLINK_MSG_ID_GIMBAL_DEVICE_INFORMATION: _gimbal,
-    mav.MAVLINK_MSG_ID_GIMBAL_MANAGER_STATUS: _manager_status,
-    mav.MAVLINK_MSG_ID_CAMERA_INFORMATION: _camera,
-    mav.MAVLINK_MSG_ID_CAMERA_CAPTURE_STATUS: _captures,
-}
-"""What is told of gimbal and camera, by message id."""

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from rcp_mavlink.sim.body import GRAVITY
+from rcp_mavlink.sim.state import VehicleState
+from rcp_mavlink.sim.systems import Systems
 from rcp_mavlink.sim.wire import mav
-
-if TYPE_CHECKING:
-    from rcp_mavlink.sim.vehicle import Vehicle
 
 __all__ = [
     "attitude",
@@ -33,17 +32,17 @@ _ACCELERATION, _RATE, _FIELD, _SPEED = 0.03, 0.002, 1.5, 0.05  # m/s2, rad/s, mg
 _DEGREE = 111_320.0  # m of latitude
 
 
-def milliseconds(v: Vehicle) -> int:
+def milliseconds(v: VehicleState) -> int:
     """Return the time since boot."""
     return round(v.time * 1000) & 0xFFFFFFFF
 
 
-def microseconds(v: Vehicle) -> int:
+def microseconds(v: VehicleState) -> int:
     """Return the time since boot."""
     return round(v.time * 1e6)
 
 
-def gps(v: Vehicle) -> Any:
+def gps(v: VehicleState) -> Any:
     """Return GPS_RAW_INT."""
     us, noise, b = microseconds(v), v.noise, v.body
     if not v.gps_ok:
@@ -61,7 +60,7 @@ def gps(v: Vehicle) -> Any:
     )  # fmt: skip
 
 
-def attitude(v: Vehicle) -> tuple[float, float, float, float, float, float]:
+def attitude(v: VehicleState) -> tuple[float, float, float, float, float, float]:
     """Return roll, pitch, yaw and their rates as the EKF tells them, rad and rad/s."""
     b, noise = v.body, v.noise
     return (
@@ -72,12 +71,12 @@ def attitude(v: Vehicle) -> tuple[float, float, float, float, float, float]:
     )
 
 
-def _rates(v: Vehicle) -> tuple[float, float, float]:
+def _rates(v: VehicleState) -> tuple[float, float, float]:
     b, white = v.body, v.noise.white
     return b.p + white(_RATE), b.q + white(_RATE), b.r + white(_RATE)
 
 
-def _specific(v: Vehicle) -> tuple[float, float, float]:
+def _specific(v: VehicleState) -> tuple[float, float, float]:
     """Return what the accelerometers feel, m/s2 in the axes of the body."""
     b, white = v.body, v.noise.white
     n, e, d = b.an, b.ae, b.ad - GRAVITY
@@ -90,7 +89,7 @@ def _specific(v: Vehicle) -> tuple[float, float, float]:
     return x + white(_ACCELERATION), y + white(_ACCELERATION), z + white(_ACCELERATION)
 
 
-def _field(v: Vehicle) -> tuple[float, float, float]:
+def _field(v: VehicleState) -> tuple[float, float, float]:
     """Return the magnetic field in the axes of the body, mgauss; level ones of heading only."""
     yaw, white = v.body.yaw, v.noise.white
     return (
@@ -100,33 +99,33 @@ def _field(v: Vehicle) -> tuple[float, float, float]:
     )
 
 
-def _inertial(v: Vehicle) -> list[int]:
+def _inertial(v: VehicleState) -> list[int]:
     accel = [round(a / GRAVITY * 1000) for a in _specific(v)]
     return [*accel, *(round(w * 1000) for w in _rates(v)), *(round(m) for m in _field(v))]
 
 
-def raw_imu(v: Vehicle) -> Any:
+def raw_imu(v: VehicleState) -> Any:
     """Return RAW_IMU."""
     return mav.MAVLink_raw_imu_message(microseconds(v), *_inertial(v), 0, 4500)
 
 
-def scaled_imu(v: Vehicle) -> Any:
+def scaled_imu(v: VehicleState) -> Any:
     """Return SCALED_IMU2."""
     return mav.MAVLink_scaled_imu2_message(milliseconds(v), *_inertial(v), 4500)
 
 
-def _hectopascals(v: Vehicle) -> float:
+def _hectopascals(v: VehicleState) -> float:
     height = v.origin[2] - v.body.d
     error = v.noise.slow("baro") + v.noise.white(0.01)
     return 1013.25 * (1 - height / 44330) ** 5.255 + error
 
 
-def pressure(v: Vehicle) -> Any:
+def pressure(v: VehicleState) -> Any:
     """Return SCALED_PRESSURE."""
     return mav.MAVLink_scaled_pressure_message(milliseconds(v), _hectopascals(v), 0.0, 3500)
 
 
-def highres(v: Vehicle) -> Any:
+def highres(v: VehicleState) -> Any:
     """Return HIGHRES_IMU."""
     field = [value / 1000 for value in _field(v)]
     height = v.origin[2] - v.body.d
@@ -135,20 +134,20 @@ def highres(v: Vehicle) -> Any:
     )  # fmt: skip
 
 
-def vibration(v: Vehicle) -> Any:
+def vibration(v: VehicleState) -> Any:
     """Return VIBRATION."""
     shake = 3.0 * v.body.throttle if v.armed else 0.001
     x, y, z = (abs(shake + v.noise.white(shake / 5)) for _ in range(3))
     return mav.MAVLink_vibration_message(microseconds(v), x, y, z, 0, 0, 0)
 
 
-def range_finder(v: Vehicle) -> Any:
+def range_finder(v: VehicleState) -> Any:
     """Return DISTANCE_SENSOR."""
     height = round(min(40.0, max(0.0, -v.body.d + v.noise.white(0.02))) * 100)
     return mav.MAVLink_distance_sensor_message(milliseconds(v), 10, 4000, height, 0, 0, 25, 0)
 
 
-def battery(v: Vehicle) -> Any:
+def battery(v: Systems) -> Any:
     """Return BATTERY_STATUS."""
     pack = v.battery
     volts = round((pack.voltage + v.noise.white(0.01)) * 1000)
@@ -164,12 +163,12 @@ def battery(v: Vehicle) -> Any:
     )  # fmt: skip
 
 
-def power(_: Vehicle) -> Any:
+def power(_: VehicleState) -> Any:
     """Return POWER_STATUS."""
     return mav.MAVLink_power_status_message(5000, 0, 0)
 
 
-def rc(v: Vehicle) -> Any:
+def rc(v: Systems) -> Any:
     """Return RC_CHANNELS."""
     lost = v.failsafes.radio_lost
     return mav.MAVLink_rc_channels_message(
@@ -177,7 +176,7 @@ def rc(v: Vehicle) -> Any:
     )
 
 
-def servos(v: Vehicle) -> Any:
+def servos(v: VehicleState) -> Any:
     """Return SERVO_OUTPUT_RAW."""
     pulses = v.body.pulses(armed=v.armed)
     padded = [*pulses, *([0] * (8 - len(pulses)))]

@@ -5,17 +5,15 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from rcp_mavlink.geo import shifted
-from rcp_mavlink.sim import mount, sensing
+from rcp_mavlink.sim import mount_messages, sensing
 from rcp_mavlink.sim.modes import Mode
-from rcp_mavlink.sim.sensing import microseconds as _us
+from rcp_mavlink.sim.mount import quaternion
 from rcp_mavlink.sim.sensing import milliseconds as _ms
+from rcp_mavlink.sim.systems import Systems
 from rcp_mavlink.sim.wire import mav
-
-if TYPE_CHECKING:
-    from rcp_mavlink.sim.vehicle import Vehicle
 
 __all__ = ["MAKERS", "heartbeat"]
 
@@ -57,7 +55,7 @@ _CAPABLE = (
 )
 
 
-def heartbeat(v: Vehicle) -> Any:
+def heartbeat(v: Systems) -> Any:
     """Return the HEARTBEAT."""
     mode = v.flight.mode
     flags = mav.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED | mav.MAV_MODE_FLAG_MANUAL_INPUT_ENABLED
@@ -69,14 +67,14 @@ def heartbeat(v: Vehicle) -> Any:
     )
 
 
-def _state(v: Vehicle) -> int:
+def _state(v: Systems) -> int:
     if v.failsafes.any:
         return mav.MAV_STATE_CRITICAL
     moving = v.armed and (not v.body.landed or not v.kind.flies)
     return mav.MAV_STATE_ACTIVE if moving else mav.MAV_STATE_STANDBY
 
 
-def _sys_status(v: Vehicle) -> Any:
+def _sys_status(v: Systems) -> Any:
     present = _SENSORS | _PREARM
     by_hand = v.kind.by_hand(v.flight.mode)
     off = (_PLACE if by_hand else 0) | (0 if v.armed else _MOTORS)
@@ -92,18 +90,16 @@ def _sys_status(v: Vehicle) -> Any:
     )  # fmt: skip
 
 
-def _attitude(v: Vehicle) -> Any:
+def _attitude(v: Systems) -> Any:
     return mav.MAVLink_attitude_message(_ms(v), *sensing.attitude(v))
 
 
-def _attitude_quaternion(v: Vehicle) -> Any:
+def _attitude_quaternion(v: Systems) -> Any:
     roll, pitch, yaw, *rates = sensing.attitude(v)
-    return mav.MAVLink_attitude_quaternion_message(
-        _ms(v), *mount.quaternion(roll, pitch, yaw), *rates
-    )
+    return mav.MAVLink_attitude_quaternion_message(_ms(v), *quaternion(roll, pitch, yaw), *rates)
 
 
-def _estimate(v: Vehicle) -> tuple[float, float, float, float, float, float]:
+def _estimate(v: Systems) -> tuple[float, float, float, float, float, float]:
     b, slow = v.body, v.noise.slow
     return (
         b.n + slow("n"), b.e + slow("e"), b.d + slow("d"),
@@ -111,13 +107,13 @@ def _estimate(v: Vehicle) -> tuple[float, float, float, float, float, float]:
     )  # fmt: skip
 
 
-def _local(v: Vehicle) -> Any:
+def _local(v: Systems) -> Any:
     if not v.position_ok:
         return None
     return mav.MAVLink_local_position_ned_message(_ms(v), *_estimate(v))
 
 
-def _global(v: Vehicle) -> Any:
+def _global(v: Systems) -> Any:
     n, e, d, *speeds = _estimate(v)
     if v.position_ok:
         v.seen_at = (n, e)
@@ -134,7 +130,7 @@ def _global(v: Vehicle) -> Any:
     )  # fmt: skip
 
 
-def _hud(v: Vehicle) -> Any:
+def _hud(v: Systems) -> Any:
     b = v.body
     speed = math.hypot(b.vn, b.ve) if v.position_ok else 0.0
     air = math.hypot(b.vn - b.wind_n, b.ve - b.wind_e)
@@ -144,37 +140,18 @@ def _hud(v: Vehicle) -> Any:
     )
 
 
-def _ekf(v: Vehicle) -> Any:
+def _ekf(v: Systems) -> Any:
     flags = 1 | 2 | 4 | 8 | 16 | 32 | 256 | 512 if v.position_ok else 1 | 4 | 32 | 128
     a, b, c, d = (abs(x + v.noise.white(x / 3)) for x in (0.02, 0.02, 0.01, 0.03))
     return mav.MAVLink_ekf_status_report_message(flags, a, b, c, d, 0.0)
 
 
-def _wind(v: Vehicle) -> Any:
+def _wind(v: Systems) -> Any:
     n, e = v.body.wind_n, v.body.wind_e
     return mav.MAVLink_wind_message(math.degrees(math.atan2(-e, -n)), math.hypot(n, e), 0.0)
 
 
-def _home(v: Vehicle) -> Any:
-    if v.home is None:
-        return None
-    n, e = v.home_place()
-    return mav.MAVLink_home_position_message(
-        round(v.home[0] * 1e7), round(v.home[1] * 1e7), round(v.home[2] * 1000), n, e,
-        v.origin[2] - v.home[2], [1.0, 0.0, 0.0, 0.0], 0.0, 0.0, 0.0, _us(v),
-    )  # fmt: skip
-
-
-def _origin(v: Vehicle) -> Any:
-    if not v.position_ok:
-        return None
-    lat, lon, height = v.origin
-    return mav.MAVLink_gps_global_origin_message(
-        round(lat * 1e7), round(lon * 1e7), round(height * 1000), _us(v)
-    )
-
-
-def _landed(v: Vehicle) -> Any:
+def _landed(v: Systems) -> Any:
     if not v.kind.flies:
         state = mav.MAV_LANDED_STATE_UNDEFINED
     elif v.body.landed:
@@ -188,7 +165,7 @@ def _landed(v: Vehicle) -> Any:
     return mav.MAVLink_extended_sys_state_message(0, state)
 
 
-def _mission(v: Vehicle) -> Any:
+def _mission(v: Systems) -> Any:
     mission = v.flight.mission
     total = max(0, len(mission.plan.items) - 1)
     if not total:
@@ -203,7 +180,7 @@ def _mission(v: Vehicle) -> Any:
     return mav.MAVLink_mission_current_message(mission.current, total, state, 1)
 
 
-def _controller(v: Vehicle) -> Any:
+def _controller(v: Systems) -> Any:
     b, pilot = v.body, v.pilot
     n, e = pilot.place or (b.n, b.e)
     bearing = round(math.degrees(math.atan2(e - b.e, n - b.n)))
@@ -214,7 +191,7 @@ def _controller(v: Vehicle) -> Any:
     )  # fmt: skip
 
 
-def _target(v: Vehicle) -> Any:
+def _target(v: Systems) -> Any:
     pilot = v.pilot
     n, e = pilot.place or (v.body.n, v.body.e)
     depth = v.body.d if pilot.depth is None else pilot.depth
@@ -224,7 +201,7 @@ def _target(v: Vehicle) -> Any:
     )
 
 
-def _fence(v: Vehicle) -> Any:
+def _fence(v: Systems) -> Any:
     kinds = {0: 0, 1: 2, 2: 3, 4: 3, 8: 1}
     kind = next((kinds[bit] for bit in (1, 2, 4, 8) if v.fence.breached & bit), 0)
     return mav.MAVLink_fence_status_message(
@@ -232,11 +209,11 @@ def _fence(v: Vehicle) -> Any:
     )
 
 
-def _system_time(v: Vehicle) -> Any:
+def _system_time(v: Systems) -> Any:
     return mav.MAVLink_system_time_message(round(time.time() * 1e6), _ms(v))
 
 
-def _version(v: Vehicle) -> Any:
+def _version(v: Systems) -> Any:
     release = (4 << 24) | (7 << 16) | mav.FIRMWARE_VERSION_TYPE_DEV
     hashed, nothing = list(b"70746572"), [0] * 8
     return mav.MAVLink_autopilot_version_message(
@@ -244,7 +221,7 @@ def _version(v: Vehicle) -> Any:
     )
 
 
-MAKERS: dict[int, Callable[[Vehicle], Any]] = {
+MAKERS: dict[int, Callable[[Systems], Any]] = {
     mav.MAVLINK_MSG_ID_HEARTBEAT: heartbeat,
     mav.MAVLINK_MSG_ID_SYS_STATUS: _sys_status,
     mav.MAVLINK_MSG_ID_SYSTEM_TIME: _system_time,
@@ -264,8 +241,8 @@ MAKERS: dict[int, Callable[[Vehicle], Any]] = {
     mav.MAVLINK_MSG_ID_EKF_STATUS_REPORT: _ekf,
     mav.MAVLINK_MSG_ID_VIBRATION: sensing.vibration,
     mav.MAVLINK_MSG_ID_WIND: _wind,
-    mav.MAVLINK_MSG_ID_HOME_POSITION: _home,
-    mav.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN: _origin,
+    mav.MAVLINK_MSG_ID_HOME_POSITION: Systems.home_position,
+    mav.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN: Systems.global_origin,
     mav.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: _landed,
     mav.MAVLINK_MSG_ID_MISSION_CURRENT: _mission,
     mav.MAVLINK_MSG_ID_NAV_CONTROLLER_OUTPUT: _controller,
@@ -273,7 +250,7 @@ MAKERS: dict[int, Callable[[Vehicle], Any]] = {
     mav.MAVLINK_MSG_ID_FENCE_STATUS: _fence,
     mav.MAVLINK_MSG_ID_DISTANCE_SENSOR: sensing.range_finder,
     mav.MAVLINK_MSG_ID_POWER_STATUS: sensing.power,
-    **mount.MAKERS,
+    **mount_messages.MAKERS,
     mav.MAVLINK_MSG_ID_AUTOPILOT_VERSION: _version,
 }
 """What can be sent regularly or on request, by message id; None of a maker: not known yet."""

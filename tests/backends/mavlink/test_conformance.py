@@ -145,7 +145,7 @@ class MavlinkRig(StopRig):
             mission.changed()
             mission.complete = False
         if name in ("action/mission/pause", "action/mission/resume"):
-            vehicle.set_mode(Mode.AUTO)
+            vehicle.flight.set_mode(Mode.AUTO)
             mission.start()
             if name.endswith("resume"):
                 mission.pause(paused=True)

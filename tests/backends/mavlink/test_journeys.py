@@ -94,7 +94,7 @@ async def test_a_rover_drives_as_fast_as_it_is_asked_to_and_takes_no_heading() -
 async def test_a_plane_flies_at_an_airspeed_within_its_bounds() -> None:
     async with flying({"vehicle": "plane"}) as pilot:
         vehicle = pilot.vehicle
-        vehicle.set_mode(Mode.TAKEOFF)
+        vehicle.flight.set_mode(Mode.TAKEOFF)
         assert vehicle.arm()
         skip(vehicle, lambda: -vehicle.body.d > 45)
         robot = pilot.served.life.backend.robots[""]

@@ -68,7 +68,7 @@ async def test_a_connection_that_is_dropped_is_made_again() -> None:
             for drop in list(running.on_reboot):
                 drop()
             await eventually(lambda: _is(len(running.peers) == 1), "it calls again")
-            running.vehicle.set_mode(Mode.LOITER)
+            running.vehicle.flight.set_mode(Mode.LOITER)
 
             async def seen() -> bool:
                 return await mode_of(served) == "LOITER"

@@ -32,7 +32,7 @@ def moving(kind: str) -> Station:
     vehicle = station.vehicle
     station.pass_time(1.2)
     vehicle.params.set("FENCE_ENABLE", 0)
-    vehicle.set_mode(Mode.GUIDED)
+    vehicle.flight.set_mode(Mode.GUIDED)
     vehicle.arm(21196.0)
     if vehicle.kind.flies and vehicle.body.landed:
         vehicle.body.landed, vehicle.body.d, vehicle.body.vn = False, -30.0, 15.0
@@ -109,7 +109,7 @@ def test_no_mission_makes_it_leave_the_world(kind: str, given_: list[Any]) -> No
             )
         )
     station.send(mav.MAVLink_mission_clear_all_message(1, 1, 1))
-    station.vehicle.set_mode(Mode.AUTO)
+    station.vehicle.flight.set_mode(Mode.AUTO)
     station.pass_time(2)
     station.send(mav.MAVLink_mission_request_list_message(1, 1, 0))
     for seq in range(len(items)):

@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 from rcp_mavlink.sim.flight import Flight
 from rcp_mavlink.sim.modes import Mode
-
-if TYPE_CHECKING:
-    from rcp_mavlink.sim.vehicle import Vehicle
+from rcp_mavlink.sim.state import VehicleState
 
 __all__ = ["CopterFlight"]
 
@@ -23,7 +20,7 @@ class CopterFlight(Flight):
 
     paced = frozenset({Mode.GUIDED, Mode.AUTO, Mode.RTL})
 
-    def __init__(self, vehicle: Vehicle) -> None:
+    def __init__(self, vehicle: VehicleState) -> None:
         super().__init__(vehicle)
         self._waited = 0.0
         self._steered = False
@@ -215,7 +212,7 @@ class CopterFlight(Flight):
         if not vehicle.body.landed:
             return
         if self.landing and self.landed_for >= _ON_THE_FLOOR:
-            vehicle.disarm()
+            self.disarm()
             return
         rising = vehicle.sticks.held and vehicle.sticks.throttle > 0
         if self.taking_off or rising or self.mode in (Mode.RTL, Mode.LAND):
@@ -223,4 +220,4 @@ class CopterFlight(Flight):
         vehicle.pilot.spinning = False
         delay = vehicle.params["DISARM_DELAY"]
         if delay and min(self.landed_for, vehicle.armed_for) >= delay:
-            vehicle.disarm()
+            self.disarm()

@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 from rcp_mavlink.sim.flight import Flight
 from rcp_mavlink.sim.ground.pilot import GroundPilot
 from rcp_mavlink.sim.modes import Mode
-
-if TYPE_CHECKING:
-    from rcp_mavlink.sim.vehicle import Vehicle
+from rcp_mavlink.sim.state import VehicleState
 
 __all__ = ["GroundFlight"]
 
@@ -21,7 +17,7 @@ class GroundFlight(Flight):
 
     starts_itself = True
 
-    def __init__(self, vehicle: Vehicle) -> None:
+    def __init__(self, vehicle: VehicleState) -> None:
         super().__init__(vehicle)
         self._home = False
 
@@ -91,7 +87,7 @@ class GroundFlight(Flight):
     def finished(self) -> None:
         """Hold at the end of a mission."""
         self._vehicle.say(5, "Mission Complete")
-        self._vehicle.set_mode(Mode.HOLD)
+        self.set_mode(Mode.HOLD)
 
     @property
     def landing(self) -> bool:

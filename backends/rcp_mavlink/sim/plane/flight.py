@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 from rcp_mavlink.sim.flight import Flight
 from rcp_mavlink.sim.modes import Mode
 from rcp_mavlink.sim.plane.pilot import PlanePilot
-
-if TYPE_CHECKING:
-    from rcp_mavlink.sim.vehicle import Vehicle
+from rcp_mavlink.sim.state import VehicleState
 
 __all__ = ["PlaneFlight"]
 
@@ -27,7 +24,7 @@ class PlaneFlight(Flight):
 
     starts_itself = True
 
-    def __init__(self, vehicle: Vehicle) -> None:
+    def __init__(self, vehicle: VehicleState) -> None:
         super().__init__(vehicle)
         self._final: tuple[tuple[float, float], float] | None = None
         """The place to land on, and the course."""
@@ -126,7 +123,7 @@ class PlaneFlight(Flight):
 
     def begin_return(self) -> None:
         """Leave the mission for RTL, as an item of it."""
-        self._vehicle.set_mode(Mode.RTL)
+        self.set_mode(Mode.RTL)
 
     def go_home(self) -> None:
         """Circle over home, or over a nearer rally point."""
@@ -139,7 +136,7 @@ class PlaneFlight(Flight):
         """Go home at the end of a mission."""
         if not self._vehicle.body.landed:
             self._vehicle.say(5, "Mission complete, changing mode to RTL")
-            self._vehicle.set_mode(Mode.RTL)
+            self.set_mode(Mode.RTL)
 
     @property
     def landing(self) -> bool:
@@ -158,4 +155,4 @@ class PlaneFlight(Flight):
         stands = math.hypot(vehicle.body.vn, vehicle.body.ve) < _AT_REST
         done = self.mission.complete and self.mode is Mode.AUTO
         if done and stands and delay and self.landed_for >= delay:
-            vehicle.disarm()
+            self.disarm()
