@@ -13,7 +13,7 @@ import random
 import secrets
 import time
 from collections.abc import Callable, Coroutine
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from rcp_client.calls import Call, Calls, Repeat
 from rcp_client.errors import ConnectionLost, error_of, safely
@@ -21,6 +21,7 @@ from rcp_client.link import Link
 from rcp_client.messages import Codec, Message, Notice, Reply
 from rcp_client.recovery import Recovery
 from rcp_client.settings import MARGIN, Settings
+from rcp_client.subscriber import Subscriber
 from rcp_kernel.clock import now
 from rcp_kernel.errors import (
     DeadlineExceeded,
@@ -29,9 +30,6 @@ from rcp_kernel.errors import (
     TokenExpired,
     Unauthenticated,
 )
-
-if TYPE_CHECKING:
-    from rcp_client.subscription import Subscription
 
 __all__ = ["Channel"]
 
@@ -47,7 +45,7 @@ class Channel:
         self.calls = Calls()
         self.listeners: list[Callable[[Notice], None]] = []
         """Told of every notice."""
-        self.subscriptions: dict[str, Subscription] = {}
+        self.subscriptions: dict[str, Subscriber] = {}
         self.session: str | None = None
         self.greeting: dict[str, Any] = {}
         """What the gateway answered to the last `hello`."""

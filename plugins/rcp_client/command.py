@@ -5,18 +5,16 @@ from __future__ import annotations
 import asyncio
 from collections import deque
 from collections.abc import AsyncGenerator, Callable
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import msgspec
 
 from rcp_client.calls import Call
+from rcp_client.channel import Channel
 from rcp_client.errors import error_of, safely
 from rcp_client.messages import Reply
 from rcp_kernel.values import ValueType, value_type
 from rcp_kernel.wire import FINAL
-
-if TYPE_CHECKING:
-    from rcp_client.channel import Channel
 
 __all__ = ["CommandHandle", "Feedback"]
 

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import asyncio
 from contextlib import suppress
-from typing import TYPE_CHECKING, Any, Self
+from typing import Any, Self
 
+from rcp_client.channel import Channel
 from rcp_client.messages import Notice, Reply
 from rcp_kernel.clock import parse_time
 from rcp_kernel.errors import LeaseHeld, LeaseLost, LeaseRequired, RcpError
-
-if TYPE_CHECKING:
-    from rcp_client.channel import Channel
 
 __all__ = ["Lease"]
 

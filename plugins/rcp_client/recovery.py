@@ -8,25 +8,49 @@ anew does not: there a command's fate is looked up, and nothing is tried again.
 from __future__ import annotations
 
 import time
-from typing import TYPE_CHECKING, Any
+from collections.abc import Mapping
+from typing import Any, Protocol
 
-from rcp_client.calls import Call
+from rcp_client.calls import Call, Calls
 from rcp_client.errors import ConnectionLost
 from rcp_client.messages import Reply
+from rcp_client.subscriber import Subscriber
 from rcp_kernel.clock import iso, now, parse_time
 from rcp_kernel.errors import RcpError
 
-if TYPE_CHECKING:
-    from rcp_client.channel import Channel
+__all__ = ["Recovery", "Requests"]
 
-__all__ = ["Recovery"]
+
+class Requests(Protocol):
+    """What waits for an answer, and the way to ask again."""
+
+    @property
+    def calls(self) -> Calls:
+        """Requests under way."""
+        ...
+
+    @property
+    def subscriptions(self) -> Mapping[str, Subscriber]:
+        """Subscriptions by id."""
+        ...
+
+    def calls_of_before(self) -> list[Call]:
+        """List the calls that were not sent on the present connection."""
+        ...
+
+    def send(self, call: Call, **facts: Any) -> None:
+        """Send a call once more, with further fields."""
+
+    async def ask(self, envelope: dict[str, Any]) -> Reply:
+        """Send a request and return its final reply, within its deadline."""
+        ...
 
 
 class Recovery:
     """Brings calls and subscriptions over to a new connection."""
 
-    def __init__(self, channel: Channel) -> None:
-        self._channel = channel
+    def __init__(self, requests: Requests) -> None:
+        self._requests = requests
         self._met: int | None = None
         """When the gateway was last known to be the one it is, ns by its own clock."""
         self._offset = 0
@@ -45,14 +69,14 @@ class Recovery:
 
     async def restore(self) -> None:
         """Bring everything over; may be cut short by the next cut, and is then done again."""
-        channel = self._channel
+        requests = self._requests
         restarted = self._doubt and await self._restarted()
-        for subscription in list(channel.subscriptions.values()):
+        for subscription in list(requests.subscriptions.values()):
             subscription.restore(restarted=restarted)
         lost: list[Call] = []
-        for call in channel.calls_of_before():
+        for call in requests.calls_of_before():
             if call.sent is None or call.repeat == "always":
-                channel.send(call)
+                requests.send(call)
             elif call.repeat == "keyed" and not restarted:
                 self._again(call)
             else:
@@ -70,14 +94,14 @@ class Recovery:
         if call.envelope["type"] != "batch" and "timestamp" not in call.envelope:
             # By the gateway's clock, so that a command that never arrived is not run too late.
             facts["timestamp"] = iso((call.sent or now()) + self._offset)
-        self._channel.send(call, **facts)
+        self._requests.send(call, **facts)
 
     async def _restarted(self) -> bool:
         """Tell whether the gateway was started since this client met it, or may have been."""
         body = {"fields": ["started"]}
         envelope: dict[str, Any] = {"type": "read", "path": "/system/status", "body": body}
         try:
-            reply = await self._channel.ask(envelope)
+            reply = await self._requests.ask(envelope)
             started = parse_time(reply.body["started"])
         except (RcpError, KeyError, TypeError):
             return True
@@ -87,7 +111,7 @@ class Recovery:
         """Find out what became of commands that must not be sent again."""
         known: dict[str, dict[str, Any]] = {}
         try:
-            reply = await self._channel.ask({"type": "read", "path": "/system/commands"})
+            reply = await self._requests.ask({"type": "read", "path": "/system/commands"})
             for item in reply.body:
                 known[item["command"]] = item
                 known.setdefault(item.get("id", ""), item)
@@ -105,7 +129,7 @@ class Recovery:
                     remedy="Look at the state of the robot before you send it again.",
                 )
             )
-            self._channel.calls.leave(call)
+            self._requests.calls.leave(call)
 
 
 def _reply_of(command: dict[str, Any]) -> Reply:

@@ -9,8 +9,9 @@ from __future__ import annotations
 import asyncio
 from collections import deque
 from collections.abc import AsyncGenerator, Callable, Sequence
-from typing import TYPE_CHECKING, Any, Self
+from typing import Any, Self
 
+from rcp_client.channel import Channel
 from rcp_client.errors import ConnectionLost, safely
 from rcp_client.messages import Message, Notice, Reply, Update
 from rcp_client.pages import pages
@@ -24,9 +25,6 @@ from rcp_kernel.errors import (
     UnknownPath,
 )
 from rcp_kernel.values import value_type
-
-if TYPE_CHECKING:
-    from rcp_client.channel import Channel
 
 __all__ = ["Subscription"]
 
