@@ -1,4 +1,4 @@
-"""MAVLink vehicles: drones, planes, rovers and boats as robots; `rcp_mavlink.sim` is one of them.
+"""MAVLink vehicles: drones, planes, rovers and boats as robots; `rcp_mavlink_sim` simulates them.
 
 Importing this costs nothing; pymavlink itself is imported when a backend is opened.
 """

@@ -1,4 +1,4 @@
-"""`python -m rcp_mavlink.sim`: fly a vehicle until it is interrupted."""
+"""`python -m rcp_mavlink_sim`: fly a vehicle until it is interrupted."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ import sys
 from contextlib import AsyncExitStack, suppress
 from hashlib import sha256
 
-from rcp_mavlink.sim import Options, Vehicle, fly
-from rcp_mavlink.sim.kinds import KINDS
-from rcp_mavlink.sim.parameters_table import table
+from rcp_mavlink_sim import Options, Vehicle, fly
+from rcp_mavlink_sim.kinds import KINDS
+from rcp_mavlink_sim.parameters_table import table
 
 
 def _arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(
-        prog="python -m rcp_mavlink.sim",
+        prog="python -m rcp_mavlink_sim",
         description="A simulated vehicle of ArduPilot that speaks MAVLink 2, without any hardware.",
     )
     parser.add_argument(

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from rcp_mavlink.sim.failsafes import Failsafes
-from rcp_mavlink.sim.fence import Fence
-from rcp_mavlink.sim.flight import Flight
-from rcp_mavlink.sim.modes import Mode, armable, needs_position
-from rcp_mavlink.sim.state import VehicleState
+from rcp_mavlink_sim.failsafes import Failsafes
+from rcp_mavlink_sim.fence import Fence
+from rcp_mavlink_sim.flight import Flight
+from rcp_mavlink_sim.modes import Mode, armable, needs_position
+from rcp_mavlink_sim.state import VehicleState
 
 __all__ = ["complaints", "mode_complaint"]
 

@@ -1,4 +1,4 @@
-"""`python -m rcp_mavlink.sim.child`: a vehicle that belongs to whoever started it, and ends with it.
+"""`python -m rcp_mavlink_sim.child`: a vehicle that belongs to whoever started it, and ends with it.
 
 Standard input carries one line of JSON, a `Start`, and stays open. Its end, which a `kill -9` of the
 other side brings too, ends the vehicle.
@@ -11,8 +11,8 @@ import sys
 
 import msgspec
 
-from rcp_mavlink.sim import Options, Vehicle, fly
-from rcp_mavlink.sim.parameters_table import table
+from rcp_mavlink_sim import Options, Vehicle, fly
+from rcp_mavlink_sim.parameters_table import table
 
 __all__ = ["Start", "main"]
 

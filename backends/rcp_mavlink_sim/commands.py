@@ -8,11 +8,11 @@ from typing import Any, Protocol
 
 import msgspec
 
-from rcp_mavlink.sim.modes import Mode
-from rcp_mavlink.sim.streams import Streams
-from rcp_mavlink.sim.telemetry import MAKERS
-from rcp_mavlink.sim.vehicle import Vehicle
-from rcp_mavlink.sim.wire import mav
+from rcp_mavlink_sim.modes import Mode
+from rcp_mavlink_sim.streams import Streams
+from rcp_mavlink_sim.telemetry import MAKERS
+from rcp_mavlink_sim.vehicle import Vehicle
+from rcp_mavlink_sim.wire import mav
 
 __all__ = ["KNOWN", "CommandRequest", "Peer", "run"]
 

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from typing import Any
 
-from rcp_mavlink.sim.copter.body import Quad
-from rcp_mavlink.sim.copter.pilot import QuadPilot
-from rcp_mavlink.sim.ground.body import Hull
-from rcp_mavlink.sim.ground.pilot import GroundPilot
-from rcp_mavlink.sim.kinds import Kind
-from rcp_mavlink.sim.plane.body import Wing
-from rcp_mavlink.sim.plane.pilot import PlanePilot
+from rcp_mavlink_sim.copter.body import Quad
+from rcp_mavlink_sim.copter.pilot import QuadPilot
+from rcp_mavlink_sim.ground.body import Hull
+from rcp_mavlink_sim.ground.pilot import GroundPilot
+from rcp_mavlink_sim.kinds import Kind
+from rcp_mavlink_sim.plane.body import Wing
+from rcp_mavlink_sim.plane.pilot import PlanePilot
 
 __all__ = ["body_of", "pilot_of"]
 

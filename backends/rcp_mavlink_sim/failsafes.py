@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from rcp_mavlink.sim.flight import Flight
-from rcp_mavlink.sim.modes import Mode
-from rcp_mavlink.sim.state import VehicleState
+from rcp_mavlink_sim.flight import Flight
+from rcp_mavlink_sim.modes import Mode
+from rcp_mavlink_sim.state import VehicleState
 
 __all__ = ["Failsafes"]
 

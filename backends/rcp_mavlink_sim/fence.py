@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 
 from rcp_mavlink.geo import distance
-from rcp_mavlink.sim.flight import Flight
-from rcp_mavlink.sim.modes import Mode
-from rcp_mavlink.sim.plans import Plan
-from rcp_mavlink.sim.state import VehicleState
-from rcp_mavlink.sim.wire import mav
+from rcp_mavlink_sim.flight import Flight
+from rcp_mavlink_sim.modes import Mode
+from rcp_mavlink_sim.plans import Plan
+from rcp_mavlink_sim.state import VehicleState
+from rcp_mavlink_sim.wire import mav
 
 __all__ = ["Fence"]
 

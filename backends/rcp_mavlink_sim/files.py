@@ -5,9 +5,9 @@ from __future__ import annotations
 import struct
 from urllib.parse import parse_qs
 
-from rcp_mavlink.sim.flightlog import FlightLog
-from rcp_mavlink.sim.parameters import Parameters
-from rcp_mavlink.sim.parameters_table import CASTS, table
+from rcp_mavlink_sim.flightlog import FlightLog
+from rcp_mavlink_sim.parameters import Parameters
+from rcp_mavlink_sim.parameters_table import CASTS, table
 
 __all__ = ["Files"]
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from typing import Literal
 
-from rcp_mavlink.sim.mission import Mission
-from rcp_mavlink.sim.modes import Mode, needs_position
-from rcp_mavlink.sim.state import VehicleState
+from rcp_mavlink_sim.mission import Mission
+from rcp_mavlink_sim.modes import Mode, needs_position
+from rcp_mavlink_sim.state import VehicleState
 
 __all__ = ["FORCE", "Flight", "Submode"]
 

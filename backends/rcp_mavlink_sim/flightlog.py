@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from rcp_mavlink.sim.modes import Mode
-from rcp_mavlink.sim.state import VehicleState
+from rcp_mavlink_sim.modes import Mode
+from rcp_mavlink_sim.state import VehicleState
 
 __all__ = ["FlightLog"]
 

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 
-from rcp_mavlink.sim.wire import mav
+from rcp_mavlink_sim.wire import mav
 
 if TYPE_CHECKING:
-    from rcp_mavlink.sim.vehicle import Vehicle
+    from rcp_mavlink_sim.vehicle import Vehicle
 
 __all__ = ["Ftp"]
 

@@ -7,13 +7,13 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-from rcp_mavlink.sim import commands, setpoints
-from rcp_mavlink.sim.ftp import Ftp
-from rcp_mavlink.sim.plans import Plan, Transfer
-from rcp_mavlink.sim.streams import Streams
-from rcp_mavlink.sim.telemetry import heartbeat
-from rcp_mavlink.sim.vehicle import Vehicle
-from rcp_mavlink.sim.wire import mav
+from rcp_mavlink_sim import commands, setpoints
+from rcp_mavlink_sim.ftp import Ftp
+from rcp_mavlink_sim.plans import Plan, Transfer
+from rcp_mavlink_sim.streams import Streams
+from rcp_mavlink_sim.telemetry import heartbeat
+from rcp_mavlink_sim.vehicle import Vehicle
+from rcp_mavlink_sim.wire import mav
 
 __all__ = ["GroundStation"]
 

@@ -6,8 +6,8 @@ from typing import Literal
 
 import msgspec
 
-from rcp_mavlink.sim.modes import Mode
-from rcp_mavlink.sim.wire import mav
+from rcp_mavlink_sim.modes import Mode
+from rcp_mavlink_sim.wire import mav
 
 __all__ = ["KINDS", "Kind", "Name"]
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from typing import Protocol
 
-from rcp_mavlink.sim.plans import Item, Plan
-from rcp_mavlink.sim.state import VehicleState
-from rcp_mavlink.sim.wire import mav
+from rcp_mavlink_sim.plans import Item, Plan
+from rcp_mavlink_sim.state import VehicleState
+from rcp_mavlink_sim.wire import mav
 
 __all__ = ["Manoeuvres", "Mission"]
 

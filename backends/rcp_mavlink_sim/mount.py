@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 
-from rcp_mavlink.sim.state import VehicleState
-from rcp_mavlink.sim.wire import mav
+from rcp_mavlink_sim.state import VehicleState
+from rcp_mavlink_sim.wire import mav
 
 __all__ = ["Mount", "quaternion"]
 

@@ -6,10 +6,10 @@ import math
 from collections.abc import Callable
 from typing import Any
 
-from rcp_mavlink.sim.mount import quaternion
-from rcp_mavlink.sim.sensing import milliseconds
-from rcp_mavlink.sim.systems import Systems
-from rcp_mavlink.sim.wire import mav
+from rcp_mavlink_sim.mount import quaternion
+from rcp_mavlink_sim.sensing import milliseconds
+from rcp_mavlink_sim.systems import Systems
+from rcp_mavlink_sim.wire import mav
 
 __all__ = ["MAKERS"]
 

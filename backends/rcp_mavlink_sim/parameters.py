@@ -11,8 +11,8 @@ import struct
 from collections.abc import Callable
 from typing import Any
 
-from rcp_mavlink.sim.parameters_table import table
-from rcp_mavlink.sim.wire import mav
+from rcp_mavlink_sim.parameters_table import table
+from rcp_mavlink_sim.wire import mav
 
 __all__ = ["Parameters"]
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import msgspec
 
-from rcp_mavlink.sim.wire import mav
+from rcp_mavlink_sim.wire import mav
 
 __all__ = ["MISSION_COMMANDS", "Item", "Plan", "Transfer"]
 

@@ -8,9 +8,9 @@ from collections.abc import AsyncGenerator, Callable
 from contextlib import asynccontextmanager
 from typing import Any
 
-from rcp_mavlink.sim.faults import Faults
-from rcp_mavlink.sim.ground_station import GroundStation
-from rcp_mavlink.sim.vehicle import Vehicle
+from rcp_mavlink_sim.faults import Faults
+from rcp_mavlink_sim.ground_station import GroundStation
+from rcp_mavlink_sim.vehicle import Vehicle
 
 __all__ = ["Twin", "fly"]
 

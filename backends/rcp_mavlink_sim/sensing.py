@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from rcp_mavlink.sim.body import GRAVITY
-from rcp_mavlink.sim.state import VehicleState
-from rcp_mavlink.sim.systems import Systems
-from rcp_mavlink.sim.wire import mav
+from rcp_mavlink_sim.body import GRAVITY
+from rcp_mavlink_sim.state import VehicleState
+from rcp_mavlink_sim.systems import Systems
+from rcp_mavlink_sim.wire import mav
 
 __all__ = [
     "attitude",

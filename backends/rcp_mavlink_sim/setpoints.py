@@ -6,8 +6,8 @@ import math
 from typing import Any
 
 from rcp_mavlink.geo import shifted
-from rcp_mavlink.sim.modes import Mode
-from rcp_mavlink.sim.vehicle import Vehicle
+from rcp_mavlink_sim.modes import Mode
+from rcp_mavlink_sim.vehicle import Vehicle
 
 __all__ = ["take"]
 

@@ -7,16 +7,16 @@ from collections.abc import Callable
 from typing import Any
 
 from rcp_mavlink.geo import offset, shifted
-from rcp_mavlink.sim.crafts import body_of, pilot_of
-from rcp_mavlink.sim.faults import Faults
-from rcp_mavlink.sim.kinds import KINDS
-from rcp_mavlink.sim.noise import Noise
-from rcp_mavlink.sim.options import Options
-from rcp_mavlink.sim.parameters import Parameters
-from rcp_mavlink.sim.plans import Plan
-from rcp_mavlink.sim.power import Battery
-from rcp_mavlink.sim.sticks import Sticks
-from rcp_mavlink.sim.wire import mav
+from rcp_mavlink_sim.crafts import body_of, pilot_of
+from rcp_mavlink_sim.faults import Faults
+from rcp_mavlink_sim.kinds import KINDS
+from rcp_mavlink_sim.noise import Noise
+from rcp_mavlink_sim.options import Options
+from rcp_mavlink_sim.parameters import Parameters
+from rcp_mavlink_sim.plans import Plan
+from rcp_mavlink_sim.power import Battery
+from rcp_mavlink_sim.sticks import Sticks
+from rcp_mavlink_sim.wire import mav
 
 __all__ = ["VehicleState"]
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from rcp_mavlink.sim.telemetry import MAKERS
-from rcp_mavlink.sim.vehicle import Vehicle
-from rcp_mavlink.sim.wire import mav
+from rcp_mavlink_sim.telemetry import MAKERS
+from rcp_mavlink_sim.vehicle import Vehicle
+from rcp_mavlink_sim.wire import mav
 
 __all__ = ["Streams"]
 

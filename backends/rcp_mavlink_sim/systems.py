@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-from rcp_mavlink.sim.arming import complaints
-from rcp_mavlink.sim.copter.flight import CopterFlight
-from rcp_mavlink.sim.failsafes import Failsafes
-from rcp_mavlink.sim.fence import Fence
-from rcp_mavlink.sim.files import Files
-from rcp_mavlink.sim.flight import Flight
-from rcp_mavlink.sim.flightlog import FlightLog
-from rcp_mavlink.sim.ground.flight import GroundFlight
-from rcp_mavlink.sim.modes import needs_position
-from rcp_mavlink.sim.mount import Mount
-from rcp_mavlink.sim.options import Options
-from rcp_mavlink.sim.plane.flight import PlaneFlight
-from rcp_mavlink.sim.state import VehicleState
+from rcp_mavlink_sim.arming import complaints
+from rcp_mavlink_sim.failsafes import Failsafes
+from rcp_mavlink_sim.fence import Fence
+from rcp_mavlink_sim.files import Files
+from rcp_mavlink_sim.flight import Flight
+from rcp_mavlink_sim.flightlog import FlightLog
+from rcp_mavlink_sim.flights.copter import CopterFlight
+from rcp_mavlink_sim.flights.ground import GroundFlight
+from rcp_mavlink_sim.flights.plane import PlaneFlight
+from rcp_mavlink_sim.modes import needs_position
+from rcp_mavlink_sim.mount import Mount
+from rcp_mavlink_sim.options import Options
+from rcp_mavlink_sim.state import VehicleState
 
 __all__ = ["Systems"]
 

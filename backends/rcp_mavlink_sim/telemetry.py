@@ -8,12 +8,12 @@ from collections.abc import Callable
 from typing import Any
 
 from rcp_mavlink.geo import shifted
-from rcp_mavlink.sim import mount_messages, sensing
-from rcp_mavlink.sim.modes import Mode
-from rcp_mavlink.sim.mount import quaternion
-from rcp_mavlink.sim.sensing import milliseconds as _ms
-from rcp_mavlink.sim.systems import Systems
-from rcp_mavlink.sim.wire import mav
+from rcp_mavlink_sim import mount_messages, sensing
+from rcp_mavlink_sim.modes import Mode
+from rcp_mavlink_sim.mount import quaternion
+from rcp_mavlink_sim.sensing import milliseconds as _ms
+from rcp_mavlink_sim.systems import Systems
+from rcp_mavlink_sim.wire import mav
 
 __all__ = ["MAKERS", "heartbeat"]
 

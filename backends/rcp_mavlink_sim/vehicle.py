@@ -6,11 +6,11 @@ import math
 from collections.abc import Callable
 from typing import Any
 
-from rcp_mavlink.sim.arming import mode_complaint
-from rcp_mavlink.sim.flight import FORCE
-from rcp_mavlink.sim.systems import Systems
-from rcp_mavlink.sim.telemetry import MAKERS
-from rcp_mavlink.sim.wire import mav
+from rcp_mavlink_sim.arming import mode_complaint
+from rcp_mavlink_sim.flight import FORCE
+from rcp_mavlink_sim.systems import Systems
+from rcp_mavlink_sim.telemetry import MAKERS
+from rcp_mavlink_sim.wire import mav
 
 __all__ = ["STEP", "Vehicle"]
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 
-from rcp_mavlink.sim.body import GRAVITY
-from rcp_mavlink.sim.copter.body import Quad
-from rcp_mavlink.sim.pilot import Pilot, clip, pace
+from rcp_mavlink_sim.body import GRAVITY
+from rcp_mavlink_sim.copter.body import Quad
+from rcp_mavlink_sim.pilot import Pilot, clip, pace
 
 __all__ = ["QuadPilot"]
 

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from rcp_mavlink.sim.flight import Flight
-from rcp_mavlink.sim.ground.pilot import GroundPilot
-from rcp_mavlink.sim.modes import Mode
-from rcp_mavlink.sim.state import VehicleState
+from rcp_mavlink_sim.flight import Flight
+from rcp_mavlink_sim.ground.pilot import GroundPilot
+from rcp_mavlink_sim.modes import Mode
+from rcp_mavlink_sim.state import VehicleState
 
 __all__ = ["GroundFlight"]
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from rcp_mavlink.sim.body import GRAVITY, Body, wrap
+from rcp_mavlink_sim.body import GRAVITY, Body, wrap
 
 __all__ = ["Hull"]
 

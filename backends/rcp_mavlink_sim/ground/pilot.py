@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 
-from rcp_mavlink.sim.body import wrap
-from rcp_mavlink.sim.ground.body import Hull
-from rcp_mavlink.sim.pilot import Pilot, clip, pace
+from rcp_mavlink_sim.body import wrap
+from rcp_mavlink_sim.ground.body import Hull
+from rcp_mavlink_sim.pilot import Pilot, clip, pace
 
 __all__ = ["GroundPilot"]
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 
-from rcp_mavlink.sim.body import GRAVITY, Body, wrap
-from rcp_mavlink.sim.pilot import clip
+from rcp_mavlink_sim.body import GRAVITY, Body, wrap
+from rcp_mavlink_sim.pilot import clip
 
 __all__ = ["Wing"]
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 
-from rcp_mavlink.sim.body import GRAVITY, wrap
-from rcp_mavlink.sim.pilot import Pilot, clip
-from rcp_mavlink.sim.plane.body import Wing
+from rcp_mavlink_sim.body import GRAVITY, wrap
+from rcp_mavlink_sim.pilot import Pilot, clip
+from rcp_mavlink_sim.plane.body import Wing
 
 __all__ = ["PlanePilot"]
 

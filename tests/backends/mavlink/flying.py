@@ -8,8 +8,8 @@ from contextlib import asynccontextmanager
 from typing import Any
 
 from rcp_kernel.testing import eventually
-from rcp_mavlink.sim import Options, Twin, Vehicle, fly
-from rcp_mavlink.sim.modes import Mode
+from rcp_mavlink_sim import Options, Twin, Vehicle, fly
+from rcp_mavlink_sim.modes import Mode
 
 FAST = 10.0
 _STEP = 0.02

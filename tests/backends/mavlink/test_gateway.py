@@ -14,8 +14,8 @@ import rcp_mavlink
 from backends.mavlink.flying import agrees, airborne, on_the_ground, speed, twin
 from rcp_kernel.testing import eventually
 from rcp_kernel.testing._serve import ADMIN, OPERATOR, serve_backend
-from rcp_mavlink.sim import Twin
-from rcp_mavlink.sim.modes import Mode
+from rcp_mavlink_sim import Twin
+from rcp_mavlink_sim.modes import Mode
 
 KIND = next(iter(rcp_mavlink.rcp_backends()))
 LAT, LON = -35.3632621, 149.1652374

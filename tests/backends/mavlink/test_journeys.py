@@ -16,8 +16,8 @@ from backends.mavlink.test_gateway import Pilot, flying
 from backends.mavlink.test_px4 import Px4
 from backends.mavlink.test_px4 import airborne as airborne_px4
 from rcp_kernel.testing import eventually
-from rcp_mavlink.sim import Vehicle
-from rcp_mavlink.sim.modes import Mode
+from rcp_mavlink_sim import Vehicle
+from rcp_mavlink_sim.modes import Mode
 
 REPOSITION, CHANGE_SPEED, CONDITION_YAW = 192, 178, 115
 GUIDED, BRAKE = 4, 17

@@ -20,7 +20,7 @@ from rcp_kernel.testing import eventually, serve
 from rcp_kernel.testing._serve import OPERATOR, serve_backend
 from rcp_mavlink.config import LinkSpec
 from rcp_mavlink.signing import key_of
-from rcp_mavlink.sim.modes import Mode
+from rcp_mavlink_sim.modes import Mode
 
 KIND = next(iter(rcp_mavlink.rcp_backends()))
 

@@ -20,8 +20,8 @@ from rcp_kernel.errors import AdapterUnavailable
 from rcp_kernel.testing import eventually
 from rcp_kernel.testing._serve import ADMIN, OPERATOR, serve_backend
 from rcp_mavlink.signing import key_of
-from rcp_mavlink.sim import Twin, Vehicle
-from rcp_mavlink.sim.modes import Mode
+from rcp_mavlink_sim import Twin, Vehicle
+from rcp_mavlink_sim.modes import Mode
 
 KIND = next(iter(rcp_mavlink.rcp_backends()))
 BRAKE, LAND, GUIDED = 17, 9, 4

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from rcp_mavlink.sim import Options, Vehicle
-from rcp_mavlink.sim.ground_station import GroundStation
-from rcp_mavlink.sim.wire import mav
+from rcp_mavlink_sim import Options, Vehicle
+from rcp_mavlink_sim.ground_station import GroundStation
+from rcp_mavlink_sim.wire import mav
 
 TURN = 0.05  # s
 

@@ -7,9 +7,9 @@ from typing import Any
 
 import pytest
 
-from backends.mavlink.station import Station
-from rcp_mavlink.sim.modes import Mode
-from rcp_mavlink.sim.wire import mav
+from backends.mavlink_sim.station import Station
+from rcp_mavlink_sim.modes import Mode
+from rcp_mavlink_sim.wire import mav
 
 OK, DENIED, UNSUPPORTED, FAILED = 0, 2, 3, 4
 GUIDED, AUTO, LOITER, RTL, LAND = 4, 3, 5, 6, 9

@@ -9,10 +9,10 @@ from typing import Any
 
 import pytest
 
-from backends.mavlink.station import Station
-from backends.mavlink.test_twin import item, upload
-from rcp_mavlink.sim.modes import Mode
-from rcp_mavlink.sim.wire import mav
+from backends.mavlink_sim.station import Station
+from backends.mavlink_sim.test_twin import item, upload
+from rcp_mavlink_sim.modes import Mode
+from rcp_mavlink_sim.wire import mav
 
 ACK, NAK = 128, 129
 END, OPEN, READ, LIST, CREATE, WRITE, REMOVE, BURST = 1, 4, 5, 3, 6, 7, 8, 15

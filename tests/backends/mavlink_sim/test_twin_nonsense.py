@@ -9,12 +9,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from backends.mavlink.station import Station
-from rcp_mavlink.sim.commands import KNOWN
-from rcp_mavlink.sim.kinds import KINDS
-from rcp_mavlink.sim.modes import Mode
-from rcp_mavlink.sim.plans import MISSION_COMMANDS
-from rcp_mavlink.sim.wire import mav
+from backends.mavlink_sim.station import Station
+from rcp_mavlink_sim.commands import KNOWN
+from rcp_mavlink_sim.kinds import KINDS
+from rcp_mavlink_sim.modes import Mode
+from rcp_mavlink_sim.plans import MISSION_COMMANDS
+from rcp_mavlink_sim.wire import mav
 
 _STATIONS: dict[str, Station] = {}
 _TRIES = 80

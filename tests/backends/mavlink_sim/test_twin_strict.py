@@ -7,10 +7,10 @@ from typing import Any
 
 import pytest
 
-from backends.mavlink.station import Station
-from backends.mavlink.test_twin import item, upload
-from rcp_mavlink.sim.modes import Mode
-from rcp_mavlink.sim.wire import mav
+from backends.mavlink_sim.station import Station
+from backends.mavlink_sim.test_twin import item, upload
+from rcp_mavlink_sim.modes import Mode
+from rcp_mavlink_sim.wire import mav
 
 OK, DENIED, UNSUPPORTED, FAILED = 0, 2, 3, 4
 STABILIZE, ALT_HOLD, AUTO, GUIDED, LOITER, RTL, LAND, BRAKE = 0, 2, 3, 4, 5, 6, 9, 17

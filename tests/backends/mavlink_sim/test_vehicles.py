@@ -7,12 +7,12 @@ from typing import Any
 
 import pytest
 
-from backends.mavlink.station import Station
-from backends.mavlink.test_twin import item, upload
+from backends.mavlink_sim.station import Station
+from backends.mavlink_sim.test_twin import item, upload
 from rcp_mavlink.flightmodes import family
-from rcp_mavlink.sim.kinds import KINDS
-from rcp_mavlink.sim.modes import Mode
-from rcp_mavlink.sim.wire import mav
+from rcp_mavlink_sim.kinds import KINDS
+from rcp_mavlink_sim.modes import Mode
+from rcp_mavlink_sim.wire import mav
 
 OK, FAILED = 0, 4
 
