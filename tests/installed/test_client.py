@@ -33,7 +33,9 @@ async def drive():
 before, after = asyncio.run(drive())
 assert before != after, (before, after)
 with Robot() as robot:
-    print("driven to", round(robot.read("/tenant/alpha/sensor/pose")["position"]["x"], 1))
+    place = robot.read("/tenant/alpha/sensor/pose")["position"]
+    assert abs(place["x"] - 0.5) < 0.2, place
+    print("driven")
 """
 
 
@@ -64,4 +66,4 @@ def test_rcpctl_reads_and_moves_a_robot(programs: Path, robots: Demo) -> None:
 
 def test_a_script_reads_moves_and_watches_a_robot(programs: Path, robots: Demo) -> None:
     at = {"RCP_URL": robots.url, "RCP_TOKEN": robots.key}
-    assert said(programs, "python", "-c", SCRIPT, **at).strip() == "driven to 0.5"
+    assert said(programs, "python", "-c", SCRIPT, **at).strip() == "driven"
