@@ -11,7 +11,8 @@ TEST := .venv/.test
 PIP := $(BIN)/python -m pip install -qq --disable-pip-version-check
 WEB := plugins/rcp_dashboard/web
 PAGES := $(shell find $(WEB) clients/typescript/src -name node_modules -prune -o -type f ! -name .made -print)
-NEEDS := Makefile pyproject.toml constraints.txt $(PAGES)
+CLIENT := clients/python
+NEEDS := Makefile pyproject.toml $(CLIENT)/pyproject.toml constraints.txt $(PAGES)
 
 .PHONY: help demo test dashboard lint format bench constraints picture clean
 
@@ -47,7 +48,7 @@ format: $(TEST)
 	$(BIN)/ruff format .
 
 bench: $(TEST)
-	@$(PIP) -c constraints.txt -e '.[test,bench]'
+	@$(PIP) -c constraints.txt -e $(CLIENT) -e '.[test,bench]'
 	$(BIN)/python benchmarks $(ARGS)
 
 constraints: $(TEST)
@@ -88,12 +89,12 @@ endef
 # What was installed for the tests serves the demo too.
 $(DEMO): $(NEEDS) | $(MADE)
 	@echo "Installing what the demo needs"
-	@$(PIP) -c constraints.txt -e '.[can,mavlink]'
+	@$(PIP) -c constraints.txt -e $(CLIENT) -e '.[a2a,can,dashboard,mavlink,mcp]'
 	@$(told)
 	@touch $@
 
 $(TEST): $(NEEDS) | $(MADE)
 	@echo "Installing what the tests need (some hundred MB, once)"
-	@$(PIP) -c constraints.txt -e '.[test]'
+	@$(PIP) -c constraints.txt -e $(CLIENT) -e '.[test]'
 	@$(told)
 	@touch $(DEMO) $@

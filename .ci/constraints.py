@@ -21,7 +21,7 @@ def pins() -> list[str]:
         name = re.sub(r"[-_.]+", "-", dist.name).lower()
         # The ros-* wheels carry metadata of packages inside them, which no index has.
         installed = (dist.read_text("INSTALLER") or "").strip()
-        if name in {"rcp-gateway", "pip", "setuptools"} or not installed:
+        if name in {"rcp-client", "rcp-gateway", "pip", "setuptools"} or not installed:
             continue
         if dist.read_text("direct_url.json") is None:
             found[name] = dist.version

@@ -44,3 +44,5 @@ class AdapterKind(msgspec.Struct, frozen=True):
     config: type[msgspec.Struct]
     open: Callable[[Any, ClientApi], AbstractAsyncContextManager[dict[str, Any]]]
     description: str = ""
+    needs: tuple[str, ...] = ()
+    """As of `BackendKind`."""

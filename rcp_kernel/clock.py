@@ -1,55 +1,15 @@
-"""Times of the wire: ns since the epoch inside, ISO 8601 in UTC outside."""
+"""`rcp_protocol.clock`, under the name that plugins import."""
 
 from __future__ import annotations
 
-import re
-import time
-from datetime import UTC, datetime
-
-from rcp_kernel.errors import BadRequest
-
-__all__ = ["iso", "now", "parse_time"]
-
-_ISO = re.compile(
-    r"(\d{4}-\d\d-\d\d[Tt]\d\d:\d\d:\d\d)(?:\.(\d{1,9}))?(Z|z|[+-]\d\d:\d\d)\Z",
+from rcp_protocol.clock import (
+    iso,
+    now,
+    parse_time,
 )
 
-now = time.time_ns
-_LAST_SECOND = 253_402_300_799  # of the year 9999
-
-_seconds: dict[int, str] = {}
-_MAX_SECONDS = 256  # cached texts: messages of a few seconds' range are under way at once
-
-
-def iso(ns: int) -> str:
-    """Write ns since the epoch as ISO 8601 in UTC with nanoseconds."""
-    second = ns // 1_000_000_000
-    text = _seconds.get(second)
-    if text is None:
-        if len(_seconds) >= _MAX_SECONDS:
-            _seconds.clear()
-        text = _seconds[second] = time.strftime("%Y-%m-%dT%H:%M:%S.%%09dZ", time.gmtime(second))
-    return text % (ns - second * 1_000_000_000)
-
-
-def parse_time(value: str | float) -> int:
-    """Read the contract's `timestamp`: ISO 8601 UTC or epoch seconds; return ns since the epoch.
-
-    :raises BadRequest: it is neither.
-    """
-    try:
-        if not isinstance(value, str):
-            if abs(value) > _LAST_SECOND:
-                raise ValueError(value)
-            return int(value * 1e9) if isinstance(value, float) else value * 1_000_000_000
-        match = _ISO.match(value)
-        if match is None:
-            raise ValueError(value)
-        zone = "+00:00" if match[3] in "Zz" else match[3]
-        whole = datetime.fromisoformat(match[1].upper() + zone).astimezone(UTC)
-        return int(whole.timestamp()) * 1_000_000_000 + int((match[2] or "0").ljust(9, "0"))
-    except (ValueError, OverflowError):
-        raise BadRequest(
-            f"timestamp {str(value)[:40]!r} is not a time",
-            remedy="Write ISO 8601 in UTC (2026-05-29T14:12:04Z) or seconds since the UNIX epoch.",
-        ) from None
+__all__ = [
+    "iso",
+    "now",
+    "parse_time",
+]

@@ -14,7 +14,7 @@ import msgspec
 from msgspec import inspect as mi
 
 from rcp_kernel._plain import is_index, is_map, is_sequence
-from rcp_kernel._shape import children, facts_of
+from rcp_protocol.shape import children, facts_of
 
 __all__ = ["Field", "Leaf"]
 

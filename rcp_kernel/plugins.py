@@ -10,8 +10,9 @@ from __future__ import annotations
 import difflib
 import importlib
 import inspect
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from importlib.metadata import EntryPoint, entry_points
+from importlib.util import find_spec
 from typing import Any
 
 import msgspec
@@ -23,14 +24,13 @@ from rcp_kernel.config.file import GatewayConfig
 from rcp_kernel.errors import ConfigError, PluginError, StartupError
 from rcp_kernel.spi import BackendKind
 
-__all__ = ["GROUPS", "Missing", "Plugins", "installed"]
+__all__ = ["GROUPS", "Missing", "Plugins", "installed", "obstacle"]
 
 GROUPS = {
     "transports": "rcp.transports",
     "plugins": "rcp.plugins",
     "backends": "rcp.backends",
 }
-_EXTRA = {"can", "mavlink", "ros2"}
 
 
 class Missing(msgspec.Struct, frozen=True):
@@ -59,6 +59,36 @@ def installed(group: str) -> dict[str, EntryPoint]:
     return found
 
 
+def _lacking(kind: BackendKind | AdapterKind) -> str | None:
+    """Return the first module that a kind needs and that is not installed."""
+    return next((name for name in kind.needs if find_spec(name) is None), None)
+
+
+def obstacle(point: EntryPoint) -> str | None:
+    """Return why an installed plugin cannot be used, and what to do; None: it can."""
+    try:
+        module = importlib.import_module(point.value)
+    except ImportError as error:
+        return f"{error}; {_remedy(point)}"
+    offers = [getattr(module, hook, None) for hook in ("rcp_backends", "rcp_adapters")]
+    kinds = [kind for offer in offers if offer is not None for kind in offer()]
+    name = next(filter(None, map(_lacking, kinds)), None)
+    return None if name is None else f"No module named '{name}'; {_remedy(point)}"
+
+
+def _remedy(point: EntryPoint) -> str:
+    """Return the command that installs what a plugin lacks.
+
+    An extra that has the plugin's name brings its libraries.
+    """
+    if point.dist is None:
+        return "install the distribution that offers it again"
+    extras = point.dist.metadata.get_all("Provides-Extra") or ()
+    if point.name in extras:
+        return f"pip install '{point.dist.name}[{point.name}]'"
+    return f"pip install {point.dist.name}"
+
+
 def _source(point: EntryPoint) -> str:
     return f"{point.dist.name if point.dist else 'unknown'} ({point.value})"
 
@@ -80,6 +110,9 @@ class Plugins:
         _collect(self.backends, self._offers("rcp_backends"), "backend")
         _collect(self.transports, self._offers("rcp_transports"), "transport")
         _collect(self.adapters, self._offers("rcp_adapters"), "adapter")
+        self._check_needs("backends", self.backends)
+        for name in self._check_needs("plugins", self.adapters):
+            del self.adapters[name]
         hook = self._manager.hook
         try:
             self.interceptors = [
@@ -124,11 +157,23 @@ class Plugins:
                 module = importlib.import_module(point.value)
             except (Exception, SystemExit, KeyboardInterrupt) as error:
                 # Whatever its module does, it does not stop the gateway.
-                extra = f"'rcp-gateway[{name}]'" if name in _EXTRA else _source(point).split()[0]
                 reason = str(error) if isinstance(error, ImportError) else repr(error)
-                self.missing.append(Missing(group, name, reason, f"pip install {extra}"))
+                self.missing.append(Missing(group, name, reason, _remedy(point)))
                 continue
             register(self._manager, module, f"{group}.{name}")
+
+    def _check_needs(
+        self, group: str, kinds: Mapping[str, BackendKind] | Mapping[str, AdapterKind]
+    ) -> list[str]:
+        """Note the kinds that lack a library, and return their names."""
+        points, found = installed(group), list[str]()
+        for name, kind in kinds.items():
+            module = _lacking(kind)
+            if module is not None and (point := points.get(name)) is not None:
+                reason = f"No module named '{module}'"
+                self.missing.append(Missing(group, name, reason, _remedy(point)))
+                found.append(name)
+        return found
 
     def is_missing(self, group: str, name: str) -> Missing | None:
         """Return why a named plugin is not there, or None if it is."""

@@ -343,3 +343,6 @@ class BackendKind(msgspec.Struct, frozen=True):
     open: Callable[[Any, Host], AbstractAsyncContextManager[Backend]]
     description: str = ""
     """One line for `rcpd plugins`."""
+    needs: tuple[str, ...] = ()
+    """Modules of an extra that it cannot be opened without; where one is not installed, the
+    gateway says which extra to install and goes on without it."""

@@ -9,7 +9,6 @@ from collections.abc import AsyncGenerator, Iterable
 from contextlib import asynccontextmanager
 
 from rcp_can.config import CanConfig
-from rcp_kernel.errors import ConfigError
 from rcp_kernel.hookspecs import hookimpl
 from rcp_kernel.spi import Backend, BackendKind, Host
 
@@ -20,17 +19,9 @@ __all__ = ["CanConfig", "open_can", "rcp_backends"]
 async def open_can(config: CanConfig, host: Host) -> AsyncGenerator[Backend]:
     """Open the buses and find what sits on them.
 
-    :raises ConfigError: python-can is missing, or the configuration cannot be.
+    :raises ConfigError: the configuration cannot be.
     :raises NotReady: a bus does not open.
     """
-    try:
-        import can  # noqa: F401
-        import canopen  # noqa: F401
-        import cantools  # noqa: F401
-    except ImportError as error:
-        raise ConfigError(
-            f"{error.name} is not installed: pip install 'rcp-gateway[can]'"
-        ) from error
     from rcp_can.backend import open_buses
 
     async with open_buses(config, host) as backend:
@@ -40,4 +31,6 @@ async def open_can(config: CanConfig, host: Host) -> AsyncGenerator[Backend]:
 @hookimpl
 def rcp_backends() -> Iterable[BackendKind]:
     """Offer CAN buses."""
-    return [BackendKind("can", CanConfig, open_can, "Motor drives and devices on CAN buses.")]
+    text = "Motor drives and devices on CAN buses."
+    needs = ("can", "canopen", "cantools")
+    return [BackendKind("can", CanConfig, open_can, text, needs)]

@@ -14,23 +14,20 @@ from typing import TYPE_CHECKING
 import structlog
 
 from rcp_can import motor_messages as m
-from rcp_can import power_switch, views
+from rcp_can import views
+from rcp_can.axis_state import AxisState, Loss
 from rcp_can.bus import Bus
 from rcp_can.codec import clamp
 from rcp_can.config_motor import MotorConfig
 from rcp_can.drive import Drive, Fault
-from rcp_can.faultbook import FaultBook
 from rcp_can.guard import (
     STALLED,
-    Loss,
     heartless,
-    limit_of,
     loss,
     stale,
 )
 from rcp_can.health import Health
 from rcp_can.messages import Condition
-from rcp_can.ramp import Ramp
 from rcp_can.setpoint import set_point
 from rcp_kernel.errors import (
     AdapterUnavailable,
@@ -47,7 +44,6 @@ if TYPE_CHECKING:
 __all__ = ["Axis"]
 
 log = structlog.get_logger("rcp.can")
-_RESTING = 0.02  # rad/s at the drive's shaft, below which it rests, whatever the motor's tolerance
 _LAG = 0.2  # s that a joint may be behind its ramp, and still stop where that stops
 _RETRY = 1.0  # s between two attempts to configure a drive, or to cut its torque
 _LATE = 0.1  # s between two ticks, after which frames may still wait to be read
@@ -55,34 +51,17 @@ _FROZEN = 0.5  # s between two ticks, after which a watchdog or the guard may ha
 _STILL = 3  # reports of velocity in a row that say that it rests
 
 
-class Axis:
+class Axis(AxisState):
     """A motor: its drive, its limits, and the set-point that stands."""
 
     def __init__(
         self, name: str, config: MotorConfig, drive: Drive, bus: Bus, host: Host, health: Health
     ) -> None:
-        self.name, self.config, self.drive, self.bus = name, config, drive, bus
+        super().__init__(name, config, drive, bus, host)
         self._host, self._health = host, health
-        self.status = drive.status
-        reach, gear = drive.reach(), config.gear
-        self.ratio = gear * config.direction
-        self.velocity_limit = min(config.velocity, reach.velocity / gear)
-        self.torque_limit = min(config.torque, reach.torque * gear)
-        low, high = config.position or (-reach.position / gear, reach.position / gear)
-        span = reach.position / gear
-        self.low, self.high = max(low, -span), min(high, span)
-        self.ramp = Ramp(self.velocity_limit, config.acceleration)
-        self.mode: m.Mode | None = None
-        self.goal = 0.0
-        self.online = self.stopping = False
-        """Whether it is heard; whether a quick stop is under way that nothing has confirmed yet."""
         self.released, self.still = False, 0
         """Whether the torque was cut after a stop; and the reports of velocity in a row, since the
         stop, that say that it rests."""
-        self.blind: Loss | None = None
-        """Which signal is too old, while it is heard."""
-        self.signals = _signals(config, drive)
-        """What its control rests on."""
         self.owner: str | None = None
         """The action that drives it now."""
         self.gone: RcpError | None = None
@@ -91,18 +70,11 @@ class Axis:
         """Whether an action that is over still brings it to rest."""
         self.ended: Callable[[RcpError], None] | None = None
         """Told when what the action commanded is forgotten."""
-        self.heard = self.configured_at = 0.0
-        """When it said something, by the monotonic clock."""
-        self._stop_began: float | None = None
         self._releasing: asyncio.Task[None] | None = None
-        self._lost_once = self.enabling = False
+        self._lost_once = False
         self._ticked, self._velocities = time.monotonic(), 0
         self._seen = (0, 0, 0, 0)
         self._shown: m.MotorState | None = None
-        self.faults = FaultBook(name, host)
-        self.configured = False
-        """Whether the drive is set up since it was last heard to boot or to come back."""
-        self.configuring: asyncio.Task[None] | None = None
         self._tick, self._step_due = 0, False
         self.wanted_on = self.in_use = False
         """Whether it was switched on from here and should be so; whether it was at all."""
@@ -113,72 +85,6 @@ class Axis:
         bus.on_state.append(self._bus_turned)
 
     # What the drive says
-
-    @property
-    def position(self) -> float | None:
-        """Where the joint is, rad."""
-        raw = self.status.position
-        return None if raw is None else raw / self.ratio + self.config.offset
-
-    @property
-    def velocity(self) -> float | None:
-        """How fast it turns, rad/s."""
-        raw = self.status.velocity
-        return None if raw is None else raw / self.ratio
-
-    @property
-    def state(self) -> m.State:
-        """How it stands, in one word."""
-        if not self.online:
-            return "offline"
-        if self.blind is not None:
-            return "no_feedback"
-        broken = self.faults.own("configuration") is not None
-        if broken or (self.status.faults and not self.status.enabled):
-            return "fault"
-        if self.stopping and self.status.energised is not False:
-            return "stopping"
-        if self.status.enabled:
-            return "enabled"
-        return "quick_stop" if self.status.energised else "disabled"
-
-    @property
-    def met(self) -> bool:
-        """Whether it was ever heard."""
-        return self.heard > 0.0
-
-    def is_fresh(self, signal: str) -> bool:
-        """Tell whether a signal is young enough to rest on."""
-        at = self.status.at.get(signal)
-        return at is not None and time.monotonic() - at <= limit_of(self, signal)
-
-    @property
-    def slow(self) -> bool:
-        """Whether its last velocity is that of rest."""
-        velocity = self.status.velocity
-        return velocity is not None and abs(velocity) <= max(
-            _RESTING, self.config.standstill * self.config.gear
-        )
-
-    @property
-    def resting(self) -> bool:
-        """Whether its fresh feedback says that it rests."""
-        return self.online and self.slow and self.is_fresh("velocity")
-
-    @property
-    def stopped(self) -> bool:
-        """Whether a quick stop stands that no command has followed."""
-        return self._stop_began is not None
-
-    @property
-    def secure(self) -> bool:
-        """Whether it rests without torque, and nothing is under way that could change that."""
-        return (
-            self.resting
-            and self.is_fresh("enabled")
-            and self.status.energised is False
-            and not (self.enabling or self.stopping or self.mode is not None)
-        )
 
     def _take(self, message: can.Message) -> None:
         if self.drive.take(message):
@@ -293,7 +199,7 @@ class Axis:
         """
         check_fence()
         self.stopping = False
-        self._stop_began = None
+        self.stop_began = None
         if mode != self.mode:
             self.ramp.start(self.position or 0.0, self.velocity or 0.0)
         self.ramp.limit, self.ramp.path = self.velocity_limit, path
@@ -340,8 +246,8 @@ class Axis:
         """Quick stop: brake hard, again and again until the drive says that it rests."""
         self.mode = None
         self.stopping, self.still = True, 0
-        if self._stop_began is None:
-            self._stop_began = time.monotonic()
+        if self.stop_began is None:
+            self.stop_began = time.monotonic()
         self._brake()
         self.show()
 
@@ -386,10 +292,6 @@ class Axis:
             ended(reason)
         self.show()
 
-    async def enable(self) -> None:
-        """Switch on, at rest; see `power_switch.enable`."""
-        await power_switch.enable(self)
-
     async def disable(self) -> None:
         """Switch off."""
         self.end_stop()
@@ -401,7 +303,7 @@ class Axis:
 
     def end_stop(self) -> None:
         """Let a quick stop be over: what comes now is somebody's wish."""
-        self.stopping, self.released, self._stop_began = False, False, None
+        self.stopping, self.released, self.stop_began = False, False, None
 
     # Time
 
@@ -434,7 +336,7 @@ class Axis:
         elif self.online and self._moved_by_another():
             self.stop()
         after = self.config.torque_off_after
-        began = self._stop_began
+        began = self.stop_began
         if None not in (after, began) and not self.released and now - began >= after:  # type: ignore[operator]
             self._release()
         self._send(lambda: self.drive.poll(self._tick))
@@ -455,9 +357,9 @@ class Axis:
     def _stopped(self) -> None:
         self.stopping = False
         if self.drive.holds and self.status.enabled and not self.released:
-            began = self._stop_began
+            began = self.stop_began
             self.rest()
-            self._stop_began = began
+            self.stop_began = began
         self.show()
 
     def _look(self, why: Loss | None) -> None:
@@ -553,9 +455,3 @@ class Axis:
             if task is not None:
                 task.cancel()
                 await asyncio.wait((task,))
-
-
-def _signals(config: MotorConfig, drive: Drive) -> tuple[str, ...]:
-    """Return what control rests on; a position only where something is made of it."""
-    placed = "position" in drive.modes or config.position is not None
-    return ("position", "velocity", "enabled") if placed else ("velocity", "enabled")

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from rcp_can.binding import Part
 from rcp_can.bus import Bus
 from rcp_can.config_node import NodeConfig
+from rcp_can.eds_file import load_eds
 from rcp_can.eds_types import Entry, entry_of, slug
 from rcp_can.health import Health
 from rcp_can.node_state import NodeWatch
@@ -21,7 +22,7 @@ from rcp_kernel.spi import Host, check_fence
 if TYPE_CHECKING:
     from canopen.objectdictionary import ObjectDictionary, ODVariable
 
-__all__ = ["EdsPart", "load_eds"]
+__all__ = ["EdsPart"]
 
 _PERIOD = 1.0  # s between two looks at a parameter that somebody watches
 _COMMANDS = frozenset((0x6040, 0x6060, 0x6071, 0x607A, 0x60B0, 0x60B1, 0x60B2, 0x60C1, 0x60FF))
@@ -117,22 +118,6 @@ class EdsPart(Part):
             with suppress(RcpError):  # it is told to whoever reads
                 self._host.publish(name, await self.read(name))
             await asyncio.sleep(_PERIOD)
-
-
-def load_eds(where: str, file: str, node: int) -> ObjectDictionary:
-    """Read an EDS or DCF.
-
-    :raises ConfigError: it cannot be read.
-    """
-    import canopen
-
-    try:
-        found: Any = canopen.import_od(file, node)
-    except Exception as error:
-        raise ConfigError(f"{where}.eds: {file}: {error}") from error
-    if not len(found):
-        raise ConfigError(f"{where}.eds: {file} describes no objects; it must end in .eds or .dcf")
-    return found
 
 
 def _variables(dictionary: ObjectDictionary) -> Iterator[tuple[str, str, ODVariable]]:

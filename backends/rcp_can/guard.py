@@ -3,41 +3,27 @@
 from __future__ import annotations
 
 import asyncio
-from typing import TYPE_CHECKING, NamedTuple
 
+from rcp_can.axis_state import AxisState, Loss
 from rcp_kernel.errors import AdapterUnavailable, DeviceTimeout, ModeForbids, QueueFull
-
-if TYPE_CHECKING:
-    from rcp_can.axis import Axis
 
 __all__ = [
     "STALLED",
-    "Loss",
     "check",
     "check_bus",
     "check_feedback",
     "check_link",
     "heartless",
-    "limit_of",
     "loss",
     "ready",
     "stale",
 ]
 
 STALLED = 0.25  # s that a frame waits to be sent, after which set-points would leave in a heap
-_MISSED = 5  # reports in a row: two of three may be lost on the way
-_SHORTEST = 0.25  # s: the gateway's own loop may be late by a part of this
 _CONFIGURING = 1.0  # s that a call waits for a drive to be configured
 
 
-class Loss(NamedTuple):
-    """Why a drive counts as lost."""
-
-    fault: str
-    text: str
-
-
-def loss(axis: Axis, now: float) -> Loss | None:
+def loss(axis: AxisState, now: float) -> Loss | None:
     """Tell whether a drive that was heard is lost."""
     timeout = axis.config.timeout
     if now - axis.heard > timeout:
@@ -47,13 +33,13 @@ def loss(axis: Axis, now: float) -> Loss | None:
     return None
 
 
-def stale(axis: Axis, now: float) -> Loss | None:
+def stale(axis: AxisState, now: float) -> Loss | None:
     """Tell whether a drive that is heard no longer tells what its control rests on."""
     if not axis.configured:
         return None
     at, since = axis.status.at, axis.configured_at
     for signal in axis.signals:
-        limit = limit_of(axis, signal)
+        limit = axis.limit_of(signal)
         if now - max(at.get(signal, 0.0), since) > limit:
             word = "state" if signal == "enabled" else signal
             text = f"no {word} received for {limit:g} s"
@@ -63,14 +49,7 @@ def stale(axis: Axis, now: float) -> Loss | None:
     return None
 
 
-def limit_of(axis: Axis, signal: str) -> float:
-    """Return the age in s at which a signal is too old."""
-    if axis.config.feedback_timeout is not None:
-        return axis.config.feedback_timeout
-    return max(_MISSED * (axis.drive.period(signal) or 1 / axis.config.rate), _SHORTEST)
-
-
-def check_feedback(axis: Axis) -> None:
+def check_feedback(axis: AxisState) -> None:
     """See that position, velocity and state are fresh.
 
     :raises DeviceTimeout: one of them is not.
@@ -82,13 +61,13 @@ def check_feedback(axis: Axis) -> None:
         )
 
 
-def heartless(axis: Axis, now: float) -> bool:
+def heartless(axis: AxisState, now: float) -> bool:
     """Tell whether heartbeats are missing."""
     beats = axis.drive.beats
     return beats is not None and now - axis.status.beat > max(beats, axis.config.timeout)
 
 
-def check(axis: Axis) -> None:
+def check(axis: AxisState) -> None:
     """See that it can be commanded.
 
     :raises AdapterUnavailable: its bus is down, or it is not heard of.
@@ -107,7 +86,7 @@ def check(axis: Axis) -> None:
         )
 
 
-def check_link(axis: Axis) -> None:
+def check_link(axis: AxisState) -> None:
     """See that it can be reached.
 
     :raises AdapterUnavailable: its bus is down, or it is not heard of.
@@ -121,7 +100,7 @@ def check_link(axis: Axis) -> None:
         )
 
 
-def check_bus(axis: Axis) -> None:
+def check_bus(axis: AxisState) -> None:
     """See that what it is told reaches it now, and no other drive.
 
     :raises QueueFull: the frames of before have not left yet.
@@ -139,7 +118,7 @@ def check_bus(axis: Axis) -> None:
         )
 
 
-async def ready(axis: Axis) -> None:
+async def ready(axis: AxisState) -> None:
     """Wait until the drive is configured.
 
     :raises AdapterUnavailable: it cannot be reached, or not be configured.

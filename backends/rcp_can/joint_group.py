@@ -17,6 +17,7 @@ from rcp_can.guard import check, check_feedback, check_link, ready
 from rcp_can.joint_types import joint_types
 from rcp_can.motor import abandon, drive_to, released
 from rcp_can.path import Leg, Path
+from rcp_can.power_switch import enable
 from rcp_can.standstill import rested
 from rcp_kernel.errors import AdapterUnavailable, ConfigError, InvalidValue, ModeForbids, RcpError
 from rcp_kernel.model import Resource
@@ -180,7 +181,7 @@ class JointGroupPart(Part):
                 await released(axis)
         match verb:
             case "enable":
-                await _together(axis.enable() for axis in self._axes if not axis.status.enabled)
+                await _together(enable(axis) for axis in self._axes if not axis.status.enabled)
             case "disable":
                 await _together(axis.disable() for axis in self._axes)
             case "clear_faults":

@@ -15,6 +15,7 @@ from rcp_can.axis import Axis
 from rcp_can.binding import Part
 from rcp_can.guard import check, check_feedback, check_link, ready
 from rcp_can.motor_resources import motor_resources
+from rcp_can.power_switch import enable
 from rcp_can.standstill import rested
 from rcp_kernel.errors import (
     DeviceRejected,
@@ -87,7 +88,7 @@ class MotorPart(Part):
             raise ModeForbids(f"motor '{axis.name}' is driven by {axis.owner}")
         match verb:
             case "enable":
-                await axis.enable()
+                await enable(axis)
             case "disable":
                 await axis.disable()
             case "clear_faults":

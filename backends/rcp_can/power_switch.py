@@ -5,16 +5,13 @@ from __future__ import annotations
 import asyncio
 import time
 from contextlib import suppress
-from typing import TYPE_CHECKING
 
 import anyio
 
+from rcp_can.axis import Axis
 from rcp_can.guard import check_bus, check_feedback, check_link
 from rcp_kernel.errors import DeviceRejected, DeviceTimeout, RcpError
 from rcp_kernel.spi import check_fence, unfenced
-
-if TYPE_CHECKING:
-    from rcp_can.axis import Axis
 
 __all__ = ["enable"]
 

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
+from rcp_can.axis_state import AxisState
 from rcp_can.codec import clamp
 from rcp_can.motor_messages import Mode
-
-if TYPE_CHECKING:
-    from rcp_can.axis import Axis
 
 __all__ = ["SetPoint", "set_point"]
 
@@ -21,7 +19,7 @@ class SetPoint(NamedTuple):
     velocity: float = 0.0
 
 
-def set_point(axis: Axis, dt: float) -> SetPoint | None:
+def set_point(axis: AxisState, dt: float) -> SetPoint | None:
     """Advance the ramp and return the next set-point; None where none stands."""
     match axis.mode:
         case "velocity":
@@ -38,7 +36,7 @@ def set_point(axis: Axis, dt: float) -> SetPoint | None:
             return None
 
 
-def _within(axis: Axis, velocity: float) -> float:
+def _within(axis: AxisState, velocity: float) -> float:
     """Let no velocity lead out of the positions that are allowed."""
     if axis.config.position is None:
         return velocity

@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 from rcp_can import motor_messages as m
-
-if TYPE_CHECKING:
-    from rcp_can.axis import Axis
+from rcp_can.axis_state import AxisState
 
 __all__ = ["health", "motion", "state"]
 
 
-def motion(axis: Axis) -> m.Motion:
+def motion(axis: AxisState) -> m.Motion:
     """Return what the drive measured last, at the joint; what is too old is left out."""
     status = axis.status
     return m.Motion(
@@ -23,7 +19,7 @@ def motion(axis: Axis) -> m.Motion:
     )
 
 
-def health(axis: Axis) -> m.Health:
+def health(axis: AxisState) -> m.Health:
     """Return temperatures and supply."""
     status = axis.status
     return m.Health(
@@ -33,7 +29,7 @@ def health(axis: Axis) -> m.Health:
     )
 
 
-def state(axis: Axis) -> m.MotorState:
+def state(axis: AxisState) -> m.MotorState:
     """Return how it stands."""
     return m.MotorState(
         state=axis.state,

@@ -1,4 +1,4 @@
-"""MAVLink vehicles: drones, planes, rovers and boats as robots; `rcp_mavlink.sim` is one of them.
+"""MAVLink vehicles: drones, planes, rovers and boats as robots; `rcp_mavlink_sim` simulates them.
 
 Importing this costs nothing; pymavlink itself is imported when a backend is opened.
 """
@@ -18,4 +18,5 @@ __all__ = ["MavlinkBackend", "MavlinkConfig", "TwinConfig", "open_mavlink", "rcp
 @hookimpl
 def rcp_backends() -> Iterable[BackendKind]:
     """Offer the vehicles that are heard over MAVLink."""
-    return [BackendKind("mavlink", MavlinkConfig, open_mavlink, "Vehicles that speak MAVLink.")]
+    text, needs = "Vehicles that speak MAVLink.", ("pymavlink", "fastcrc")
+    return [BackendKind("mavlink", MavlinkConfig, open_mavlink, text, needs)]

@@ -176,7 +176,7 @@ class Dialect:
 def dialect(name: str) -> Dialect:
     """Load a dialect by its name, or from an XML file, which takes seconds.
 
-    :raises ConfigError: there is none, it lacks what a vehicle is led with, or pymavlink is missing.
+    :raises ConfigError: there is none, or it lacks what a vehicle is led with.
     """
     found = Dialect(module_of(Path(name))) if name.endswith(".xml") else _of_pymavlink(name)
     missing = sorted(_NEEDED - found.by_name.keys())
@@ -195,8 +195,6 @@ def _of_pymavlink(name: str) -> Dialect:
     try:
         return Dialect(importlib.import_module(f"pymavlink.dialects.v20.{name}"))
     except ModuleNotFoundError as error:
-        if error.name == "pymavlink":
-            text = "pymavlink is missing: pip install 'rcp-gateway[mavlink]'"
-        else:
-            text = f"`dialect`: pymavlink has no {name!r}; name one it has, or an XML file"
-        raise ConfigError(text) from error
+        raise ConfigError(
+            f"`dialect`: pymavlink has no {name!r}; name one it has, or an XML file"
+        ) from error

@@ -44,7 +44,7 @@ async def keep_twin(options: dict[str, object], port: int, failed: Callable[[str
     line = msgspec.json.encode({"options": options, "links": [f"udpout:127.0.0.1:{port}"]})
     while True:
         process = await asyncio.create_subprocess_exec(
-            sys.executable, "-m", "rcp_mavlink.sim.child",
+            sys.executable, "-m", "rcp_mavlink_sim.child",
             stdin=asyncio.subprocess.PIPE,
             stdout=asyncio.subprocess.DEVNULL,
             stderr=asyncio.subprocess.PIPE,

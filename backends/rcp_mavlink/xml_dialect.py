@@ -39,8 +39,6 @@ def module_of(path: Path) -> Any:
     """
     if not path.is_file():
         raise ConfigError(f"`dialect`: there is no file {path}")
-    if importlib.util.find_spec("pymavlink") is None:
-        raise ConfigError("pymavlink is missing: pip install 'rcp-gateway[mavlink]'")
     with tempfile.TemporaryDirectory(prefix="rcp-dialect-") as folder:
         room = Path(folder)
         for own in files("pymavlink.dialects.v20").iterdir():

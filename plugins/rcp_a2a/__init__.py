@@ -35,4 +35,5 @@ async def open_a2a(config: A2aConfig, client_api: ClientApi) -> AsyncGenerator[d
 @hookimpl
 def rcp_adapters() -> Iterable[AdapterKind]:
     """Offer A2A."""
-    return [AdapterKind("a2a", A2aConfig, open_a2a, __doc__ or "")]
+    needs = ("a2a", "starlette")
+    return [AdapterKind("a2a", A2aConfig, open_a2a, __doc__ or "", needs=needs)]

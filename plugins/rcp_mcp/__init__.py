@@ -6,7 +6,6 @@ import asyncio
 from collections.abc import AsyncGenerator, Iterable
 from contextlib import asynccontextmanager
 from importlib import import_module
-from importlib.util import find_spec
 from typing import Any
 
 from rcp_kernel.client_api import ClientApi
@@ -15,9 +14,6 @@ from rcp_kernel.hookspecs import hookimpl
 from rcp_mcp.config import McpConfig
 
 __all__ = ["McpConfig", "rcp_adapters"]
-
-if find_spec("mcp") is None:
-    raise ImportError("No module named 'mcp'")
 
 
 @asynccontextmanager
@@ -35,4 +31,4 @@ async def _open(config: McpConfig, client_api: ClientApi) -> AsyncGenerator[dict
 @hookimpl
 def rcp_adapters() -> Iterable[AdapterKind]:
     """Offer MCP."""
-    return [AdapterKind("mcp", McpConfig, _open, __doc__ or "")]
+    return [AdapterKind("mcp", McpConfig, _open, __doc__ or "", needs=("mcp",))]

@@ -44,7 +44,11 @@ def mcp(url: str, token_file: Path | None, tenant: str | None, cacert: str | Non
             raise click.BadParameter(
                 f"cannot be read: {error.strerror}", param_hint="--token-file"
             ) from None
-    from rcp_mcp.bridge import bridge
+    try:
+        from rcp_mcp.bridge import bridge
+    except ModuleNotFoundError as error:
+        text = f"{error.name} is not installed: pip install 'rcp-gateway[mcp]'"
+        raise click.ClickException(text) from error
 
     headers = {"x-rcp-tenant": tenant} if tenant else {}
     if token:

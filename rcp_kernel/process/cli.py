@@ -121,19 +121,20 @@ def check(config: Path) -> None:
 
 @main.command()
 def plugins() -> None:
-    """List the installed plugins, those that cannot be imported included."""
+    """List the installed plugins, and what to install for those that cannot be used."""
     import importlib
 
-    from rcp_kernel.plugins import GROUPS, installed
+    from rcp_kernel.plugins import GROUPS, installed, obstacle
 
     for group in GROUPS:
         for name, point in sorted(installed(group).items()):
             source = f"{point.dist.name} {point.dist.version}" if point.dist else "?"
-            try:
-                module = importlib.import_module(point.value)
-                text = (module.__doc__ or "").strip().partition("\n")[0]
-            except ImportError as error:
-                text = f"unavailable: {error}"
+            reason = obstacle(point)
+            if reason is None:
+                doc = importlib.import_module(point.value).__doc__ or ""
+                text = doc.strip().partition("\n")[0]
+            else:
+                text = f"unavailable: {reason}"
             click.echo(f"{group:<11} {name:<10} {source:<20} {text}")
 
 

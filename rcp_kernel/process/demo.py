@@ -8,10 +8,10 @@ import shutil
 import sys
 from collections.abc import Generator
 from contextlib import contextmanager, suppress
-from importlib.util import find_spec
 from pathlib import Path
 
 from rcp_kernel.app.server import Server
+from rcp_kernel.plugins import installed, obstacle
 
 __all__ = ["Demo", "token_file"]
 
@@ -22,13 +22,7 @@ name = "rcp-demo"
 port = {port}
 
 [plugins.dashboard]
-
-[plugins.a2a.push]
-http = true
-private = ["127.0.0.0/8", "::1/128"]
-
-[plugins.mcp]
-
+{a2a}{mcp}
 [log]
 level = "{level}"
 
@@ -53,6 +47,16 @@ key = "{operator}"
 name = "demo-admin"
 role = "admin"
 key = "{admin}"
+"""
+
+_A2A = """
+[plugins.a2a.push]
+http = true
+private = ["127.0.0.0/8", "::1/128"]
+"""
+
+_MCP = """
+[plugins.mcp]
 """
 
 _DRONE = """
@@ -100,13 +104,18 @@ options = { rated_torque = 0.5 }
 [backends.joint_groups.head]
 joints = ["pan", "tilt"]
 """
-_CAN = "can", "canopen", "cantools"
 
 
 def token_file(host: str, port: int) -> Path:
     """Return where the demo leaves its key for `rcpctl` of the same user."""
     base = os.environ.get("XDG_RUNTIME_DIR") or str(Path.home() / ".cache")
     return Path(base) / "rcp" / f"{host}_{port}.token"
+
+
+def _usable(group: str, name: str) -> bool:
+    """Tell whether a plugin is installed with the libraries that it needs."""
+    point = installed(group).get(name)
+    return point is not None and obstacle(point) is None
 
 
 class Demo:
@@ -116,8 +125,8 @@ class Demo:
         self._port = port
         self._operator = "rcp_op_" + secrets.token_urlsafe(18)
         self._admin = "rcp_ad_" + secrets.token_urlsafe(18)
-        self._drone = find_spec("pymavlink") is not None
-        self._head = all(find_spec(name) is not None for name in _CAN)
+        self._a2a, self._mcp = _usable("plugins", "a2a"), _usable("plugins", "mcp")
+        self._drone, self._head = _usable("backends", "mavlink"), _usable("backends", "can")
 
     def config(self, level: str) -> str:
         """Write the configuration as TOML."""
@@ -126,6 +135,8 @@ class Demo:
             level=level,
             operator=self._operator,
             admin=self._admin,
+            a2a=_A2A if self._a2a else "",
+            mcp=_MCP if self._mcp else "",
             drone=_DRONE if self._drone else "",
             head=_HEAD if self._head else "",
         )
@@ -172,13 +183,19 @@ class Demo:
             does = f"  {rcpctl} --url {url} execute /tenant/delta"
             goal = """'{"positions": {"pan": 1, "tilt": 0.5}}'"""
             look = f"{does}/service/head/enable\n{does}/action/head/move_joints {goal}"
+        a2a = f"{url}/a2a               for agents that speak A2A"
+        if not self._a2a:
+            a2a = "Agents are served over A2A after: pip install 'rcp-gateway[a2a]'"
+        mcp = f"{url}/mcp               for models: tools and resources over MCP"
+        if not self._mcp:
+            mcp = "Models are served over MCP after: pip install 'rcp-gateway[mcp]'"
         return f"""\
 RCP gateway demo: {where}
   {url}/                  the dashboard: open it in a browser
   {url}/rcp/v1/discovery  everything there is
   {url}/metrics           for Prometheus
-  {url}/a2a               for agents that speak A2A
-  {url}/mcp               for models: tools and resources over MCP
+  {a2a}
+  {mcp}
 
   operator key  {self._operator}   (reads, writes, commands)
   admin key     {self._admin}   (and resets an e-stop)

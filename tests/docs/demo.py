@@ -30,15 +30,15 @@ class Demo:
 
 
 @contextmanager
-def demo(runtime: Path, port: int = 0) -> Generator[Demo]:
+def demo(runtime: Path, port: int = 0, programs: Path = BIN) -> Generator[Demo]:
     """Run `rcpd demo` while entered, on a free port if none is given.
 
-    `runtime` is where it leaves its key.
+    `runtime` is where it leaves its key, `programs` the folder of the `rcpd` that is run.
     """
     environment = os.environ | {"XDG_RUNTIME_DIR": str(runtime), "PYTHONUNBUFFERED": "1"}
     for name in ("RCP_URL", "RCP_TOKEN", "RCP_TENANT"):
         environment.pop(name, None)
-    command = [str(BIN / "rcpd"), "demo", "--port", str(port)]
+    command = [str(programs / "rcpd"), "demo", "--port", str(port)]
     with subprocess.Popen(
         command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, env=environment
     ) as process:

@@ -5,12 +5,14 @@ from __future__ import annotations
 import pkgutil
 from importlib import import_module
 
-from rcp_kernel import errors
+from rcp_protocol import errors
 
 
 def test_every_error_is_had_from_one_module() -> None:
     parts = [module.name for module in pkgutil.iter_modules(errors.__path__)]
-    named = [name for part in parts for name in import_module(f"rcp_kernel.errors.{part}").__all__]
+    named = [
+        name for part in parts for name in import_module(f"rcp_protocol.errors.{part}").__all__
+    ]
     assert sorted([*named, "BY_CODE"]) == sorted(errors.__all__)
     assert len(parts) > 1
 

@@ -15,7 +15,7 @@ import pytest
 from rcp_kernel import hookspecs, plugins
 from rcp_kernel.app.server import prepare, running
 from rcp_kernel.config.file import parse
-from rcp_kernel.errors import PluginError
+from rcp_kernel.errors import ConfigError, PluginError
 from rcp_kernel.hookspecs import hookimpl
 from rcp_kernel.spi import BackendKind
 
@@ -92,19 +92,76 @@ def test_two_plugins_with_one_name_are_refused(
         prepare(parse(configured("first", "second"), "f"), "f")
 
 
-@pytest.mark.anyio
-async def test_a_plugin_that_cannot_be_imported_is_unavailable_and_stops_nothing(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+def distributed(
+    monkeypatch: pytest.MonkeyPatch, folder: Path, group: str, name: str, source: str, *extras: str
 ) -> None:
-    installed_as(monkeypatch, tmp_path, ros2="import no_such_library")
-    prepared = prepare(parse(configured("ros2"), "f"), "f")
+    """Install a distribution of one plugin, `robots-of-others`, with its metadata."""
+    module = f"rcp_of_others_{name}"
+    (folder / f"{module}.py").write_text(source)
+    info = folder / "robots_of_others-1.dist-info"
+    info.mkdir()
+    offered = "".join(f"Provides-Extra: {extra}\n" for extra in extras)
+    (info / "METADATA").write_text(
+        f"Metadata-Version: 2.3\nName: robots-of-others\nVersion: 1\n{offered}"
+    )
+    (info / "entry_points.txt").write_text(f"[rcp.{group}]\n{name} = {module}\n")
+    monkeypatch.delitem(sys.modules, module, raising=False)
+    monkeypatch.syspath_prepend(str(folder))
+
+
+NEEDY = """
+import msgspec
+from rcp_kernel.hookspecs import hookimpl
+from rcp_kernel.spi import AdapterKind, BackendKind
+class C(msgspec.Struct, forbid_unknown_fields=True): pass
+def never(config, host): raise AssertionError("opened without what it needs")
+needs = ("json", "no_such_library")
+@hookimpl
+def rcp_backends(): return [BackendKind("needy", C, never, needs=needs)]
+@hookimpl
+def rcp_adapters(): return [AdapterKind("needy", C, never, needs=needs)]
+"""
+
+
+@pytest.mark.anyio
+@pytest.mark.parametrize("source", ["import no_such_library", NEEDY])
+@pytest.mark.parametrize("extra", [True, False])
+async def test_a_backend_whose_library_is_missing_says_what_to_install_and_stops_nothing(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, source: str, *, extra: bool
+) -> None:
+    distributed(monkeypatch, tmp_path, "backends", "needy", source, *["needy"] * extra)
+    prepared = prepare(parse(configured("needy"), "f"), "f")
     async with running(prepared) as server:
         backend = server.status.plain()["backends"][0]
         assert backend["state"] == "down"
         assert "no_such_library" in backend["detail"]
-        assert "pip install 'rcp-gateway[ros2]'" in backend["detail"]
+        remedy = (
+            "pip install 'robots-of-others[needy]'" if extra else "pip install robots-of-others"
+        )
+        assert backend["detail"].endswith(remedy)
         ready, states = server.status.ready()
-        assert (ready, states) == (False, {"ros2": "down"})
+        assert (ready, states) == (False, {"needy": "down"})
+
+
+@pytest.mark.anyio
+async def test_an_adapter_whose_library_is_missing_says_what_to_install_and_stops_nothing(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    distributed(monkeypatch, tmp_path, "plugins", "needy", NEEDY, "needy")
+    prepared = prepare(parse(NO_TRANSPORTS + "[plugins.needy]\n", "f"), "f")
+    async with running(prepared) as server:
+        (adapter,) = (a for a in server.status.plain()["adapters"] if a["name"] == "needy")
+    assert adapter["state"] == "down"
+    detail = "No module named 'no_such_library'; pip install 'robots-of-others[needy]'"
+    assert adapter["detail"] == detail
+
+
+def test_the_table_of_a_backend_is_checked_without_its_library(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    distributed(monkeypatch, tmp_path, "backends", "needy", NEEDY, "needy")
+    with pytest.raises(ConfigError, match="colour"):
+        prepare(parse(configured("needy") + 'colour = "red"\n', "f"), "f")
 
 
 def test_nothing_runs_because_it_is_installed(

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from rcp_can.codec import Field, Layout
-from rcp_can.eds_node import load_eds
+from rcp_can.eds_file import load_eds
 from rcp_can.profiles.cia402_objects import OBJECTS, PDOS
 from rcp_kernel.errors import ConfigError
 

@@ -8,8 +8,8 @@ from contextlib import asynccontextmanager
 from typing import Any
 
 from rcp_kernel.testing import eventually
-from rcp_mavlink.sim import Options, Twin, Vehicle, fly
-from rcp_mavlink.sim.modes import Mode
+from rcp_mavlink_sim import Options, Twin, Vehicle, fly
+from rcp_mavlink_sim.modes import Mode
 
 FAST = 10.0
 _STEP = 0.02
@@ -26,10 +26,10 @@ def skip(vehicle: Vehicle, holds: Callable[[], bool], seconds: float = 200.0) ->
 def on_the_ground(vehicle: Vehicle, mode: Mode = Mode.GUIDED) -> None:
     """Put it on the ground, disarmed."""
     if not vehicle.body.landed:
-        vehicle.set_mode(Mode.LAND)
+        vehicle.flight.set_mode(Mode.LAND)
         skip(vehicle, lambda: not vehicle.armed)
-    vehicle.disarm()
-    vehicle.set_mode(mode)
+    vehicle.flight.disarm()
+    vehicle.flight.set_mode(mode)
 
 
 def armed(vehicle: Vehicle, mode: Mode = Mode.GUIDED) -> None:
@@ -44,7 +44,7 @@ def airborne(vehicle: Vehicle, height: float = 20.0) -> None:
         armed(vehicle)
         assert vehicle.flight.take_off(height)
         skip(vehicle, lambda: not vehicle.flight.taking_off)
-    vehicle.set_mode(Mode.GUIDED)
+    vehicle.flight.set_mode(Mode.GUIDED)
     vehicle.pilot.hold()
     skip(vehicle, lambda: speed(vehicle) < 0.1)
 
@@ -61,7 +61,7 @@ async def twin(*links: str, **options: Any) -> AsyncGenerator[Twin]:
     given = {"speed": FAST, "warmup": 0.0, "parameters": {"DISARM_DELAY": 0.0}, **options}
     vehicle = Vehicle(Options(**given))
     vehicle.advance(0.0, 1.0)
-    vehicle.set_mode(Mode.GUIDED)
+    vehicle.flight.set_mode(Mode.GUIDED)
     async with fly(vehicle, *(links or ("udpin:127.0.0.1:0",))) as running:
         yield running
 

@@ -7,7 +7,7 @@ from collections.abc import AsyncGenerator, Callable
 from contextlib import asynccontextmanager
 from typing import Any
 
-from rcp_mavlink.sim.wire import mav
+from rcp_mavlink_sim.wire import mav
 
 HEARTBEAT, COMMAND_ACK, SET_MODE = 0, 77, 176
 

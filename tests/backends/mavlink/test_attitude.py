@@ -13,7 +13,7 @@ from backends.mavlink.test_gateway import Pilot, flying
 from backends.mavlink.test_px4 import OFFBOARD, Px4
 from backends.mavlink.test_px4 import airborne as airborne_px4
 from rcp_kernel.testing import eventually
-from rcp_mavlink.sim.modes import Mode
+from rcp_mavlink_sim.modes import Mode
 
 PATH = "/tenant/t/actuator/attitude"
 HEADING = 2.0

@@ -24,9 +24,9 @@ from backends.mavlink.relay import COMMAND_ACK, HEARTBEAT, Relay, commander, rel
 from rcp_kernel.errors import RcpError
 from rcp_kernel.testing import BackendSuite, Goal, StopRig, StopSuite, eventually
 from rcp_mavlink.files import FileWrite, Remove
-from rcp_mavlink.sim import Twin, Vehicle
-from rcp_mavlink.sim.modes import Mode
-from rcp_mavlink.sim.plans import Item
+from rcp_mavlink_sim import Twin, Vehicle
+from rcp_mavlink_sim.modes import Mode
+from rcp_mavlink_sim.plans import Item
 
 PARAMS = ("WPNAV_SPEED", "RTL_ALT", "GUID_TIMEOUT")
 LAT, LON = -35.3632621, 149.1652374
@@ -145,7 +145,7 @@ class MavlinkRig(StopRig):
             mission.changed()
             mission.complete = False
         if name in ("action/mission/pause", "action/mission/resume"):
-            vehicle.set_mode(Mode.AUTO)
+            vehicle.flight.set_mode(Mode.AUTO)
             mission.start()
             if name.endswith("resume"):
                 mission.pause(paused=True)

@@ -14,8 +14,8 @@ import rcp_mavlink
 from backends.mavlink.flying import agrees, airborne, on_the_ground, speed, twin
 from rcp_kernel.testing import eventually
 from rcp_kernel.testing._serve import ADMIN, OPERATOR, serve_backend
-from rcp_mavlink.sim import Twin
-from rcp_mavlink.sim.modes import Mode
+from rcp_mavlink_sim import Twin
+from rcp_mavlink_sim.modes import Mode
 
 KIND = next(iter(rcp_mavlink.rcp_backends()))
 LAT, LON = -35.3632621, 149.1652374
@@ -135,7 +135,7 @@ async def test_whoever_takes_it_away_ends_the_command_with_the_reason(pilot: Pil
     path = "/tenant/t/action/move_to"
     id_ = await pilot.client.send(type="execute", path=path, body={"north": 900.0})
     await eventually(lambda: _is(speed(pilot.vehicle) > 3), "it moves")
-    pilot.vehicle.failsafe("Battery", return_home=True)
+    pilot.vehicle.failsafes.act("Battery", return_home=True)
     final = await pilot.client.final(id_)
     assert final["error"]["code"] == "device_rejected"
     assert final["error"]["details"]["mode"] == "RTL"

@@ -15,8 +15,8 @@ import pytest
 from backends.mavlink.flying import airborne, speed, twin
 from backends.mavlink.lone_gateway import BOUND, LoneGateway, lone_gateway
 from backends.mavlink.relay import SET_MODE, commander, relay
-from rcp_mavlink.sim import Twin, Vehicle
-from rcp_mavlink.sim.modes import Mode
+from rcp_mavlink_sim import Twin, Vehicle
+from rcp_mavlink_sim.modes import Mode
 
 AT_REST = 0.5  # m/s
 SETTLED = 1.0  # s

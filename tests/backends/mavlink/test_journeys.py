@@ -16,8 +16,8 @@ from backends.mavlink.test_gateway import Pilot, flying
 from backends.mavlink.test_px4 import Px4
 from backends.mavlink.test_px4 import airborne as airborne_px4
 from rcp_kernel.testing import eventually
-from rcp_mavlink.sim import Vehicle
-from rcp_mavlink.sim.modes import Mode
+from rcp_mavlink_sim import Vehicle
+from rcp_mavlink_sim.modes import Mode
 
 REPOSITION, CHANGE_SPEED, CONDITION_YAW = 192, 178, 115
 GUIDED, BRAKE = 4, 17
@@ -94,7 +94,7 @@ async def test_a_rover_drives_as_fast_as_it_is_asked_to_and_takes_no_heading() -
 async def test_a_plane_flies_at_an_airspeed_within_its_bounds() -> None:
     async with flying({"vehicle": "plane"}) as pilot:
         vehicle = pilot.vehicle
-        vehicle.set_mode(Mode.TAKEOFF)
+        vehicle.flight.set_mode(Mode.TAKEOFF)
         assert vehicle.arm()
         skip(vehicle, lambda: -vehicle.body.d > 45)
         robot = pilot.served.life.backend.robots[""]

@@ -20,7 +20,7 @@ from rcp_kernel.testing import eventually, serve
 from rcp_kernel.testing._serve import OPERATOR, serve_backend
 from rcp_mavlink.config import LinkSpec
 from rcp_mavlink.signing import key_of
-from rcp_mavlink.sim.modes import Mode
+from rcp_mavlink_sim.modes import Mode
 
 KIND = next(iter(rcp_mavlink.rcp_backends()))
 
@@ -68,7 +68,7 @@ async def test_a_connection_that_is_dropped_is_made_again() -> None:
             for drop in list(running.on_reboot):
                 drop()
             await eventually(lambda: _is(len(running.peers) == 1), "it calls again")
-            running.vehicle.set_mode(Mode.LOITER)
+            running.vehicle.flight.set_mode(Mode.LOITER)
 
             async def seen() -> bool:
                 return await mode_of(served) == "LOITER"

@@ -20,8 +20,8 @@ from rcp_kernel.errors import AdapterUnavailable
 from rcp_kernel.testing import eventually
 from rcp_kernel.testing._serve import ADMIN, OPERATOR, serve_backend
 from rcp_mavlink.signing import key_of
-from rcp_mavlink.sim import Twin, Vehicle
-from rcp_mavlink.sim.modes import Mode
+from rcp_mavlink_sim import Twin, Vehicle
+from rcp_mavlink_sim.modes import Mode
 
 KIND = next(iter(rcp_mavlink.rcp_backends()))
 BRAKE, LAND, GUIDED = 17, 9, 4
@@ -151,7 +151,7 @@ async def test_a_link_that_is_cut_after_the_stop_is_not_confirmed_until_it_retur
             return (await found.state())["state"] != "confirmed"
 
         await eventually(doubted, "it is not confirmed any more")
-        found.vehicle.set_mode(Mode.GUIDED)  # a failsafe, or somebody else, meanwhile
+        found.vehicle.flight.set_mode(Mode.GUIDED)  # a failsafe, or somebody else, meanwhile
         found.vehicle.flight.aim((3000.0, 0.0), -40.0)
         await until(lambda: speed(found.vehicle) > 2, "it moves")
         found.relay.cut = False
@@ -396,7 +396,7 @@ async def test_a_failsafe_that_lands_it_under_the_latch_is_left_to() -> None:
     async with flying() as found:
         await found.moving(12.0)
         assert (await found.estop())["status"] == "completed"
-        found.vehicle.failsafe("Battery", return_home=False)
+        found.vehicle.failsafes.act("Battery", return_home=False)
         while not found.vehicle.body.landed:
             assert found.vehicle.flight.mode is Mode.LAND
             await asyncio.sleep(0.02)

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 
 
 class Process:
-    """`python -m rcp_mavlink.sim`, and where it is reached."""
+    """`python -m rcp_mavlink_sim`, and where it is reached."""
 
     def __init__(self, popen: subprocess.Popen[str], ports: dict[str, int]) -> None:
         self.popen = popen
@@ -19,7 +19,7 @@ class Process:
 @contextmanager
 def twin_process(*links: str, options: tuple[str, ...] = ()) -> Generator[Process]:
     """Run a twin while entered; the ports of its links by their kind."""
-    command = [sys.executable, "-m", "rcp_mavlink.sim", *options]
+    command = [sys.executable, "-m", "rcp_mavlink_sim", *options]
     for link in links:
         command += ["--link", link]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as popen:

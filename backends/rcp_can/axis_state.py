@@ -1,0 +1,138 @@
+"""One motor as it stands: its drive and limits, what it was last told, what it was last heard to say."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from typing import NamedTuple
+
+from rcp_can import motor_messages as m
+from rcp_can.bus import Bus
+from rcp_can.config_motor import MotorConfig
+from rcp_can.drive import Drive
+from rcp_can.faultbook import FaultBook
+from rcp_can.ramp import Ramp
+from rcp_kernel.spi import Host
+
+__all__ = ["AxisState", "Loss"]
+
+_RESTING = 0.02  # rad/s at the drive's shaft, below which it rests, whatever the motor's tolerance
+_MISSED = 5  # reports in a row: two of three may be lost on the way
+_SHORTEST = 0.25  # s: the gateway's own loop may be late by a part of this
+
+
+class Loss(NamedTuple):
+    """Why a drive counts as lost."""
+
+    fault: str
+    text: str
+
+
+class AxisState:
+    """A motor's state: what checks, views and set-points are made from."""
+
+    def __init__(self, name: str, config: MotorConfig, drive: Drive, bus: Bus, host: Host) -> None:
+        self.name, self.config, self.drive, self.bus = name, config, drive, bus
+        self.status = drive.status
+        reach, gear = drive.reach(), config.gear
+        self.ratio = gear * config.direction
+        self.velocity_limit = min(config.velocity, reach.velocity / gear)
+        self.torque_limit = min(config.torque, reach.torque * gear)
+        low, high = config.position or (-reach.position / gear, reach.position / gear)
+        span = reach.position / gear
+        self.low, self.high = max(low, -span), min(high, span)
+        self.ramp = Ramp(self.velocity_limit, config.acceleration)
+        self.mode: m.Mode | None = None
+        self.goal = 0.0
+        self.online = self.stopping = self.enabling = False
+        """Whether it is heard; whether a quick stop is under way that nothing has confirmed yet;
+        whether it is being switched on."""
+        self.blind: Loss | None = None
+        """Which signal is too old, while it is heard."""
+        self.signals = _signals(config, drive)
+        """What its control rests on."""
+        self.heard = self.configured_at = 0.0
+        """When it said something, by the monotonic clock."""
+        self.stop_began: float | None = None
+        self.faults = FaultBook(name, host)
+        self.configured = False
+        """Whether the drive is set up since it was last heard to boot or to come back."""
+        self.configuring: asyncio.Task[None] | None = None
+
+    @property
+    def position(self) -> float | None:
+        """Where the joint is, rad."""
+        raw = self.status.position
+        return None if raw is None else raw / self.ratio + self.config.offset
+
+    @property
+    def velocity(self) -> float | None:
+        """How fast it turns, rad/s."""
+        raw = self.status.velocity
+        return None if raw is None else raw / self.ratio
+
+    @property
+    def state(self) -> m.State:
+        """How it stands, in one word."""
+        if not self.online:
+            return "offline"
+        if self.blind is not None:
+            return "no_feedback"
+        broken = self.faults.own("configuration") is not None
+        if broken or (self.status.faults and not self.status.enabled):
+            return "fault"
+        if self.stopping and self.status.energised is not False:
+            return "stopping"
+        if self.status.enabled:
+            return "enabled"
+        return "quick_stop" if self.status.energised else "disabled"
+
+    @property
+    def met(self) -> bool:
+        """Whether it was ever heard."""
+        return self.heard > 0.0
+
+    def is_fresh(self, signal: str) -> bool:
+        """Tell whether a signal is young enough to rest on."""
+        at = self.status.at.get(signal)
+        return at is not None and time.monotonic() - at <= self.limit_of(signal)
+
+    def limit_of(self, signal: str) -> float:
+        """Return the age in s at which a signal is too old."""
+        if self.config.feedback_timeout is not None:
+            return self.config.feedback_timeout
+        return max(_MISSED * (self.drive.period(signal) or 1 / self.config.rate), _SHORTEST)
+
+    @property
+    def slow(self) -> bool:
+        """Whether its last velocity is that of rest."""
+        velocity = self.status.velocity
+        return velocity is not None and abs(velocity) <= max(
+            _RESTING, self.config.standstill * self.config.gear
+        )
+
+    @property
+    def resting(self) -> bool:
+        """Whether its fresh feedback says that it rests."""
+        return self.online and self.slow and self.is_fresh("velocity")
+
+    @property
+    def stopped(self) -> bool:
+        """Whether a quick stop stands that no command has followed."""
+        return self.stop_began is not None
+
+    @property
+    def secure(self) -> bool:
+        """Whether it rests without torque, and nothing is under way that could change that."""
+        return (
+            self.resting
+            and self.is_fresh("enabled")
+            and self.status.energised is False
+            and not (self.enabling or self.stopping or self.mode is not None)
+        )
+
+
+def _signals(config: MotorConfig, drive: Drive) -> tuple[str, ...]:
+    """Return what control rests on; a position only where something is made of it."""
+    placed = "position" in drive.modes or config.position is not None
+    return ("position", "velocity", "enabled") if placed else ("velocity", "enabled")

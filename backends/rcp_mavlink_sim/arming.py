@@ -1,0 +1,53 @@
+"""Whether the motors may start: the checks before arming, with the words of the real one."""
+
+from __future__ import annotations
+
+from rcp_mavlink_sim.failsafes import Failsafes
+from rcp_mavlink_sim.fence import Fence
+from rcp_mavlink_sim.flight import Flight
+from rcp_mavlink_sim.modes import Mode, armable, needs_position
+from rcp_mavlink_sim.state import VehicleState
+
+__all__ = ["complaints", "mode_complaint"]
+
+_ARM_IN_AUTO = 1
+_GYROS, _HOME = 0.2, 0.5  # parts of the time to warm up
+
+
+def complaints(
+    vehicle: VehicleState, flight: Flight, failsafes: Failsafes, fence: Fence
+) -> list[str]:
+    """List what speaks against arming, as the real one words it; nothing: it may."""
+    if not vehicle.params["ARMING_CHECK"]:
+        return []
+    found: list[str] = []
+    warm = vehicle.time / vehicle.options.warmup if vehicle.options.warmup > 0 else 1.0
+    if warm < _GYROS:
+        found.append("Gyros inconsistent")
+    elif warm < _HOME:
+        found.append("AHRS: waiting for home")
+    elif not vehicle.position_ok and needs_position(flight.mode):
+        found.append("Need Position Estimate")
+    lowest = vehicle.params["BATT_ARM_VOLT"]
+    if lowest and vehicle.battery.voltage < lowest:
+        found.append("Battery 1 below minimum arming voltage")
+    if failsafes.radio_lost:
+        found.append("Radio failsafe on")
+    if failsafes.battery_low and vehicle.params["BATT_FS_LOW_ACT"]:
+        found.append("Battery 1 low voltage failsafe")
+    if vehicle.params["FENCE_ENABLE"] and fence.breached:
+        found.append("vehicle outside fence")
+    return found
+
+
+def mode_complaint(vehicle: VehicleState, flight: Flight) -> str | None:
+    """Say what speaks against arming in the mode it is in."""
+    mode = flight.mode
+    if not armable(mode):
+        return f"{mode.name} mode not armable"
+    if mode is Mode.AUTO and not flight.mission.flyable:
+        return "Mode requires mission"
+    copter = vehicle.kind.name == "copter"
+    if mode is Mode.AUTO and copter and not int(vehicle.params["AUTO_OPTIONS"]) & _ARM_IN_AUTO:
+        return "AUTO mode not armable"
+    return None

@@ -1,0 +1,363 @@
+"""COMMAND_LONG and COMMAND_INT: what each does, and with which result it is acknowledged."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any, Protocol
+
+import msgspec
+
+from rcp_mavlink_sim.modes import Mode
+from rcp_mavlink_sim.streams import Streams
+from rcp_mavlink_sim.telemetry import MAKERS
+from rcp_mavlink_sim.vehicle import Vehicle
+from rcp_mavlink_sim.wire import mav
+
+__all__ = ["KNOWN", "CommandRequest", "Peer", "run"]
+
+_OK, _FAILED, _DENIED = (
+    mav.MAV_RESULT_ACCEPTED,
+    mav.MAV_RESULT_FAILED,
+    mav.MAV_RESULT_DENIED,
+)
+_UNSUPPORTED, _INT_ONLY = mav.MAV_RESULT_UNSUPPORTED, mav.MAV_RESULT_UNSUPPORTED
+_BAD_FRAME = 9  # MAV_RESULT_COMMAND_UNSUPPORTED_MAV_FRAME, of which the dialect knows nothing
+_HIGHEST = 1e5  # m above the sea
+_QUICKEST = 1e3  # m/s
+_LAST_MESSAGE = 65535
+_CHANGE_MODE = 1
+_MYSELF = -2
+_NOT_AS_LONG = frozenset({mav.MAV_CMD_DO_REPOSITION})
+_TURNED = frozenset({Mode.GUIDED, Mode.AUTO, Mode.RTL, Mode.LAND})
+"""Modes that heed CONDITION_YAW; others accept it, and do nothing."""
+_GLOBAL_FRAMES = {0: False, 5: False, 3: True, 6: True}
+
+
+class Peer(Protocol):
+    """Who sends commands, as far as they concern it."""
+
+    vehicle: Vehicle
+    streams: Streams
+
+    def send(self, message: Any) -> None:
+        """Send a message to it, with the next turn."""
+
+    def later(self, do: Callable[[], None]) -> None:
+        """Do something once what is to be answered has been sent."""
+
+
+class CommandRequest(msgspec.Struct, frozen=True):
+    """A command as it came, LONG or INT."""
+
+    peer: Peer
+    number: int
+    p: tuple[float, float, float, float, float, float, float]
+    """Its parameters; latitude and longitude in degrees."""
+    frame: int
+    whole: bool
+    """Whether it came as COMMAND_INT."""
+    sender: tuple[int, int]
+
+
+def run(peer: Peer, message: Any) -> int:
+    """Do it; return its MAV_RESULT."""
+    whole = message.get_type() == "COMMAND_INT"
+    if whole:
+        p5, p6, p7, frame = message.x / 1e7, message.y / 1e7, message.z, message.frame
+        if message.command not in _PLACES:
+            p5, p6 = float(message.x), float(message.y)
+    else:
+        p5, p6, p7, frame = message.param5, message.param6, message.param7, 3
+    if not whole and message.command in _NOT_AS_LONG:
+        return _INT_ONLY
+    do = _DOERS.get(message.command)
+    if do is None:
+        return _UNSUPPORTED
+    p = (message.param1, message.param2, message.param3, message.param4, p5, p6, p7)
+    sender = (message.get_srcSystem(), message.get_srcComponent())
+    try:
+        return do(CommandRequest(peer, message.command, p, frame, whole, sender))
+    except (ValueError, OverflowError):  # not a number where one is needed
+        return _DENIED
+
+
+def _result(done: bool) -> int:  # noqa: FBT001 - what was done, as a result
+    return _OK if done else _FAILED
+
+
+def _arm(c: CommandRequest) -> int:
+    vehicle = c.peer.vehicle
+    return _result(vehicle.arm(c.p[1]) if c.p[0] == 1 else vehicle.flight.disarm(c.p[1]))
+
+
+def _take_off(c: CommandRequest) -> int:
+    return _result(c.peer.vehicle.flight.take_off(c.p[6]))
+
+
+def _mode(mode: Mode) -> Callable[[CommandRequest], int]:
+    def change(c: CommandRequest) -> int:
+        vehicle = c.peer.vehicle
+        if mode not in vehicle.kind.modes.values():
+            return _UNSUPPORTED
+        return _result(vehicle.flight.set_mode(mode))
+
+    return change
+
+
+def _set_mode(c: CommandRequest) -> int:
+    if not int(c.p[0]) & mav.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED:
+        return _UNSUPPORTED
+    return _result(c.peer.vehicle.set_custom_mode(int(c.p[1])))
+
+
+def _reposition(c: CommandRequest) -> int:
+    """Go to a place: a copter reads neither the speed nor the yaw, a plane no speed."""
+    vehicle = c.peer.vehicle
+    flight = vehicle.flight
+    relative = _GLOBAL_FRAMES.get(c.frame)
+    lat, lon = c.p[4], c.p[5]
+    change = bool(int(c.p[1]) & _CHANGE_MODE)
+    if flight.mode is not Mode.GUIDED and not change:
+        return _DENIED
+    if relative is None:
+        return _BAD_FRAME
+    if not (-90 <= lat <= 90 and -180 <= lon <= 180) or (lat == 0 and lon == 0):
+        return _DENIED
+    if not abs(c.p[6]) <= _HIGHEST:
+        return _DENIED
+    height = c.p[6] if relative else c.p[6] - vehicle.origin[2]
+    if vehicle.params["FENCE_ENABLE"] and vehicle.fence.crossed((lat, lon), height):
+        return _FAILED  # as the real one: without a word
+    if flight.mode is not Mode.GUIDED and not vehicle.flight.set_mode(Mode.GUIDED):
+        return _FAILED
+    if vehicle.kind.drives and c.p[0] > 0 and not flight.change_speed(c.p[0]):
+        return _FAILED
+    flight.aim(vehicle.place_of(lat, lon), -height)
+    vehicle.pilot.passes = False
+    return _OK
+
+
+def _speed(c: CommandRequest) -> int:
+    """Change a speed, where the mode and what it does in it let it."""
+    vehicle = c.peer.vehicle
+    kind, speed = c.p[0], c.p[1]
+    if vehicle.kind.name == "plane":
+        return _result(_airspeed(vehicle, kind, speed))
+    if not 0 < speed <= _QUICKEST:
+        return _FAILED if vehicle.kind.drives else _DENIED
+    which = "" if vehicle.kind.drives else {2: "up", 3: "down"}.get(int(kind), "")
+    return _result(vehicle.flight.change_speed(speed, which or "speed"))
+
+
+def _airspeed(vehicle: Any, kind: float, speed: float) -> bool:
+    if kind == 1:
+        vehicle.say(6, f"Set groundspeed {speed:.0f}")
+        return vehicle.flight.mode in (Mode.GUIDED, Mode.AUTO)
+    least, most = vehicle.params["AIRSPEED_MIN"], vehicle.params["AIRSPEED_MAX"]
+    if kind != 0 or not least <= speed <= most or not vehicle.flight.change_speed(speed):
+        return False
+    vehicle.say(6, f"Set airspeed {speed:.0f} m/s")
+    return True
+
+
+def _yaw(c: CommandRequest) -> int:
+    """Turn a copter; it stands until the next place or set-point. Others do not know it."""
+    vehicle = c.peer.vehicle
+    if vehicle.kind.name != "copter":
+        return _UNSUPPORTED
+    if not (0 <= c.p[0] <= 360 and c.p[3] in (0, 1)):
+        return _FAILED
+    if vehicle.flight.mode in _TURNED:
+        pilot, angle = vehicle.pilot, math.radians(c.p[0])
+        if c.p[3]:
+            angle = pilot.yaw + math.copysign(angle, c.p[2] or 1.0)
+        pilot.yaw, pilot.yaw_rate, pilot.looks = angle, 0.0, False
+    return _OK
+
+
+def _home(c: CommandRequest) -> int:
+    vehicle = c.peer.vehicle
+    if not vehicle.position_ok:
+        return _FAILED
+    lat, lon, height = c.p[4:]
+    place = abs(lat) <= 90 and abs(lon) <= 180 and abs(height) <= _HIGHEST
+    if c.p[0] != 1 and (not place or lat == lon == 0):
+        return _DENIED
+    vehicle.set_home(None if c.p[0] == 1 else (c.p[4], c.p[5], c.p[6]))
+    return _OK
+
+
+def _start(c: CommandRequest) -> int:
+    vehicle = c.peer.vehicle
+    if c.p[0] or c.p[1]:  # a part of a mission is not flown
+        return _DENIED
+    if not vehicle.armed or not vehicle.flight.set_mode(Mode.AUTO):
+        return _FAILED
+    vehicle.flight.mission.start()
+    return _result(vehicle.flight.mission.running)
+
+
+def _pause(c: CommandRequest) -> int:
+    mission = c.peer.vehicle.flight.mission
+    if c.peer.vehicle.flight.mode is not Mode.AUTO:
+        return _FAILED
+    mission.pause(paused=c.p[0] == 0)
+    return _OK
+
+
+def _current(c: CommandRequest) -> int:
+    return _result(c.peer.vehicle.flight.mission.go_to(int(c.p[0])))
+
+
+def _terminate(c: CommandRequest) -> int:
+    """Stop the motors of a copter at once; others want AFS_ENABLE for it."""
+    vehicle = c.peer.vehicle
+    if vehicle.kind.name != "copter":
+        vehicle.say(6, "AFS not enabled, can't terminate the vehicle")
+        return _FAILED
+    if not c.p[0] > 0.5:
+        return _FAILED
+    vehicle.flight.disarm(21196)
+    return _OK
+
+
+def _reboot(c: CommandRequest) -> int:
+    vehicle = c.peer.vehicle
+    if c.p[0] not in (1, 3):
+        return _DENIED if c.p[0] else _FAILED
+    if vehicle.armed:
+        return _FAILED
+    c.peer.later(vehicle.reboot)
+    return _OK
+
+
+def _calibrate(c: CommandRequest) -> int:
+    vehicle = c.peer.vehicle
+    if vehicle.armed:
+        vehicle.say(4, "Disarm to allow calibration")
+        return _FAILED
+    if c.p[0] == 1:
+        vehicle.say(6, "Calibrating gyros")
+    elif c.p[2] == 1:
+        vehicle.say(6, "Calibrating barometer")
+        vehicle.say(6, "Barometer calibration complete")
+    elif c.p[4] not in (1, 2, 4):
+        return _UNSUPPORTED
+    return _OK
+
+
+def _checks(c: CommandRequest) -> int:
+    vehicle = c.peer.vehicle
+    if vehicle.armed:
+        return mav.MAV_RESULT_TEMPORARILY_REJECTED
+    for reason in vehicle.complaints():
+        vehicle.say(2, f"PreArm: {reason}")
+    return _OK
+
+
+def _interval(c: CommandRequest) -> int:
+    return _result(c.peer.streams.every(int(c.p[0]), c.p[1]))
+
+
+def _which_interval(c: CommandRequest) -> int:
+    number = int(c.p[0])
+    if not 0 <= number <= _LAST_MESSAGE:
+        return _DENIED
+    c.peer.send(mav.MAVLink_message_interval_message(number, c.peer.streams.interval(number)))
+    return _OK
+
+
+def _request(c: CommandRequest) -> int:
+    number = int(c.p[0])
+    message = c.peer.vehicle.measure(number) if number in MAKERS else None
+    if message is None:
+        return _FAILED
+    c.peer.send(message)
+    return _OK
+
+
+def _version(c: CommandRequest) -> int:
+    c.peer.send(MAKERS[mav.MAVLINK_MSG_ID_AUTOPILOT_VERSION](c.peer.vehicle))
+    return _OK
+
+
+def _get_home(c: CommandRequest) -> int:
+    message = c.peer.vehicle.home_position()
+    if message is None:
+        return _FAILED
+    c.peer.send(message)
+    return _OK
+
+
+def _fence(c: CommandRequest) -> int:
+    if c.p[0] not in (0, 1, 2):
+        return _FAILED
+    c.peer.vehicle.params.set("FENCE_ENABLE", float(c.p[0] == 1))
+    return _OK
+
+
+def _mount(c: CommandRequest) -> int:
+    pitch, roll, yaw = c.p[:3]
+    return _OK if c.peer.vehicle.mount.turn(pitch, yaw, roll=roll) else _DENIED
+
+
+def _pitch_yaw(c: CommandRequest) -> int:
+    locked = bool(int(c.p[4]) & mav.GIMBAL_MANAGER_FLAGS_YAW_LOCK)
+    return _OK if c.peer.vehicle.mount.turn(c.p[0], c.p[1], locked=locked) else _DENIED
+
+
+def _take_gimbal(c: CommandRequest) -> int:
+    system, component = int(c.p[0]), int(c.p[1])
+    if system == _MYSELF:
+        system, component = c.sender
+    if system >= 0:
+        c.peer.vehicle.mount.control = (system, component)
+    return _OK
+
+
+def _photo(c: CommandRequest) -> int:
+    c.peer.vehicle.mount.shoot()
+    return _OK
+
+
+def _accept(_: CommandRequest) -> int:
+    return _OK
+
+
+_PLACES = frozenset({16, 17, 18, 19, 21, 22, 82, 179, 192, 195, 201})
+_DOERS: dict[int, Callable[[CommandRequest], int]] = {
+    mav.MAV_CMD_COMPONENT_ARM_DISARM: _arm,
+    mav.MAV_CMD_NAV_TAKEOFF: _take_off,
+    mav.MAV_CMD_NAV_LAND: _mode(Mode.LAND),
+    mav.MAV_CMD_NAV_RETURN_TO_LAUNCH: _mode(Mode.RTL),
+    mav.MAV_CMD_NAV_LOITER_UNLIM: _mode(Mode.LOITER),
+    mav.MAV_CMD_DO_SET_MODE: _set_mode,
+    mav.MAV_CMD_DO_REPOSITION: _reposition,
+    mav.MAV_CMD_DO_CHANGE_SPEED: _speed,
+    mav.MAV_CMD_CONDITION_YAW: _yaw,
+    mav.MAV_CMD_DO_SET_HOME: _home,
+    mav.MAV_CMD_MISSION_START: _start,
+    mav.MAV_CMD_DO_PAUSE_CONTINUE: _pause,
+    mav.MAV_CMD_DO_SET_MISSION_CURRENT: _current,
+    mav.MAV_CMD_DO_FLIGHTTERMINATION: _terminate,
+    mav.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN: _reboot,
+    mav.MAV_CMD_PREFLIGHT_CALIBRATION: _calibrate,
+    mav.MAV_CMD_PREFLIGHT_STORAGE: _accept,
+    mav.MAV_CMD_RUN_PREARM_CHECKS: _checks,
+    mav.MAV_CMD_SET_MESSAGE_INTERVAL: _interval,
+    mav.MAV_CMD_GET_MESSAGE_INTERVAL: _which_interval,
+    mav.MAV_CMD_REQUEST_MESSAGE: _request,
+    mav.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES: _version,
+    mav.MAV_CMD_GET_HOME_POSITION: _get_home,
+    mav.MAV_CMD_DO_FENCE_ENABLE: _fence,
+    mav.MAV_CMD_DO_MOUNT_CONTROL: _mount,
+    mav.MAV_CMD_DO_GIMBAL_MANAGER_PITCHYAW: _pitch_yaw,
+    mav.MAV_CMD_DO_GIMBAL_MANAGER_CONFIGURE: _take_gimbal,
+    mav.MAV_CMD_DO_DIGICAM_CONTROL: _photo,
+    mav.MAV_CMD_IMAGE_START_CAPTURE: _photo,
+    mav.MAV_CMD_DO_SET_SERVO: _accept,
+    mav.MAV_CMD_DO_SET_RELAY: _accept,
+}
+KNOWN = frozenset(_DOERS)
+"""The commands that it does."""

@@ -1,0 +1,161 @@
+"""The files on board, in memory: logs, what is stored by others, and what ArduPilot makes when read."""
+
+from __future__ import annotations
+
+import struct
+from urllib.parse import parse_qs
+
+from rcp_mavlink_sim.flightlog import FlightLog
+from rcp_mavlink_sim.parameters import Parameters
+from rcp_mavlink_sim.parameters_table import CASTS, table
+
+__all__ = ["Files"]
+
+_LOGS = "APM/LOGS"
+_MOST = 4 << 20  # bytes of all that others have stored
+_PACKED = 0x671B
+_WITH_DEFAULTS = 0x671C
+
+
+class Files:
+    """Directories and files by their path without slashes around it; the root is empty."""
+
+    def __init__(self, kind: str, params: Parameters, log: FlightLog) -> None:
+        self._kind, self._params, self._flights = kind, params, log
+        self._stored: dict[str, bytearray] = {
+            "@ROMFS/locations.txt": bytearray(
+                b"#NAME=latitude,longitude,absolute-altitude,heading\n"
+            )
+        }
+        self._folders = {"", "@PARAM", "@ROMFS", "@SYS", "APM", _LOGS, "APM/scripts"}
+
+    def folder(self, path: str) -> bool:
+        """Tell whether there is such a directory."""
+        return path in self._folders
+
+    def listed(self, path: str) -> list[tuple[str, int | None]]:
+        """Return name and size of what a directory holds; no size is a directory."""
+        start = f"{path}/" if path else ""
+        found: dict[str, int | None] = {}
+        for one in self._folders:
+            if one and one.startswith(start) and "/" not in one[len(start) :]:
+                found[one[len(start) :]] = None
+        for one in [*self._stored, *self._made()]:
+            if one.startswith(start) and "/" not in one[len(start) :]:
+                content = self.read(one)
+                found[one[len(start) :]] = len(content or b"")
+        found.pop("", None)
+        return sorted(found.items())
+
+    def read(self, path: str) -> bytes | None:
+        """Return what a file holds; None: there is none."""
+        plain, _, query = path.partition("?")
+        if plain == "@PARAM/param.pck":
+            return self._packed(query)
+        if plain == "@SYS/uarts.txt":
+            return b"UARTV1\nSERIAL0 OTG1\n"
+        if plain.startswith(f"{_LOGS}/"):
+            return self._log(plain)
+        stored = self._stored.get(path)
+        return None if stored is None else bytes(stored)
+
+    def write(self, path: str, offset: int, data: bytes) -> bool:
+        """Store a part of a file that was created; tell whether there is room."""
+        content = self._stored[path]
+        used = sum(map(len, self._stored.values()))
+        if used + max(0, offset + len(data) - len(content)) > _MOST:
+            return False
+        content.extend(bytes(max(0, offset - len(content))))
+        content[offset : offset + len(data)] = data
+        return True
+
+    def create(self, path: str) -> bool:
+        """Make an empty file, in place of one of that name; tell whether it can be."""
+        folder, _, name = path.rpartition("/")
+        if not name or path.startswith("@") or folder not in self._folders or path in self._folders:
+            return False
+        self._stored[path] = bytearray()
+        return True
+
+    def truncate(self, path: str, size: int) -> bool:
+        """Cut a file; tell whether there is one."""
+        if path not in self._stored:
+            return False
+        del self._stored[path][size:]
+        return True
+
+    def remove(self, path: str) -> bool:
+        """Remove a file; tell whether it could be."""
+        return not path.startswith("@") and self._stored.pop(path, None) is not None
+
+    def make_folder(self, path: str) -> bool:
+        """Make a directory; tell whether it could be."""
+        parent, _, name = path.rpartition("/")
+        taken = path in self._folders or path in self._stored
+        if not name or path.startswith("@") or taken or parent not in self._folders:
+            return False
+        self._folders.add(path)
+        return True
+
+    def remove_folder(self, path: str) -> bool:
+        """Remove an empty directory; tell whether it could be."""
+        if path not in self._folders or path.startswith("@") or not path or self.listed(path):
+            return False
+        self._folders.remove(path)
+        return True
+
+    def rename(self, old: str, new: str) -> bool:
+        """Give a file another name; tell whether it could be."""
+        if old not in self._stored or old.startswith("@") or self.exists(new):
+            return False
+        if not self.create(new):
+            return False
+        self._stored[new] = self._stored.pop(old)
+        return True
+
+    def exists(self, path: str) -> bool:
+        """Tell whether there is a file or directory of that name."""
+        return path in self._folders or path in self._stored or path in self._made()
+
+    def _made(self) -> list[str]:
+        logs = [f"{_LOGS}/{number:08d}.BIN" for number in self._flights.logs]
+        return ["@PARAM/param.pck", "@SYS/uarts.txt", *logs]
+
+    def _log(self, path: str) -> bytes | None:
+        number = path.rpartition("/")[2].removesuffix(".BIN")
+        log = self._flights.logs.get(int(number)) if number.isdigit() else None
+        return None if log is None else bytes(log)
+
+    def _packed(self, query: str) -> bytes:
+        """Return the parameters as ArduPilot packs them: a name leaves out what the last one had."""
+        asked = {name: values[0] for name, values in parse_qs(query).items()}
+        start, most = int(asked.get("start", 0)), int(asked.get("count", 0))
+        defaults = asked.get("withdefaults") == "1"
+        params, usual = self._params, table(self._kind)
+        names = params.listed()
+        wanted = names[start : start + most if most else None]
+        magic = _WITH_DEFAULTS if defaults else _PACKED
+        out = bytearray(struct.pack("<HHH", magic, len(wanted), len(names)))
+        last = ""
+        for name in wanted:
+            kind, default = usual[name]
+            common = _common(last, name)
+            number = "bhif".index(kind) + 1
+            values = [params[name]]
+            if defaults and default != params[name]:
+                number |= 1 << 4
+                values.append(default)
+            out += bytes((number, common | (len(name) - common - 1) << 4))
+            out += name[common:].encode()
+            for value in values:
+                out += struct.pack(f"<{kind}", CASTS[kind](value))
+            last = name
+        return bytes(out)
+
+
+def _common(last: str, name: str) -> int:
+    length = 0
+    most = min(len(last), len(name) - 1, 15)
+    while length < most and last[length] == name[length]:
+        length += 1
+    return length

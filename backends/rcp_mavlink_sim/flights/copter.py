@@ -1,0 +1,223 @@
+"""What each mode makes a copter do: take off, go, hold, return, land, follow set-points and sticks."""
+
+from __future__ import annotations
+
+import math
+
+from rcp_mavlink_sim.flight import Flight
+from rcp_mavlink_sim.modes import Mode
+from rcp_mavlink_sim.state import VehicleState
+
+__all__ = ["CopterFlight"]
+
+_ON_THE_FLOOR = 1.0  # s, until it believes that it has landed
+_HIGHEST_WITHOUT_CLIMB = 2.0  # m
+_BY_STICK = (Mode.STABILIZE, Mode.ALT_HOLD, Mode.LOITER, Mode.POSHOLD)
+
+
+class CopterFlight(Flight):
+    """The flight of a copter."""
+
+    paced = frozenset({Mode.GUIDED, Mode.AUTO, Mode.RTL})
+
+    def __init__(self, vehicle: VehicleState) -> None:
+        super().__init__(vehicle)
+        self._waited = 0.0
+        self._steered = False
+
+    def limits(self) -> None:
+        """Take the speeds from the parameters."""
+        p, limits = self._vehicle.params, self._vehicle.pilot.limits
+        limits.speed = p["WPNAV_SPEED"] / 100
+        limits.up, limits.down = p["WPNAV_SPEED_UP"] / 100, p["WPNAV_SPEED_DN"] / 100
+        limits.acceleration = p["WPNAV_ACCEL"] / 100
+        limits.climb_acceleration = p["WPNAV_ACCEL_Z"] / 100 * 1.5
+        self.radius = max(0.5, p["WPNAV_RADIUS"] / 100)
+        self.patience = p["GUID_TIMEOUT"]
+
+    @property
+    def looks(self) -> bool:
+        """Whether it turns to where it goes to, unless it is told otherwise."""
+        return bool(self._vehicle.params["WP_YAW_BEHAVIOR"])
+
+    def refusal(self, mode: Mode) -> str | None:
+        """Say why a mode cannot be entered now; None: it can."""
+        vehicle = self._vehicle
+        stands = vehicle.armed and vehicle.body.landed
+        if mode is Mode.AUTO and stands and self.mission.flyable and not self.mission.takes_off:
+            return "Auto: Missing Takeoff Cmd"
+        return super().refusal(mode)
+
+    def take_off(self, height: float) -> bool:
+        """Rise to a height over home, m; tell whether that can be done now."""
+        vehicle = self._vehicle
+        ready = vehicle.armed and vehicle.body.landed and self.mode is Mode.GUIDED
+        if not ready or not math.isfinite(height) or height <= 0:
+            return False
+        self._become("takeoff")
+        self.lift(height)
+        return True
+
+    def lift(self, height: float) -> None:
+        """Rise from here, straight up."""
+        pilot, body = self._vehicle.pilot, self._vehicle.body
+        pilot.reset()
+        pilot.place, pilot.velocity = (body.n, body.e), (0.0, 0.0)
+        pilot.depth = -height
+        pilot.spinning = self.taking_off = True
+
+    def risen(self) -> bool:
+        """Tell whether it is as high as it should be."""
+        if not self._vehicle.pilot.at_place(0.5):
+            return False
+        self.taking_off = False
+        return True
+
+    def lead(self, dt: float) -> None:
+        """Lead the pilot for `dt` seconds in any mode but AUTO."""
+        match self.mode:
+            case Mode.GUIDED:
+                if self.taking_off and self._vehicle.pilot.at_place(0.3):
+                    self.taking_off = False
+            case Mode.RTL:
+                self._return(dt)
+            case Mode.LAND:
+                self.descend()
+            case mode if mode in _BY_STICK:
+                self._by_stick(mode)
+            case _:
+                pass
+
+    def _by_stick(self, mode: Mode) -> None:
+        vehicle = self._vehicle
+        pilot, body, sticks = vehicle.pilot, vehicle.body, vehicle.sticks
+        level = mode in (Mode.STABILIZE, Mode.ALT_HOLD)
+        if not sticks.held:
+            if self._steered:
+                self._steered = False
+                pilot.hold()
+            if level:  # with the sticks centred: the wind takes it along
+                pilot.place, pilot.velocity = None, (body.wind_n, body.wind_e)
+            return
+        self._steered = True
+        if body.landed and sticks.throttle > 0:
+            pilot.spinning = True
+        p, most = vehicle.params, math.radians(vehicle.params["ANGLE_MAX"] / 100)
+        pilot.yaw_rate = sticks.yaw * math.radians(p["PILOT_Y_RATE"])
+        lean = (sticks.roll * most, sticks.pitch * most)
+        if mode is Mode.STABILIZE:
+            pilot.attitude = (*lean, max(0.0, 0.5 + sticks.throttle / 2))
+            return
+        down = p["PILOT_SPEED_DN"] or p["PILOT_SPEED_UP"]
+        rate = p["PILOT_SPEED_UP"] if sticks.throttle > 0 else down
+        if sticks.throttle:
+            pilot.depth, pilot.sinking = None, -sticks.throttle * rate / 100
+        elif pilot.depth is None:
+            pilot.depth = body.d
+        if level:
+            pilot.lean = lean
+        else:
+            self._push(p["LOIT_SPEED"] / 100)
+
+    def _push(self, fastest: float) -> None:
+        pilot, body, sticks = self._vehicle.pilot, self._vehicle.body, self._vehicle.sticks
+        forward, right = -sticks.pitch * fastest, sticks.roll * fastest
+        if forward or right:
+            s, c = math.sin(body.yaw), math.cos(body.yaw)
+            pilot.place = None
+            pilot.velocity = (forward * c - right * s, forward * s + right * c)
+        elif pilot.place is None:
+            depth, sinking, turning = pilot.depth, pilot.sinking, pilot.yaw_rate
+            pilot.hold()
+            pilot.depth, pilot.sinking, pilot.yaw_rate = depth, sinking, turning
+
+    def go_home(self) -> None:
+        """Climb, before it goes home or to a nearer rally point."""
+        vehicle = self._vehicle
+        pilot, body, home = vehicle.pilot, vehicle.body, vehicle.haven()
+        height = -body.d
+        away = math.hypot(body.n - home[0], body.e - home[1])
+        wanted = vehicle.params["RTL_ALT"] / 100
+        cone = max(_HIGHEST_WITHOUT_CLIMB, away * vehicle.params["RTL_CONE_SLOPE"])
+        pilot.depth = -max(height, min(wanted, cone))
+        self.phase = "climb"
+        if vehicle.params["RTL_SPEED"] > 0:
+            pilot.limits.speed = vehicle.params["RTL_SPEED"] / 100
+
+    def _return(self, dt: float) -> None:
+        pilot, vehicle = self._vehicle.pilot, self._vehicle
+        if self.phase == "climb":
+            if abs(vehicle.body.d - (pilot.depth or 0.0)) < 0.5:
+                self.phase = "return"
+                pilot.place = vehicle.haven()
+                pilot.yaw = self._bearing(pilot.place)
+        elif self.phase == "return":
+            if pilot.at_place(1.0):
+                self.phase, self._waited = "loiter", 0.0
+        elif self.phase == "loiter":
+            self._waited += dt
+            if self._waited >= vehicle.params["RTL_LOIT_TIME"] / 1000:
+                self.phase = "land"
+        else:
+            self.descend()
+
+    def _bearing(self, place: tuple[float, float]) -> float:
+        vehicle = self._vehicle
+        dn, de = place[0] - vehicle.body.n, place[1] - vehicle.body.e
+        return math.atan2(de, dn) if math.hypot(dn, de) > 2 else vehicle.pilot.yaw
+
+    def descend(self) -> None:
+        """Sink where it is, slower near the floor."""
+        vehicle = self._vehicle
+        p, pilot, body = vehicle.params, vehicle.pilot, vehicle.body
+        pilot.depth = None
+        low = -body.d < p["LAND_ALT_LOW"] / 100
+        fast = p["LAND_SPEED_HIGH"] or p["WPNAV_SPEED_DN"]
+        pilot.sinking = (p["LAND_SPEED"] if low else fast) / 100
+        if not vehicle.position_ok:  # level, for it does not know where it is
+            pilot.place, pilot.velocity = None, (body.wind_n, body.wind_e)
+
+    def begin_landing(self, place: tuple[float, float]) -> None:
+        """Go over the place at the height it has."""
+        pilot = self._vehicle.pilot
+        pilot.place, pilot.depth = place, self._vehicle.body.d
+
+    def begin_return(self) -> None:
+        """Go home, as an item of a mission."""
+        vehicle = self._vehicle
+        height = max(-vehicle.body.d, vehicle.params["RTL_ALT"] / 100)
+        vehicle.pilot.place, vehicle.pilot.depth = vehicle.haven(), -height
+
+    def come_down(self) -> bool:
+        """Go on with the landing of a mission; tell whether it is over."""
+        mission = self.mission
+        if not mission.landing and self._vehicle.pilot.at_place(1.0):
+            mission.landing = True
+        if mission.landing:
+            self.descend()
+        return mission.landing and self._vehicle.body.landed
+
+    @property
+    def landing(self) -> bool:
+        """Whether it is on its way down to the floor."""
+        return (
+            self.mode is Mode.LAND
+            or (self.mode is Mode.RTL and self.phase == "land")
+            or (self.mode is Mode.AUTO and self.mission.landing)
+        )
+
+    def rest(self) -> None:
+        """Stop the motors after a landing, or where nobody takes off."""
+        vehicle = self._vehicle
+        if not vehicle.body.landed:
+            return
+        if self.landing and self.landed_for >= _ON_THE_FLOOR:
+            self.disarm()
+            return
+        rising = vehicle.sticks.held and vehicle.sticks.throttle > 0
+        if self.taking_off or rising or self.mode in (Mode.RTL, Mode.LAND):
+            return
+        vehicle.pilot.spinning = False
+        delay = vehicle.params["DISARM_DELAY"]
+        if delay and min(self.landed_for, vehicle.armed_for) >= delay:
+            self.disarm()

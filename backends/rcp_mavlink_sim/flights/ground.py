@@ -1,0 +1,95 @@
+"""What each mode makes a rover or a boat do."""
+
+from __future__ import annotations
+
+from rcp_mavlink_sim.flight import Flight
+from rcp_mavlink_sim.ground.pilot import GroundPilot
+from rcp_mavlink_sim.modes import Mode
+from rcp_mavlink_sim.state import VehicleState
+
+__all__ = ["GroundFlight"]
+
+_FASTEST, _TURN = 6.0, 1.6  # m/s and rad/s with a stick at its end
+
+
+class GroundFlight(Flight):
+    """The way of a rover or a boat."""
+
+    starts_itself = True
+
+    def __init__(self, vehicle: VehicleState) -> None:
+        super().__init__(vehicle)
+        self._home = False
+
+    @property
+    def _pilot(self) -> GroundPilot:
+        pilot = self._vehicle.pilot
+        assert isinstance(pilot, GroundPilot)
+        return pilot
+
+    def limits(self) -> None:
+        """Take the speeds from the parameters."""
+        p, limits = self._vehicle.params, self._pilot.limits
+        limits.speed = p["WP_SPEED"] or p["CRUISE_SPEED"]
+        limits.acceleration = p["ATC_ACCEL_MAX"]
+        self.radius = p["WP_RADIUS"]
+        self._pilot.near = p["LOIT_RADIUS"] / 2 if self._vehicle.kind.name == "boat" else 0.3
+
+    def lead(self, dt: float) -> None:
+        """Lead the pilot for `dt` seconds in any mode but AUTO."""
+        pilot, vehicle = self._pilot, self._vehicle
+        pilot.spinning = True
+        match self.mode:
+            case Mode.MANUAL | Mode.STEERING:
+                sticks = vehicle.sticks
+                turn = sticks.yaw or sticks.roll
+                pilot.by_hand = (sticks.throttle * _FASTEST, turn * _TURN)
+            case Mode.HOLD:
+                pilot.by_hand = (0.0, 0.0)
+            case Mode.RTL | Mode.SMART_RTL if pilot.at_place(self.radius) and not self._home:
+                self._home = True
+                vehicle.say(6, "Reached destination")
+            case _:
+                pass
+
+    def rest(self) -> None:
+        """Do nothing: it stays armed where it stops."""
+        self._vehicle.pilot.spinning = True
+
+    def take_off(self, height: float) -> bool:
+        """Stay on the ground."""
+        return False
+
+    def lift(self, height: float) -> None:
+        """Stay on the ground."""
+
+    def risen(self) -> bool:
+        """Go on with the mission."""
+        return True
+
+    def begin_landing(self, place: tuple[float, float]) -> None:
+        """Go to the place."""
+        self._pilot.place = place
+
+    def begin_return(self) -> None:
+        """Go home, as an item of a mission."""
+        self.go_home()
+
+    def come_down(self) -> bool:
+        """Tell whether it is there."""
+        return self._pilot.at_place(self.radius)
+
+    def go_home(self) -> None:
+        """Drive home, or to a nearer rally point."""
+        self._home = False
+        self._pilot.place = self._vehicle.haven()
+
+    def finished(self) -> None:
+        """Hold at the end of a mission."""
+        self._vehicle.say(5, "Mission Complete")
+        self.set_mode(Mode.HOLD)
+
+    @property
+    def landing(self) -> bool:
+        """It never lands."""
+        return False

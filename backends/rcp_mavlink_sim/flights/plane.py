@@ -1,0 +1,158 @@
+"""What each mode makes a plane do: run and climb, go, circle, come home, land on a mission."""
+
+from __future__ import annotations
+
+import math
+
+from rcp_mavlink_sim.flight import Flight
+from rcp_mavlink_sim.modes import Mode
+from rcp_mavlink_sim.plane.pilot import PlanePilot
+from rcp_mavlink_sim.state import VehicleState
+
+__all__ = ["PlaneFlight"]
+
+_APPROACH, _FINAL = 30.0, 300.0  # m over the floor and from the place, where the last leg begins
+_AHEAD = 120.0  # m along the last leg, to which it steers
+_FLARE, _TOUCH = 2.0, 0.7  # m over the floor, and the m/s that it sinks below
+_FLOATS = 50.0  # m that it flies on while it flares
+_SLOW = 1.3  # times its least airspeed, on the last leg
+_AT_REST = 0.3  # m/s
+
+
+class PlaneFlight(Flight):
+    """The flight of a plane; it lands by missions only, as the real one."""
+
+    starts_itself = True
+
+    def __init__(self, vehicle: VehicleState) -> None:
+        super().__init__(vehicle)
+        self._final: tuple[tuple[float, float], float] | None = None
+        """The place to land on, and the course."""
+
+    @property
+    def _pilot(self) -> PlanePilot:
+        pilot = self._vehicle.pilot
+        assert isinstance(pilot, PlanePilot)
+        return pilot
+
+    def limits(self) -> None:
+        """Take the speeds from the parameters."""
+        p, pilot = self._vehicle.params, self._pilot
+        pilot.limits.speed = p["AIRSPEED_CRUISE"]
+        pilot.limits.up, pilot.limits.down = p["TECS_CLMB_MAX"], p["TECS_SINK_MAX"]
+        pilot.circle, self.radius = abs(p["WP_LOITER_RAD"]), p["WP_RADIUS"]
+        pilot.bank_most = math.radians(p["ROLL_LIMIT_DEG"])
+
+    def enter(self, mode: Mode) -> None:
+        """Change the mode."""
+        self._final = None
+        super().enter(mode)
+
+    def lead(self, dt: float) -> None:
+        """Lead the pilot for `dt` seconds in any mode but AUTO."""
+        vehicle, pilot = self._vehicle, self._pilot
+        if self.mode is Mode.TAKEOFF:
+            if vehicle.body.landed and not self.taking_off:
+                self.lift(vehicle.params["TKOFF_ALT"])
+            elif self.taking_off and self.risen():
+                pilot.hold()
+        elif vehicle.kind.by_hand(self.mode):
+            self._by_stick(self.mode)
+        pilot.spinning = pilot.spinning or not vehicle.body.landed
+
+    def _by_stick(self, mode: Mode) -> None:
+        vehicle, pilot, sticks = self._vehicle, self._pilot, self._vehicle.sticks
+        pilot.spinning = sticks.held or not vehicle.body.landed
+        bank = sticks.roll * pilot.bank_most
+        path = sticks.pitch * math.radians(20)
+        power = (1 + sticks.throttle) / 2
+        if mode in (Mode.FBWB, Mode.CRUISE):
+            power = vehicle.body.power_for(0.5 * (pilot.limits.speed - vehicle.body.airspeed))
+        pilot.by_hand = (bank, path, power)
+
+    def take_off(self, height: float) -> bool:
+        """Refuse: a plane takes off by TAKEOFF or by a mission."""
+        return False
+
+    def lift(self, height: float) -> None:
+        """Run along its heading and climb."""
+        pilot, vehicle = self._pilot, self._vehicle
+        pilot.reset()
+        pilot.place, pilot.yaw, pilot.depth = None, vehicle.body.yaw, -height
+        pilot.by_hand, pilot.idle = None, False
+        pilot.spinning = self.taking_off = True
+
+    def risen(self) -> bool:
+        """Tell whether it is as high as it should be."""
+        wanted = self._pilot.depth or 0.0
+        if self._vehicle.body.d > wanted + 3:
+            return False
+        self.taking_off = False
+        return True
+
+    def begin_landing(self, place: tuple[float, float]) -> None:
+        """Go down to where the last leg begins, against the wind if there is any."""
+        body, pilot = self._vehicle.body, self._pilot
+        n, e = body.n - place[0], body.e - place[1]
+        if math.hypot(body.wind_n, body.wind_e) > 1:
+            n, e = body.wind_n, body.wind_e
+        away = math.hypot(n, e) or 1.0
+        entry = (place[0] + n / away * _FINAL, place[1] + e / away * _FINAL)
+        pilot.place, pilot.depth, pilot.passes = entry, -_APPROACH, False
+        self._final = (place, math.atan2(-e, -n))
+
+    def come_down(self) -> bool:
+        """Go on with the landing of a mission; tell whether it stands."""
+        body, pilot = self._vehicle.body, self._pilot
+        if self._final is None:
+            return False
+        place, course = self._final
+        if not self.mission.landing:
+            along = abs(math.remainder(math.atan2(body.ve, body.vn) - course, math.tau)) < 0.5
+            self.mission.landing = pilot.at_place(0.0) and along
+            return False
+        c, s = math.cos(course), math.sin(course)
+        left = (place[0] - body.n) * c + (place[1] - body.e) * s
+        pilot.place = (place[0] + c * (_AHEAD - left), place[1] + s * (_AHEAD - left))
+        pilot.passes, pilot.limits.speed = True, self._vehicle.params["AIRSPEED_MIN"] * _SLOW
+        if -body.d < _FLARE:
+            pilot.depth, pilot.sinking, pilot.idle = None, _TOUCH, True
+        else:
+            pilot.depth = -max(_FLARE - 1, _APPROACH * (left - _FLOATS) / (_FINAL - _FLOATS))
+        return body.landed and math.hypot(body.vn, body.ve) < _AT_REST
+
+    def begin_return(self) -> None:
+        """Leave the mission for RTL, as an item of it."""
+        self.set_mode(Mode.RTL)
+
+    def go_home(self) -> None:
+        """Circle over home, or over a nearer rally point."""
+        vehicle, pilot = self._vehicle, self._pilot
+        height = vehicle.params["RTL_ALTITUDE"]
+        pilot.place, pilot.passes = vehicle.haven(), False
+        pilot.depth = vehicle.body.d if height < 0 else -height
+
+    def finished(self) -> None:
+        """Go home at the end of a mission."""
+        if not self._vehicle.body.landed:
+            self._vehicle.say(5, "Mission complete, changing mode to RTL")
+            self.set_mode(Mode.RTL)
+
+    @property
+    def landing(self) -> bool:
+        """Whether it is on its way down to the floor."""
+        return self.mode is Mode.AUTO and self.mission.landing
+
+    def rest(self) -> None:
+        """Stop the motor after a landing."""
+        vehicle, pilot = self._vehicle, self._pilot
+        if not vehicle.body.landed or self.taking_off:
+            return
+        rolls = self.landing and self.mission.running
+        if not vehicle.kind.by_hand(self.mode) and not rolls:
+            pilot.spinning = False
+        delay = vehicle.params["LAND_DISARMDELAY"]
+        stands = math.hypot(vehicle.body.vn, vehicle.body.ve) < _AT_REST
+        done = self.mission.complete and self.mode is Mode.AUTO
+        if done and stands and delay and self.landed_for >= delay:
+            self.disarm()

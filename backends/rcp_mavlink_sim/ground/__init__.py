@@ -1,0 +1,1 @@
+"""A rover, and a boat that differs from it in how it lies in its water."""

@@ -1,0 +1,79 @@
+"""The kinds of vehicles: what each is on the wire, and the modes it has."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import msgspec
+
+from rcp_mavlink_sim.modes import Mode
+from rcp_mavlink_sim.wire import mav
+
+__all__ = ["KINDS", "Kind", "Name"]
+
+Name = Literal["copter", "plane", "rover", "boat"]
+
+_COPTER = {0: Mode.STABILIZE, 2: Mode.ALT_HOLD, 3: Mode.AUTO, 4: Mode.GUIDED, 5: Mode.LOITER, 6: Mode.RTL, 9: Mode.LAND, 16: Mode.POSHOLD, 17: Mode.BRAKE}  # fmt: skip
+_PLANE = {0: Mode.MANUAL, 1: Mode.CIRCLE, 2: Mode.STABILIZE, 5: Mode.FBWA, 6: Mode.FBWB, 7: Mode.CRUISE, 10: Mode.AUTO, 11: Mode.RTL, 12: Mode.LOITER, 13: Mode.TAKEOFF, 15: Mode.GUIDED}  # fmt: skip
+_ROVER = {0: Mode.MANUAL, 3: Mode.STEERING, 4: Mode.HOLD, 5: Mode.LOITER, 10: Mode.AUTO, 11: Mode.RTL, 12: Mode.SMART_RTL, 15: Mode.GUIDED}  # fmt: skip
+_BY_HAND = frozenset({Mode.MANUAL, Mode.STABILIZE, Mode.STEERING, Mode.ALT_HOLD, Mode.FBWA, Mode.FBWB, Mode.HOLD, Mode.LAND})  # fmt: skip
+
+
+class Kind(msgspec.Struct, frozen=True, kw_only=True):
+    """One kind of vehicle."""
+
+    name: Name
+    title: str
+    """Of its firmware."""
+    frame: str
+    """As its banner tells."""
+    type: int
+    """MAV_TYPE."""
+    modes: dict[int, Mode]
+    first: Mode
+    """The mode after boot."""
+    flies: bool
+    """Whether it leaves the floor."""
+    hold: Mode
+    """Where it waits."""
+    down: Mode
+    """What it does when the way back is not known."""
+    own: dict[str, str] = {}
+    """Its names of parameters that a copter calls otherwise."""
+
+    @property
+    def drives(self) -> bool:
+        """Whether it stays on the ground or on the water."""
+        return not self.flies
+
+    def number(self, mode: Mode) -> int:
+        """Return the custom mode of its heartbeat."""
+        return next(number for number, one in self.modes.items() if one is mode)
+
+    def param(self, name: str) -> str:
+        """Return its name of a parameter of a copter."""
+        return self.own.get(name, name)
+
+    def by_hand(self, mode: Mode) -> bool:
+        """Tell whether somebody steers in it, and not the autopilot."""
+        return mode in _BY_HAND
+
+
+KINDS: dict[str, Kind] = {
+    "copter": Kind(
+        name="copter", title="ArduCopter", frame="Frame: QUAD/X", type=mav.MAV_TYPE_QUADROTOR,
+        modes=_COPTER, first=Mode.STABILIZE, flies=True, hold=Mode.BRAKE, down=Mode.LAND,
+    ),
+    "plane": Kind(
+        name="plane", title="ArduPlane", frame="", type=mav.MAV_TYPE_FIXED_WING,
+        modes=_PLANE, first=Mode.MANUAL, flies=True, hold=Mode.LOITER, down=Mode.CIRCLE,
+        own={"FS_GCS_ENABLE": "FS_GCS_ENABL", "FS_GCS_TIMEOUT": "FS_LONG_TIMEOUT", "FS_THR_ENABLE": "THR_FAILSAFE"},
+    ),
+    "rover": Kind(
+        name="rover", title="ArduRover", frame="", type=mav.MAV_TYPE_GROUND_ROVER,
+        modes=_ROVER, first=Mode.MANUAL, flies=False, hold=Mode.HOLD, down=Mode.HOLD,
+    ),
+}  # fmt: skip
+KINDS["boat"] = msgspec.structs.replace(
+    KINDS["rover"], name="boat", type=mav.MAV_TYPE_SURFACE_BOAT, hold=Mode.LOITER
+)

@@ -1,0 +1,215 @@
+"""Flying a stored mission: one item after the other, as AUTO does."""
+
+from __future__ import annotations
+
+import math
+from typing import Protocol
+
+from rcp_mavlink_sim.plans import Item, Plan
+from rcp_mavlink_sim.state import VehicleState
+from rcp_mavlink_sim.wire import mav
+
+__all__ = ["Manoeuvres", "Mission"]
+
+_NAMES = {16: "WP", 17: "LoitUnlim", 18: "LoitTurns", 19: "LoitTime", 20: "RTL", 21: "Land", 22: "Takeoff", 82: "Spline", 93: "Delay", 112: "Delay", 115: "Yaw", 177: "Jump", 178: "ChangeSpeed", 179: "SetHome"}  # fmt: skip
+_LAST_MOVE = mav.MAV_CMD_NAV_LAST
+_TRAVELS = frozenset({16, 17, 18, 19, 82})
+
+
+class Manoeuvres(Protocol):
+    """What a mission has the vehicle do."""
+
+    radius: float
+    """Within which a waypoint is reached, m."""
+
+    def lift(self, height: float) -> None:
+        """Rise from here."""
+
+    def risen(self) -> bool:
+        """Tell whether it has risen as high as it should."""
+        ...
+
+    def begin_landing(self, place: tuple[float, float]) -> None:
+        """Go to a place in order to land there."""
+
+    def begin_return(self) -> None:
+        """Go home; `come_down` goes on with it."""
+
+    def come_down(self) -> bool:
+        """Go on with the landing; tell whether it is over."""
+        ...
+
+    def change_speed(self, speed: float) -> bool:
+        """Take DO_CHANGE_SPEED, m/s; tell whether that can be now."""
+        ...
+
+    def finished(self) -> None:
+        """Do what is due at the end."""
+
+
+class Mission:
+    """The mission that is stored, and the item that is flown."""
+
+    def __init__(self, vehicle: VehicleState, flight: Manoeuvres) -> None:
+        self._vehicle, self._flight = vehicle, flight
+        self.plan = Plan(mav.MAV_MISSION_TYPE_MISSION)
+        self.current = 0
+        self.running = self.complete = self.paused = False
+        self.landing = False
+        self.reached = 0
+        """The item that was reached last; 0 is none."""
+        self._began = False
+        self._waited = 0.0
+        self._jumps: dict[int, int] = {}
+
+    @property
+    def flyable(self) -> bool:
+        """Whether there is anything behind the home item."""
+        return len(self.plan.items) > 1
+
+    @property
+    def takes_off(self) -> bool:
+        """Whether the first item that moves it is a take-off."""
+        moves = [item.command for item in self.plan.items[1:] if item.command < _LAST_MOVE]
+        return moves[:1] == [mav.MAV_CMD_NAV_TAKEOFF]
+
+    def start(self) -> None:
+        """Begin, or go on where it was left."""
+        if not self.flyable:
+            return
+        over = self.complete or not 1 <= self.current < len(self.plan.items)
+        if over or self._vehicle.params["MIS_RESTART"]:
+            self.current, self._jumps = 1, {}
+        self.running, self.complete, self._began = True, False, False
+        self.paused = self.landing = False
+
+    def leave(self) -> None:
+        """Stop where it is."""
+        self.running = self._began = self.landing = False
+
+    def changed(self) -> None:
+        """Begin anew after an upload."""
+        self.current, self.complete, self._began = 0, False, False
+        self.reached = 0
+        if self.running:
+            self.running = False
+            self._vehicle.pilot.hold()
+
+    def go_to(self, number: int) -> bool:
+        """Make an item the current one; tell whether there is one of that number."""
+        if not 0 <= number < max(1, len(self.plan.items)):
+            return False
+        self.current, self._began, self.complete = number, False, False
+        self.landing = False
+        return True
+
+    def pause(self, *, paused: bool) -> None:
+        """Hold, or go on."""
+        self.paused = paused
+        if paused:
+            self._vehicle.pilot.hold()
+        self._began = False
+
+    def step(self, dt: float) -> None:
+        """Fly on for `dt` simulated seconds."""
+        if not self.running or self.paused:
+            return
+        if self.current == 0:
+            self.current = 1
+        item = self.plan.items[self.current]
+        if not self._began:
+            self._began, self._waited = True, 0.0
+            self._vehicle.say(6, f"Mission: {self.current} {_NAMES.get(item.command, 'Cmd')}")
+            self._begin(item)
+        if self._done(item, dt):
+            self._next(item)
+
+    def _next(self, item: Item) -> None:
+        if item.command in _TRAVELS or item.command in (21, 22):
+            self.reached = self.current
+            self._vehicle.say(6, f"Reached command #{self.current}")
+            self._vehicle.broadcast(mav.MAVLink_mission_item_reached_message(self.current))
+        self._began = False
+        if item.command == mav.MAV_CMD_DO_JUMP and self._jump(item):
+            return
+        self.current += 1
+        if self.current >= len(self.plan.items):
+            self.current = len(self.plan.items) - 1
+            self.running, self.complete = False, True
+            self._vehicle.pilot.hold()
+            self._flight.finished()
+
+    def _jump(self, item: Item) -> bool:
+        done = self._jumps.get(self.current, 0)
+        target, times = int(item.params[0]), int(item.params[1])
+        if not 0 < target < len(self.plan.items) or 0 <= times <= done:
+            return False
+        self._jumps[self.current] = done + 1
+        self.current = target
+        return True
+
+    def _begin(self, item: Item) -> None:
+        vehicle = self._vehicle
+        pilot = vehicle.pilot
+        match item.command:
+            case mav.MAV_CMD_NAV_TAKEOFF:
+                self._flight.lift(item.alt)
+            case mav.MAV_CMD_NAV_LAND:
+                self._flight.begin_landing(self._place(item))
+            case mav.MAV_CMD_NAV_RETURN_TO_LAUNCH:
+                self._flight.begin_return()
+            case mav.MAV_CMD_DO_CHANGE_SPEED if item.params[1] > 0:
+                self._flight.change_speed(item.params[1])
+            case mav.MAV_CMD_CONDITION_YAW:
+                pilot.yaw = math.radians(item.params[0])
+            case mav.MAV_CMD_DO_SET_HOME:
+                here = item.params[0] == 1
+                vehicle.set_home(None if here else (item.lat, item.lon, item.alt))
+            case command if command in _TRAVELS:
+                self._travel(item)
+            case _:
+                pass
+
+    def _travel(self, item: Item) -> None:
+        pilot, body = self._vehicle.pilot, self._vehicle.body
+        place = self._place(item)
+        way = math.dist(place, (body.n, body.e))
+        if way > 2:
+            pilot.yaw = math.atan2(place[1] - body.e, place[0] - body.n)
+        pilot.place, pilot.depth, pilot.attitude = place, self._depth(item), None
+        pilot.passes = item.command in (16, 82)
+        pilot.spinning = pilot.spinning or not body.landed or not self._vehicle.kind.flies
+
+    def _place(self, item: Item) -> tuple[float, float]:
+        if item.lat == 0 and item.lon == 0:
+            return self._vehicle.body.n, self._vehicle.body.e
+        return self._vehicle.place_of(item.lat, item.lon)
+
+    def _depth(self, item: Item) -> float:
+        height = item.alt
+        if item.frame in (0, 5):
+            height -= self._vehicle.origin[2]
+        return -height
+
+    def _done(self, item: Item, dt: float) -> bool:
+        match item.command:
+            case mav.MAV_CMD_NAV_TAKEOFF:
+                return self._flight.risen()
+            case mav.MAV_CMD_NAV_LAND | mav.MAV_CMD_NAV_RETURN_TO_LAUNCH:
+                return self._flight.come_down()
+            case mav.MAV_CMD_NAV_LOITER_UNLIM:
+                return False
+            case mav.MAV_CMD_NAV_WAYPOINT | mav.MAV_CMD_NAV_SPLINE_WAYPOINT:
+                return self._stayed(item.params[0], dt)
+            case mav.MAV_CMD_NAV_LOITER_TIME | mav.MAV_CMD_NAV_LOITER_TURNS:
+                return self._stayed(item.params[0], dt)
+            case mav.MAV_CMD_NAV_DELAY | mav.MAV_CMD_CONDITION_DELAY:
+                self._waited += dt
+                return self._waited >= item.params[0]
+            case _:
+                return True
+
+    def _stayed(self, seconds: float, dt: float) -> bool:
+        if self._waited or self._vehicle.pilot.at_place(self._flight.radius):
+            self._waited += dt
+        return self._waited > max(0.0, seconds)

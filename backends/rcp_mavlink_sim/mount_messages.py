@@ -1,0 +1,91 @@
+"""The messages of gimbal and camera. Angles are deg but on the wire."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+from rcp_mavlink_sim.mount import quaternion
+from rcp_mavlink_sim.sensing import milliseconds
+from rcp_mavlink_sim.systems import Systems
+from rcp_mavlink_sim.wire import mav
+
+__all__ = ["MAKERS"]
+
+_DEVICE = 1
+_ABLE = (
+    mav.GIMBAL_MANAGER_CAP_FLAGS_HAS_RETRACT
+    | mav.GIMBAL_MANAGER_CAP_FLAGS_HAS_NEUTRAL
+    | mav.GIMBAL_MANAGER_CAP_FLAGS_HAS_PITCH_AXIS
+    | mav.GIMBAL_MANAGER_CAP_FLAGS_HAS_PITCH_LOCK
+    | mav.GIMBAL_MANAGER_CAP_FLAGS_HAS_YAW_AXIS
+    | mav.GIMBAL_MANAGER_CAP_FLAGS_HAS_YAW_FOLLOW
+    | mav.GIMBAL_MANAGER_CAP_FLAGS_HAS_YAW_LOCK
+)
+
+
+def _status(v: Systems) -> Any:
+    mount = v.mount
+    return mav.MAVLink_mount_status_message(
+        0, 0, round(mount.pitch * 100), round(mount.roll * 100), round(mount.yaw * 100)
+    )
+
+
+def _device(v: Systems) -> Any:
+    roll, pitch, yaw = (math.radians(a) for a in (v.mount.roll, v.mount.pitch, v.mount.yaw))
+    q = quaternion(roll, pitch, yaw)
+    nan = math.nan
+    return mav.MAVLink_gimbal_device_attitude_status_message(
+        0, 0, milliseconds(v), v.mount.flags(), q, nan, nan, nan, 0, v.body.yaw, nan, _DEVICE
+    )
+
+
+def _manager(v: Systems) -> Any:
+    p = v.params
+    pitch = (math.radians(p["MNT1_PITCH_MIN"]), math.radians(p["MNT1_PITCH_MAX"]))
+    yaw = (math.radians(p["MNT1_YAW_MIN"]), math.radians(p["MNT1_YAW_MAX"]))
+    return mav.MAVLink_gimbal_manager_information_message(
+        milliseconds(v), _ABLE, _DEVICE, 0.0, 0.0, *pitch, *yaw
+    )
+
+
+def _manager_status(v: Systems) -> Any:
+    return mav.MAVLink_gimbal_manager_status_message(
+        milliseconds(v), v.mount.flags(), _DEVICE, *v.mount.control, 0, 0
+    )
+
+
+def _gimbal(v: Systems) -> Any:
+    p = v.params
+    pitch = (math.radians(p["MNT1_PITCH_MIN"]), math.radians(p["MNT1_PITCH_MAX"]))
+    yaw = (math.radians(p["MNT1_YAW_MIN"]), math.radians(p["MNT1_YAW_MAX"]))
+    return mav.MAVLink_gimbal_device_information_message(
+        milliseconds(v), b"rcp", b"simulated", b"", 0, 0, 0, _ABLE, 0, 0.0, 0.0, *pitch, *yaw, _DEVICE
+    )  # fmt: skip
+
+
+def _camera(v: Systems) -> Any:
+    nothing, able = math.nan, mav.CAMERA_CAP_FLAGS_CAPTURE_IMAGE
+    return mav.MAVLink_camera_information_message(
+        milliseconds(v), list(b"rcp".ljust(32, b"\0")), list(b"simulated".ljust(32, b"\0")), 0,
+        nothing, nothing, nothing, 4000, 3000, 0, able, 0, b"",
+    )  # fmt: skip
+
+
+def _captures(v: Systems) -> Any:
+    return mav.MAVLink_camera_capture_status_message(
+        milliseconds(v), 0, 0, 0.0, 0, 0.0, v.mount.photos
+    )
+
+
+MAKERS: dict[int, Callable[[Systems], Any]] = {
+    mav.MAVLINK_MSG_ID_MOUNT_STATUS: _status,
+    mav.MAVLINK_MSG_ID_GIMBAL_DEVICE_ATTITUDE_STATUS: _device,
+    mav.MAVLINK_MSG_ID_GIMBAL_MANAGER_INFORMATION: _manager,
+    mav.MAVLINK_MSG_ID_GIMBAL_DEVICE_INFORMATION: _gimbal,
+    mav.MAVLINK_MSG_ID_GIMBAL_MANAGER_STATUS: _manager_status,
+    mav.MAVLINK_MSG_ID_CAMERA_INFORMATION: _camera,
+    mav.MAVLINK_MSG_ID_CAMERA_CAPTURE_STATUS: _captures,
+}
+"""What is told of gimbal and camera, by message id."""

@@ -1,0 +1,156 @@
+"""Missions, fences and rally points: the protocol by which they go up and down."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import msgspec
+
+from rcp_mavlink_sim.wire import mav
+
+__all__ = ["MISSION_COMMANDS", "Item", "Plan", "Transfer"]
+
+_SCALE = 1e7
+_MOST_OF_ALL = 1e6  # of any parameter
+_AGAIN = 1.0  # s, until an item is asked for again
+_PATIENCE = 8  # times
+_MOST = {mav.MAV_MISSION_TYPE_MISSION: 724, mav.MAV_MISSION_TYPE_FENCE: 84, mav.MAV_MISSION_TYPE_RALLY: 60}  # fmt: skip
+MISSION_COMMANDS = frozenset({16, 17, 18, 19, 20, 21, 22, 82, 93, 112, 115, 177, 178, 179, 181, 183, 201, 203, 205, 206, 207, 1000, 2000})  # fmt: skip
+_FENCE_COMMANDS = frozenset({5000, 5001, 5002, 5003, 5004})
+_RALLY_COMMANDS = frozenset({5100})
+_KNOWN = {0: MISSION_COMMANDS, 1: _FENCE_COMMANDS, 2: _RALLY_COMMANDS}
+_NORMAL_FRAME: dict[int, int] = {6: 3, 5: 0, 11: 10}
+_HEADED = frozenset({16, 17, 19, 21, 22, 82})
+_LANDMARKS = frozenset({16, 17, 18, 19, 21, 22, 82, 179, 5000, 5001, 5002, 5003, 5004, 5100})
+
+
+class Item(msgspec.Struct, frozen=True):
+    """One item of a plan."""
+
+    command: int
+    frame: int
+    params: tuple[float, float, float, float]
+    lat: float  # deg
+    lon: float  # deg
+    alt: float  # m
+    raw: tuple[int, int]
+    """The first two coordinates as they came."""
+
+
+class Plan:
+    """What is stored of one type, with item 0 of a mission its home."""
+
+    def __init__(self, kind: int) -> None:
+        self.kind = kind
+        self.items: list[Item] = []
+        self.number = 0
+        """How often it was changed."""
+
+    def replace(self, items: list[Item]) -> None:
+        """Store another plan."""
+        self.items = items
+        self.number += 1
+
+
+class Transfer:
+    """An upload on its way, from one peer."""
+
+    def __init__(self, plan: Plan, count: int, peer: tuple[int, int], now: float) -> None:
+        self._plan, self._count, self._peer = plan, count, peer
+        self._items: list[Item] = []
+        self._asked = now
+        self._tries = 0
+
+    @property
+    def plan(self) -> Plan:
+        """The plan that comes in."""
+        return self._plan
+
+    def ask(self, send: Callable[[Any], None], now: float) -> None:
+        """Ask for the next item, the way ArduPilot does: not by MISSION_REQUEST_INT."""
+        self._asked = now
+        system, component = self._peer
+        send(
+            mav.MAVLink_mission_request_message(
+                system, component, len(self._items), self._plan.kind
+            )
+        )
+
+    def late(self, send: Callable[[Any], None], now: float) -> bool:
+        """Ask again where nothing comes; tell whether to give up."""
+        if now - self._asked > _AGAIN:
+            self._tries += 1
+            if self._tries > _PATIENCE:
+                self._end(send, mav.MAV_MISSION_OPERATION_CANCELLED)
+                return True
+            self.ask(send, now)
+        return False
+
+    def take(self, message: Any, send: Callable[[Any], None], now: float) -> bool:
+        """Take an item; tell whether the transfer is over."""
+        if message.seq != len(self._items):
+            if message.seq > len(self._items):
+                self._end(send, mav.MAV_MISSION_INVALID_SEQUENCE)
+                return True
+            return False
+        if message.command not in _KNOWN[self._plan.kind] and not self._is_home(message):
+            self._end(send, mav.MAV_MISSION_UNSUPPORTED)
+            return True
+        if (wrong := _wrong(message)) is not None:
+            self._end(send, wrong)
+            return True
+        self._items.append(_item(message, self._plan.kind))
+        self._tries = 0
+        if len(self._items) < self._count:
+            self.ask(send, now)
+            return False
+        self._plan.replace(self._items)
+        self._end(send, mav.MAV_MISSION_ACCEPTED)
+        return True
+
+    def _is_home(self, message: Any) -> bool:
+        return self._plan.kind == mav.MAV_MISSION_TYPE_MISSION and message.seq == 0
+
+    def _end(self, send: Callable[[Any], None], result: int) -> None:
+        send(mav.MAVLink_mission_ack_message(*self._peer, result, self._plan.kind))
+
+    @staticmethod
+    def refusal(kind: int, count: int) -> int | None:
+        """Say why an upload cannot begin, as MAV_MISSION_RESULT; None: it can."""
+        if kind not in _MOST:
+            return mav.MAV_MISSION_UNSUPPORTED
+        return mav.MAV_MISSION_NO_SPACE if count > _MOST[kind] else None
+
+
+def _wrong(message: Any) -> int | None:
+    """Say which parameter is none, as MAV_MISSION_RESULT; a heading may be left open."""
+    first: int = mav.MAV_MISSION_INVALID_PARAM1
+    given = (message.param1, message.param2, message.param3, message.param4, message.z)
+    for at, value in enumerate(given):
+        heading = at == 3 and math.isnan(value) and message.command in _HEADED
+        if not (abs(value) <= _MOST_OF_ALL or heading):
+            return mav.MAV_MISSION_INVALID_PARAM7 if at == 4 else first + at
+    if message.command in _LANDMARKS:
+        scale = _SCALE if message.get_type() == "MISSION_ITEM_INT" else 1.0
+        if not abs(message.x) <= 90 * scale:
+            return mav.MAV_MISSION_INVALID_PARAM5_X
+        if not abs(message.y) <= 180 * scale:
+            return mav.MAV_MISSION_INVALID_PARAM6_Y
+    return None
+
+
+def _item(message: Any, kind: int) -> Item:
+    whole = message.get_type() == "MISSION_ITEM_INT"
+    place = message.command in _LANDMARKS
+    x, y = (message.x, message.y) if whole else (message.x * _SCALE, message.y * _SCALE)
+    raw = (int(message.x), int(message.y)) if not place and not whole else (round(x), round(y))
+    params = (message.param1, message.param2, message.param3, message.param4)
+    frame: int = message.frame
+    if frame in _NORMAL_FRAME:
+        frame = _NORMAL_FRAME[frame]
+    height = message.z
+    if kind == mav.MAV_MISSION_TYPE_FENCE:  # of a fence nothing else is kept
+        frame, height, params = mav.MAV_FRAME_GLOBAL, 0.0, (message.param1, 0.0, 0.0, 0.0)
+    return Item(message.command, frame, params, x / _SCALE, y / _SCALE, height, raw)

@@ -1,0 +1,129 @@
+"""What every part of a vehicle works on: its settings, its body, where it is, and what it says."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+from rcp_mavlink.geo import offset, shifted
+from rcp_mavlink_sim.crafts import body_of, pilot_of
+from rcp_mavlink_sim.faults import Faults
+from rcp_mavlink_sim.kinds import KINDS
+from rcp_mavlink_sim.noise import Noise
+from rcp_mavlink_sim.options import Options
+from rcp_mavlink_sim.parameters import Parameters
+from rcp_mavlink_sim.plans import Plan
+from rcp_mavlink_sim.power import Battery
+from rcp_mavlink_sim.sticks import Sticks
+from rcp_mavlink_sim.wire import mav
+
+__all__ = ["VehicleState"]
+
+
+class VehicleState:
+    """One vehicle's state and voice; `tell` is where its messages go."""
+
+    def __init__(self, options: Options) -> None:
+        self.options = options
+        self.kind = KINDS[options.vehicle]
+        self.tell: list[Callable[[Any], None]] = []
+        """Called with each message that goes to everybody."""
+        self.params = Parameters(options.vehicle, options.parameters)
+        self.noise = Noise(options.seed, options.noise)
+        self.wall = 0.0
+        """Real seconds, from whatever clock `advance` is given."""
+        self.origin = options.home
+        self.faults = Faults()
+        """What a test breaks; stays over a reboot."""
+        self.rally = Plan(mav.MAV_MISSION_TYPE_RALLY)
+        self.begin(math.radians(options.heading))
+
+    def begin(self, heading: float) -> None:
+        """Stand at the origin without power on the motors, as after switching on."""
+        self.time = 0.0
+        """Simulated seconds since boot."""
+        self.body = body_of(self.kind)
+        self.body.yaw = heading
+        self.body.wind_n, self.body.wind_e = self.options.wind
+        self.pilot = pilot_of(self.kind, self.body)
+        self.pilot.yaw = heading
+        self.battery = Battery(self.options.capacity, self.options.charge)
+        self.home: tuple[float, float, float] | None = None
+        self.seen_at = (0.0, 0.0)
+        """North and east, m, where its position was known last."""
+        self.armed = False
+        self.armed_for = 0.0
+        self.sticks = Sticks()
+
+    # Where it is
+
+    @property
+    def position_ok(self) -> bool:
+        """Whether GPS and EKF know where it is."""
+        return self.time >= self.options.warmup and bool(self.params["SIM_GPS1_ENABLE"])
+
+    @property
+    def gps_ok(self) -> bool:
+        """Whether the receiver has a fix."""
+        fixed = self.time >= min(5.0, self.options.warmup / 4)
+        return fixed and bool(self.params["SIM_GPS1_ENABLE"])
+
+    def geographic(self) -> tuple[float, float]:
+        """Return latitude and longitude, deg."""
+        return shifted(self.body.n, self.body.e, self.origin[:2])
+
+    def place_of(self, lat: float, lon: float) -> tuple[float, float]:
+        """Return north and east of the origin, m."""
+        return offset(lat, lon, self.origin[:2])
+
+    def home_place(self) -> tuple[float, float]:
+        """Return where home is, m."""
+        return (0.0, 0.0) if self.home is None else self.place_of(*self.home[:2])
+
+    def haven(self) -> tuple[float, float]:
+        """Return where RTL goes to, m: home, or the nearest rally point that is not farther."""
+        n, e = self.body.n, self.body.e
+        places = [self.place_of(item.lat, item.lon) for item in self.rally.items]
+        most = self.params["RALLY_LIMIT_KM"] * 1000
+        near = [place for place in places if most <= 0 or math.dist(place, (n, e)) <= most]
+        if self.params["RALLY_INCL_HOME"] or not near:
+            near.append(self.home_place())
+        return min(near, key=lambda place: math.dist(place, (n, e)))
+
+    def set_home(self, place: tuple[float, float, float] | None) -> None:
+        """Make a place (deg, deg, m above the sea) home; None: where it is."""
+        lat, lon = self.geographic()
+        self.home = place or (lat, lon, self.origin[2] - self.body.d)
+        self.broadcast(self.home_position())
+
+    # What it says
+
+    def say(self, severity: int, text: str) -> None:
+        """Send a STATUSTEXT to everybody."""
+        self.broadcast(mav.MAVLink_statustext_message(severity, text.encode()[:50]))
+
+    def broadcast(self, message: Any) -> None:
+        """Send a message to everybody."""
+        for tell in self.tell:
+            tell(message)
+
+    def home_position(self) -> Any:
+        """Return HOME_POSITION; None: there is no home yet."""
+        if self.home is None:
+            return None
+        n, e = self.home_place()
+        lat, lon, height = self.home
+        return mav.MAVLink_home_position_message(
+            round(lat * 1e7), round(lon * 1e7), round(height * 1000), n, e,
+            self.origin[2] - height, [1.0, 0.0, 0.0, 0.0], 0.0, 0.0, 0.0, round(self.time * 1e6),
+        )  # fmt: skip
+
+    def global_origin(self) -> Any:
+        """Return GPS_GLOBAL_ORIGIN; None: it does not know where it is."""
+        if not self.position_ok:
+            return None
+        lat, lon, height = self.origin
+        return mav.MAVLink_gps_global_origin_message(
+            round(lat * 1e7), round(lon * 1e7), round(height * 1000), round(self.time * 1e6)
+        )

@@ -1,0 +1,55 @@
+"""What a vehicle carries: the flight that leads it, fence and failsafes, the camera, files and logs."""
+
+from __future__ import annotations
+
+from rcp_mavlink_sim.arming import complaints
+from rcp_mavlink_sim.failsafes import Failsafes
+from rcp_mavlink_sim.fence import Fence
+from rcp_mavlink_sim.files import Files
+from rcp_mavlink_sim.flight import Flight
+from rcp_mavlink_sim.flightlog import FlightLog
+from rcp_mavlink_sim.flights.copter import CopterFlight
+from rcp_mavlink_sim.flights.ground import GroundFlight
+from rcp_mavlink_sim.flights.plane import PlaneFlight
+from rcp_mavlink_sim.modes import needs_position
+from rcp_mavlink_sim.mount import Mount
+from rcp_mavlink_sim.options import Options
+from rcp_mavlink_sim.state import VehicleState
+
+__all__ = ["Systems"]
+
+_FLIGHTS: dict[str, type[Flight]] = {
+    "copter": CopterFlight,
+    "plane": PlaneFlight,
+    "rover": GroundFlight,
+    "boat": GroundFlight,
+}
+
+
+class Systems(VehicleState):
+    """A vehicle with all that it carries, as it is measured and told."""
+
+    def __init__(self, options: Options) -> None:
+        self.log = FlightLog()
+        super().__init__(options)
+        self.files = Files(self.kind.name, self.params, self.log)
+
+    def begin(self, heading: float) -> None:
+        """Stand at the origin without power on the motors, as after switching on."""
+        super().begin(heading)
+        self.flight = _FLIGHTS[self.kind.name](self)
+        self.flight.limits()
+        self.failsafes = Failsafes(self, self.flight)
+        self.fence = Fence(self, self.flight)
+        self.mount = Mount(self)
+
+    def complaints(self) -> list[str]:
+        """List what speaks against arming, as the real one words it; nothing: it may."""
+        return complaints(self, self.flight, self.failsafes, self.fence)
+
+    @property
+    def ready(self) -> bool:
+        """The pre-arm bit; in a mode that flies blind it is up too early, as on the real one."""
+        if self.complaints():
+            return False
+        return not needs_position(self.flight.mode) or self.position_ok

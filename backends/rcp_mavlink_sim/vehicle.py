@@ -1,0 +1,145 @@
+"""The vehicle as a whole: its body, what flies it, what watches over it, and who it talks to."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+from rcp_mavlink_sim.arming import mode_complaint
+from rcp_mavlink_sim.flight import FORCE
+from rcp_mavlink_sim.systems import Systems
+from rcp_mavlink_sim.telemetry import MAKERS
+from rcp_mavlink_sim.wire import mav
+
+__all__ = ["STEP", "Vehicle"]
+
+STEP = 0.005  # s, of the simulation
+_STORM = 60.0  # m/s
+_CHATTER = 30.0  # s between two complaints before arming
+_BOOT = (
+    (0.05, "EKF3 IMU0 initialised"),
+    (0.1, "GPS 1: detected u-blox"),
+    (0.3, "EKF3 IMU0 tilt alignment complete"),
+    (0.4, "EKF3 IMU0 MAG0 initial yaw alignment complete"),
+    (0.95, "EKF3 IMU0 origin set"),
+)
+"""What is said while it warms up, by the part of that time."""
+
+
+class Vehicle(Systems):
+    """One simulated vehicle; `advance` lets time pass, `tell` is where messages go."""
+
+    def begin(self, heading: float) -> None:
+        """Stand at the origin without power on the motors, as after switching on."""
+        super().begin(heading)
+        self._said: dict[int, Any] = {}
+        self._told = 0
+        self._chattered = 0.0
+        self._left = 0.0
+        self.rebooted = False
+
+    def reboot(self) -> None:
+        """Start anew; what is stored stays."""
+        mission, fence = self.flight.mission.plan, self.fence.plan
+        self.begin(self.body.yaw)
+        self.flight.mission.plan, self.fence.plan = mission, fence
+        self.rebooted = True
+        self.say(6, "Calibrating barometer")
+
+    # What it says
+
+    def greet(self, send: Callable[[Any], None]) -> None:
+        """Say what it is to one who asks."""
+        for text in (f"{self.kind.title} V4.7.0-dev (70746572)", self.kind.frame):
+            if text:
+                send(mav.MAVLink_statustext_message(6, text.encode()))
+
+    def measure(self, number: int) -> Any:
+        """Make a message that tells how it is, by its id; None: there is none now."""
+        told = self.faults.telemetry
+        if told == "live" or number == mav.MAVLINK_MSG_ID_HEARTBEAT:
+            self._said[number] = MAKERS[number](self)
+        return None if told == "silent" and number else self._said.get(number)
+
+    # What is done with it
+
+    def set_custom_mode(self, number: int) -> bool:
+        """Change the mode to one of a number; tell whether it could be."""
+        mode = self.kind.modes.get(number)
+        if mode is None:
+            self.say(4, f"No such mode {number}")
+            return False
+        return self.flight.set_mode(mode)
+
+    def arm(self, force: float = 0.0) -> bool:
+        """Start the motors; tell whether they may."""
+        if self.armed:
+            return True
+        reasons = [] if force in FORCE else self.complaints()
+        if (wrong := mode_complaint(self, self.flight)) is not None:
+            reasons = [wrong]
+        if reasons:
+            for reason in reasons:
+                self.say(2, f"Arm: {reason}")
+            return False
+        self.say(6, "Arming motors")
+        self.armed, self.armed_for = True, 0.0
+        self.pilot.reset()
+        if self.position_ok:
+            self.set_home(None)
+        self.log.begin(self.time)
+        return True
+
+    # Time
+
+    def advance(self, wall: float, real: float) -> None:
+        """Let `real` seconds pass, times the speed of the simulation."""
+        self.wall = wall
+        self._left += real * self.options.speed
+        while self._left >= STEP:
+            self._left -= STEP
+            self._step(STEP)
+        if not self.faults.frozen:
+            self._watch_over(real * self.options.speed)
+
+    def _step(self, dt: float) -> None:
+        self.time += dt
+        if self.armed:
+            self.armed_for += dt
+        if not self.faults.frozen:
+            self.flight.step(dt)
+            self.pilot.step(dt)
+        if self.faults.powerless:
+            self.body.cut_power()
+        self.body.step(dt)
+        self.battery.step(dt, self.body.throttle, armed=self.armed)
+        self.log.step(self, self.flight.mode, dt)
+
+    def _watch_over(self, seconds: float) -> None:
+        self._tell_of_boot()
+        if self.home is None and self.position_ok:
+            self.broadcast(self.global_origin())
+            self.set_home(None)
+            self.say(6, "EKF3 IMU0 is using GPS")
+        self.sticks.look(self.wall)
+        self.noise.step(seconds)
+        self.mount.step(seconds)
+        self._blow()
+        self.fence.look()
+        self.failsafes.look(seconds)
+        if not self.armed and self.time - self._chattered > _CHATTER:
+            self._chattered = self.time
+            for reason in self.complaints():
+                self.say(2, f"PreArm: {reason}")
+
+    def _tell_of_boot(self) -> None:
+        while self._told < len(_BOOT) and self.time >= _BOOT[self._told][0] * self.options.warmup:
+            self.say(6, _BOOT[self._told][1])
+            self._told += 1
+
+    def _blow(self) -> None:
+        speed = min(_STORM, self.params["SIM_WIND_SPD"])
+        if speed > 0:
+            away = math.radians(self.params["SIM_WIND_DIR"] + 180)
+            self.body.wind_n, self.body.wind_e = speed * math.cos(away), speed * math.sin(away)

@@ -1,0 +1,341 @@
+"""A session with a gateway over however many connections it takes.
+
+A lost connection is opened again with growing pauses; `hello` takes the session back, the gateway
+replays what was missed, and `recovery` decides what becomes of requests without an answer.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import itertools
+import logging
+import random
+import secrets
+import time
+from collections.abc import Callable, Coroutine
+from typing import Any
+
+from rcp_client.calls import Call, Calls, Repeat
+from rcp_client.errors import ConnectionLost, error_of, safely
+from rcp_client.link import Link
+from rcp_client.messages import Codec, Message, Notice, Reply
+from rcp_client.recovery import Recovery
+from rcp_client.settings import MARGIN, Settings
+from rcp_client.subscriber import Subscriber
+from rcp_protocol.clock import now
+from rcp_protocol.errors import (
+    DeadlineExceeded,
+    Gap,
+    RcpError,
+    TokenExpired,
+    Unauthenticated,
+)
+
+__all__ = ["Channel"]
+
+log = logging.getLogger("rcp.client")
+_SEGMENT = 256 * 1024  # bytes of one frame: a pose waits at most that long behind a map
+
+
+class Channel:
+    """Requests out, replies and updates in."""
+
+    def __init__(self, settings: Settings) -> None:
+        self.settings = settings
+        self.calls = Calls()
+        self.listeners: list[Callable[[Notice], None]] = []
+        """Told of every notice."""
+        self.subscriptions: dict[str, Subscriber] = {}
+        self.session: str | None = None
+        self.greeting: dict[str, Any] = {}
+        """What the gateway answered to the last `hello`."""
+        self._codec = Codec(settings.encoding)
+        self._prefix = secrets.token_hex(4)
+        self._numbers = itertools.count(1)
+        self._resume_token: str | None = None
+        self._link: Link | None = None
+        self._greeted = False
+        self._lost = asyncio.Event()
+        self._keeper: asyncio.Task[None] | None = None
+        self._over: RcpError | None = None
+        self._recovery = Recovery(self)
+
+    @property
+    def connected(self) -> bool:
+        """Whether there is a connection that has been greeted."""
+        return self._greeted and self._link is not None and not self._link.closed
+
+    def new_id(self) -> str:
+        """Make an id that no other client uses."""
+        return f"{self._prefix}-{next(self._numbers)}"
+
+    # -- life ----------------------------------------------------------------------------------
+
+    async def open(self) -> None:
+        """Connect for the first time.
+
+        :raises ConnectionLost: the gateway cannot be reached.
+        :raises Unauthenticated, Forbidden: it does not let this client in.
+        """
+        await self._dial()
+        self._keeper = asyncio.create_task(self._keep(), name="rcp client")
+
+    async def close(self) -> None:
+        """Say goodbye; whatever waits ends with `ConnectionLost`."""
+        self._over = self._over or ConnectionLost("the client was closed")
+        if self._keeper is not None:
+            self._keeper.cancel()
+            await asyncio.gather(self._keeper, return_exceptions=True)
+        link, self._link = self._link, None
+        if link is not None:
+            link.close()
+        self._end(self._over)
+
+    def _end(self, error: RcpError) -> None:
+        self._over = error
+        self.calls.fail(lambda call: _told(error, call))
+        for subscription in list(self.subscriptions.values()):
+            subscription.fail(error)
+
+    async def _dial(self) -> bool:
+        """Connect and say hello; return whether the session was taken back."""
+        settings = self.settings
+        self._lost.clear()
+        self._greeted = False
+        self._link = link = await Link.open(
+            settings.address,
+            self._codec,
+            settings.token,
+            self._received,
+            self._on_lost,
+            timeout=settings.connect_timeout,
+            heartbeat=settings.heartbeat,
+            ssl=settings.ssl,
+        )
+        try:
+            if link.closed:  # before it was known which one it is
+                raise ConnectionLost(link.why)
+            resumed = await self._greet(link)
+        except BaseException:
+            link.close()
+            raise
+        self._greeted = True
+        return resumed
+
+    async def _greet(self, link: Link) -> bool:
+        if self.session is not None:
+            try:
+                await self._hello(link, session=self.session)
+            except (Gap, Unauthenticated) as error:
+                if isinstance(error, TokenExpired):
+                    raise
+                await self._hello(link)  # the session is gone: begin a new one
+                return False
+            return True
+        await self._hello(link)
+        return False
+
+    async def _hello(self, link: Link, session: str | None = None) -> None:
+        settings = self.settings
+        body: dict[str, Any] = {"client": settings.client, "segment_size": _SEGMENT}
+        if settings.tenant is not None:
+            body["tenant"] = settings.tenant
+        if session is not None:
+            body |= {"session": session, "resume_token": self._resume_token}
+            body["resume_from"] = self._seen()
+        asked = now()
+        reply = await self._first(link, {"type": "hello", "body": body})
+        facts: dict[str, Any] = reply.body or {}
+        self.greeting = facts
+        self.session = facts.get("session")
+        self._resume_token = facts.get("resume_token")
+        limits = facts.get("limits") or {}
+        link.segment_size = limits.get("segment_size") or facts.get("segment_size")
+        if reply.timestamp is not None:
+            self._recovery.greeted(reply.timestamp, asked, resumed=session is not None)
+
+    async def _first(self, link: Link, envelope: dict[str, Any]) -> Reply:
+        """Ask on a link that is not in general use yet."""
+        call = Call(envelope, "never")
+        self.calls.enter(call)
+        self._go(call, link)
+        try:
+            async with asyncio.timeout(self.settings.connect_timeout):
+                outcome = await call.end
+        except TimeoutError:
+            raise ConnectionLost(f"{self.settings.address.url} does not answer hello") from None
+        finally:
+            self.calls.leave(call)
+        return _outcome(outcome)
+
+    def _seen(self) -> dict[str, int]:
+        """Return the last number seen of each path, the lowest where several subscriptions have it."""
+        seen: dict[str, int] = {}
+        for subscription in self.subscriptions.values():
+            for path, seq in subscription.seen.items():
+                seen[path] = min(seq, seen.get(path, seq))
+        return seen
+
+    async def _keep(self) -> None:
+        try:
+            while True:
+                await self._lost.wait()
+                link = self._link
+                self.tell(Notice(code="disconnected", message=link.why if link else None))
+                resumed = await self._return()
+                self.tell(Notice(code="reconnected", facts={"resumed": resumed}))
+                await self._unless_lost(self._recovery.restore())
+        except RcpError as error:
+            self._end(error)
+        except Exception as error:
+            log.exception("the client failed")
+            self._end(ConnectionLost(f"the client failed: {error!r}"))
+
+    async def _unless_lost(self, work: Coroutine[Any, Any, None]) -> None:
+        """Do something with the connection, and leave it when the connection is lost again."""
+        doing = asyncio.ensure_future(work)
+        lost = asyncio.ensure_future(self._lost.wait())
+        try:
+            await asyncio.wait((doing, lost), return_when=asyncio.FIRST_COMPLETED)
+        finally:
+            lost.cancel()
+            doing.cancel()
+        if doing.done():
+            doing.result()
+
+    async def _return(self) -> bool:
+        """Try to come back until it works or patience ends."""
+        settings = self.settings
+        began, pause = time.monotonic(), settings.first_pause
+        while True:
+            try:
+                return await self._dial()
+            except ConnectionLost as error:
+                away = time.monotonic() - began
+                if settings.patience is not None and away + pause > settings.patience:
+                    raise ConnectionLost(
+                        f"the gateway has been out of reach for {away:.0f} s: {error.message}"
+                    ) from error
+            await asyncio.sleep(pause * random.uniform(0.5, 1.0))  # noqa: S311 - spreads clients
+            pause = min(pause * 2, settings.longest_pause)
+
+    # -- out -----------------------------------------------------------------------------------
+
+    def start(self, envelope: dict[str, Any], repeat: Repeat, *, id_: str | None = None) -> Call:
+        """Begin a request; it waits for the connection if there is none now.
+
+        :raises RcpError: the client is closed, or the envelope cannot be encoded.
+        """
+        if self._over is not None:
+            raise self._over
+        call = Call(envelope, repeat, id_)
+        self.calls.enter(call)
+        if self.connected:
+            try:
+                self.send(call)
+            except BaseException:
+                self.calls.leave(call)
+                raise
+        return call
+
+    async def ask(self, envelope: dict[str, Any], repeat: Repeat = "always") -> Reply:
+        """Send a request and return its final reply, within its deadline.
+
+        :raises RcpError: it failed, was refused or cancelled, or no answer came.
+        """
+        deadline = envelope.setdefault("deadline", self.settings.deadline)
+        call = self.start(envelope, repeat)
+        return await self.finish(call, deadline + MARGIN)
+
+    async def finish(self, call: Call, limit: float | None) -> Reply:
+        """Wait for a call's end.
+
+        :raises RcpError: it failed, was refused or cancelled, or `limit` seconds have passed.
+        """
+        try:
+            async with asyncio.timeout(limit):
+                outcome = await asyncio.shield(call.end)
+        except TimeoutError:
+            raise self.late(call, limit or 0) from None
+        finally:
+            self.calls.leave(call)
+        return _outcome(outcome)
+
+    def late(self, call: Call, limit: float) -> RcpError:
+        """Say why a call had no answer in time."""
+        path = call.envelope.get("path")
+        if not self.connected:
+            return ConnectionLost(
+                f"no connection to {self.settings.address.url} within {limit:g} s", path=path
+            )
+        return DeadlineExceeded(f"the gateway did not answer within {limit:g} s", path=path)
+
+    def send(self, call: Call, **facts: Any) -> None:
+        """Send a call, once more if need be, with further fields."""
+        self._go(call, self._link, **facts)
+
+    def calls_of_before(self) -> list[Call]:
+        """List the calls that were not sent on the present connection."""
+        return [call for call in self.calls.every() if call.link is not self._link]
+
+    def _go(self, call: Call, link: Link | None, **facts: Any) -> None:
+        """Send a call under an id of its own, or the one it always has."""
+        id_ = call.fixed or self.new_id()
+        self.calls.name(call, id_)
+        call.sent = call.sent or now()
+        call.link = link
+        if link is not None:
+            link.send({**call.envelope, "id": id_, **facts})
+
+    def post(self, envelope: dict[str, Any]) -> None:
+        """Send a request whose answer nobody waits for; nothing happens without a connection."""
+        if self.connected and self._link is not None:
+            self._link.send({**envelope, "id": self.new_id()})
+
+    # -- in ------------------------------------------------------------------------------------
+
+    def _received(self, message: Message, data: bytes) -> None:
+        if message.type == "update":
+            subscription = self.subscriptions.get(message.id or "")
+            if subscription is not None:
+                subscription.take(message)
+        elif message.type == "notice":
+            self.tell(self._codec.notice(data))
+        elif not self.calls.take(message) and message.id is None:
+            error = error_of(message)
+            if isinstance(error, Unauthenticated):
+                self._end(error)
+            elif error is not None:
+                self.tell(Notice(code=error.code, message=error.message, path=message.path))
+
+    def tell(self, notice: Notice) -> None:
+        """Pass a notice on to whom it concerns."""
+        for id_, subscription in list(self.subscriptions.items()):
+            if notice.id in (None, id_):
+                subscription.note(notice)
+        for listener in list(self.listeners):
+            listener(notice)
+        safely(self.settings.on_notice, notice)
+
+    def _on_lost(self, link: Link) -> None:
+        if link is self._link:
+            self._greeted = False
+            for call in self.calls.every():
+                if call.envelope["type"] == "hello":
+                    call.fail(ConnectionLost(link.why))
+            self._lost.set()
+
+
+def _told(error: RcpError, call: Call) -> RcpError:
+    """Make a copy of an error for one call, so that each names its own path."""
+    made = type(error)(error.message, path=call.envelope.get("path"), remedy=error.remedy)
+    made.__cause__ = error
+    return made
+
+
+def _outcome(outcome: Reply | RcpError) -> Reply:
+    if isinstance(outcome, RcpError):
+        raise outcome
+    if (error := error_of(outcome)) is not None:
+        raise error
+    return outcome

@@ -1,0 +1,430 @@
+"""The asyncio client: every request of the contract as a method."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import AsyncGenerator, Callable, Iterable, Mapping, Sequence
+from typing import Any, Literal, Self
+
+import msgspec
+
+from rcp_client.calls import Repeat
+from rcp_client.channel import Channel
+from rcp_client.command import CommandHandle, Feedback
+from rcp_client.lease import Lease
+from rcp_client.messages import Notice, Reply, ResourceInfo
+from rcp_client.pages import joined, pages
+from rcp_client.plans import plan_of
+from rcp_client.requests import hold_path, kept, keyed, new_key, plain, repeat_of
+from rcp_client.settings import MARGIN, Settings
+from rcp_client.subscription import Subscription
+from rcp_protocol.values import value_type
+
+__all__ = ["Client"]
+
+_PAGE = 500  # resources asked for at once
+
+
+def _reading(
+    path: str,
+    fields: Sequence[str] | None,
+    fresh: bool,  # noqa: FBT001 - as its callers call it
+    limit: int | None = None,
+) -> dict[str, Any]:
+    options = {"fields": list(fields) if fields else None, "fresh": fresh or None, "limit": limit}
+    return kept({"type": "read", "path": path, "body": kept(options) or None})
+
+
+class Client:
+    """A session with a gateway, which outlives the connections that carry it.
+
+    Methods raise the kernel's errors (`rcp_protocol.errors`) by the code that the gateway answered,
+    with its `remedy`; `DeadlineExceeded` where no answer came in time, and `ConnectionLost` where
+    there is no connection. A cut in the middle of a request is mended behind the scenes: writes and
+    executes carry an idempotency key, so that being sent again never makes them happen twice.
+    """
+
+    def __init__(self, settings: Settings) -> None:
+        self.settings = settings
+        self.channel = Channel(settings)
+
+    async def __aenter__(self) -> Self:
+        await self.channel.open()
+        return self
+
+    async def __aexit__(self, *_: object) -> None:
+        await self.channel.close()
+
+    @property
+    def connected(self) -> bool:
+        """Whether there is a connection now."""
+        return self.channel.connected
+
+    @property
+    def greeting(self) -> dict[str, Any]:
+        """What the gateway said to `hello`: principal, roles, tenant, limits."""
+        return self.channel.greeting
+
+    # -- values --------------------------------------------------------------------------------
+
+    async def read(
+        self,
+        path: str,
+        *,
+        fields: Sequence[str] | None = None,
+        fresh: bool = False,
+        type: Any = None,  # noqa: A002 - the natural word
+        deadline: float | None = None,
+    ) -> Any:
+        """Return the present value of a path, or the list of all items of a pattern.
+
+        `fields` keeps only some of its fields (`position.x`), `fresh` asks the robot itself, and
+        `type` decodes the value into a msgspec type.
+        """
+        reply = await self.sample(path, fields=fields, fresh=fresh, deadline=deadline)
+        return reply.body if type is None else value_type(type).convert(reply.body)
+
+    async def sample(
+        self,
+        path: str,
+        *,
+        fields: Sequence[str] | None = None,
+        fresh: bool = False,
+        deadline: float | None = None,
+    ) -> Reply:
+        """Read a path and return the whole reply: value, number, source time, freshness.
+
+        Of a pattern every page is fetched; `pages` gives them one by one.
+        """
+        return await joined(self.channel.ask, _reading(path, fields, fresh), deadline)
+
+    async def pages(
+        self,
+        pattern: str,
+        *,
+        fields: Sequence[str] | None = None,
+        fresh: bool = False,
+        limit: int | None = None,
+        deadline: float | None = None,
+    ) -> AsyncGenerator[list[dict[str, Any]]]:
+        """Read a pattern page by page, each with at most `limit` items (1000).
+
+        `deadline` is for all of them together.
+        """
+        envelope = _reading(pattern, fields, fresh, limit)
+        async for reply in pages(self.channel.ask, envelope, deadline):
+            yield reply.body
+
+    async def write(
+        self,
+        path: str,
+        value: Any,
+        *,
+        valid_for: float | None = None,
+        dry_run: bool = False,
+        idempotency_key: str | None = None,
+        approval: str | None = None,
+        deadline: float | None = None,
+    ) -> Any:
+        """Write a value and return the one that is in force.
+
+        `valid_for` is how many seconds a velocity stands before the gateway brings the robot to
+        rest; `dry_run` checks everything and changes nothing.
+        """
+        envelope = kept(
+            {
+                "type": "write",
+                "path": path,
+                "valid_for": valid_for,
+                "dry_run": dry_run or None,
+                "idempotency_key": idempotency_key or new_key(),
+                "approval": approval,
+                "deadline": deadline,
+            }
+        )
+        reply = await self.channel.ask({**envelope, "body": plain(value)}, "keyed")
+        return reply.body
+
+    # -- commands ------------------------------------------------------------------------------
+
+    async def start(
+        self,
+        path: str,
+        input: Any = None,  # noqa: A002 - the contract's word
+        *,
+        deadline: float | None = None,
+        idempotency_key: str | None = None,
+        approval: str | None = None,
+        on_feedback: Callable[[Feedback], None] | None = None,
+        type: Any = None,  # noqa: A002
+    ) -> CommandHandle:
+        """Start a command and return once the gateway has accepted it.
+
+        Without a `deadline` the command may take what its path allows.
+
+        :raises RcpError: it was refused.
+        """
+        more = {"idempotency_key": idempotency_key, "approval": approval}
+        handle = self._execute(path, input, deadline, more, on_feedback, type)
+        await handle.accepted(self._first_wait(deadline))
+        return handle
+
+    async def execute(
+        self,
+        path: str,
+        input: Any = None,  # noqa: A002
+        *,
+        deadline: float | None = None,
+        dry_run: bool = False,
+        idempotency_key: str | None = None,
+        approval: str | None = None,
+        on_feedback: Callable[[Feedback], None] | None = None,
+        type: Any = None,  # noqa: A002
+    ) -> Any:
+        """Carry out a command and return its result; who stops waiting has it cancelled.
+
+        :raises RcpError: it was refused, failed, or was cancelled.
+        """
+        if dry_run:
+            envelope = {"type": "execute", "path": path, "dry_run": True, "body": plain(input)}
+            return (await self.channel.ask(envelope)).body
+        more = {"idempotency_key": idempotency_key, "approval": approval}
+        handle = self._execute(path, input, deadline, more, on_feedback, type)
+        try:
+            await handle.accepted(self._first_wait(deadline))
+            return await handle.result()
+        except asyncio.CancelledError:
+            handle.cancel_soon()
+            raise
+
+    def _first_wait(self, deadline: float | None) -> float:
+        own = self.settings.deadline
+        return (own if deadline is None else min(deadline, own)) + MARGIN
+
+    def _execute(
+        self,
+        path: str,
+        value: Any,
+        deadline: float | None,
+        more: dict[str, Any],
+        on_feedback: Callable[[Feedback], None] | None,
+        type_: Any,
+    ) -> CommandHandle:
+        envelope: dict[str, Any] = {"type": "execute", "path": path}
+        envelope |= kept(more)
+        envelope.setdefault("idempotency_key", new_key())
+        if value is not None:
+            envelope["body"] = plain(value)
+        if deadline is not None:
+            envelope["deadline"] = deadline
+        call = self.channel.start(envelope, repeat_of(envelope))
+        limit = None if deadline is None else deadline + MARGIN
+        return CommandHandle(self.channel, call, limit=limit, type_=type_, on_feedback=on_feedback)
+
+    async def plan(
+        self,
+        plan: str | Sequence[Mapping[str, Any]] | Mapping[str, Any],
+        *,
+        dry_run: bool = False,
+        approval: str | None = None,
+        deadline: float | None = None,
+        idempotency_key: str | None = None,
+        on_feedback: Callable[[Feedback], None] | None = None,
+    ) -> list[dict[str, Any]]:
+        """Carry out many operations as one, checked whole before the first; return every step.
+
+        `plan` is a list of steps, a whole body, or a text: what a planner prints, or lines of
+        commands (docs/protocol.md, Plans). Feedback tells of each change of a step. `dry_run`
+        returns what would be sent; who stops waiting has the plan cancelled.
+
+        :raises RcpError: it was refused (`details["faults"]` says all that is wrong), or a step failed
+            (`details["body"]` has what became of each).
+        """
+        result = await self.execute(
+            "/system/plans",
+            plan_of(plan),
+            dry_run=dry_run,
+            approval=approval,
+            deadline=deadline,
+            idempotency_key=idempotency_key,
+            on_feedback=on_feedback,
+        )
+        return result["steps"]
+
+    async def approve(
+        self, approval: str, *, reject: bool = False, reason: str | None = None
+    ) -> dict[str, Any]:
+        """Decide on what somebody else wants approved (docs/protocol.md, Approvals)."""
+        decision = "reject" if reject else "approve"
+        body = kept({"id": approval, "decision": decision, "reason": reason})
+        return await self.execute("/system/approvals", body)
+
+    async def approvals(self) -> list[dict[str, Any]]:
+        """List what this principal may decide on, and what it has asked for."""
+        return await self.read("/system/approvals")
+
+    async def cancel(self, command: str) -> list[str]:
+        """Cancel a command by the gateway's id, or whatever runs on a path; return the ids."""
+        named = "path" if command.startswith("/") else "command"
+        reply = await self.channel.ask({"type": "cancel", named: command})
+        return (reply.body or {}).get("cancelled", [])
+
+    async def commands(self) -> list[dict[str, Any]]:
+        """List running and recent commands, newest first, with their histories."""
+        return await self.read("/system/commands")
+
+    async def estop(
+        self,
+        *,
+        reset: bool = False,
+        scope: str | None = None,
+        reason: str | None = None,
+        deadline: float | None = None,
+    ) -> dict[str, Any]:
+        """Stop every robot that this principal may see, or those in `scope`; or reset the stop.
+
+        `scope` is a robot, a group, a backend or a tenant (docs/protocol.md, E-stop). Returns
+        the state of the e-stop when every robot in scope is confirmed at rest, by measurement;
+        `deadline` is how many seconds that may take (the client's own; the gateway waits 60 at
+        most). A reset that a cut interrupts is not tried again.
+
+        :raises DeviceTimeout: a robot is not confirmed at rest; `details["robots"]` says which, how far
+            its stop has come and why. It stays latched, and the gateway repeats the stop.
+        """
+        body = kept({"reset": reset or None, "scope": scope, "reason": reason})
+        envelope: dict[str, Any] = {"type": "execute", "path": "/system/estop", "body": body}
+        if deadline is not None:
+            envelope["deadline"] = deadline
+        return (await self.channel.ask(envelope, repeat_of(envelope))).body
+
+    async def hold(
+        self, robot: str | None = None, *, deadline: float | None = None
+    ) -> dict[str, Any]:
+        """Bring a robot to rest and end its commands, without an e-stop: the next command moves it.
+
+        `robot` is its name in the session's tenant, or `/tenant/<tenant>/<robot>`; it may be left
+        out where the tenant has one robot without a name. Returns `at_rest` and `detail`.
+
+        :raises DeviceTimeout: it was told to, and still moves: use the e-stop.
+        :raises UnknownPath: there is no such robot, or it has nothing that moves.
+        """
+        return await self.execute(hold_path(robot), deadline=deadline)
+
+    def lease(
+        self,
+        scope: str,
+        *,
+        ttl: float | None = None,
+        take: bool = False,
+        reason: str | None = None,
+    ) -> Lease:
+        """Make a lease; `async with` acquires, renews and releases it.
+
+        `scope` is a tenant, a robot or a sub-tree (docs/protocol.md, Leases). `take` takes it over
+        from holders of a lower priority, who are told the `reason`. Losing it cancels the block,
+        which then raises `LeaseLost`.
+        """
+        asked = {"scope": scope, "ttl": ttl, "take": take or None, "reason": reason}
+        return Lease(self.channel, kept(asked))
+
+    async def leases(self) -> list[dict[str, Any]]:
+        """List the leases on robots that this principal may see."""
+        return await self.read("/system/leases")
+
+    # -- streams -------------------------------------------------------------------------------
+
+    def subscribe(
+        self,
+        patterns: str | Iterable[str],
+        *,
+        rate: float | None = None,
+        on: Literal["sample", "change"] | None = None,
+        deadband: Any = None,
+        where: dict[str, Any] | None = None,
+        fields: Sequence[str] | None = None,
+        history: int | str | None = None,
+        initial: bool | None = None,
+        reliable: bool = False,
+        qos: dict[str, Any] | None = None,
+        encoding: Literal["native"] | None = None,
+        duration: float | None = None,
+        count: int | None = None,
+        type: Any = None,  # noqa: A002
+        buffer: int = 4096,
+        on_notice: Callable[[Notice], None] | None = None,
+    ) -> Subscription:
+        """Make a subscription to paths or patterns; iterating, or `async with`, begins it.
+
+        The options are those of the contract (docs/protocol.md, section 7). `reliable` is short for
+        the `qos` of that name: every sample in order, or an `Overrun`. `buffer` is how many updates
+        wait here unread before the oldest gives way (or a reliable subscription ends).
+        """
+        wanted = [patterns] if isinstance(patterns, str) else list(patterns)
+        if not wanted:
+            raise ValueError("a subscription names at least one path or pattern")
+        if reliable:
+            qos = {**(qos or {}), "reliability": "reliable"}
+        options: dict[str, Any] = {
+            "rate": rate,
+            "on": on,
+            "deadband": deadband,
+            "where": where,
+            "fields": list(fields) if fields else None,
+            "history": history,
+            "initial": initial,
+            "qos": qos,
+            "encoding": encoding,
+            "duration": duration,
+            "count": count,
+        }
+        return Subscription(
+            self.channel, wanted, options, type_=type, buffer=buffer, on_notice=on_notice
+        )
+
+    # -- the gateway ---------------------------------------------------------------------------
+
+    async def discover(
+        self,
+        pattern: str | None = None,
+        *,
+        kind: str | None = None,
+        op: str | None = None,
+        q: str | None = None,
+        schemas: bool = True,
+    ) -> list[ResourceInfo]:
+        """List the resources that match: by path, `kind`, operation, and words in `q`."""
+        found: list[ResourceInfo] = []
+        body = {**kept({"kind": kind, "op": op, "q": q, "limit": _PAGE}), "schemas": schemas}
+        envelope = kept({"type": "discover", "path": pattern, "body": body})
+        async for reply in pages(self.channel.ask, envelope):
+            found += msgspec.convert(reply.body["resources"], list[ResourceInfo])
+        return found
+
+    async def status(self) -> dict[str, Any]:
+        """Return the gateway's health report."""
+        return (await self.channel.ask({"type": "status"})).body
+
+    async def ping(self) -> float:
+        """Return the seconds that a request takes there and back."""
+        began = time.perf_counter()
+        await self.channel.ask({"type": "ping"})
+        return time.perf_counter() - began
+
+    async def batch(self, envelopes: Sequence[dict[str, Any]]) -> list[Reply]:
+        """Send several requests as one and return their final replies in the same order.
+
+        A reply that tells of an error does not raise; look at its `status`.
+        """
+        parts = [keyed(envelope) for envelope in envelopes]
+        repeat: Repeat = "never" if any(repeat_of(p) == "never" for p in parts) else "keyed"
+        reply = await self.channel.ask({"type": "batch", "body": parts}, repeat)
+        return msgspec.convert(reply.body, list[Reply])
+
+    async def request(self, envelope: dict[str, Any]) -> Reply:
+        """Send any envelope, `x-…` fields included, and return its final reply.
+
+        :raises RcpError: it tells of an error.
+        """
+        whole = keyed({key: item for key, item in envelope.items() if key != "id"})
+        return await self.channel.ask(whole, repeat_of(whole))

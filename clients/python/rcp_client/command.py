@@ -1,0 +1,154 @@
+"""A running command, as its caller holds it."""
+
+from __future__ import annotations
+
+import asyncio
+from collections import deque
+from collections.abc import AsyncGenerator, Callable
+from typing import Any
+
+import msgspec
+
+from rcp_client.calls import Call
+from rcp_client.channel import Channel
+from rcp_client.errors import error_of, safely
+from rcp_client.messages import Reply
+from rcp_protocol.values import ValueType, value_type
+from rcp_protocol.wire import FINAL
+
+__all__ = ["CommandHandle", "Feedback"]
+
+_KEPT = 1000  # feedback that nobody has read
+
+
+class Feedback(msgspec.Struct, kw_only=True, omit_defaults=True):
+    """One step of a running command."""
+
+    status: str
+    """`accepted`, `pending` or `in_progress`."""
+    body: Any = None
+    progress: float | None = None
+    """Fraction done, 0…1."""
+    message: str | None = None
+    timestamp: str | None = None
+    command: str | None = None
+    """The gateway's id of the command."""
+
+
+class CommandHandle:
+    """One execute that the gateway has accepted; iterate over it for its feedback.
+
+    The command goes on when the handle is dropped, and when the connection is lost.
+    """
+
+    def __init__(
+        self,
+        channel: Channel,
+        call: Call,
+        *,
+        limit: float | None,
+        type_: Any = None,
+        on_feedback: Callable[[Feedback], None] | None = None,
+    ) -> None:
+        self.path: str = call.envelope["path"]
+        self.status = "sent"
+        self.progress: float | None = None
+        self._channel = channel
+        self._call = call
+        self._limit = limit
+        self._type: ValueType | None = None if type_ is None else value_type(type_)
+        self._on_feedback = on_feedback
+        self._unread: deque[Feedback] = deque(maxlen=_KEPT)
+        self._wake = asyncio.Event()
+        call.listeners.append(self._heard)
+        call.end.add_done_callback(lambda _: self._wake.set())
+
+    @property
+    def id(self) -> str | None:
+        """The gateway's id of the command, once it has accepted it."""
+        return self._call.command
+
+    @property
+    def done(self) -> bool:
+        """Whether its final reply is here."""
+        return self._call.end.done()
+
+    def _heard(self, reply: Reply) -> None:
+        self.status = reply.status
+        self.path = reply.path or self.path
+        if reply.progress is not None:
+            self.progress = reply.progress
+        if reply.status in FINAL:
+            return
+        feedback = Feedback(
+            status=reply.status,
+            body=reply.body,
+            progress=reply.progress,
+            message=reply.message,
+            timestamp=reply.timestamp,
+            command=reply.command,
+        )
+        self._unread.append(feedback)
+        self._wake.set()
+        safely(self._on_feedback, feedback)
+
+    async def accepted(self, limit: float) -> None:
+        """Wait for the first reply, for at most `limit` seconds.
+
+        :raises RcpError: the command was refused, or nobody answered.
+        """
+        call = self._call
+        try:
+            async with asyncio.timeout(limit):
+                await asyncio.shield(call.first)
+        except TimeoutError:
+            self._channel.calls.leave(call)
+            raise self._channel.late(call, limit) from None
+        if call.end.done():
+            outcome = call.end.result()
+            error = error_of(outcome) if isinstance(outcome, Reply) else outcome
+            if error is not None and (error is outcome or error.status == "rejected"):
+                raise error
+
+    async def reply(self) -> Reply:
+        """Wait for the final reply and return it whole.
+
+        :raises RcpError: the command failed, was refused or cancelled, or the client gave up.
+        """
+        return await self._channel.finish(self._call, self._limit)
+
+    async def result(self) -> Any:
+        """Wait for the end and return the result.
+
+        :raises RcpError: as `reply` does.
+        """
+        reply = await self.reply()
+        return reply.body if self._type is None else self._type.convert(reply.body)
+
+    async def __aiter__(self) -> AsyncGenerator[Feedback]:
+        """Iterate over the feedback until the command ends; `result` then says how."""
+        while True:
+            while self._unread:
+                yield self._unread.popleft()
+            if self.done:
+                return
+            self._wake.clear()
+            await self._wake.wait()
+
+    async def cancel(self) -> Reply:
+        """Have the robot told to stop it; how it ends, `result` says."""
+        if self.id is None:
+            await self.accepted(self._channel.settings.deadline)
+        return await self._channel.ask({"type": "cancel", "command": self.id})
+
+    def cancel_soon(self) -> None:
+        """Have it cancelled without waiting for anything, as soon as it has an id."""
+        if self.id is not None:
+            self._channel.post({"type": "cancel", "command": self.id})
+        elif not self.done:
+            self._call.listeners.append(self._cancel_now)
+
+    def _cancel_now(self, reply: Reply) -> None:
+        if reply.status not in FINAL and self._cancel_now in self._call.listeners:
+            self._call.listeners.remove(self._cancel_now)
+            self._channel.post({"type": "cancel", "command": reply.command})

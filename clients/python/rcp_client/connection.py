@@ -1,0 +1,71 @@
+"""How a client is made: from what is given, and the environment for the rest."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from ssl import SSLContext
+from typing import Literal
+
+from rcp_client.address import DEFAULT_URL, Address
+from rcp_client.client import Client
+from rcp_client.credentials import find_token
+from rcp_client.messages import Notice
+from rcp_client.settings import Settings
+from rcp_client.tls import check_secrecy, secured
+from rcp_protocol.values import Encoding
+
+__all__ = ["connect"]
+
+
+def connect(
+    url: str | None = None,
+    *,
+    token: str | None = None,
+    tenant: str | None = None,
+    encoding: Literal["msgpack", "json", "cbor"] = "msgpack",
+    deadline: float = 10.0,
+    connect_timeout: float = 5.0,
+    patience: float | None = 120.0,
+    heartbeat: float = 5.0,
+    on_notice: Callable[[Notice], None] | None = None,
+    cacert: str | None = None,
+    cert: str | None = None,
+    key: str | None = None,
+    ssl: SSLContext | None = None,
+    plaintext: bool = False,
+    client: str = "rcp-client/python",
+) -> Client:
+    """Make a client; `async with` connects it.
+
+    What is not given comes from `RCP_URL`, `RCP_TOKEN` and `RCP_TENANT`; then the gateway of this
+    machine, and the token that `rcpd demo` left for this user. Times are in seconds: `deadline` for
+    requests that name none, `connect_timeout` for one attempt, `patience` for coming back after a
+    cut (None never gives up), `heartbeat` for noticing that the other side is gone.
+
+    Over https the gateway's certificate is checked, against the CA in the file `cacert` if it has one
+    of its own; `cert` and `key` are files of the client's certificate (`RCP_CACERT`, `RCP_CERT`,
+    `RCP_KEY`), and `ssl` is a context instead of the three. A token goes over plain http to another
+    machine only with `plaintext`.
+
+    :raises ValueError: the address is none, a file does not load, or the token would be readable.
+    """
+    url = url or os.environ.get("RCP_URL") or DEFAULT_URL
+    address = Address.parse(url)
+    token = token or find_token(url)
+    check_secrecy(address, token, plaintext=plaintext)
+    return Client(
+        Settings(
+            address=address,
+            token=token,
+            tenant=tenant or os.environ.get("RCP_TENANT") or None,
+            encoding=Encoding(encoding),
+            deadline=deadline,
+            connect_timeout=connect_timeout,
+            patience=patience,
+            heartbeat=heartbeat,
+            client=client,
+            ssl=ssl or secured(address, cacert, cert, key),
+            on_notice=on_notice,
+        )
+    )

@@ -1,0 +1,272 @@
+"""How each thing the gateway tells is shown, and how odd options of `watch` are read."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import click
+
+from rcp_client.console.outline import outline
+from rcp_client.console.output import Output, clean, compact, pretty
+from rcp_client.messages import Reply, ResourceInfo, Update
+from rcp_protocol.errors import BadRequest
+from rcp_protocol.values import Encoding, parse
+
+__all__ = [
+    "approvals",
+    "commands",
+    "estop",
+    "item",
+    "json_object",
+    "number_or_json",
+    "number_or_text",
+    "reply",
+    "resource",
+    "resources",
+    "status",
+    "update",
+    "value",
+    "value_facts",
+]
+
+
+def resources(out: Output, found: list[ResourceInfo]) -> None:
+    """Show many resources as a table."""
+    rows = [(r.path, r.kind, ",".join(r.operations), r.state, r.description) for r in found]
+    out.table(("PATH", "KIND", "OPERATIONS", "STATE", "DESCRIPTION"), rows)
+
+
+def resource(out: Output, found: ResourceInfo) -> None:
+    """Show all there is to know of one resource."""
+    out.line(f"{found.path}  {out.paint(found.state or '')}".rstrip())
+    out.line(clean(found.description))
+    rows = [("kind", found.kind), ("operations", ", ".join(found.operations))]
+    names = ("unit", "backend", "deadline", "timeout", "policy", "max_age", "valid_for")
+    rows += [(n, str(fact)) for n in names if (fact := getattr(found, n)) is not None]
+    for name, fact in rows:
+        out.line(f"  {name:<11} {clean(fact)}")
+    for name, schema in found.schemas.items():
+        out.line(f"{name}  {out.dim(found.schema_ids.get(name, ''))}".rstrip())
+        out.rows([("  " + field, type_, note) for field, type_, note in outline(schema)])
+    for example in found.examples:
+        out.line(f"example  {compact(example)}")
+
+
+def approvals(out: Output, listed: list[dict[str, Any]]) -> None:
+    """Show what wants approval, with what would be sent."""
+    rows = [
+        (a["approval"], out.paint(a["status"]), a["principal"], a["request"], a["path"],
+         a["expires"][11:19], compact(a.get("value")))
+        for a in listed
+    ]  # fmt: skip
+    out.table(("ID", "STATUS", "BY", "WANTS TO", "PATH", "UNTIL", "VALUE"), rows)
+
+
+def value_facts(reply: Reply) -> dict[str, Any]:
+    """Say what a read said, without what only the envelope needs."""
+    facts = {
+        "path": reply.path,
+        "status": reply.status,
+        "body": reply.body,
+        "seq": reply.seq,
+        "timestamp": reply.source_timestamp,
+        "state": reply.state,
+    }
+    return {key: fact for key, fact in facts.items() if fact is not None or key == "body"}
+
+
+def value(out: Output, reply: Reply, *, several: bool) -> None:
+    """Show the value of a read; its facts too, where more than the value is of interest."""
+    if several or reply.state == "stale":
+        seq = "" if reply.seq is None else f"#{reply.seq}"
+        facts = out.dim(f"{seq} {reply.source_timestamp or ''}".strip())
+        out.line(f"{reply.path}  {out.paint(reply.state or '')}  {facts}")
+    out.line(pretty(reply.body))
+
+
+def item(out: Output, found: dict[str, Any]) -> int:
+    """Show one item of a read of many; return its exit status."""
+    failed = found.get("status") != "completed"
+    if out.json:
+        out.document(found)
+    elif failed:
+        error = found.get("error") or {}
+        out.line(f"{found['path']}  {out.paint(found['status'])}  {clean(error['message'])}")
+    else:
+        out.line(f"{found['path']}  {compact(found.get('body'))}")
+    return 0 if not failed else 3 if found["status"] == "rejected" else 1
+
+
+def reply(out: Output, found: Reply) -> None:
+    """Show a final reply."""
+    if out.json:
+        names = ("type", "path", "status", "command", "message", "dry_run", "seq", "timestamp")
+        facts = {name: fact for name in names if (fact := getattr(found, name))}
+        out.document({**facts, "body": found.body})
+        return
+    out.line(f"{out.paint(found.status)} {clean(found.message or '')}".rstrip())
+    if found.body not in (None, {}):
+        out.line(pretty(found.body))
+
+
+def update(out: Output, found: Update) -> None:
+    """Show one update in one line."""
+    if out.json:
+        out.document(found)
+        return
+    skipped = f"  ({found.dropped} skipped)" if found.dropped else ""
+    moment = found.timestamp[11:23]
+    out.line(f"{out.dim(moment)} {found.path} {out.dim(f'#{found.seq}')} "
+             f"{compact(found.body)}{out.dim(skipped)}")  # fmt: skip
+
+
+def status(out: Output, report: dict[str, Any]) -> None:
+    """Show the health report."""
+    if out.json:
+        out.document(report)
+        return
+    uptime = _span(report.get("uptime") or 0)
+    out.line(f"{out.paint(str(report.get('state')))}  version {report.get('version')}  up {uptime}")
+    process = report.get("process") or {}
+    running = report.get("commands") or {}
+    out.line(
+        f"cpu {_number(process.get('cpu'))} %  memory {(process.get('rss') or 0) / 1e6:.0f} MB  "
+        f"sessions {report.get('sessions')}  subscriptions {report.get('subscriptions')}  "
+        f"commands {running.get('running')} running, {running.get('queued')} queued"
+    )
+    backends = report.get("backends") or []
+    if backends:
+        out.line()
+        names = ("name", "plugin", "tenant", "state", "resources", "detail")
+        rows = [[backend.get(name) for name in names] for backend in backends]
+        out.table([name.upper() for name in names], rows)
+    for record in (report.get("warnings") or [])[-5:]:
+        text = f"{record.get('timestamp')} {record.get('level')}: {record.get('message')}"
+        out.line(out.dim(clean(text)))
+
+
+def commands(out: Output, listed: list[dict[str, Any]]) -> None:
+    """Show commands as a table."""
+    rows = [
+        (
+            command["command"],
+            command["status"],
+            "" if command.get("progress") is None else f"{command['progress']:.0%}",
+            command["created"][:19],
+            command.get("principal"),
+            command["path"],
+            command.get("message", ""),
+        )
+        for command in listed
+    ]
+    out.table(("COMMAND", "STATUS", "DONE", "CREATED", "BY", "PATH", "MESSAGE"), rows)
+
+
+def leases(out: Output, listed: list[dict[str, Any]]) -> None:
+    """Show leases as a table."""
+    rows = [
+        (
+            lease["scope"],
+            lease["holder"],
+            lease.get("session") or "",
+            lease["priority"],
+            lease["expires"][:19],
+            lease.get("reason") or "",
+        )
+        for lease in listed
+    ]
+    out.table(("SCOPE", "HOLDER", "SESSION", "PRIORITY", "UNTIL", "REASON"), rows)
+
+
+def lease(out: Output, facts: dict[str, Any]) -> None:
+    """Show one lease."""
+    if out.json:
+        out.document(facts)
+    else:
+        out.line(f"{facts['scope']} is {facts['holder']}'s until {facts['expires'][:19]}Z.")
+
+
+def estop(out: Output, state: dict[str, Any]) -> None:
+    """Show which robots are stopped, and how far the stop of each has come."""
+    robots: dict[str, dict[str, Any]] = state.get("robots") or {}
+    scopes = state.get("scopes") or {}
+    if not robots and not scopes:
+        out.line("E-stop released; nothing moves until a new command.")
+        return
+    names = sorted(robots) or sorted(scopes)
+    out.line(f"E-stop {out.paint('latched')}: {', '.join(names)}.")
+    rows = [
+        (
+            name,
+            "alarm" if robot.get("alarm") else robot["state"],
+            *(_clock(robot.get(step)) for step in ("requested", "commanded", "confirmed")),
+            _why(robot),
+        )
+        for name, robot in sorted(robots.items())
+        if "state" in robot  # gateways before that told only who is latched
+    ]
+    if rows:
+        head = ("ROBOT", "STATE", "REQUESTED", "COMMANDED", "CONFIRMED", "DETAIL")
+        out.table(head, rows)
+
+
+def confirmed(robot: dict[str, Any]) -> bool:
+    """Tell whether a latched robot is confirmed at rest, and has not moved since."""
+    return robot.get("state", "confirmed") == "confirmed" and not robot.get("alarm")
+
+
+def _why(robot: dict[str, Any]) -> str:
+    moved = "moves again under the latch" if robot.get("alarm") else ""
+    return ": ".join(part for part in (moved, robot.get("detail")) if part)
+
+
+def _clock(moment: str | None) -> str:
+    return "-" if moment is None else moment[11:23]
+
+
+def holds(out: Output, outcomes: list[dict[str, Any]]) -> None:
+    """Show which robots are at rest after a hold."""
+    rows = [
+        (one["robot"], "at rest" if one["at_rest"] else "not at rest", one.get("detail") or "")
+        for one in outcomes
+    ]
+    out.table(("ROBOT", "STATE", "DETAIL"), rows)
+
+
+def _span(seconds: float) -> str:
+    days, rest = divmod(int(seconds), 86_400)
+    return (f"{days} d " if days else "") + time.strftime("%H:%M:%S", time.gmtime(rest))
+
+
+def _number(number: Any) -> str:
+    return f"{number:.0f}" if isinstance(number, (int, float)) else "?"
+
+
+def number_or_text(text: str | None) -> int | str | None:
+    """Read `--history`: a count of samples, or a span such as `30s`."""
+    return int(text) if text is not None and text.isdigit() else text
+
+
+def number_or_json(text: str | None, option: str) -> Any:
+    """Read `--deadband`: a number, `5%`, or a JSON map."""
+    if text is None or text.endswith("%"):
+        return text
+    return _json(text, option)
+
+
+def json_object(text: str | None, option: str) -> dict[str, Any] | None:
+    """Read an option that is a JSON object."""
+    if text is None:
+        return None
+    found = _json(text, option)
+    if not isinstance(found, dict):
+        raise click.UsageError(f"{option} must be a JSON object")
+    return found
+
+
+def _json(text: str, option: str) -> Any:
+    try:
+        return parse(text.encode(), Encoding.JSON)
+    except BadRequest as error:
+        raise click.UsageError(f"{option}: {error.message}") from error

@@ -1,0 +1,63 @@
+"""What a client raises: the kernel's own error classes by their codes, and one of its own."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+from typing import TYPE_CHECKING, TypeVar
+
+from rcp_protocol.errors import BY_CODE, AdapterUnavailable, Cancelled, Failed, RcpError, Refused
+
+if TYPE_CHECKING:
+    from rcp_client.messages import Reply
+
+__all__ = ["ConnectionLost", "error_of", "safely"]
+
+T = TypeVar("T")
+log = logging.getLogger("rcp.client")
+
+
+class ConnectionLost(AdapterUnavailable, ConnectionError):
+    """The gateway cannot be reached, or was lost before it answered.
+
+    A write or execute that ends so may have been carried out: the message says what is known.
+    """
+
+    default_remedy = "Check the address and that `rcpd` runs there, then try again."
+
+
+_BY_STATUS: dict[str, type[RcpError]] = {"rejected": Refused, "cancelled": Cancelled}
+
+
+def error_of(reply: Reply) -> RcpError | None:
+    """Turn a reply into the error that it tells of, or None if it tells of none."""
+    if reply.status not in ("failed", "rejected", "cancelled"):
+        return None
+    told = reply.error or {}
+    code = told.get("code")
+    class_ = BY_CODE.get(str(code)) or _BY_STATUS.get(reply.status, Failed)
+    details = told.get("details")
+    if str(code) not in BY_CODE and code is not None:
+        details = {"code": code, **(details or {})}
+    if reply.body is not None:  # a plan's: what became of each step
+        details = {**(details or {}), "body": reply.body}
+    error = class_(
+        told.get("message") or reply.message or f"the gateway answered '{reply.status}'",
+        path=told.get("path") or reply.path,
+        origin=told.get("origin"),
+        remedy=told.get("remedy"),
+        retry_after=told.get("retry_after"),
+        details=details,
+    )
+    error.trace_id = told.get("trace_id")
+    return error
+
+
+def safely(callback: Callable[[T], object] | None, item: T) -> None:
+    """Call a user's callback; what it raises is logged, and must not break the connection."""
+    if callback is None:
+        return
+    try:
+        callback(item)
+    except Exception:
+        log.exception("a callback of the client's user failed")

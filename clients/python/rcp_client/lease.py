@@ -1,0 +1,131 @@
+"""Exclusive control of a part of the tree while a block runs, renewed by itself."""
+
+from __future__ import annotations
+
+import asyncio
+from contextlib import suppress
+from typing import Any, Self
+
+from rcp_client.channel import Channel
+from rcp_client.messages import Notice, Reply
+from rcp_protocol.clock import parse_time
+from rcp_protocol.errors import LeaseHeld, LeaseLost, LeaseRequired, RcpError
+
+__all__ = ["Lease"]
+
+_PATH = "/system/leases"
+_RENEWALS = 3  # in the time that it lasts
+
+
+class Lease:
+    """A lease that is acquired on entering, renewed while inside, and released on leaving.
+
+    Losing it cancels the block, which then raises `LeaseLost` with by whom and why.
+    """
+
+    def __init__(self, channel: Channel, asked: dict[str, Any]) -> None:
+        self._channel = channel
+        self._asked = asked
+        self.facts: dict[str, Any] = {}
+        """The lease as the gateway last told it: `lease`, `scope`, `holder`, `expires`, …"""
+        self.lost: LeaseLost | None = None
+        """Why it is gone, once it is."""
+        self._until = 0.0
+        """When it lapses unless it is renewed, by the loop's own clock."""
+        self._keeper: asyncio.Task[None] | None = None
+        self._block: asyncio.Task[Any] | None = None
+        self._cutting = False
+        """Whether the block was cancelled because of a loss."""
+
+    async def open(self) -> None:
+        """Acquire it and begin to renew it.
+
+        :raises LeaseHeld: somebody has it who does not give way.
+        """
+        self._take_note(await self._ask({"do": "acquire", **self._asked}))
+        self._channel.listeners.append(self._noticed)
+        self._keeper = asyncio.create_task(self._keep(), name="rcp lease")
+
+    async def close(self) -> None:
+        """Release it, if it is still there."""
+        if self._noticed in self._channel.listeners:
+            self._channel.listeners.remove(self._noticed)
+        if self._keeper is not None:
+            self._keeper.cancel()
+        if self.lost is None and self._channel.connected:
+            with suppress(RcpError):  # what cannot be released lapses
+                await self._ask({"do": "release", "lease": self.facts["lease"]})
+
+    async def __aenter__(self) -> Self:
+        self._block = asyncio.current_task()
+        await self.open()
+        return self
+
+    async def __aexit__(self, type_: type[BaseException] | None, *_: object) -> None:
+        block, self._block = self._block, None
+        await self.close()
+        if self.lost is None or block is None:
+            return
+        cut = type_ is not None and issubclass(type_, asyncio.CancelledError)
+        if self._cutting:
+            if not cut:  # the block ended by itself meanwhile
+                with suppress(asyncio.CancelledError):
+                    await asyncio.sleep(0)
+            if block.uncancel():  # by somebody else as well
+                return
+        if type_ is None or (cut and self._cutting):
+            raise self.lost
+
+    def check(self) -> None:
+        """Make sure that it is still there.
+
+        :raises LeaseLost: it is not.
+        """
+        if self.lost is not None:
+            raise self.lost
+
+    async def hand_over(self, to: str) -> dict[str, Any]:
+        """Give it, with the commands that run under it, to a principal or session."""
+        body = {"do": "hand_over", "lease": self.facts["lease"], "to": to}
+        given = (await self._ask(body)).body
+        self._lose(LeaseLost(f"the lease was handed over to {given['holder']}"))
+        return given
+
+    async def _ask(self, body: dict[str, Any]) -> Reply:
+        return await self._channel.ask({"type": "execute", "path": _PATH, "body": body})
+
+    def _take_note(self, reply: Reply) -> None:
+        self.facts = reply.body
+        left = (parse_time(reply.body["expires"]) - parse_time(reply.timestamp or 0)) / 1e9
+        self._until = asyncio.get_running_loop().time() + left
+
+    async def _keep(self) -> None:
+        loop = asyncio.get_running_loop()
+        again = {"do": "renew", "lease": self.facts["lease"], "ttl": self._asked.get("ttl")}
+        body = {key: item for key, item in again.items() if item is not None}
+        while self.lost is None:
+            await asyncio.sleep((self._until - loop.time()) / _RENEWALS)
+            try:
+                async with asyncio.timeout_at(self._until):
+                    self._take_note(await self._ask(body))
+            except (LeaseLost, LeaseRequired, LeaseHeld) as error:
+                self._lose(LeaseLost(error.message, remedy=error.remedy, details=error.details))
+            except TimeoutError:
+                self._lose(LeaseLost("the lease lapsed: the gateway could not be reached in time"))
+            except RcpError:  # a cut, most likely: there may be time for another attempt
+                if loop.time() >= self._until:
+                    self._lose(LeaseLost("the lease lapsed: it could not be renewed"))
+
+    def _noticed(self, notice: Notice) -> None:
+        facts = notice.facts
+        if notice.code == "lease_lost" and facts.get("lease") == self.facts["lease"]:
+            by, reason = facts.get("by"), facts.get("reason")
+            text = f"the lease on {facts.get('scope')} is gone: {reason} (by {by})"
+            self._lose(LeaseLost(text, details={"by": by, "reason": reason}))
+
+    def _lose(self, error: LeaseLost) -> None:
+        if self.lost is None:
+            self.lost = error
+            if self._block is not None and self._block is not asyncio.current_task():
+                self._cutting = True
+                self._block.cancel()

@@ -1,0 +1,149 @@
+"""What the gateway says, as the client's user sees it, and how each encoding is written and read."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import cbor2
+import msgspec
+
+from rcp_protocol.values import Encoding, dump, parse
+
+__all__ = ["Codec", "Message", "Notice", "Reply", "ResourceInfo", "Update"]
+
+
+class Reply(msgspec.Struct, kw_only=True, omit_defaults=True):
+    """One reply envelope of the gateway."""
+
+    type: str
+    id: str | None = None
+    path: str | None = None
+    status: str = ""
+    body: Any = None
+    message: str | None = None
+    error: dict[str, Any] | None = None
+    command: str | None = None
+    progress: float | None = None
+    """Fraction done, 0…1."""
+    seq: int | None = None
+    timestamp: str | None = None
+    """When the gateway wrote the reply."""
+    source_timestamp: str | None = None
+    """When the source measured the value of a read."""
+    state: str | None = None
+    """`fresh` or `stale`, of the value of a read."""
+    truncated: bool = False
+    """Whether `body` is not the whole answer; `cursor` leads to the rest."""
+    cursor: str | None = None
+    dry_run: bool = False
+
+
+class Message(Reply, kw_only=True):
+    """Any envelope of the gateway: a reply with the fields of updates, notices and segments."""
+
+    code: str | None = None
+    dropped: int = 0
+    native_type: str | None = None
+    num: int | None = None
+    total: int | None = None
+    size: int | None = None
+    sha256: str | None = None
+
+
+class Update(msgspec.Struct, kw_only=True, omit_defaults=True):
+    """One sample of a subscription."""
+
+    path: str
+    seq: int
+    """Number of the sample, of its resource: rises by 1."""
+    timestamp: str
+    """When the source measured it."""
+    body: Any = None
+    dropped: int = 0
+    """Samples of this path that were skipped since the last update, for want of speed."""
+    native_type: str | None = None
+    """Name of the backend's own type, in the first update of a native subscription."""
+
+
+class Notice(msgspec.Struct, kw_only=True, omit_defaults=True):
+    """News that nobody asked for: of the gateway, or of the client about its connection."""
+
+    code: str
+    """`gap`, `dropped`, `stale`, `disconnected`, `reconnected`, …"""
+    message: str | None = None
+    path: str | None = None
+    id: str | None = None
+    """The subscription that it concerns, if one."""
+    facts: dict[str, Any] = {}
+    """The other fields: `lost`, `first`, `last`, `reason`, …"""
+
+
+class ResourceInfo(msgspec.Struct, kw_only=True, omit_defaults=True):
+    """One resource as the catalogue describes it."""
+
+    path: str
+    kind: str
+    operations: list[str]
+    description: str = ""
+    schemas: dict[str, dict[str, Any]] = {}
+    """JSON Schemas: `value`, or `input`, `output`, `feedback` of what is executed."""
+    schema_ids: dict[str, str] = {}
+    examples: list[Any] = []
+    unit: str | None = None
+    state: str | None = None
+    backend: str | None = None
+    deadline: float | None = None
+    """Seconds after which a value without a successor counts as stale."""
+    timeout: float | None = None
+    policy: str | None = None
+    max_age: float | None = None
+    valid_for: float | None = None
+    safe: Any = None
+    native: str | None = None
+    meta: dict[str, Any] = {}
+
+
+_ENVELOPE = frozenset(("type", "code", "message", "path", "id", "timestamp"))
+
+
+class Codec:
+    """Envelopes to bytes and back, in one encoding."""
+
+    def __init__(self, encoding: Encoding) -> None:
+        self.encoding = encoding
+        self.subprotocol = f"rcp.v1.{encoding.value}"
+        self.is_text = encoding is Encoding.JSON
+        self._json = msgspec.json.Decoder(Message)
+        self._msgpack = msgspec.msgpack.Decoder(Message)
+
+    def encode(self, envelope: dict[str, Any]) -> bytes:
+        """Write an envelope.
+
+        :raises InvalidValue: its body has an integer that no encoding carries.
+        """
+        return dump(envelope, self.encoding)
+
+    def decode(self, data: bytes) -> Message:
+        """Read an envelope of the gateway.
+
+        :raises ValueError: it is not one.
+        """
+        if self.encoding is Encoding.MSGPACK:
+            return self._msgpack.decode(data)
+        if self.encoding is Encoding.JSON:
+            return self._json.decode(data)
+        try:
+            return msgspec.convert(cbor2.loads(data), Message)
+        except cbor2.CBORDecodeError as error:
+            raise ValueError(str(error)) from error
+
+    def notice(self, data: bytes) -> Notice:
+        """Read an envelope that is a notice, with all its facts."""
+        plain = parse(data, self.encoding)
+        return Notice(
+            code=plain.get("code", "?"),
+            message=plain.get("message"),
+            path=plain.get("path"),
+            id=plain.get("id"),
+            facts={key: item for key, item in plain.items() if key not in _ENVELOPE},
+        )

@@ -1,0 +1,62 @@
+"""Answers that come in pages: asked for one after the other, within one deadline."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import AsyncGenerator, Awaitable, Callable
+from typing import Any
+
+import msgspec
+
+from rcp_client.messages import Reply
+from rcp_protocol.errors import DeadlineExceeded
+
+__all__ = ["joined", "pages"]
+
+Ask = Callable[[dict[str, Any]], Awaitable[Reply]]
+
+
+async def pages(
+    ask: Ask, envelope: dict[str, Any], deadline: float | None = None
+) -> AsyncGenerator[Reply]:
+    """Ask for the first page of an answer and for every one that follows it.
+
+    `deadline` is in seconds and for all of them together; without it each has the client's own.
+
+    :raises DeadlineExceeded: there are more pages than there is time.
+    :raises RcpError: as `ask` does.
+    """
+    end = None if deadline is None else time.monotonic() + deadline
+    while True:
+        asked = dict(envelope)
+        if end is not None:
+            asked["deadline"] = end - time.monotonic()
+            if asked["deadline"] <= 0:
+                raise DeadlineExceeded(
+                    f"only a part of {envelope.get('path')} was read within {deadline:g} s",
+                    path=envelope.get("path"),
+                )
+        reply = await ask(asked)
+        yield reply
+        cursor = reply.cursor
+        if cursor is None and isinstance(reply.body, dict):  # discovery of an older gateway
+            cursor = reply.body.get("cursor")
+        if cursor is None:
+            return
+        envelope = {**envelope, "body": {**(envelope.get("body") or {}), "cursor": cursor}}
+
+
+async def joined(ask: Ask, envelope: dict[str, Any], deadline: float | None = None) -> Reply:
+    """Return one reply for all pages of a list.
+
+    :raises RcpError: as `pages` does.
+    """
+    whole: Reply | None = None
+    items: list[Any] = []
+    async for reply in pages(ask, envelope, deadline):
+        if reply.cursor is None and whole is None:
+            return reply
+        items += reply.body
+        whole = reply
+    assert whole is not None
+    return msgspec.structs.replace(whole, body=items, truncated=False, cursor=None)

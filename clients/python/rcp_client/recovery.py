@@ -1,0 +1,139 @@
+"""What becomes of requests and subscriptions that a cut has left in the air.
+
+A session taken back means that the gateway still knows every idempotency key, be it from its
+store, so that what is sent again happens once. A new session on the same gateway does too. A gateway that was started
+anew does not: there a command's fate is looked up, and nothing is tried again.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from typing import Any, Protocol
+
+from rcp_client.calls import Call, Calls
+from rcp_client.errors import ConnectionLost
+from rcp_client.messages import Reply
+from rcp_client.subscriber import Subscriber
+from rcp_protocol.clock import iso, now, parse_time
+from rcp_protocol.errors import RcpError
+
+__all__ = ["Recovery", "Requests"]
+
+
+class Requests(Protocol):
+    """What waits for an answer, and the way to ask again."""
+
+    @property
+    def calls(self) -> Calls:
+        """Requests under way."""
+        ...
+
+    @property
+    def subscriptions(self) -> Mapping[str, Subscriber]:
+        """Subscriptions by id."""
+        ...
+
+    def calls_of_before(self) -> list[Call]:
+        """List the calls that were not sent on the present connection."""
+        ...
+
+    def send(self, call: Call, **facts: Any) -> None:
+        """Send a call once more, with further fields."""
+
+    async def ask(self, envelope: dict[str, Any]) -> Reply:
+        """Send a request and return its final reply, within its deadline."""
+        ...
+
+
+class Recovery:
+    """Brings calls and subscriptions over to a new connection."""
+
+    def __init__(self, requests: Requests) -> None:
+        self._requests = requests
+        self._met: int | None = None
+        """When the gateway was last known to be the one it is, ns by its own clock."""
+        self._offset = 0
+        """The gateway's clock less ours, ns."""
+        self._doubt = False
+        """A new session was begun, and what that means for what waits is not settled yet."""
+
+    def greeted(self, timestamp: str, asked: int, *, resumed: bool) -> None:
+        """Take note of a greeting: its time there, and when it was asked for here."""
+        there = parse_time(timestamp)
+        self._offset = there - (asked + now()) // 2
+        if self._met is None:
+            self._met = there
+        elif not resumed:
+            self._doubt = True
+
+    async def restore(self) -> None:
+        """Bring everything over; may be cut short by the next cut, and is then done again."""
+        requests = self._requests
+        restarted = self._doubt and await self._restarted()
+        for subscription in list(requests.subscriptions.values()):
+            subscription.restore(restarted=restarted)
+        lost: list[Call] = []
+        for call in requests.calls_of_before():
+            if call.sent is None or call.repeat == "always":
+                requests.send(call)
+            elif call.repeat == "keyed" and not restarted:
+                self._again(call)
+            else:
+                lost.append(call)
+        if lost:
+            await self._look_up(lost)
+        if restarted:
+            self._met = now() + self._offset
+        self._doubt = False
+
+    def _again(self, call: Call) -> None:
+        facts: dict[str, Any] = {}
+        if (deadline := call.envelope.get("deadline")) is not None:
+            facts["deadline"] = max(0.1, deadline - (time.monotonic() - call.started))
+        if call.envelope["type"] != "batch" and "timestamp" not in call.envelope:
+            # By the gateway's clock, so that a command that never arrived is not run too late.
+            facts["timestamp"] = iso((call.sent or now()) + self._offset)
+        self._requests.send(call, **facts)
+
+    async def _restarted(self) -> bool:
+        """Tell whether the gateway was started since this client met it, or may have been."""
+        body = {"fields": ["started"]}
+        envelope: dict[str, Any] = {"type": "read", "path": "/system/status", "body": body}
+        try:
+            reply = await self._requests.ask(envelope)
+            started = parse_time(reply.body["started"])
+        except (RcpError, KeyError, TypeError):
+            return True
+        return self._met is None or started > self._met
+
+    async def _look_up(self, lost: list[Call]) -> None:
+        """Find out what became of commands that must not be sent again."""
+        known: dict[str, dict[str, Any]] = {}
+        try:
+            reply = await self._requests.ask({"type": "read", "path": "/system/commands"})
+            for item in reply.body:
+                known[item["command"]] = item
+                known.setdefault(item.get("id", ""), item)
+        except (RcpError, KeyError, TypeError):
+            pass  # not for this principal's eyes: then nothing is known
+        for call in lost:
+            found = next((known[k] for k in (call.command, *call.ids) if k in known), None)
+            if found is not None:
+                call.take(_reply_of(found))
+            call.fail(
+                ConnectionLost(
+                    "the connection was lost before the answer came; whether this was carried out "
+                    "is not known",
+                    path=call.envelope.get("path"),
+                    remedy="Look at the state of the robot before you send it again.",
+                )
+            )
+            self._requests.calls.leave(call)
+
+
+def _reply_of(command: dict[str, Any]) -> Reply:
+    """Read a command's state in `/system/commands` as the reply that was missed."""
+    names = ("path", "status", "body", "message", "error", "command", "progress")
+    facts = {name: command[name] for name in names if name in command}
+    return Reply(type="execute", timestamp=command.get("updated"), **facts)

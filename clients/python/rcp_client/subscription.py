@@ -1,0 +1,330 @@
+"""A standing request for samples, as something to iterate over.
+
+Numbers of samples make it whole: what was had already is dropped, so that a replay after a cut
+joins without a seam, and what is missing is told of by a `gap` notice.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections import deque
+from collections.abc import AsyncGenerator, Callable, Sequence
+from typing import Any, Self
+
+from rcp_client.channel import Channel
+from rcp_client.errors import ConnectionLost, safely
+from rcp_client.messages import Message, Notice, Reply, Update
+from rcp_client.pages import pages
+from rcp_client.tries import Tries
+from rcp_protocol.errors import (
+    BY_CODE,
+    AdapterUnavailable,
+    DuplicateRequest,
+    Overrun,
+    RcpError,
+    UnknownPath,
+)
+from rcp_protocol.values import value_type
+
+__all__ = ["Subscription"]
+
+_FILTERS = ("rate", "deadband", "where")
+_PAGE = 1000  # paths asked for at once
+
+
+class Subscription:
+    """Updates of one or more paths; `async for` over it, or over `events()` for notices as well.
+
+    Best used by `async with`: the subscription then stands when the block is entered, and ends
+    with it. A bare `async for` subscribes at its start and ends the subscription when it is left.
+    It ends by itself after `count` or `duration`, and raises what ended it otherwise.
+    """
+
+    def __init__(
+        self,
+        channel: Channel,
+        patterns: Sequence[str],
+        options: dict[str, Any],
+        *,
+        type_: Any = None,
+        buffer: int = 4096,
+        on_notice: Callable[[Notice], None] | None = None,
+    ) -> None:
+        self.id = channel.new_id()
+        self.patterns = tuple(patterns)
+        self.paths: list[str] = []
+        """What the patterns matched at the start."""
+        self.seen: dict[str, int] = {}
+        """Number of the last sample of each path."""
+        self.duplicates = 0
+        """Updates that came twice and were dropped."""
+        self._channel = channel
+        self._options = {key: item for key, item in options.items() if item is not None}
+        self._type = None if type_ is None else value_type(type_)
+        self._buffer = buffer
+        self._on_notice = on_notice
+        self._reliable = self._options.get("qos", {}).get("reliability") == "reliable"
+        on_change = self._options.get("on") == "change"
+        self._whole = self._reliable and not on_change and self._options.keys().isdisjoint(_FILTERS)
+        """Every sample of a path must come, so a number left out is a gap."""
+        # Counted and timed here: the gateway would count what a cut keeps from arriving.
+        self._left: int | None = self._options.pop("count", None)
+        self._duration: float | None = self._options.pop("duration", None)
+        self._timer: asyncio.TimerHandle | None = None
+        self._queue: deque[Update | Notice] = deque()
+        self._skipped: dict[str, int] = {}
+        self._wake = asyncio.Event()
+        self._standing = False
+        self._waiting = False
+        """It was told that the subscription is refused for now, and asked for again."""
+        self._finished = False
+        self._error: RcpError | None = None
+        self._renewal: asyncio.Task[None] | None = None
+
+    # -- begin and end -------------------------------------------------------------------------
+
+    async def __aenter__(self) -> Self:
+        await self._begin()
+        return self
+
+    async def __aexit__(self, *_: object) -> None:
+        self.close()
+
+    async def _begin(self) -> None:
+        self._channel.subscriptions[self.id] = self
+        try:
+            reply = await self._first()
+            while reply is None:  # with its first reply the first values may have been lost
+                self._drop()
+                self.id = self._channel.new_id()
+                self._channel.subscriptions[self.id] = self
+                reply = await self._subscribe()
+        except BaseException:
+            self._channel.subscriptions.pop(self.id, None)
+            raise
+        self._standing = True
+        if self._duration is not None:
+            self._timer = asyncio.get_running_loop().call_later(self._duration, self.close)
+        self.paths = (reply.body or {}).get("paths", [])
+        if reply.cursor is not None:
+            self.paths = sorted({*self.paths, *await self._rest(reply.cursor)})
+
+    async def _first(self) -> Reply | None:
+        """Ask for it for the first time, again and again while its robot may yet come up."""
+        self._waiting = False
+        tries = Tries(self._channel.settings.patience)
+        while True:
+            try:
+                return await self._subscribe()
+            except ConnectionLost:
+                raise
+            except AdapterUnavailable as error:
+                self._tell_waiting(error)
+                if self._finished or not await tries.again(error):
+                    raise
+
+    def _tell_waiting(self, error: RcpError) -> None:
+        if not self._waiting:
+            self._waiting = True
+            self._channel.tell(Notice(code="waiting", id=self.id, message=error.message))
+
+    async def _rest(self, cursor: str) -> list[str]:
+        """List the paths that the reply had no room for."""
+        found: list[str] = []
+        body = {"op": "subscribe", "limit": _PAGE, "schemas": False, "cursor": cursor}
+        for pattern in self.patterns:
+            envelope = {"type": "discover", "path": pattern, "body": body}
+            async for reply in pages(self._channel.ask, envelope):
+                found += [resource["path"] for resource in reply.body["resources"]]
+        return found
+
+    async def _subscribe(self) -> Reply | None:
+        """Ask for it; None says that the gateway has it already, from before a cut."""
+        channel = self._channel
+        body = {**self._options, "paths": self.patterns[1:]}
+        envelope = {"type": "subscribe", "path": self.patterns[0], "body": body}
+        call = channel.start(envelope, "always", id_=self.id)
+        try:
+            return await channel.finish(call, channel.settings.deadline + 2)
+        except DuplicateRequest:
+            if len(call.ids) < 2 and not self._standing:
+                raise
+            return None
+
+    def close(self) -> None:
+        """End it; the gateway is told and not waited for."""
+        if not self._finished:
+            self._drop()
+        self._finish()
+
+    def _drop(self) -> None:
+        if self._channel.subscriptions.pop(self.id, None) is not None:
+            self._channel.post({"type": "unsubscribe", "body": {"subscription": self.id}})
+
+    def fail(self, error: RcpError) -> None:
+        """End it with an error, which iteration raises after what came before it."""
+        if not self._finished:
+            self._error = error
+        self._finish()
+
+    def _finish(self) -> None:
+        self._finished = True
+        self._channel.subscriptions.pop(self.id, None)
+        if self._timer is not None:
+            self._timer.cancel()
+        renewal = self._renewal
+        if renewal is not None and renewal is not asyncio.current_task():
+            renewal.cancel()
+        self._wake.set()
+
+    # -- iterate -------------------------------------------------------------------------------
+
+    def __aiter__(self) -> AsyncGenerator[Update]:
+        return self._updates()
+
+    async def _updates(self) -> AsyncGenerator[Update]:
+        async for item in self.events():
+            if isinstance(item, Update):
+                yield item
+
+    async def events(self) -> AsyncGenerator[Update | Notice]:
+        """Iterate over updates and notices in the order in which they came.
+
+        :raises RcpError: what ended the subscription, if it was an error.
+        """
+        mine = not self._standing and not self._finished
+        if mine:
+            await self._begin()
+        try:
+            while True:
+                while self._queue:
+                    yield self._typed(self._queue.popleft())
+                if self._finished:
+                    break
+                self._wake.clear()
+                await self._wake.wait()
+        finally:
+            if mine:
+                self.close()
+        if self._error is not None:
+            raise self._error
+
+    def _typed(self, item: Update | Notice) -> Update | Notice:
+        if self._type is not None and isinstance(item, Update):
+            item.body = self._type.convert(item.body)
+        return item
+
+    # -- from the channel ----------------------------------------------------------------------
+
+    def take(self, message: Message) -> None:
+        """Queue an update; one that was had before is dropped."""
+        path, seq = message.path or "", message.seq or 0
+        last = self.seen.get(path, 0)
+        if seq <= last:
+            self.duplicates += 1
+            return
+        if self._finished:
+            return
+        if self._whole and last and seq > last + 1:
+            self._channel.tell(_gap(self.id, path, last + 1, seq - 1))
+        self.seen[path] = seq
+        if len(self._queue) >= self._buffer:
+            if self._reliable:
+                self._overrun(path)
+                return
+            self._skip()
+        self._queue.append(
+            Update(
+                path=path,
+                seq=seq,
+                timestamp=message.timestamp or "",
+                body=message.body,
+                dropped=message.dropped + self._skipped.pop(path, 0),
+                native_type=message.native_type,
+            )
+        )
+        self._wake.set()
+        if self._left is not None:
+            self._left -= 1
+            if self._left == 0:
+                self.close()
+
+    def _skip(self) -> None:
+        """Let the oldest go: the newest value wins, and the next update says how many it cost."""
+        old = self._queue.popleft()
+        if isinstance(old, Update):
+            self._skipped[old.path] = self._skipped.get(old.path, 0) + 1 + old.dropped
+
+    def _overrun(self, path: str) -> None:
+        self.close()
+        self._error = Overrun(
+            f"{self._buffer} updates wait here unread", path=path, details={"buffer": self._buffer}
+        )
+
+    def note(self, notice: Notice) -> None:
+        """Queue a notice, and heed it."""
+        safely(self._on_notice, notice)
+        if len(self._queue) < 2 * self._buffer:
+            self._queue.append(notice)
+            self._wake.set()
+        if notice.id != self.id:
+            return
+        if notice.code == "gap" and notice.facts.get("reason") == "restart":
+            self.seen.clear()  # numbers begin again
+        elif notice.code == "gap" and notice.path is not None:
+            last = notice.facts.get("last", 0)
+            self.seen[notice.path] = max(last, self.seen.get(notice.path, 0))
+        elif notice.code == "subscription_ended":
+            self._finish()
+        elif (told := notice.facts.get("error")) is not None:
+            class_ = BY_CODE.get(told.get("code"), Overrun)
+            facts = {key: told.get(key) for key in ("path", "remedy", "details")}
+            self.fail(class_(told.get("message", notice.code), **facts))
+
+    # -- after a cut ---------------------------------------------------------------------------
+
+    def restore(self, *, restarted: bool) -> None:
+        """Make sure that the subscription stands on a new connection."""
+        if restarted:  # numbers begin again
+            self.seen.clear()
+        if not self._standing:
+            return  # its `subscribe` is under way, and sent again
+        if self._renewal is not None:
+            self._renewal.cancel()
+        self._renewal = asyncio.create_task(self._renew())
+
+    async def _renew(self) -> None:
+        """Subscribe under the same id: that it is taken shows that the subscription is there."""
+        self._waiting = False
+        tries = Tries(self._channel.settings.patience)
+        while True:
+            try:
+                reply = await self._subscribe()
+                break
+            except ConnectionLost:
+                return  # begun again with the next connection
+            except RcpError as error:
+                # After a restart the robot may come up later than the gateway, and a path that was
+                # there may be found again later still.
+                hopeful = error.retryable or isinstance(error, UnknownPath)
+                if hopeful:
+                    self._tell_waiting(error)
+                if not hopeful or not await tries.again(error):
+                    self.fail(error)
+                    return
+        if reply is not None:
+            self._channel.tell(_gap(self.id, None, None, None))
+
+
+def _gap(id_: str, path: str | None, first: int | None, last: int | None) -> Notice:
+    if first is None or last is None:
+        text = "the subscription had to be begun afresh; what came meanwhile is lost"
+        return Notice(code="gap", id=id_, path=path, message=text)
+    lost = last - first + 1
+    return Notice(
+        code="gap",
+        id=id_,
+        path=path,
+        message=f"{lost} samples of {path} were lost on the way",
+        facts={"lost": lost, "first": first, "last": last},
+    )

@@ -1,0 +1,128 @@
+"""A request that cannot be carried out as it stands: its form, its path, its value, its size."""
+
+from __future__ import annotations
+
+from rcp_protocol.errors.base import Refused
+
+__all__ = [
+    "BadRequest",
+    "DuplicateRequest",
+    "FilterUnsupported",
+    "InvalidPath",
+    "InvalidValue",
+    "NotImplementedByRobot",
+    "OutOfRange",
+    "PayloadTooLarge",
+    "SegmentCorrupt",
+    "SegmentMissing",
+    "UnknownPath",
+    "UnsupportedOperation",
+    "VersionUnsupported",
+]
+
+
+class BadRequest(Refused):
+    """The envelope or its encoding is malformed."""
+
+    code = "bad_request"
+    http = 400
+    default_remedy = "Send one envelope of docs/protocol.md, section 3, in the agreed encoding."
+
+
+class InvalidPath(Refused):
+    """The text is not a path or pattern of the tree."""
+
+    code = "invalid_path"
+    http = 400
+    default_remedy = (
+        "Write /tenant/<tenant>/<branch>/<name> or /<branch>/<name>; a segment is [A-Za-z0-9_.-]+."
+    )
+
+
+class UnknownPath(Refused):
+    """No such resource, or one that this principal may not discover."""
+
+    code = "unknown_path"
+    http = 404
+    default_remedy = "Send `discover` to list the paths there are."
+
+
+class UnsupportedOperation(Refused):
+    """The resource exists and does not offer this operation."""
+
+    code = "unsupported_operation"
+    http = 405
+    default_remedy = "Use one of the operations that `discover` lists for this path."
+
+
+class InvalidValue(Refused):
+    """The value does not fit the path's schema; `details.pointer` names the field."""
+
+    code = "invalid_value"
+    http = 422
+    default_remedy = "Send a value that fits the path's schema; `discover` shows it with examples."
+
+
+class OutOfRange(InvalidValue):
+    """The value has the right type and lies outside a bound of the schema."""
+
+    code = "out_of_range"
+    default_remedy = "Send a value inside the bounds; `discover` shows them."
+
+
+class DuplicateRequest(Refused):
+    """An id or idempotency key is in use with another body."""
+
+    code = "duplicate_request"
+    http = 409
+    default_remedy = "Use a new id or key for a new request."
+
+
+class PayloadTooLarge(Refused):
+    """The message is longer than the limit."""
+
+    code = "payload_too_large"
+    http = 413
+    default_remedy = "Send less at once; `hello` and the details name the limit."
+
+
+class SegmentMissing(Refused):
+    """A segmented transfer ended or timed out with a part missing."""
+
+    code = "segment_missing"
+    http = 400
+    retryable = True
+    default_remedy = "Send the missing segments again, or the whole transfer under a new id."
+
+
+class SegmentCorrupt(Refused):
+    """A segmented transfer does not match its size or hash."""
+
+    code = "segment_corrupt"
+    http = 400
+    retryable = True
+    default_remedy = "Send the whole transfer again under a new id."
+
+
+class VersionUnsupported(Refused):
+    """The envelope asks for a protocol version that the gateway does not speak."""
+
+    code = "version_unsupported"
+    http = 400
+    default_remedy = 'Send version "1".'
+
+
+class FilterUnsupported(Refused):
+    """A filter or option does not apply to this resource."""
+
+    code = "filter_unsupported"
+    http = 400
+    default_remedy = "Drop the option that the message names, or use it on a path that has it."
+
+
+class NotImplementedByRobot(Refused):
+    """The robot or gateway does not have this function."""
+
+    code = "not_implemented"
+    http = 501
+    default_remedy = "Use another path or option; this gateway does not have the function."

@@ -1,0 +1,128 @@
+"""Not now: the robot, a command or the gateway is in no state for it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from rcp_protocol.errors.base import Failed, Refused
+
+__all__ = [
+    "AdapterUnavailable",
+    "AlreadyRunning",
+    "DeadlineExceeded",
+    "DeviceRejected",
+    "DeviceTimeout",
+    "EstopActive",
+    "Gap",
+    "ModeForbids",
+    "Overrun",
+    "PreconditionFailed",
+    "QueueFull",
+    "StaleCommand",
+]
+
+
+class EstopActive(Refused):
+    """An emergency stop is latched."""
+
+    code = "estop_active"
+    http = 423
+    default_remedy = (
+        "Make sure the robot is safe, then have a person with the right reset the e-stop."
+    )
+
+
+class ModeForbids(Refused):
+    """The robot's mode does not allow this now."""
+
+    code = "mode_forbids"
+    http = 409
+    default_remedy = "Bring the robot into a mode that allows it."
+
+
+class PreconditionFailed(Refused):
+    """A condition on other resources does not hold, or cannot be known."""
+
+    code = "precondition_failed"
+    http = 409
+    default_remedy = "Bring about the condition that the message names, then send it again."
+
+
+class StaleCommand(Refused):
+    """The command is older than its path allows."""
+
+    code = "stale_command"
+    http = 409
+    default_remedy = "Send a fresh command with the present time; check that the clocks agree."
+
+
+class AlreadyRunning(Refused):
+    """The action is running, and its policy is `reject`."""
+
+    code = "already_running"
+    http = 409
+    retryable = True
+    default_remedy = "Wait for the running command to end, or cancel it."
+
+
+class QueueFull(Refused):
+    """A bounded queue has no room; `retry_after` says when to look again."""
+
+    code = "queue_full"
+    http = 503
+    retryable = True
+    default_remedy = "Wait for earlier requests to finish, then send it again."
+
+    def __init__(self, message: str, *, retry_after: float = 1.0, **more: Any) -> None:
+        super().__init__(message, retry_after=retry_after, **more)
+
+
+class Gap(Refused):
+    """What was missed is not in the replay buffer any more."""
+
+    code = "gap"
+    http = 410
+    default_remedy = "Subscribe afresh; read the present values for what the gap hides."
+
+
+class AdapterUnavailable(Refused):
+    """The backend or adapter behind the path is not connected."""
+
+    code = "adapter_unavailable"
+    http = 503
+    retryable = True
+    default_remedy = "Check that the robot is on and reachable; `status` shows each backend."
+
+
+class DeviceRejected(Failed):
+    """The robot refused; the message carries its reason."""
+
+    code = "device_rejected"
+    http = 502
+    default_remedy = "Remove the cause that the robot names, then send it again."
+
+
+class DeviceTimeout(Failed, TimeoutError):
+    """The robot did not answer in time."""
+
+    code = "device_timeout"
+    http = 504
+    retryable = True
+    default_remedy = "Check the robot and its link; look at its state before you send it again."
+
+
+class DeadlineExceeded(Failed, TimeoutError):
+    """The request's deadline passed before the answer was there."""
+
+    code = "deadline_exceeded"
+    http = 504
+    retryable = True
+    default_remedy = "Look at the state of the robot, then send it again with a longer `deadline`."
+
+
+class Overrun(Failed):
+    """A reliable subscription fell further behind than its queue is deep."""
+
+    code = "overrun"
+    http = 503
+    default_remedy = "Subscribe again with a lower rate, a deeper queue, or `best_effort`."

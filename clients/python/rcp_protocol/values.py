@@ -1,0 +1,391 @@
+"""One type of values: its validators, encoders and published schema, all made from one msgspec type.
+
+Inbound, decoding is validating. Outbound, a value is checked once and encoded once for each
+encoding, however many are to receive it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from collections.abc import Iterable
+from enum import StrEnum
+from functools import lru_cache
+from typing import Any
+
+import cbor2
+import msgspec
+
+from rcp_protocol.base64_strings import lifted
+from rcp_protocol.errors import BadRequest, InvalidValue, OutOfRange, PluginError
+from rcp_protocol.plain import is_list, is_map
+from rcp_protocol.shape import SAFE_INTEGER, Beyond, Shape, unescaped
+from rcp_protocol.types import NONFINITE
+
+__all__ = ["ANY", "DEPTH", "Encoding", "ValueType", "dump", "sound", "to_plain", "value_type"]
+
+DEPTH = 64
+"""How deep lists and maps may stand in each other where a type sets no bound itself."""
+_WIDE_DIGITS = re.compile(rb"(?:^|[-:,\[])\d{16}")  # of an integer, not behind a decimal point
+_HUGE_DIGITS = re.compile(rb"\d{19}")  # may lie past 64 bits, which msgspec alone lets through
+_AT = re.compile(r"(?s)(?P<what>.*?)(?: - at `(?:key in )?\$(?P<path>[^`]*)`)?\Z")
+_BOUND = re.compile(r"Expected `\w+` (?P<op>>=|<=|>|<) (?P<bound>\S+)\Z")
+_LACKING = re.compile(r"Object missing required field `(.+)`\Z", re.DOTALL)
+_STEP = re.compile(r"\.([^.\[\]]+)|\[(\d+|\.\.\.)\]")
+_BROKEN = {">=": "<", "<=": ">", ">": "<=", "<": ">="}
+
+
+class Encoding(StrEnum):
+    """How a message or value is written; the words of subprotocols and of `encoding`."""
+
+    JSON = "json"
+    CBOR = "cbor"
+    MSGPACK = "msgpack"
+
+
+# Names of their own: Python 3.11 takes 0.1 µs to look a member up in its enum.
+_JSON, _MSGPACK = Encoding.JSON, Encoding.MSGPACK
+_json = msgspec.json.Encoder()
+_msgpack = msgspec.msgpack.Encoder()
+_NATIVE_BYTES = (bytes, bytearray, memoryview)
+
+
+def to_plain(value: Any) -> Any:
+    """Turn a value into dictionaries, lists and scalars; bytes stay bytes."""
+    return msgspec.to_builtins(value, builtin_types=_NATIVE_BYTES, str_keys=True)
+
+
+def dump(value: Any, encoding: Encoding) -> bytes:
+    """Encode a value of no declared type; JSON follows the contract's rules for odd numbers."""
+    return ANY.encode(value, encoding)
+
+
+class ValueType:
+    """Everything the gateway needs to know of one type of values."""
+
+    __slots__ = (
+        "_bottomless",
+        "_from_json",
+        "_from_msgpack",
+        "_schema",
+        "_schema_id",
+        "_shape",
+        "grows",
+        "probes_null",
+        "type",
+    )
+
+    def __init__(self, type_: Any) -> None:
+        self.type = type_
+        try:
+            self._shape = Shape(type_)
+            self._from_json = msgspec.json.Decoder(type_)
+            self._from_msgpack = msgspec.msgpack.Decoder(type_)
+        except (TypeError, ValueError) as error:
+            raise PluginError(f"{type_!r} is not a type that msgspec decodes: {error}") from error
+        self._bottomless = self._shape.open or self._shape.endless
+        self.probes_null = self._shape.has_float
+        self.grows = self._shape.grows
+        """Whether values may be of any length: text, bytes, lists, maps."""
+        self._schema: dict[str, Any] | None = None
+        self._schema_id: str | None = None
+
+    @property
+    def schema(self) -> dict[str, Any]:
+        """The JSON Schema (2020-12), self-contained, with units and `$id`."""
+        if self._schema is None:
+            bare = _published(msgspec.json.schema(self.type))
+            digest = hashlib.sha256(msgspec.json.encode(bare, order="sorted")).hexdigest()[:12]
+            self._schema_id = f"{_type_name(self.type)}.{digest}"
+            self._schema = {"$id": f"rcp:schema:{self._schema_id}", **bare}
+        return self._schema
+
+    @property
+    def schema_id(self) -> str:
+        """The schema's id: type name and digest, so that it changes when the schema does."""
+        _ = self.schema
+        assert self._schema_id is not None
+        return self._schema_id
+
+    def has_field(self, dotted: str) -> bool:
+        """Tell whether a projection such as `position.x` leads to a part of this type."""
+        return self._shape.has_field(dotted)
+
+    def decode(self, raw: bytes | msgspec.Raw, encoding: Encoding, label: str = "value") -> Any:
+        """Decode and validate what a client sent.
+
+        :raises InvalidValue: it does not fit; `details.pointer` names the field.
+        :raises OutOfRange: it fits but for a bound.
+        :raises BadRequest: it is not text of the encoding at all, or nested too deep.
+        """
+        if self._bottomless:
+            _check_depth(raw, encoding)
+        if encoding is _JSON:
+            if not (self._shape.has_wide_int and _HUGE_DIGITS.search(raw)):
+                try:
+                    return self._from_json.decode(raw)
+                except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):
+                    pass  # decoded again the slow way, which can explain and accepts "NaN"
+            return self.convert(_parse_json(raw), label)
+        if encoding is _MSGPACK and not self.probes_null and not self._shape.has_wide_int:
+            try:
+                return self._from_msgpack.decode(raw)
+            except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):
+                pass
+        plain = parse(raw, encoding)
+        return self.convert(sound(plain) if self._shape.open else plain, label)
+
+    def convert(self, plain: Any, label: str = "value") -> Any:
+        """Validate plain data (what `json.loads` would give) and return the typed value.
+
+        :raises InvalidValue: as `decode` does.
+        """
+        try:
+            fixed = self._shape.inward(plain, "")
+            return msgspec.convert(fixed, self.type)
+        except msgspec.ValidationError as error:
+            raise self._explain(str(error), plain, label) from None
+        except Beyond as error:
+            pointer, _, bound = error.args
+            raise self._beyond(label, pointer, _at(plain, pointer), bound) from None
+        except ValueError as error:
+            pointer, why = error.args if len(error.args) == 2 else ("", str(error))
+            raise InvalidValue(
+                f"{_named(label, pointer)} {why}: {_shown(_at(plain, pointer))}",
+                details={"pointer": pointer},
+            ) from None
+        except RecursionError:
+            raise BadRequest("the value is nested too deep") from None
+
+    def check(self, value: Any) -> tuple[Any, bytes | None]:
+        """Validate a value that a backend published; return it typed, with its JSON if made.
+
+        :raises InvalidValue: it does not fit the type.
+        """
+        if isinstance(value, msgspec.Struct):
+            try:
+                self._from_msgpack.decode(_msgpack.encode(value))
+            except (msgspec.MsgspecError, TypeError, OverflowError) as error:
+                raise InvalidValue(str(error)) from None
+        else:
+            value = self.convert(value)
+        if not self.probes_null and not self._shape.has_wide_int:
+            return value, None
+        return value, self.encode(value, Encoding.JSON)
+
+    def encode(self, value: Any, encoding: Encoding) -> bytes:
+        """Encode a value of this type.
+
+        :raises InvalidValue: it holds a non-finite number or integer that its type forbids.
+        """
+        if encoding is _JSON:
+            blobs = self._shape.blobs
+            data = _json.encode(value if blobs is None else lifted(value, blobs))
+            if (self.probes_null and data.count(b"null") != _nones(value)) or (
+                self._shape.has_wide_int and _WIDE_DIGITS.search(data)
+            ):
+                return self._encode_odd(value)
+            return data
+        try:
+            if encoding is _MSGPACK:
+                return _msgpack.encode(value)
+            return cbor2.dumps(to_plain(value))
+        except OverflowError as error:
+            raise InvalidValue(f"an integer is too large: {error}") from None
+
+    def _encode_odd(self, value: Any) -> bytes:
+        try:
+            return _json.encode(self._shape.outward(to_plain(value), ""))
+        except ValueError as error:
+            pointer, why = error.args[:2] if len(error.args) > 1 else ("", str(error))
+            raise InvalidValue(f"{_named('value', pointer)} {why}") from None
+
+    def _beyond(self, label: str, pointer: str, found: Any, bound: str) -> OutOfRange:
+        unit = self._shape.unit(pointer)
+        operator, _, limit = bound.partition(" ")
+        tail = f" {unit}" if unit and unit != "1" else ""
+        return OutOfRange(
+            f"{_named(label, pointer)} exceeds allowed range: "
+            f"{found} {_BROKEN[operator]} {limit}{tail}",
+            details={"pointer": pointer, "value": found, "bound": bound, "unit": unit},
+        )
+
+    def _explain(self, text: str, plain: Any, label: str) -> InvalidValue:
+        match = _AT.match(text)
+        what, path = (match["what"], match["path"] or "") if match else (text, "")
+        pointer = "".join("/" + (m[1] or m[2]) for m in _STEP.finditer(path))
+        found = _at(plain, pointer)
+        details: dict[str, Any] = {"pointer": pointer}
+        bound = _BOUND.match(what)
+        if bound and isinstance(found, (int, float)) and not isinstance(found, bool):
+            limit = bound["bound"].removesuffix(".0")
+            return self._beyond(label, pointer, found, f"{bound['op']} {limit}")
+        if plain is None:
+            details["missing"] = ""
+        elif lacking := _LACKING.match(what):
+            details["missing"] = f"{pointer}/{lacking[1]}"
+        return InvalidValue(f"{_named(label, pointer)}: {what}", details=details)
+
+
+def _named(label: str, pointer: str) -> str:
+    if not pointer:
+        return label
+    return f"field '{'.'.join(map(unescaped, pointer[1:].split('/')))}' of {label}"
+
+
+def _shown(value: Any) -> str:
+    text = repr(value)
+    return text if len(text) <= 60 else text[:57] + "..."
+
+
+def _at(plain: Any, pointer: str) -> Any:
+    for step in [unescaped(p) for p in pointer.split("/") if p]:
+        if is_map(plain) and step in plain:
+            plain = plain[step]
+        elif is_list(plain) and step.isdigit() and int(step) < len(plain):
+            plain = plain[int(step)]
+        else:
+            return None
+    return plain
+
+
+def _nones(value: Any) -> int:
+    """Count the fields that are None: as many nulls in its JSON leave none that was a NaN."""
+    if isinstance(value, msgspec.Struct):
+        return msgspec.structs.astuple(value).count(None)
+    return value is None
+
+
+def _check_depth(raw: bytes | msgspec.Raw, encoding: Encoding) -> None:
+    if encoding is _JSON:
+        data = bytes(raw)
+        if data.count(b"[") + data.count(b"{") <= DEPTH:
+            return
+    level: list[Any] = [parse(raw, encoding)]
+    for _ in range(DEPTH + 1):
+        level = [child for item in level for child in _children(item)]
+        if not level:
+            return
+    raise BadRequest(f"the value is nested deeper than {DEPTH}")
+
+
+def _children(value: Any) -> Iterable[Any]:
+    if is_map(value):
+        return value.values()
+    return value if is_list(value) else ()
+
+
+def parse(raw: bytes | msgspec.Raw, encoding: Encoding) -> Any:
+    """Decode text of an encoding to plain data.
+
+    :raises BadRequest: it is not text of that encoding, or nested too deep.
+    """
+    if encoding is Encoding.JSON:
+        return _parse_json(raw)
+    try:
+        if encoding is Encoding.MSGPACK:
+            return msgspec.msgpack.decode(raw)
+        return sound(cbor2.loads(bytes(raw)))
+    except RecursionError:
+        raise BadRequest("the message is nested too deep") from None
+    except Exception as error:  # cbor2 raises a dozen kinds for malformed input
+        if isinstance(error, BadRequest):
+            raise
+        raise BadRequest(f"not well-formed {encoding.value}: {error}") from None
+
+
+def _parse_json(raw: bytes | msgspec.Raw) -> Any:
+    try:
+        return msgspec.json.decode(raw)
+    except RecursionError:
+        raise BadRequest("the message is nested too deep") from None
+    except (msgspec.DecodeError, UnicodeDecodeError) as error:
+        raise BadRequest(f"not well-formed JSON: {error}") from None
+
+
+_PLAIN = (type(None), bool, int, float, str, bytes)
+
+
+def sound(value: Any) -> Any:
+    """Keep what JSON could have carried as well.
+
+    :raises BadRequest: there is a tag, an odd key or an integer of more than 64 bits.
+    """
+    if is_map(value):
+        keys: Any = value
+        if not all(isinstance(key, str) for key in keys):
+            raise BadRequest("a map has a key that is not text")
+        return {key: sound(item) for key, item in value.items()}
+    if is_list(value):
+        return [sound(item) for item in value]
+    if not isinstance(value, _PLAIN):
+        raise BadRequest(f"{type(value).__name__} has no place in an envelope")
+    if isinstance(value, int) and not -(2**63) <= value < 2**64:
+        raise BadRequest("an integer is longer than 64 bits")
+    return value
+
+
+def _type_name(type_: Any) -> str:
+    while hasattr(type_, "__metadata__"):
+        type_ = type_.__origin__
+    return re.sub(r"[^A-Za-z0-9_]+", "_", getattr(type_, "__name__", str(type_))).strip("_")
+
+
+_SPELLED = {"enum": ["NaN", "Infinity", "-Infinity"]}
+_DIGITS = {"type": "string", "pattern": "^-?[0-9]{1,20}$"}
+
+
+def _published(node: Any) -> Any:
+    """Write out in the schema what the wire allows: spelled non-finite and long integers."""
+    if is_list(node):
+        return [_published(item) for item in node]
+    if not is_map(node):
+        return node
+    out = {
+        key: item if key in ("default", "examples", "enum", "const") else _published(item)
+        for key, item in node.items()
+        if key != NONFINITE
+    }
+    kept = {key: out.pop(key) for key in ("unit", "description", "default") if key in out}
+    if node.get("type") == "number" and node.get(NONFINITE):
+        return {**kept, "anyOf": [out, _SPELLED]}
+    if node.get("type") == "integer" and _is_wide(node):
+        return {**kept, "anyOf": [_narrowed(out), _DIGITS]}
+    return {**out, **kept}
+
+
+def _narrowed(node: dict[str, Any]) -> dict[str, Any]:
+    """Bound the numbers of a wide integer by what JSON carries as such; the rest are texts."""
+    out = dict(node)
+    for side, limit in (("inimum", -SAFE_INTEGER), ("aximum", SAFE_INTEGER)):
+        own = out.get("m" + side, out.get("exclusiveM" + side))
+        if own is None or abs(own) > SAFE_INTEGER:
+            out.pop("exclusiveM" + side, None)
+            out["m" + side] = limit
+    return out
+
+
+def _is_wide(node: dict[str, Any]) -> bool:
+    low = node.get("minimum", node.get("exclusiveMinimum"))
+    high = node.get("maximum", node.get("exclusiveMaximum"))
+    return low is None or high is None or low < -SAFE_INTEGER or high > SAFE_INTEGER
+
+
+@lru_cache(maxsize=4096)
+def _cached(type_: Any) -> ValueType:
+    return ValueType(type_)
+
+
+def value_type(type_: Any) -> ValueType:
+    """Return the compiled form of a type; the same one for the same type.
+
+    :raises PluginError: msgspec cannot decode the type.
+    """
+    try:
+        return _cached(type_)
+    except TypeError:  # unhashable: an Annotated with a dictionary in its Meta
+        return ValueType(type_)
+
+
+ANY = ValueType(Any)
+"""The type of anything: for bodies of no declared type."""

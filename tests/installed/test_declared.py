@@ -1,0 +1,86 @@
+"""What the distributions declare is what their packages import."""
+
+from __future__ import annotations
+
+import ast
+import re
+import sys
+import tomllib
+from collections.abc import Iterator
+from importlib.metadata import packages_distributions
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from installed.fresh import ROOT
+
+GATEWAY = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+CLIENT = tomllib.loads((ROOT / "clients/python/pyproject.toml").read_text())["project"]
+EXTRAS = {
+    "rcp_a2a": ("a2a",),
+    "rcp_can": ("can",),
+    "rcp_dashboard": ("dashboard",),
+    "rcp_guard": ("can", "ros2"),
+    "rcp_mavlink": ("mavlink",),
+    "rcp_mavlink_sim": ("mavlink",),
+    "rcp_mcp": ("mcp", "dashboard"),  # pictures of raw images, where the dashboard's library is
+    "rcp_ros2": ("ros2",),
+}
+"""The extras that bring what a package imports; any other has the dependencies alone."""
+BROUGHT = packages_distributions()
+KIT = {"hypothesis", "jsonschema", "pytest"}
+"""What `rcp_kernel.testing` needs: it is for those who test."""
+MESSAGES = re.compile(
+    r"rclpy|rosidl_\w+|rcl_interfaces|ament_index_python|\w+_(msgs|srvs|interfaces)"
+)
+"""Modules of ROS 2, which come with `ros-rclpy` or with a sourced ROS 2."""
+
+
+def packages() -> Iterator[Path]:
+    for folder in (".", "clients/python", "transports", "plugins", "backends"):
+        for found in sorted((ROOT / folder).glob("rcp_*/__init__.py")):
+            yield found.parent
+
+
+def imported(package: Path) -> set[str]:
+    """Return the modules of others that a package imports anywhere."""
+    found: set[str] = set()
+    for file in package.rglob("*.py"):
+        if "node_modules" in file.parts or file.is_relative_to(package / "web"):
+            continue
+        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Import):
+                found |= {name.name.partition(".")[0] for name in node.names}
+            elif isinstance(node, ast.ImportFrom) and node.module:
+                found.add(node.module.partition(".")[0])
+    ours = {one.name for one in packages()}
+    return {name for name in found - sys.stdlib_module_names - ours if not MESSAGES.fullmatch(name)}
+
+
+def names(requirements: list[str]) -> set[str]:
+    return {re.split(r"[\s\[<>=;~!]", one, maxsplit=1)[0].lower() for one in requirements}
+
+
+def declared(project: dict[str, Any], package: str) -> set[str]:
+    found = names(project["dependencies"])
+    for extra in EXTRAS.get(package, ()) if project is GATEWAY else ():
+        found |= names(project["optional-dependencies"][extra])
+    if project is GATEWAY:
+        found |= names(CLIENT["dependencies"])
+    return found
+
+
+@pytest.mark.parametrize("package", list(packages()), ids=lambda path: path.name)
+def test_whatever_is_imported_is_declared(package: Path) -> None:
+    project = CLIENT if package.parent.name == "python" else GATEWAY
+    allowed = declared(project, package.name)
+    modules = imported(package) - (KIT if package.name == "rcp_kernel" else set())
+    for module in sorted(modules):
+        of = {re.sub(r"[-_.]+", "-", name).lower() for name in BROUGHT.get(module, [module])}
+        assert of & allowed, f"{package.name} imports {module}, of {', '.join(sorted(of))}"
+
+
+def test_both_distributions_have_one_version() -> None:
+    assert CLIENT["version"] == GATEWAY["version"]
+    assert f"rcp-client=={CLIENT['version']}" in GATEWAY["dependencies"]
