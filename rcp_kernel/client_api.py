@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Awaitable, Callable, Iterable, MutableMapping
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any, Literal, Protocol
 
@@ -45,6 +46,7 @@ from rcp_kernel.record.audit_writer import AuditWriter
 from rcp_kernel.record.plugin_store import PluginStore
 from rcp_kernel.record.store import Store
 from rcp_kernel.shutdown import Shutdown
+from rcp_kernel.turns import Turns
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import Reply, Request
 
@@ -68,8 +70,9 @@ class Mount(msgspec.Struct, frozen=True, kw_only=True):
     kind: Literal["http", "websocket"] = "http"
     app: Asgi
     """A plain ASGI application; `scope["path"]` is the whole path."""
-    openapi: Callable[[Session], dict[str, Any]] | None = None
-    """Makes `paths` and `components` of the OpenAPI document for what a session sees of this mount."""
+    openapi: Callable[[Session], Awaitable[dict[str, Any]]] | None = None
+    """Makes `paths` and `components` of the OpenAPI document for what a session sees of this mount;
+    what they hold may be written already (`msgspec.Raw`). What takes long waits for `turns`."""
 
 
 class Proofs(msgspec.Struct, frozen=True, kw_only=True):
@@ -117,6 +120,7 @@ class ClientApiParts:
     counts: RequestCounts
     store: Store
     status: StatusView
+    turns: Turns
     loop: asyncio.AbstractEventLoop
 
 
@@ -143,6 +147,11 @@ class ClientApi:
     def loop(self) -> asyncio.AbstractEventLoop:
         """The event loop."""
         return self._parts.loop
+
+    @property
+    def turns(self) -> Turns:
+        """Who may use the loop when; work for a principal is owned by its `identity`."""
+        return self._parts.turns
 
     def generation(self, session: Session) -> int:
         """Return a number that rises when what a session sees of the tree changes, for ETags."""
@@ -401,6 +410,12 @@ class ClientApi:
     def rights(self, principal: Principal) -> Rights:
         """Return the compiled rights of a principal."""
         return self._parts.rules.rights(principal)
+
+    def rights_of_anyone(self) -> Rights | None:
+        """Return the rights of those who prove nothing; None where nobody is served without proof."""
+        with suppress(Unauthenticated):
+            return self.rights(self._parts.identities.anonymous())
+        return None
 
     def hides(self, session: Session, names: Iterable[str]) -> bool:
         """Tell whether one of the names (see `names_in`) means something hidden from a session."""

@@ -203,6 +203,7 @@ def compose(
         leases=clients.leases,
         guard=system.guard,
         status=system.status,
+        turns=base.turns,
         system=system.branch,
         supervisors=base.supervisors,
         supervise=_supervise(base, records, motion),
@@ -586,6 +587,7 @@ def _client_api(
         counts=base.counts,
         store=records.store,
         status=system.status,
+        turns=base.turns,
         loop=base.loop,
     )
     return ClientApi(parts, "gateway", [])

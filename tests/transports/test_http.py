@@ -629,6 +629,26 @@ async def test_a_body_that_does_not_come_is_given_up() -> None:
         assert data.startswith(b"HTTP/1.1 504")
 
 
+async def test_openapi_is_written_anew_when_the_tree_changes_and_for_others_meanwhile(
+    gateway: Site, http: httpx.AsyncClient
+) -> None:
+    path = "/rcp/v1/context/tenant/alpha/sensor/late"
+    beta = {"authorization": "Bearer key-of-tenant-beta"}
+
+    async def told(**headers: str) -> dict[str, Any]:
+        return (await http.get("/openapi.json", headers=headers)).json()["paths"]
+
+    first = await asyncio.gather(told(), told(**beta), told())
+    assert first[0] == first[2] != first[1]
+    assert path not in first[0]
+    late = Resource(name="sensor/late", description="Late.", value=float)
+    gateway.robot.host.declare(late)
+    assert path in await told()
+    assert await told(**beta) == first[1]
+    gateway.robot.host.withdraw("sensor/late")
+    assert await told() == first[0]
+
+
 async def test_openapi_has_every_resource_that_the_caller_sees(http: httpx.AsyncClient) -> None:
     mine = (await http.get("/rcp/v1/openapi.json")).json()
     assert mine["openapi"] == "3.1.0"

@@ -9,7 +9,7 @@ from litestar.datastructures import State
 from litestar.exceptions import HTTPException, MethodNotAllowedException, NotFoundException
 
 from rcp_asgi.index import index_page
-from rcp_asgi.openapi import document
+from rcp_asgi.openapi import Documents
 from rcp_kernel.asgi import Receive, Scope, Send, retry_after, session_of, status_of
 from rcp_kernel.client_api import Asgi, ClientApi
 from rcp_kernel.clients.session import Session
@@ -36,6 +36,7 @@ Asked = Request[Any, Any, State]
 
 def builtin_app(client_api: ClientApi) -> Asgi:
     """Make the application."""
+    documents = Documents(client_api)
 
     @get("/healthz", sync_to_thread=False)
     def healthz() -> dict[str, str]:
@@ -62,9 +63,10 @@ def builtin_app(client_api: ClientApi) -> Asgi:
         )
 
     @get(["/openapi.json", "/rcp/v1/openapi.json"])
-    async def openapi(request: Asked) -> dict[str, Any]:
+    async def openapi(request: Asked) -> Response[bytes]:
         """Describe what the caller may see."""
-        return document(client_api, await _session(client_api, request))
+        document = await documents.written(await _session(client_api, request))
+        return Response(document, media_type="application/json")
 
     @get(["/", "/rcp/v1"], sync_to_thread=False)
     def index(request: Asked) -> Response[str]:
