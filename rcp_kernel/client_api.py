@@ -8,7 +8,7 @@ serves HTTP. It translates; every decision is the kernel's.
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Callable, Iterable, MutableMapping
+from collections.abc import Awaitable, Callable, Generator, Iterable, MutableMapping
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any, Literal, Protocol
@@ -95,8 +95,8 @@ class StatusView(Protocol):
         """Tell whether every backend is ready, and each one's state."""
         ...
 
-    def exposition(self, rights: Rights) -> bytes:
-        """Write the Prometheus exposition for somebody."""
+    def exposition(self, rights: Rights) -> Generator[None, None, bytes]:
+        """Write the Prometheus exposition for somebody, in steps."""
         ...
 
 
@@ -433,8 +433,8 @@ class ClientApi:
         """Tell whether every backend is ready, and each one's state."""
         return self._parts.status.ready()
 
-    def metrics(self, session: Session) -> bytes:
-        """Return the Prometheus exposition, without the paths that are hidden from a session."""
+    def metrics(self, session: Session) -> Generator[None, None, bytes]:
+        """Write the Prometheus exposition in steps, without the paths hidden from a session."""
         return self._parts.status.exposition(session.rights)
 
 

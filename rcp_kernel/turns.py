@@ -13,7 +13,7 @@ from collections.abc import Generator, Hashable
 from contextlib import contextmanager
 from contextvars import Context, copy_context
 from time import thread_time
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import structlog
 
@@ -22,6 +22,7 @@ from rcp_kernel.errors import QueueFull
 __all__ = ["Turns", "Work"]
 
 log = structlog.get_logger("rcp.gateway")
+Result = TypeVar("Result")
 Work = Generator[None]
 """Something dear, which yields where it may be interrupted: after a millisecond, better sooner."""
 
@@ -84,6 +85,16 @@ class Turns:
         """Wait for a turn in which there is time left; say with `spending` what is used of it."""
         if self._spent > _TURN or self._queues:
             await self.place(owner)
+
+    async def finish(self, owner: Hashable, work: Generator[None, None, Result]) -> Result:
+        """Do work of any length in the turns that have time for it; return its result."""
+        while True:
+            await self.wait(owner)
+            with self.spending():
+                try:
+                    next(work)
+                except StopIteration as end:
+                    return end.value
 
     def place(self, owner: Hashable) -> asyncio.Future[None]:
         """Return what is done as soon as there is a turn for it."""

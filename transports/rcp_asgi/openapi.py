@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import asyncio
 from typing import Any
 
 import msgspec
 
 from rcp_kernel.client_api import ClientApi
 from rcp_kernel.clients.session import Session
+from rcp_kernel.shared_work import SharedWork
 from rcp_kernel.status import gateway_version
 
 __all__ = ["Documents"]
@@ -22,7 +22,8 @@ class Documents:
 
     def __init__(self, client_api: ClientApi) -> None:
         self._client_api = client_api
-        self._known: dict[Any, asyncio.Task[bytes]] = {}
+        self._known: dict[Any, bytes] = {}
+        self._writing = SharedWork[bytes](client_api.loop)
 
     async def written(self, session: Session) -> bytes:
         """Return the document for what a session sees.
@@ -38,18 +39,13 @@ class Documents:
             client_api.proofs,
             tuple(client_api.mounts),
         )
-        writing = self._known.pop(key, None)
-        if writing is None:
-            writing = client_api.loop.create_task(self._write(session))
-            writing.add_done_callback(self._ended)
-        self._known[key] = writing
+        document = self._known.pop(key, None)
+        if document is None:
+            document = await self._writing.result(key, lambda: self._write(session))
+        self._known[key] = document  # behind those that nobody has asked for since
         if len(self._known) > _KEPT:
             del self._known[next(iter(self._known))]
-        return await asyncio.shield(writing)
-
-    def _ended(self, task: asyncio.Task[bytes]) -> None:
-        if task.cancelled() or task.exception() is not None:
-            self._known = {key: known for key, known in self._known.items() if known is not task}
+        return document
 
     async def _write(self, session: Session) -> bytes:
         client_api = self._client_api
