@@ -8,6 +8,7 @@ turns with the others. What brings a robot to rest never waits here.
 from __future__ import annotations
 
 import asyncio
+import re
 from collections import deque
 from collections.abc import Generator, Hashable
 from contextlib import contextmanager
@@ -19,7 +20,7 @@ import structlog
 
 from rcp_kernel.errors import QueueFull
 
-__all__ = ["Turns", "Work"]
+__all__ = ["Turns", "Work", "lane"]
 
 log = structlog.get_logger("rcp.gateway")
 Result = TypeVar("Result")
@@ -29,6 +30,15 @@ Work = Generator[None]
 _TURN = 0.002  # s in one turn of the loop, after which the next step waits for the next turn
 _WAITING = 1024  # works of one owner that have not ended: more than one batch makes
 _BYTES = 32 * 1024 * 1024  # of the requests that they are for
+_STOPS = re.compile(rb"estop|hold|cancel")
+
+
+def lane(owner: Hashable, body: bytes) -> Hashable:
+    """Return in whose queue a request waits that only a foreign library can read.
+
+    What may be a stop does not queue behind other requests of the same owner.
+    """
+    return (owner, _STOPS.search(body) is not None)
 
 
 class _Begun(NamedTuple):
@@ -97,7 +107,7 @@ class Turns:
                     return end.value
 
     def place(self, owner: Hashable) -> asyncio.Future[None]:
-        """Return what is done as soon as there is a turn for it."""
+        """Return what is done as soon as there is a turn for it: one place in each turn."""
         place = self._loop.create_future()
         self._queues.setdefault(owner, _Queue()).places.append(place)
         self._schedule()

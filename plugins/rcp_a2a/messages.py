@@ -9,13 +9,14 @@ from typing import Any
 import msgspec
 from a2a.types.a2a_pb2 import Message, Part, SendMessageRequest
 from a2a.utils.errors import ContentTypeNotSupportedError, InvalidParamsError
+from a2a.utils.proto_utils import validate_proto_required_fields
 from google.protobuf.json_format import ParseDict
 from google.protobuf.struct_pb2 import Struct, Value
 
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import Reply, encode_reply
 
-__all__ = ["TaskRequest", "asked", "check", "data_part", "plain", "stamp", "told"]
+__all__ = ["TaskRequest", "asked", "check", "check_fields", "data_part", "plain", "stamp", "told"]
 
 _DATA = "application/json"
 _TEXT = "text/plain"
@@ -31,6 +32,22 @@ class TaskRequest(msgspec.Struct, frozen=True):
     deadline: float | None = None
     words: bool = False
     """Whether the client takes data only as text."""
+
+
+def check_fields(request: SendMessageRequest) -> None:
+    """Refuse a message that lacks a field; the data in it has none that could lack.
+
+    :raises InvalidParamsError: it lacks one.
+    """
+    bare = SendMessageRequest()
+    bare.CopyFrom(request)
+    bare.ClearField("metadata")
+    bare.message.ClearField("metadata")
+    for part in bare.message.parts:
+        part.ClearField("metadata")
+        if part.HasField("data"):
+            part.data.CopyFrom(Value(bool_value=True))
+    validate_proto_required_fields(bare)
 
 
 def check(message: Message) -> None:
