@@ -20,7 +20,7 @@ import structlog
 
 from rcp_kernel.errors import QueueFull
 
-__all__ = ["Turns", "Work", "lane"]
+__all__ = ["Turns", "Work", "may_stop"]
 
 log = structlog.get_logger("rcp.gateway")
 Result = TypeVar("Result")
@@ -33,12 +33,12 @@ _BYTES = 32 * 1024 * 1024  # of the requests that they are for
 _STOPS = re.compile(rb"estop|hold|cancel")
 
 
-def lane(owner: Hashable, body: bytes) -> Hashable:
-    """Return in whose queue a request waits that only a foreign library can read.
+def may_stop(body: bytes) -> bool:
+    """Tell whether a request that only a foreign library can read may be one that stops something.
 
-    What may be a stop does not queue behind other requests of the same owner.
+    Such do not queue behind other requests of the same owner.
     """
-    return (owner, _STOPS.search(body) is not None)
+    return _STOPS.search(body) is not None
 
 
 class _Begun(NamedTuple):

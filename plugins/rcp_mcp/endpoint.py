@@ -30,9 +30,10 @@ from rcp_kernel.client_api import ClientApi
 from rcp_kernel.clients.session import Session
 from rcp_kernel.errors import RcpError
 from rcp_kernel.operations.pending import to_internal_error
-from rcp_kernel.turns import lane
+from rcp_kernel.turns import may_stop
 from rcp_kernel.wire import error_body
 from rcp_mcp.caller import SESSION
+from rcp_mcp.catalogue import Catalogue
 from rcp_mcp.config import McpConfig
 
 __all__ = ["WELL_KNOWN", "Endpoint", "Metadata"]
@@ -46,10 +47,15 @@ class Endpoint:
     """The ASGI application."""
 
     def __init__(
-        self, config: McpConfig, client_api: ClientApi, manager: StreamableHTTPSessionManager
+        self,
+        config: McpConfig,
+        client_api: ClientApi,
+        catalogue: Catalogue,
+        manager: StreamableHTTPSessionManager,
     ) -> None:
         self._config = config
         self._client_api = client_api
+        self._catalogue = catalogue
         self._manager = manager
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -123,7 +129,10 @@ class Endpoint:
             if not waited:
                 waited = True
                 turns, body = self._client_api.turns, message.get("body", b"")
-                await turns.place(lane(session.principal.identity, body))
+                stops = may_stop(body)
+                await turns.place((session.principal.identity, stops))
+                if not stops:
+                    await self._catalogue.prepare(session)
             return message
 
         return paced

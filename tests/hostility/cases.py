@@ -112,7 +112,7 @@ def _a2a(n: int) -> Any:
 
 def _a2a_values(n: int) -> Any:
     method, path, body, headers = _a2a(n)
-    body["params"]["message"]["parts"][0]["data"] = {"steps": [1] * 8_000}
+    body["params"]["message"]["parts"][0]["data"] = {"steps": [1] * 4_000}
     return method, path, body, headers
 
 
