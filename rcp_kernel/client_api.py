@@ -119,6 +119,7 @@ class ClientApiParts:
     audit_writer: AuditWriter
     counts: RequestCounts
     store: Store
+    is_stop: Callable[[Session, Request], bool]
     status: StatusView
     turns: Turns
     loop: asyncio.AbstractEventLoop
@@ -338,6 +339,10 @@ class ClientApi:
         :raises RateLimited: a quota does not allow it now.
         """
         session.charge()
+
+    def is_stop(self, session: Session, request: Request) -> bool:
+        """Tell whether a request stops something, which no quota keeps anybody from."""
+        return self._parts.is_stop(session, request)
 
     def command(self, session: Session, id_: str) -> Command:
         """Return a command that the session may see.

@@ -16,7 +16,17 @@ from google.protobuf.struct_pb2 import Struct, Value
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import Reply, encode_reply
 
-__all__ = ["TaskRequest", "asked", "check", "check_fields", "data_part", "plain", "stamp", "told"]
+__all__ = [
+    "TaskRequest",
+    "asked",
+    "check",
+    "check_fields",
+    "data_part",
+    "plain",
+    "stamp",
+    "told",
+    "written",
+]
 
 _DATA = "application/json"
 _TEXT = "text/plain"
@@ -77,9 +87,9 @@ def asked(request: SendMessageRequest) -> TaskRequest:
         body = plain(data[0])
     else:
         texts = [part.text for part in message.parts if part.WhichOneof("content") == "text"]
-        body = _written("\n".join(texts))
+        body = written("\n".join(texts))
     if isinstance(body, str):
-        body = _written(body)
+        body = written(body)
     deadline = options.get("deadline")
     good = isinstance(deadline, (int, float)) and deadline > 0
     return TaskRequest(
@@ -96,7 +106,7 @@ def _wants_text(modes: Iterable[str]) -> bool:
     return _TEXT in accepted and not accepted & {_DATA, "application/*", "*/*"}
 
 
-def _written(text: str) -> Any:
+def written(text: str) -> Any:
     """Tell what kind of plan a text is: JSON, the symbolic plan of a planner, or commands."""
     stripped = text.strip()
     if stripped.startswith("{"):

@@ -202,6 +202,7 @@ def compose(
         sessions=clients.sessions,
         leases=clients.leases,
         guard=system.guard,
+        is_stop=requests.router.is_stop,
         status=system.status,
         turns=base.turns,
         system=system.branch,
