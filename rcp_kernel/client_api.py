@@ -8,7 +8,7 @@ serves HTTP. It translates; every decision is the kernel's.
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Callable, Generator, Iterable, MutableMapping
+from collections.abc import Awaitable, Callable, Generator, Iterable, Iterator, MutableMapping
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any, Literal, Protocol
@@ -353,13 +353,13 @@ class ClientApi:
         session.charge()
         return self._parts.access.find(session, id_)
 
-    def commands(self, session: Session) -> list[Command]:
-        """List the commands that the session may see, newest first.
+    def commands(self, session: Session) -> Iterator[Command | None]:
+        """Go through the commands, newest first; None stands for one that the session may not see.
 
         :raises RateLimited: a quota does not allow the request.
         """
         session.charge()
-        return self._parts.access.visible(session)
+        return self._parts.access.visited(session)
 
     def approve(
         self,

@@ -413,6 +413,36 @@ async def test_commands_are_listed_page_by_page(http: httpx.AsyncClient, gateway
     assert (bad.status_code, error(bad)) == (400, "bad_request")
 
 
+async def test_a_page_of_commands_has_so_many_bytes_at_most_in_every_encoding(
+    http: httpx.AsyncClient, gateway: Site, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def execute(name: str, value: Any, progress: Any) -> None:
+        pass
+
+    monkeypatch.setattr(gateway.robot, "execute", execute)
+    note = Resource(name="service/note", description="Notes.", input=str)
+    gateway.robot.host.declare(note)
+    sent = [
+        (await http.post(f"{CONTEXT}/service/note?wait=5", json="x" * 400_000)).json()["command"]
+        for _ in range(6)
+    ]
+    for accept, decode in (
+        ("application/json", json.loads),
+        ("application/cbor", cbor2.loads),
+        ("application/msgpack", msgspec.msgpack.decode),
+    ):
+        found: list[str] = []
+        query: dict[str, str] = {}
+        while query or not found:
+            response = await http.get("/rcp/v1/commands", params=query, headers={"accept": accept})
+            page = decode(response.content)
+            assert (len(page["body"]), len(response.content) < 1024 * 1024) == (2, True)
+            assert page["body"][0]["input"] == "x" * 400_000
+            found += [command["command"] for command in page["body"]]
+            query = {"cursor": page["cursor"]} if "cursor" in page else {}
+        assert found == sent[::-1]
+
+
 # -- envelopes -------------------------------------------------------------------------------------
 
 
