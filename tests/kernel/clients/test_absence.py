@@ -55,7 +55,7 @@ async def test_a_source_goes_on_while_its_client_is_away_and_stops_when_it_is_gi
 async def test_any_number_of_clients_that_are_away_make_one_listener_and_the_last_takes_it_along(
     world: World,
 ) -> None:
-    entry = world.server.gateway.registry.entries[LAZY]
+    entry = world.server.kernel.registry.entries[LAZY]
     sessions: list[Any] = []
     for rate in (1, 5, None, 5):
         client = world.client()
@@ -69,7 +69,7 @@ async def test_any_number_of_clients_that_are_away_make_one_listener_and_the_las
     wanted: list[float | None] = []
     for session in reversed(sessions):
         wanted.append(entry.listeners[0].rate)  # pyright: ignore[reportAttributeAccessIssue, reportUnknownMemberType]
-        world.server.gateway.sessions.drop(session)
+        world.server.kernel.sessions.drop(session)
     assert wanted == [None, None, 5, 1]
     assert entry.listeners == []
 
