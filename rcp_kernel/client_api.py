@@ -8,7 +8,8 @@ serves HTTP. It translates; every decision is the kernel's.
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Callable, Iterable, MutableMapping
+from collections.abc import Awaitable, Callable, Generator, Iterable, Iterator, MutableMapping
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any, Literal, Protocol
 
@@ -45,6 +46,7 @@ from rcp_kernel.record.audit_writer import AuditWriter
 from rcp_kernel.record.plugin_store import PluginStore
 from rcp_kernel.record.store import Store
 from rcp_kernel.shutdown import Shutdown
+from rcp_kernel.turns import Turns
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import Reply, Request
 
@@ -68,8 +70,9 @@ class Mount(msgspec.Struct, frozen=True, kw_only=True):
     kind: Literal["http", "websocket"] = "http"
     app: Asgi
     """A plain ASGI application; `scope["path"]` is the whole path."""
-    openapi: Callable[[Session], dict[str, Any]] | None = None
-    """Makes `paths` and `components` of the OpenAPI document for what a session sees of this mount."""
+    openapi: Callable[[Session], Awaitable[dict[str, Any]]] | None = None
+    """Makes `paths` and `components` of the OpenAPI document for what a session sees of this mount;
+    what they hold may be written already (`msgspec.Raw`). What takes long waits for `turns`."""
 
 
 class Proofs(msgspec.Struct, frozen=True, kw_only=True):
@@ -92,8 +95,8 @@ class StatusView(Protocol):
         """Tell whether every backend is ready, and each one's state."""
         ...
 
-    def exposition(self, rights: Rights) -> bytes:
-        """Write the Prometheus exposition for somebody."""
+    def exposition(self, rights: Rights) -> Generator[None, None, bytes]:
+        """Write the Prometheus exposition for somebody, in steps."""
         ...
 
 
@@ -116,7 +119,9 @@ class ClientApiParts:
     audit_writer: AuditWriter
     counts: RequestCounts
     store: Store
+    is_stop: Callable[[Session, Request], bool]
     status: StatusView
+    turns: Turns
     loop: asyncio.AbstractEventLoop
 
 
@@ -143,6 +148,11 @@ class ClientApi:
     def loop(self) -> asyncio.AbstractEventLoop:
         """The event loop."""
         return self._parts.loop
+
+    @property
+    def turns(self) -> Turns:
+        """Who may use the loop when; work for a principal is owned by its `identity`."""
+        return self._parts.turns
 
     def generation(self, session: Session) -> int:
         """Return a number that rises when what a session sees of the tree changes, for ETags."""
@@ -330,6 +340,10 @@ class ClientApi:
         """
         session.charge()
 
+    def is_stop(self, session: Session, request: Request) -> bool:
+        """Tell whether a request stops something, which no quota keeps anybody from."""
+        return self._parts.is_stop(session, request)
+
     def command(self, session: Session, id_: str) -> Command:
         """Return a command that the session may see.
 
@@ -339,13 +353,13 @@ class ClientApi:
         session.charge()
         return self._parts.access.find(session, id_)
 
-    def commands(self, session: Session) -> list[Command]:
-        """List the commands that the session may see, newest first.
+    def commands(self, session: Session) -> Iterator[Command | None]:
+        """Go through the commands, newest first; None stands for one that the session may not see.
 
         :raises RateLimited: a quota does not allow the request.
         """
         session.charge()
-        return self._parts.access.visible(session)
+        return self._parts.access.visited(session)
 
     def approve(
         self,
@@ -402,6 +416,12 @@ class ClientApi:
         """Return the compiled rights of a principal."""
         return self._parts.rules.rights(principal)
 
+    def rights_of_anyone(self) -> Rights | None:
+        """Return the rights of those who prove nothing; None where nobody is served without proof."""
+        with suppress(Unauthenticated):
+            return self.rights(self._parts.identities.anonymous())
+        return None
+
     def hides(self, session: Session, names: Iterable[str]) -> bool:
         """Tell whether one of the names (see `names_in`) means something hidden from a session."""
         return self._parts.visibility.names_hidden(session.rights, session.tenant, names)
@@ -418,8 +438,8 @@ class ClientApi:
         """Tell whether every backend is ready, and each one's state."""
         return self._parts.status.ready()
 
-    def metrics(self, session: Session) -> bytes:
-        """Return the Prometheus exposition, without the paths that are hidden from a session."""
+    def metrics(self, session: Session) -> Generator[None, None, bytes]:
+        """Write the Prometheus exposition in steps, without the paths hidden from a session."""
         return self._parts.status.exposition(session.rights)
 
 

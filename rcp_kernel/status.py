@@ -5,7 +5,8 @@ from __future__ import annotations
 import asyncio
 import platform
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Generator, Iterable, Sequence
+from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
@@ -37,8 +38,10 @@ from rcp_kernel.streaming.subscription import Subscription
 __all__ = ["StatusReport", "gateway_version"]
 
 _LAG_PERIOD = 0.5  # s
+_PART = 50  # resources whose metrics are written in one step
 
 
+@cache
 def gateway_version() -> str:
     """Return the installed version of the distribution."""
     try:
@@ -86,12 +89,10 @@ class StatusReport:
         self._loop = loop
         self.transports: list[dict[str, Any]] = []
         self.adapters: list[dict[str, Any]] = []
-        self.metrics = Metrics(self._families)
+        self.metrics = Metrics()
         self._process = psutil.Process()
         self._process.cpu_percent()
         self._started = now()
-        self._reader: Rights | None = None
-        """For whom the exposition is being written; None is for all to see."""
         self._lag = Histogram()
         self._lag_last = 0.0
         self._timer: asyncio.TimerHandle | None = None
@@ -254,15 +255,11 @@ class StatusReport:
 
     # -- Prometheus ----------------------------------------------------------------------------
 
-    def exposition(self, rights: Rights) -> bytes:
-        """Write the exposition for somebody."""
-        self._reader = rights
-        try:
-            return self.metrics.text()
-        finally:
-            self._reader = None
+    def exposition(self, rights: Rights) -> Generator[None, None, bytes]:
+        """Write the exposition for somebody, in steps."""
+        return self.metrics.exposition(self._families(rights))
 
-    def _families(self) -> Iterable[Metric]:
+    def _families(self, rights: Rights) -> Iterable[Metric]:
         commands = self._commands
         facts = {"version": gateway_version(), "python": platform.python_version()}
         yield gauge("rcp_build_info", "What runs here.", tuple(facts), [(list(facts.values()), 1)])
@@ -321,19 +318,21 @@ class StatusReport:
         yield histogram(
             "rcp_command_seconds", "Of finished commands.", (), [([], commands.seconds)]
         )
-        yield gauge(
-            "rcp_resource_age_seconds",
-            "Age of the latest sample of paths with a deadline.",
-            ("path",),
-            [
-                ([entry.path], entry.age)
-                for entry in self._registry.entries.values()
-                if entry.deadline is not None and entry.age is not None and self._told(entry)
-            ],
-        )
-
-    def _told(self, entry: Entry) -> bool:
-        return self._reader is None or bool(self._reader.mask(entry.path))
+        entries = list(self._registry.entries.values())
+        for begin in range(0, max(1, len(entries)), _PART):
+            part = entries[begin : begin + _PART]
+            yield gauge(
+                "rcp_resource_age_seconds",
+                "Age of the latest sample of paths with a deadline.",
+                ("path",),
+                [
+                    ([entry.path], entry.age)
+                    for entry in part
+                    if entry.deadline is not None
+                    and entry.age is not None
+                    and rights.mask(entry.path)
+                ],
+            )
 
     def _gauges(self) -> Iterable[Metric]:
         queues = self._queues(("*",))

@@ -8,26 +8,37 @@ turns with the others. What brings a robot to rest never waits here.
 from __future__ import annotations
 
 import asyncio
+import re
 from collections import deque
 from collections.abc import Generator, Hashable
 from contextlib import contextmanager
 from contextvars import Context, copy_context
 from time import thread_time
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import structlog
 
 from rcp_kernel.errors import QueueFull
 
-__all__ = ["Turns", "Work"]
+__all__ = ["Turns", "Work", "may_stop"]
 
 log = structlog.get_logger("rcp.gateway")
+Result = TypeVar("Result")
 Work = Generator[None]
 """Something dear, which yields where it may be interrupted: after a millisecond, better sooner."""
 
 _TURN = 0.002  # s in one turn of the loop, after which the next step waits for the next turn
 _WAITING = 1024  # works of one owner that have not ended: more than one batch makes
 _BYTES = 32 * 1024 * 1024  # of the requests that they are for
+_STOPS = re.compile(rb"estop|hold|cancel")
+
+
+def may_stop(body: bytes) -> bool:
+    """Tell whether a request that only a foreign library can read may be one that stops something.
+
+    Such do not queue behind other requests of the same owner.
+    """
+    return _STOPS.search(body) is not None
 
 
 class _Begun(NamedTuple):
@@ -85,8 +96,18 @@ class Turns:
         if self._spent > _TURN or self._queues:
             await self.place(owner)
 
+    async def finish(self, owner: Hashable, work: Generator[None, None, Result]) -> Result:
+        """Do work of any length in the turns that have time for it; return its result."""
+        while True:
+            await self.wait(owner)
+            with self.spending():
+                try:
+                    next(work)
+                except StopIteration as end:
+                    return end.value
+
     def place(self, owner: Hashable) -> asyncio.Future[None]:
-        """Return what is done as soon as there is a turn for it."""
+        """Return what is done as soon as there is a turn for it: one place in each turn."""
         place = self._loop.create_future()
         self._queues.setdefault(owner, _Queue()).places.append(place)
         self._schedule()

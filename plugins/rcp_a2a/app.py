@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from typing import Any, cast
+from typing import Any, NamedTuple, cast
 from urllib.parse import parse_qs
 
 import msgspec
@@ -22,6 +22,8 @@ from rcp_a2a.cards import Cards
 from rcp_a2a.config import A2aConfig
 from rcp_a2a.places import CARD, JWKS, Place, place_of
 from rcp_a2a.refusals import NOT_FOUND, NOT_TAKEN, Trouble, refuse, trouble_of
+from rcp_a2a.stops import as_request
+from rcp_kernel._plain import is_list, is_map
 from rcp_kernel.asgi import (
     Receive,
     Scope,
@@ -33,13 +35,17 @@ from rcp_kernel.asgi import (
     session_of,
 )
 from rcp_kernel.client_api import Asgi, ClientApi
-from rcp_kernel.errors import BadRequest, Forbidden, RcpError
+from rcp_kernel.clients.session import Session
+from rcp_kernel.errors import BadRequest, Forbidden, PayloadTooLarge, RateLimited, RcpError
 from rcp_kernel.operations.pending import to_internal_error
+from rcp_kernel.turns import may_stop
 
 __all__ = ["App"]
 
 log = structlog.get_logger("rcp.a2a")
 _BODY_TIMEOUT = 30.0  # s
+_VALUES = 4096  # of one request: the SDK takes 3 µs for each in one turn, and 10 µs in all
+_STEP = 500  # values that take as long as a turn may
 _STATES = frozenset(TaskState.keys())
 _TAKEN = (b"application/json", b"application/a2a+json")
 
@@ -53,6 +59,15 @@ class _Call(msgspec.Struct):
     id: str | int | None = None
     method: str = ""
     params: _Params = msgspec.field(default_factory=_Params)
+
+
+class _Asked(NamedTuple):
+    """What was read of a request before the SDK reads it."""
+
+    call: _Call = _Call()
+    plain: Any = None
+    values: int = 0
+    """In how many the body is."""
 
 
 class App:
@@ -82,7 +97,7 @@ class App:
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Serve one request; whatever goes wrong is said in the binding's words."""
         place = place_of(scope["path"])
-        call = _Call()
+        asked = _Asked()
         try:
             if place.rest in (CARD, JWKS):
                 await self._cards.serve(scope, send, place)
@@ -92,12 +107,15 @@ class App:
                 _check_type(scope)
                 longest, refusal = await self._look(scope)
                 body = await read_body(receive, min(self._limit, longest), _BODY_TIMEOUT)
-                call = _read(scope, place, body)
+                asked = _read(scope, place, body)
                 if refusal is not None:
                     raise refusal
-            _check_state(scope, place, call)
-            session = await session_of(self._client_api, scope, _tenant(place, call))
-            self._client_api.charge(session)
+            _check_state(scope, place, asked.call)
+            session = await session_of(self._client_api, scope, _tenant(place, asked.call))
+            self._charge(session, place, asked)
+            # The SDK handles a request in a few ms, a long one in many: they take turns.
+            for _ in range(1 + asked.values // _STEP):
+                await self._client_api.turns.place((session.principal.identity, may_stop(body)))
             inner = {
                 **scope,
                 "path": place.rest,
@@ -108,10 +126,22 @@ class App:
         except Exception as error:
             told = to_internal_error(error, path=scope["path"])
             self._client_api.refused("a2a", told.code)
-            trouble, id_ = trouble_of(told), call.id
+            trouble, id_ = trouble_of(told), asked.call.id
             if isinstance(error, _Malformed):
                 trouble, id_ = error.trouble, id_ or error.id
             await refuse(send, trouble, place.binding, id_, wait=told.retry_after)
+
+    def _charge(self, session: Session, place: Place, asked: _Asked) -> None:
+        """Count a request.
+
+        :raises RateLimited: a quota does not allow it now, and it stops nothing.
+        """
+        try:
+            self._client_api.charge(session)
+        except RateLimited:
+            request = as_request(place, asked.call.method, asked.plain)
+            if request is None or not self._client_api.is_stop(session, request):
+                raise
 
     async def _look(self, scope: Scope) -> tuple[int, RcpError | None]:
         """Return how long a body the caller may send, and why it is not served, if so.
@@ -161,30 +191,52 @@ def _http(place: Place, trouble: Trouble) -> int:
     return 200 if place.binding == "jsonrpc" else trouble.http
 
 
-def _read(scope: Scope, place: Place, body: bytes) -> _Call:
-    """Look who and what is meant; what is not JSON goes no further, as the SDK takes too much.
+def _read(scope: Scope, place: Place, body: bytes) -> _Asked:
+    """Look who and what is meant; what is not JSON goes no further.
 
-    It would keep a `NaN` with the task, and never be able to write that out again.
+    The SDK takes too much: it would keep a `NaN` with the task, and never be able to write it out.
     """
     if not body and place.binding == "rest":
-        return _Call()
+        return _Asked()
     try:
         plain = msgspec.json.decode(body)
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         text = f"the body is not JSON: {error}"
         trouble = Trouble(400, "INVALID_ARGUMENT", "INVALID_REQUEST", -32700, text)
         raise _Malformed(msgspec.structs.replace(trouble, http=_http(place, trouble))) from None
+    values = _count_values(plain)
     if place.binding == "rest":
-        return _Call()
+        return _Asked(plain=plain, values=values)
     try:
         call = msgspec.convert(plain, _Call)
     except msgspec.ValidationError:
-        return _Call()
+        return _Asked(plain=plain, values=values)
     if "/" in call.method and (header(scope, b"a2a-version") or b"").startswith(b"1"):
         # The names of 0.3: they mean nothing in the version that is asked for.
         trouble = Trouble(200, "UNIMPLEMENTED", "METHOD_NOT_FOUND", -32601, "Method not found")
         raise _Malformed(trouble, call.id)
-    return call
+    return _Asked(call, plain, values)
+
+
+def _count_values(plain: Any) -> int:
+    """Count the values that the SDK has to take in.
+
+    :raises PayloadTooLarge: they are more than it takes in within a turn of the loop.
+    """
+    waiting: list[Any] = [plain]
+    for count in range(_VALUES):
+        if not waiting:
+            return count
+        node = waiting.pop()
+        if is_map(node):
+            waiting.extend(node.values())
+        elif is_list(node):
+            waiting.extend(node)
+    raise PayloadTooLarge(
+        f"the request has more than {_VALUES} values",
+        remedy="Send a long plan as text, a command in each line, or as several plans.",
+        details={"limit": _VALUES},
+    )
 
 
 def _tenant(place: Place, call: _Call) -> str | None:

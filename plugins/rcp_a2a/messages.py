@@ -9,13 +9,24 @@ from typing import Any
 import msgspec
 from a2a.types.a2a_pb2 import Message, Part, SendMessageRequest
 from a2a.utils.errors import ContentTypeNotSupportedError, InvalidParamsError
+from a2a.utils.proto_utils import validate_proto_required_fields
 from google.protobuf.json_format import ParseDict
 from google.protobuf.struct_pb2 import Struct, Value
 
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import Reply, encode_reply
 
-__all__ = ["TaskRequest", "asked", "check", "data_part", "plain", "stamp", "told"]
+__all__ = [
+    "TaskRequest",
+    "asked",
+    "check",
+    "check_fields",
+    "data_part",
+    "plain",
+    "stamp",
+    "told",
+    "written",
+]
 
 _DATA = "application/json"
 _TEXT = "text/plain"
@@ -31,6 +42,22 @@ class TaskRequest(msgspec.Struct, frozen=True):
     deadline: float | None = None
     words: bool = False
     """Whether the client takes data only as text."""
+
+
+def check_fields(request: SendMessageRequest) -> None:
+    """Refuse a message that lacks a field; the data in it has none that could lack.
+
+    :raises InvalidParamsError: it lacks one.
+    """
+    bare = SendMessageRequest()
+    bare.CopyFrom(request)
+    bare.ClearField("metadata")
+    bare.message.ClearField("metadata")
+    for part in bare.message.parts:
+        part.ClearField("metadata")
+        if part.HasField("data"):
+            part.data.CopyFrom(Value(bool_value=True))
+    validate_proto_required_fields(bare)
 
 
 def check(message: Message) -> None:
@@ -60,9 +87,9 @@ def asked(request: SendMessageRequest) -> TaskRequest:
         body = plain(data[0])
     else:
         texts = [part.text for part in message.parts if part.WhichOneof("content") == "text"]
-        body = _written("\n".join(texts))
+        body = written("\n".join(texts))
     if isinstance(body, str):
-        body = _written(body)
+        body = written(body)
     deadline = options.get("deadline")
     good = isinstance(deadline, (int, float)) and deadline > 0
     return TaskRequest(
@@ -79,7 +106,7 @@ def _wants_text(modes: Iterable[str]) -> bool:
     return _TEXT in accepted and not accepted & {_DATA, "application/*", "*/*"}
 
 
-def _written(text: str) -> Any:
+def written(text: str) -> Any:
     """Tell what kind of plan a text is: JSON, the symbolic plan of a planner, or commands."""
     stripped = text.strip()
     if stripped.startswith("{"):

@@ -26,16 +26,16 @@ from rcp_a2a.questions import (
     question_of,
     with_schemas,
 )
+from rcp_a2a.stops import PLANS
 from rcp_kernel.client_api import ClientApi
 from rcp_kernel.clients.session import Session
 from rcp_kernel.errors import Forbidden, RcpError, UnknownPath
 from rcp_kernel.operations.discovery import Query
 from rcp_kernel.wire import Reply, Request
 
-__all__ = ["PLANS", "Run"]
+__all__ = ["Run"]
 
 log = structlog.get_logger("rcp.a2a")
-PLANS = "/system/plans"
 _PACE = 0.2  # s between two updates that only tell of progress
 _STEP_ENDED = frozenset(("completed", "recovered", "failed", "skipped", "cancelled"))
 _FINAL = {

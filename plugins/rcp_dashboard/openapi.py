@@ -64,7 +64,7 @@ _PATH = ("path", "string", "A resource.")
 _QUALITY = ("quality", "integer", "Of JPEGs that are made of raw pixels, 1 to 100.")
 
 
-def described(_: Session) -> Node:
+async def described(_: Session) -> Node:
     """Describe the calls; they are the same for everybody."""
     image: Node = {
         media: {"schema": {"type": "string", "format": "binary"}}

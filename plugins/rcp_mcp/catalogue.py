@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Generator
 from typing import Any, NamedTuple
 from weakref import WeakKeyDictionary
 
@@ -12,6 +13,7 @@ from rcp_kernel.client_api import ClientApi
 from rcp_kernel.clients.session import Session
 from rcp_kernel.model import Pattern, tenant_of
 from rcp_kernel.operations.discovery import Query
+from rcp_kernel.shared_work import SharedWork
 from rcp_mcp.config import McpConfig
 from rcp_mcp.schemas import Arguments
 from rcp_mcp.typed import typed_tool
@@ -19,7 +21,7 @@ from rcp_mcp.typed import typed_tool
 __all__ = ["Catalogue", "Facts", "Typed", "matches"]
 
 Facts = dict[str, Any]
-_PAGE = 1000
+_PAGE = 10  # resources that are read in one step
 _PLANS = "/system/plans"  # wants approval for the steps it has
 
 
@@ -34,10 +36,10 @@ class Typed(NamedTuple):
 class _Seen:
     """What one set of rights sees of one generation of the tree."""
 
-    def __init__(self, generation: int, facts: list[Facts]) -> None:
+    def __init__(self, generation: int) -> None:
         self.generation = generation
-        self.facts = facts
-        self.by_path = {one["path"]: one for one in facts}
+        self.facts: list[Facts] = []
+        self.by_path: dict[str, Facts] = {}
         self.tools: dict[str | None, dict[str, Typed]] = {}
 
 
@@ -48,6 +50,16 @@ class Catalogue:
         self._config = config
         self._client_api = client_api
         self._seen: WeakKeyDictionary[Rights, _Seen] = WeakKeyDictionary()
+        self._reading = SharedWork[None](client_api.loop)
+
+    async def prepare(self, session: Session) -> None:
+        """Read what a session may see in steps, so that nothing has to be read at once later."""
+        turns, owner = self._client_api.turns, session.principal.identity
+        generation = self._client_api.generation(session)
+        seen = self._seen.get(session.rights)
+        if seen is None or seen.generation != generation or session.tenant not in seen.tools:
+            key = (generation, session.rights, session.tenant)
+            await self._reading.result(key, lambda: turns.finish(owner, self._read(session)))
 
     def all(self, session: Session) -> list[Facts]:
         """List what a session may see, in order of path."""
@@ -59,41 +71,44 @@ class Catalogue:
 
     def tools(self, session: Session) -> dict[str, Typed]:
         """Return the tools of what a session may execute, by name."""
-        seen = self._of(session)
-        found = seen.tools.get(session.tenant)
-        if found is None:
-            found = seen.tools[session.tenant] = dict(self._made(session, seen.facts))
-        return found
-
-    def _made(self, session: Session, facts: list[Facts]) -> list[tuple[str, Typed]]:
-        made: list[tuple[str, Typed]] = []
-        for one in facts:
-            path = one["path"]
-            if "execute" in one["operations"] and matches(self._config.tools, path):
-                stops = not matches(self._config.keeps_going, path)
-                asks = path == _PLANS or session.rights.asks(path)
-                tool, arguments = typed_tool(
-                    one, session.tenant, self._config, stops=stops, asks=asks
-                )
-                made.append((tool.name, Typed(tool, one, arguments)))
-        return made
+        return self._of(session).tools[session.tenant]
 
     def _of(self, session: Session) -> _Seen:
         generation = self._client_api.generation(session)
         seen = self._seen.get(session.rights)
-        if seen is None or seen.generation != generation:
-            seen = self._seen[session.rights] = _Seen(generation, self._read(session))
+        if seen is None or seen.generation != generation or session.tenant not in seen.tools:
+            for _ in self._read(session):  # the tree has changed since `prepare`
+                pass
+            seen = self._seen[session.rights]
         return seen
 
-    def _read(self, session: Session) -> list[Facts]:
-        facts: list[Facts] = []
-        cursor: str | None = None
-        while True:
-            page = self._client_api.discover(session, "/**", Query(limit=_PAGE, cursor=cursor))
-            facts += page["resources"]
+    def _read(self, session: Session) -> Generator[None]:
+        """Read what a session may see, and make its tools, in steps."""
+        seen = _Seen(self._client_api.generation(session))
+        query: Query | None = Query(limit=_PAGE)
+        tools: dict[str, Typed] = {}
+        while query is not None:
+            page = self._client_api.discover(session, "/**", query)
+            for one in page["resources"]:
+                seen.facts.append(one)
+                seen.by_path[one["path"]] = one
+                self._add(session, one, tools)
             cursor = page.get("cursor")
-            if cursor is None:
-                return facts
+            query = None if cursor is None else Query(limit=_PAGE, cursor=cursor)
+            yield
+        known = self._seen.get(session.rights)
+        if known is not None and known.generation == seen.generation:
+            seen.tools = known.tools
+        seen.tools[session.tenant] = tools
+        self._seen[session.rights] = seen
+
+    def _add(self, session: Session, one: Facts, tools: dict[str, Typed]) -> None:
+        path = one["path"]
+        if "execute" in one["operations"] and matches(self._config.tools, path):
+            stops = not matches(self._config.keeps_going, path)
+            asks = path == _PLANS or session.rights.asks(path)
+            tool, arguments = typed_tool(one, session.tenant, self._config, stops=stops, asks=asks)
+            tools[tool.name] = Typed(tool, one, arguments)
 
 
 def matches(patterns: tuple[str, ...], path: str) -> bool:

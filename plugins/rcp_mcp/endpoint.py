@@ -30,8 +30,10 @@ from rcp_kernel.client_api import ClientApi
 from rcp_kernel.clients.session import Session
 from rcp_kernel.errors import RcpError
 from rcp_kernel.operations.pending import to_internal_error
+from rcp_kernel.turns import may_stop
 from rcp_kernel.wire import error_body
 from rcp_mcp.caller import SESSION
+from rcp_mcp.catalogue import Catalogue
 from rcp_mcp.config import McpConfig
 
 __all__ = ["WELL_KNOWN", "Endpoint", "Metadata"]
@@ -45,10 +47,15 @@ class Endpoint:
     """The ASGI application."""
 
     def __init__(
-        self, config: McpConfig, client_api: ClientApi, manager: StreamableHTTPSessionManager
+        self,
+        config: McpConfig,
+        client_api: ClientApi,
+        catalogue: Catalogue,
+        manager: StreamableHTTPSessionManager,
     ) -> None:
         self._config = config
         self._client_api = client_api
+        self._catalogue = catalogue
         self._manager = manager
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -103,7 +110,7 @@ class Endpoint:
             try:
                 limit = self._client_api.longest(session.principal)
                 bounded = RequestBodyLimitMiddleware(self._manager.handle_request, limit)
-                await bounded(scope, receive, sent)
+                await bounded(scope, self._paced(session, receive), sent)
             finally:
                 closing.discard(serving.cancel)
                 forget()
@@ -111,6 +118,24 @@ class Endpoint:
             if not begun:
                 await send({"type": "http.response.start", "status": 503, "headers": []})
             await send({"type": "http.response.body", "body": b"", "more_body": False})
+
+    def _paced(self, session: Session, receive: Receive) -> Receive:
+        """Have requests take turns: the SDK handles one in a few ms, and one begins in each turn."""
+        waited = False
+
+        async def paced() -> Any:
+            nonlocal waited
+            message = await receive()
+            if not waited:
+                waited = True
+                turns, body = self._client_api.turns, message.get("body", b"")
+                stops = may_stop(body)
+                await turns.place((session.principal.identity, stops))
+                if not stops:
+                    await self._catalogue.prepare(session)
+            return message
+
+        return paced
 
 
 class Metadata:

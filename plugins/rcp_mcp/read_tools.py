@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from itertools import islice
 from typing import Any
 
 import msgspec
@@ -114,7 +115,8 @@ class ReadTools:
         if reply.error is not None:
             return failed(reply.error, reply.status)
         health = body_of(reply)
-        running = [c for c in self._client_api.commands(session) if not c.final][:_RUNNING]
+        known = self._client_api.commands(session)
+        running = list(islice((c for c in known if c is not None and not c.final), _RUNNING))
         keys = ("name", "tenant", "state", "detail", "since")
         facts: dict[str, Any] = {
             "state": health.get("state"),

@@ -41,7 +41,7 @@ async def open_mcp(
         await stack.enter_async_context(manager.run())
         stack.callback(listening.close)
         for prefix, app in (
-            (config.path, Endpoint(config, client_api, manager)),
+            (config.path, Endpoint(config, client_api, catalogue, manager)),
             (WELL_KNOWN, Metadata(config, client_api)),
         ):
             mount = Mount(name="mcp", prefix=prefix, app=app)

@@ -202,7 +202,9 @@ def compose(
         sessions=clients.sessions,
         leases=clients.leases,
         guard=system.guard,
+        is_stop=requests.router.is_stop,
         status=system.status,
+        turns=base.turns,
         system=system.branch,
         supervisors=base.supervisors,
         supervise=_supervise(base, records, motion),
@@ -586,6 +588,7 @@ def _client_api(
         counts=base.counts,
         store=records.store,
         status=system.status,
+        turns=base.turns,
         loop=base.loop,
     )
     return ClientApi(parts, "gateway", [])

@@ -165,8 +165,13 @@ class Command:
             custom=self.custom,
         )
 
-    def plain(self) -> dict[str, Any]:
-        """Write the command with its history as plain data, for lists and `/system/commands`."""
+    @property
+    def age(self) -> tuple[int, str]:
+        """By what commands are ordered, which never changes: when it came, and its id."""
+        return self.created, self.id
+
+    def plain(self, *, history: bool = True) -> dict[str, Any]:
+        """Write the command as plain data, for lists and `/system/commands`."""
         last = self.history[-1]
         out: dict[str, Any] = {
             "command": self.id,
@@ -183,7 +188,8 @@ class Command:
             out["body"] = to_plain(last.body)
         if self.input is not None:
             out["input"] = to_plain(self.input)
-        out["history"] = [record.plain() for record in self.history]
+        if history:
+            out["history"] = [record.plain() for record in self.history]
         return out | (self.custom or {})
 
     @property

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 from rcp_kernel.access.acl import reach
 from rcp_kernel.access.identities import Identities
 from rcp_kernel.access.visibility import EVERYTHING, Visibility
@@ -42,6 +44,11 @@ class CommandAccess:
     def visible(self, session: Session) -> list[Command]:
         """List the commands that a session may see, newest first."""
         return [command for command in self._commands.every() if self.sees(session, command)]
+
+    def visited(self, session: Session) -> Iterator[Command | None]:
+        """Go through all commands, newest first; None stands for one that a session may not see."""
+        known = sorted(self._commands.every(), key=lambda command: command.age, reverse=True)
+        return (command if self.sees(session, command) else None for command in known)
 
     def find(self, session: Session, id_: str) -> Command:
         """Return a command that the session may see.

@@ -14,6 +14,7 @@ import msgspec
 from rcp_kernel.access.approvals import Approvals
 from rcp_kernel.access.quotas import QuotaTracker
 from rcp_kernel.access.resolver import Resolver
+from rcp_kernel.access.token_bucket import is_exempt
 from rcp_kernel.clients.session import Answer, OwnCommand, Session
 from rcp_kernel.clock import iso, now
 from rcp_kernel.config.settings import Settings
@@ -31,6 +32,7 @@ from rcp_kernel.operations.inflight import InFlight
 from rcp_kernel.operations.write import dry_run_reply
 from rcp_kernel.plans.resource import PATH as PLANS
 from rcp_kernel.plans.resource import Plans
+from rcp_kernel.plans.stops import only_stops
 from rcp_kernel.record.audit_writer import AuditWriter
 from rcp_kernel.registry import Entry
 from rcp_kernel.safety.hold import Hold
@@ -137,7 +139,11 @@ class ExecuteHandler:
             return None
         self._admission.admit(session, request, entry, value)
         self._commands.admit(entry)
-        self._quotas.check_command(session, entry.path)
+        halts = entry.is_hold or (entry.path == PLANS and self.stops(session, request))
+        if not halts:
+            self._quotas.check_command(session, entry.path)
+            if entry.path == PLANS:
+                self._plans.check_running(session)
         if entry.is_hold and not request.dry_run:
             self._hold(session, request, entry, answer, started)
             return None
@@ -223,6 +229,8 @@ class ExecuteHandler:
         """Tell whether a request brings a robot to rest."""
         if request.type != "execute":
             return False
+        if only_stops(request, lambda step: is_exempt(step) or self.stops(session, step)):
+            return True
         try:
             return self._resolver.resolve(session, request.path, Operation.EXECUTE).is_hold
         except RcpError:

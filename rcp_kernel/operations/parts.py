@@ -43,7 +43,7 @@ class Parts(Body):
 
     def __init__(self, encoding: Encoding) -> None:
         self._encoding = encoding
-        self._made: list[tuple[dict[str, Any], Any]] = []
+        self._made: list[tuple[dict[str, Any] | None, Any]] = []
         self._pieces: list[bytes] = []
         self.size = 1
         """Bytes of all parts, and of the list itself."""
@@ -51,15 +51,17 @@ class Parts(Body):
     def __len__(self) -> int:
         return len(self._pieces)
 
-    def add(self, fields: dict[str, Any], body: Any, longest: int | None = None) -> bool:
+    def add(self, fields: dict[str, Any] | None, body: Any, longest: int | None = None) -> bool:
         """Add an object of plain fields and a `body`; tell whether there was room for it.
+
+        Without fields the body is the whole object.
 
         :raises RcpError: the body cannot be written.
         """
         data = encode_body(body, self._encoding)
         if longest is not None and self.size + len(data) > longest:
             return False
-        piece = encode_frame(fields, data, self._encoding)
+        piece = data if fields is None else encode_frame(fields, data, self._encoding)
         if longest is not None and self.size + len(piece) >= longest:
             return False
         self._pieces.append(piece)
@@ -70,19 +72,27 @@ class Parts(Body):
     @property
     def value(self) -> list[dict[str, Any]]:
         """The parts as plain data."""
-        return [
-            fields if body is NO_BODY else {**fields, "body": _plain(body)}
-            for fields, body in self._made
-        ]
+        return [_object(fields, body) for fields, body in self._made]
 
     def encoded(self, encoding: Encoding) -> bytes:
         """Return the list as bytes of the encoding."""
         pieces = self._pieces
         if encoding is not self._encoding:
-            pieces = [encode_frame(f, encode_body(b, encoding), encoding) for f, b in self._made]
+            pieces = [_piece(fields, body, encoding) for fields, body in self._made]
         if encoding is Encoding.JSON:
             return b"[%b]" % b",".join(pieces)
         return b"".join((_head(len(pieces), encoding), *pieces))
+
+
+def _piece(fields: dict[str, Any] | None, body: Any, encoding: Encoding) -> bytes:
+    data = encode_body(body, encoding)
+    return data if fields is None else encode_frame(fields, data, encoding)
+
+
+def _object(fields: dict[str, Any] | None, body: Any) -> Any:
+    if fields is None:
+        return _plain(body)
+    return fields if body is NO_BODY else {**fields, "body": _plain(body)}
 
 
 def _plain(body: Any) -> Any:

@@ -86,7 +86,7 @@ class RequestRouter:
                 and not self._stops(session, request)
             ):
                 raise meter.refusal(started)
-            if _dear(request):
+            if _dear(request) and not self._stops(session, request):
                 work = self._slowly(session, request, answer, started)
                 self._turns.run(session.principal.identity, work, len(bytes(request.body)))
                 return
@@ -112,6 +112,10 @@ class RequestRouter:
         if reply is not None:
             self._counts.conclude(session, reply, started)
             answer(reply)
+
+    def is_stop(self, session: Session, request: Request) -> bool:
+        """Tell whether a request stops something or lets go, which no quota keeps anybody from."""
+        return is_exempt(request) or self._stops(session, request)
 
     def _stops(self, session: Session, request: Request) -> bool:
         """Tell whether a request brings something to rest, which no rate may keep it from."""

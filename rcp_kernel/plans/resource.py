@@ -166,11 +166,18 @@ class Plans:
         """Check a plan whole.
 
         :raises PayloadTooLarge: it is longer than it may be.
-        :raises QueueFull: as many run as may.
         :raises RcpError: something is wrong with it; see `check_plan`.
         """
-        limits = self._settings.config.plans
         self._check_size(request)
+        checked = self._checker.check(session, plan)
+        return Work(session, checked, self._approvals, self._listed.changed, self._make_engine)
+
+    def check_running(self, session: Session) -> None:
+        """Refuse one plan too many.
+
+        :raises QueueFull: as many of its tenant run as may.
+        """
+        limits = self._settings.config.plans
         running = [c for c in self._commands.running.values() if c.path == PATH]
         if sum(1 for c in running if c.tenant == session.tenant) >= limits.running:
             raise QueueFull(
@@ -178,8 +185,6 @@ class Plans:
                 remedy="Wait for one to end, or cancel one.",
                 details={"limit": limits.running},
             )
-        checked = self._checker.check(session, plan)
-        return Work(session, checked, self._approvals, self._listed.changed, self._make_engine)
 
     def _check_size(self, request: Request) -> None:
         size, limit = len(bytes(request.body)), self._settings.config.plans.size

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import time
 from bisect import bisect_left
-from collections.abc import Callable, Iterable
+from collections.abc import Generator, Iterable
+from itertools import chain
 
 from prometheus_client import CollectorRegistry, GCCollector, PlatformCollector, ProcessCollector
 from prometheus_client.core import (
@@ -20,6 +21,7 @@ __all__ = ["BUCKETS", "Histogram", "Metrics", "counter", "gauge", "histogram"]
 
 BUCKETS = (0.0001, 0.00025, 0.0005, 0.001, 0.0025, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 1.0, 10.0)
 """Upper bounds in seconds."""
+_HEAD = 2  # lines of a family before its samples: HELP and TYPE
 
 
 class Histogram:
@@ -72,26 +74,35 @@ def histogram(
     return family
 
 
-class _Families(Collector):
-    def __init__(self, collect: Callable[[], Iterable[Metric]]) -> None:
-        self._collect = collect
+class _Single(Collector):
+    def __init__(self, metric: Metric) -> None:
+        self._metric = metric
 
     def collect(self) -> Iterable[Metric]:
-        return self._collect()
+        return (self._metric,)
 
 
 class Metrics:
-    """What `/metrics` answers: the gateway's families and the process's own."""
+    """What `/metrics` answers: the process's own families, and the gateway's."""
 
-    def __init__(self, collect: Callable[[], Iterable[Metric]]) -> None:
+    def __init__(self) -> None:
         registry = CollectorRegistry(auto_describe=False)
         ProcessCollector(registry=registry)
         PlatformCollector(registry=registry)
         GCCollector(registry=registry)
-        registry.register(_Families(collect))
         self._registry = registry
         self.started = time.monotonic()
 
-    def text(self) -> bytes:
-        """Write the exposition, text format 0.0.4."""
-        return generate_latest(self._registry)
+    def exposition(self, families: Iterable[Metric]) -> Generator[None, None, bytes]:
+        """Write the exposition, text format 0.0.4, in steps: one for each family.
+
+        A long family comes in parts, one behind the other.
+        """
+        written: list[bytes] = []
+        last = ""
+        for family in chain(self._registry.collect(), families):
+            text = generate_latest(_Single(family))
+            written.append(text.split(b"\n", _HEAD)[_HEAD] if family.name == last else text)
+            last = family.name
+            yield
+        return b"".join(written)

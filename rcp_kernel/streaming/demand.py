@@ -6,9 +6,9 @@
 from __future__ import annotations
 
 import asyncio
+from collections import Counter
 from collections.abc import Callable
 from contextlib import AsyncExitStack
-from dataclasses import dataclass
 
 import structlog
 
@@ -90,20 +90,48 @@ class DemandTracker:
         await asyncio.gather(*self._tasks, return_exceptions=True)
 
 
-@dataclass(frozen=True, slots=True)
 class AbsentListener:
-    """Stands in for a feed whose client is away, so that history goes on being kept."""
+    """Stands in for all feeds of an entry whose clients are away, so that its history is kept.
 
-    rate: float | None
-    """What the client wants of the source, as it did while it was here."""
+    One for each entry: as many clients may be away as there may be sessions, and every sample is
+    offered to every listener.
+    """
+
+    __slots__ = ("_rates",)
+
+    def __init__(self) -> None:
+        self._rates: Counter[float | None] = Counter()
+
+    def __len__(self) -> int:
+        return self._rates.total()
+
+    def add(self, rate: float | None) -> None:
+        """Stand in for one more that wants `rate` of the source."""
+        self._rates[rate] += 1
+
+    def discard(self, rate: float | None) -> bool:
+        """Stand in for one less; tell whether there was one."""
+        count = self._rates[rate]
+        if count > 1:
+            self._rates[rate] = count - 1
+        else:
+            del self._rates[rate]
+        return count > 0
+
+    @property
+    def rate(self) -> float | None:
+        """The most that any of them wants; None for everything."""
+        if None in self._rates:
+            return None
+        return max((rate or 0.0 for rate in self._rates), default=0.0)
 
     def offer(self, sample: Sample) -> None:
         """Do nothing: the entry's ring has the sample."""
 
 
-def absent_listener(feed: PathSubscription) -> AbsentListener:
-    """Return what stands in for a feed."""
-    return AbsentListener(feed.subscription.options.rate)
+def absent_listener(entry: Entry) -> AbsentListener | None:
+    """Return what stands in for the clients of an entry that are away."""
+    return next((one for one in entry.listeners if isinstance(one, AbsentListener)), None)
 
 
 def _wanted_rate(entry: Entry) -> float | None:

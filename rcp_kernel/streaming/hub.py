@@ -137,11 +137,8 @@ class Hub:
 
     def _keep(self, feed: PathSubscription) -> None:
         """Have the history of a path kept for a client that is away."""
-        entry = feed.entry
-        entry.listeners.append(absent_listener(feed))
-        if len(entry.listeners) == 1:
-            entry.size_ring()
-        self.demand.retune(entry)
+        _hold(feed.entry, feed.subscription.options.rate)
+        self.demand.retune(feed.entry)
 
     def _relink(self, feed: PathSubscription) -> None:
         entry = feed.entry
@@ -192,8 +189,7 @@ class Hub:
     @staticmethod
     def keep(entry: Entry) -> None:
         """Have the whole history of a path kept although nobody may be listening."""
-        entry.listeners.append(AbsentListener(0.0))
-        entry.size_ring()
+        _hold(entry, 0.0)
 
     def listen(self, entry: Entry, listener: Listener) -> None:
         """Offer the gateway's own listener every sample, and keep the source running for it."""
@@ -274,9 +270,10 @@ class Hub:
         feed.leave()
 
     def _unkeep(self, feed: PathSubscription) -> None:
-        entry, keeper = feed.entry, absent_listener(feed)
-        if keeper in entry.listeners:
-            entry.listeners.remove(keeper)
+        entry, absent = feed.entry, absent_listener(feed.entry)
+        if absent is not None and absent.discard(feed.subscription.options.rate):
+            if not absent:
+                entry.listeners.remove(absent)
             self._left(entry)
 
     def sustain(self, entry: Entry, rate: float) -> None:
@@ -325,3 +322,14 @@ class Hub:
         self._timers.close()
         self.deadline_monitor.close()
         await self.demand.close()
+
+
+def _hold(entry: Entry, rate: float | None) -> None:
+    """Have an entry's history kept for somebody who wants `rate` of its source."""
+    absent = absent_listener(entry)
+    if absent is None:
+        absent = AbsentListener()
+        entry.listeners.append(absent)
+        if len(entry.listeners) == 1:
+            entry.size_ring()
+    absent.add(rate)

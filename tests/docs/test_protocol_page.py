@@ -9,6 +9,7 @@ import msgspec
 import pytest
 
 from docs.pages import DOCS, keys, rows, section
+from rcp_kernel.access.acl import Rights
 from rcp_kernel.access.approvals import ApprovalRequest
 from rcp_kernel.app.composition import compose
 from rcp_kernel.clients.hello import Hello
@@ -22,6 +23,7 @@ from rcp_kernel.record.store import Store
 from rcp_kernel.streaming.filters import Options, Qos
 from rcp_kernel.system import EstopRequest, LeaseRequest
 from rcp_kernel.wire import Reply, Request, RequestType, Status
+from steps import finished
 
 PAGE = DOCS / "protocol.md"
 
@@ -98,7 +100,8 @@ async def test_the_system_branch_and_the_metrics_are_told() -> None:
         path: ", ".join(sorted(operation_names(entry.operations), key=_told_order))
         for path, entry in kernel.registry.entries.items()
     }
-    families = {m.split("# TYPE ")[1].split()[0] for m in _types(kernel.status.metrics.text())}
+    text = finished(kernel.status.exposition(Rights((), {})))
+    families = {m.split("# TYPE ")[1].split()[0] for m in _types(text)}
     assert set(keys(section(PAGE, "Health and metrics"))) - families == set()
     assert {name for name in families if name.startswith("rcp_")} == {
         name for name in keys(section(PAGE, "Health and metrics")) if name.startswith("rcp_")

@@ -6,6 +6,7 @@ import pytest
 from prometheus_client.parser import text_string_to_metric_families
 
 from kernel.world import CONFIG, World, world_of
+from steps import finished
 
 pytestmark = pytest.mark.anyio
 
@@ -55,7 +56,8 @@ async def test_every_metric_of_the_contract_is_there_and_counts(world: World) ->
     await client.ask(type="subscribe", path="/sensor/level")
     await client.ask(type="read", path="/sensor/level")
     await client.ask(type="read", path="/sensor/nothing")
-    text = world.server.client_api.metrics(world.client().connection.session).decode()
+    session = world.client().connection.session
+    text = finished(world.server.client_api.metrics(session)).decode()
     families = {family.name: family for family in text_string_to_metric_families(text)}
     for name in (
         "rcp_build_info", "rcp_uptime_seconds", "rcp_backend_up", "rcp_requests",

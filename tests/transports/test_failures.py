@@ -10,9 +10,11 @@ import httpx
 import pytest
 from structlog.testing import capture_logs
 
+from rcp_kernel.asgi import Receive, Scope, Send
+from rcp_kernel.client_api import Mount
 from rcp_kernel.clients.session import Answer, Handler, Session
 from rcp_kernel.wire import Request
-from transports.raw import opened
+from transports.raw import connected, opened
 from transports.robot import BOUND, KEY, Site, site
 
 pytestmark = pytest.mark.anyio
@@ -183,3 +185,34 @@ async def test_where_not_even_an_answer_can_be_made_the_connection_is_closed_wit
             raw.ask(type="subscribe", path=POSE, id="1")
             assert await raw.closed() == 1011
     assert "websocket_failed" in [one["event"] for one in said]
+
+
+async def test_who_leaves_while_answered_is_noticed_although_another_request_waits(
+    gateway: Site,
+) -> None:
+    left = asyncio.Event()
+
+    async def endless(_scope: Scope, receive: Receive, send: Send) -> None:
+        async def watch() -> None:
+            while (await receive())["type"] != "http.disconnect":
+                pass
+            left.set()
+
+        async with asyncio.TaskGroup() as group:
+            group.create_task(watch())
+            await send({"type": "http.response.start", "status": 200, "headers": []})
+            while not left.is_set():
+                part = {"type": "http.response.body", "body": bytes(65_536), "more_body": True}
+                await send(part)
+                await asyncio.sleep(0)
+
+    mount = Mount(name="endless", prefix="/endless", app=endless)
+    gateway.server.client_api.mount(mount)
+    with capture_logs() as said:
+        async with connected(gateway) as raw, asyncio.timeout(BOUND):
+            raw.send(b"GET /endless HTTP/1.1\r\nHost: localhost\r\n\r\n" * 2)
+            await raw.reader.readexactly(1000)
+            raw.writer.transport.abort()
+            await left.wait()
+    gateway.server.client_api.unmount(mount)
+    assert said == []

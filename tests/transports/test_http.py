@@ -413,6 +413,36 @@ async def test_commands_are_listed_page_by_page(http: httpx.AsyncClient, gateway
     assert (bad.status_code, error(bad)) == (400, "bad_request")
 
 
+async def test_a_page_of_commands_has_so_many_bytes_at_most_in_every_encoding(
+    http: httpx.AsyncClient, gateway: Site, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def execute(name: str, value: Any, progress: Any) -> None:
+        pass
+
+    monkeypatch.setattr(gateway.robot, "execute", execute)
+    note = Resource(name="service/note", description="Notes.", input=str)
+    gateway.robot.host.declare(note)
+    sent = [
+        (await http.post(f"{CONTEXT}/service/note?wait=5", json="x" * 400_000)).json()["command"]
+        for _ in range(6)
+    ]
+    for accept, decode in (
+        ("application/json", json.loads),
+        ("application/cbor", cbor2.loads),
+        ("application/msgpack", msgspec.msgpack.decode),
+    ):
+        found: list[str] = []
+        query: dict[str, str] = {}
+        while query or not found:
+            response = await http.get("/rcp/v1/commands", params=query, headers={"accept": accept})
+            page = decode(response.content)
+            assert (len(page["body"]), len(response.content) < 1024 * 1024) == (2, True)
+            assert page["body"][0]["input"] == "x" * 400_000
+            found += [command["command"] for command in page["body"]]
+            query = {"cursor": page["cursor"]} if "cursor" in page else {}
+        assert found == sent[::-1]
+
+
 # -- envelopes -------------------------------------------------------------------------------------
 
 
@@ -627,6 +657,26 @@ async def test_a_body_that_does_not_come_is_given_up() -> None:
         async with asyncio.timeout(20):
             data = await raw.reader.readuntil(b"\r\n\r\n")
         assert data.startswith(b"HTTP/1.1 504")
+
+
+async def test_openapi_is_written_anew_when_the_tree_changes_and_for_others_meanwhile(
+    gateway: Site, http: httpx.AsyncClient
+) -> None:
+    path = "/rcp/v1/context/tenant/alpha/sensor/late"
+    beta = {"authorization": "Bearer key-of-tenant-beta"}
+
+    async def told(**headers: str) -> dict[str, Any]:
+        return (await http.get("/openapi.json", headers=headers)).json()["paths"]
+
+    first = await asyncio.gather(told(), told(**beta), told())
+    assert first[0] == first[2] != first[1]
+    assert path not in first[0]
+    late = Resource(name="sensor/late", description="Late.", value=float)
+    gateway.robot.host.declare(late)
+    assert path in await told()
+    assert await told(**beta) == first[1]
+    gateway.robot.host.withdraw("sensor/late")
+    assert await told() == first[0]
 
 
 async def test_openapi_has_every_resource_that_the_caller_sees(http: httpx.AsyncClient) -> None:

@@ -9,7 +9,7 @@ from litestar.datastructures import State
 from litestar.exceptions import HTTPException, MethodNotAllowedException, NotFoundException
 
 from rcp_asgi.index import index_page
-from rcp_asgi.openapi import document
+from rcp_asgi.openapi import Documents
 from rcp_kernel.asgi import Receive, Scope, Send, retry_after, session_of, status_of
 from rcp_kernel.client_api import Asgi, ClientApi
 from rcp_kernel.clients.session import Session
@@ -21,6 +21,7 @@ from rcp_kernel.errors import (
     UnknownPath,
     UnsupportedOperation,
 )
+from rcp_kernel.shared_work import SharedWork
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import encode_reply, failure
 
@@ -36,6 +37,8 @@ Asked = Request[Any, Any, State]
 
 def builtin_app(client_api: ClientApi) -> Asgi:
     """Make the application."""
+    documents = Documents(client_api)
+    scrapes = SharedWork[bytes](client_api.loop)
 
     @get("/healthz", sync_to_thread=False)
     def healthz() -> dict[str, str]:
@@ -57,14 +60,15 @@ def builtin_app(client_api: ClientApi) -> Asgi:
         if not await _sees_all(client_api, request):
             await _session(client_api, request)  # 401 for those who did not say who they are
             raise Forbidden("metrics are for those who act in every tenant")
-        return Response(
-            client_api.metrics(await _session(client_api, request)), media_type=_METRICS
-        )
+        session = await _session(client_api, request)
+        text = await scrapes.result(session.rights, lambda: _exposition(client_api, session))
+        return Response(text, media_type=_METRICS)
 
     @get(["/openapi.json", "/rcp/v1/openapi.json"])
-    async def openapi(request: Asked) -> dict[str, Any]:
+    async def openapi(request: Asked) -> Response[bytes]:
         """Describe what the caller may see."""
-        return document(client_api, await _session(client_api, request))
+        document = await documents.written(await _session(client_api, request))
+        return Response(document, media_type="application/json")
 
     @get(["/", "/rcp/v1"], sync_to_thread=False)
     def index(request: Asked) -> Response[str]:
@@ -90,6 +94,11 @@ def builtin_app(client_api: ClientApi) -> Asgi:
 
 async def _session(client_api: ClientApi, request: Asked) -> Session:
     return await session_of(client_api, cast("Scope", request.scope))
+
+
+async def _exposition(client_api: ClientApi, session: Session) -> bytes:
+    owner = session.principal.identity
+    return await client_api.turns.finish(owner, client_api.metrics(session))
 
 
 async def _sees_all(client_api: ClientApi, request: Asked) -> bool:

@@ -16,7 +16,11 @@ from urllib.parse import unquote
 import httptools
 from uvicorn.config import Config
 from uvicorn.protocols.http.flow_control import HIGH_WATER_LIMIT
-from uvicorn.protocols.http.httptools_impl import STATUS_LINE, HttpToolsProtocol
+from uvicorn.protocols.http.httptools_impl import (
+    STATUS_LINE,
+    HttpToolsProtocol,
+    RequestResponseCycle,
+)
 from uvicorn.server import ServerState
 
 from rcp_asgi.connection_limiter import Seat
@@ -86,6 +90,8 @@ class HttpProtocol(HttpToolsProtocol):
         self._extensions: dict[str, Any] = {}
         self._body: Endless | None = None
         self._backlog: Backlog | None = None
+        self._answered: RequestResponseCycle | None = None
+        """The request that is being answered; `cycle` is the last one that came."""
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         """Take a connection, unless there are too many."""
@@ -134,6 +140,10 @@ class HttpProtocol(HttpToolsProtocol):
         if self._backlog is not None:
             self._backlog.close()
         super().connection_lost(exc)
+        answered = self._answered
+        if answered is not None and not answered.response_complete:
+            answered.disconnected = True
+            answered.message_event.set()
 
     def pause_writing(self) -> None:
         """Hold an endless response back."""
@@ -310,6 +320,8 @@ class HttpProtocol(HttpToolsProtocol):
         if self._proxied:
             self._speak_for_client()
         super().on_headers_complete()
+        if not self.pipeline:
+            self._answered = self.cycle
 
     def _speak_for_client(self) -> None:
         """Take the address that a proxy tells for that of the other end."""
@@ -339,6 +351,8 @@ class HttpProtocol(HttpToolsProtocol):
     def on_response_complete(self) -> None:
         """Go on with what was read behind the request."""
         last = not self.pipeline
+        if not last:
+            self._answered = self.pipeline[-1][0]
         super().on_response_complete()
         if last and self._parting is not None:
             self._part(self._parting)

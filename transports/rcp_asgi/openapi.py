@@ -4,45 +4,77 @@ from __future__ import annotations
 
 from typing import Any
 
+import msgspec
+
 from rcp_kernel.client_api import ClientApi
 from rcp_kernel.clients.session import Session
+from rcp_kernel.shared_work import SharedWork
 from rcp_kernel.status import gateway_version
 
-__all__ = ["document"]
+__all__ = ["Documents"]
 
 _TITLE = "RCP gateway"
+_KEPT = 8  # documents, of a megabyte where there are a thousand resources
 
 
-def document(client_api: ClientApi, session: Session) -> dict[str, Any]:
-    """Write the document for what a session sees.
+class Documents:
+    """The document as callers see it; all that see the same share one until it changes."""
 
-    :raises RateLimited: a quota does not allow it now.
-    """
-    client_api.charge(session)
-    paths: dict[str, Any] = {}
-    schemes = _schemes(client_api)
-    components: dict[str, dict[str, Any]] = {"securitySchemes": schemes}
-    # What an operation may do without proof it says itself, where that is not this.
-    free: list[dict[str, Any]] = [{}] if client_api.proofs.anonymous else []
-    for mount in client_api.mounts:
-        if mount.openapi is None:
-            continue
-        part = mount.openapi(session)
-        paths |= part.get("paths", {})
-        for kind, named in part.get("components", {}).items():
-            components.setdefault(kind, {}).update(named)
-    return {
-        "openapi": "3.1.0",
-        "info": {
-            "title": _TITLE,
-            "version": gateway_version(),
-            "description": "Robots behind one interface: read, write, execute, subscribe.",
-        },
-        "servers": [{"url": "/"}],
-        "security": free + [{name: []} for name in schemes],
-        "paths": paths,
-        "components": components,
-    }
+    def __init__(self, client_api: ClientApi) -> None:
+        self._client_api = client_api
+        self._known: dict[Any, bytes] = {}
+        self._writing = SharedWork[bytes](client_api.loop)
+
+    async def written(self, session: Session) -> bytes:
+        """Return the document for what a session sees.
+
+        :raises RateLimited: a quota does not allow it now.
+        """
+        client_api = self._client_api
+        client_api.charge(session)
+        key = (
+            client_api.generation(session),
+            session.rights,
+            client_api.rights_of_anyone(),
+            client_api.proofs,
+            tuple(client_api.mounts),
+        )
+        document = self._known.pop(key, None)
+        if document is None:
+            document = await self._writing.result(key, lambda: self._write(session))
+        self._known[key] = document  # behind those that nobody has asked for since
+        if len(self._known) > _KEPT:
+            del self._known[next(iter(self._known))]
+        return document
+
+    async def _write(self, session: Session) -> bytes:
+        client_api = self._client_api
+        paths: dict[str, Any] = {}
+        schemes = _schemes(client_api)
+        components: dict[str, dict[str, Any]] = {"securitySchemes": schemes}
+        # What an operation may do without proof it says itself, where that is not this.
+        free: list[dict[str, Any]] = [{}] if client_api.proofs.anonymous else []
+        for mount in list(client_api.mounts):
+            if mount.openapi is None:
+                continue
+            part = await mount.openapi(session)
+            paths |= part.get("paths", {})
+            for kind, named in part.get("components", {}).items():
+                components.setdefault(kind, {}).update(named)
+        return msgspec.json.encode(
+            {
+                "openapi": "3.1.0",
+                "info": {
+                    "title": _TITLE,
+                    "version": gateway_version(),
+                    "description": "Robots behind one interface: read, write, execute, subscribe.",
+                },
+                "servers": [{"url": "/"}],
+                "security": free + [{name: []} for name in schemes],
+                "paths": paths,
+                "components": components,
+            }
+        )
 
 
 def _schemes(client_api: ClientApi) -> dict[str, Any]:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import hashlib
-from typing import Any, get_args
+from typing import Any
 
 import msgspec
 from msgspec import Raw
 
 from rcp_http.answers import BOOT, Answers, matches
+from rcp_http.command_pages import Wanted, fill
 from rcp_http.config import HttpConfig
 from rcp_http.context import Context, Follower
 from rcp_http.negotiate import body_encoding
@@ -17,25 +18,14 @@ from rcp_kernel.asgi import Receive, Send, respond
 from rcp_kernel.client_api import ClientApi
 from rcp_kernel.clients.session import Session
 from rcp_kernel.clock import iso, now
-from rcp_kernel.errors import BadRequest, RcpError, UnknownPath, UnsupportedOperation
-from rcp_kernel.operations.command import Command
-from rcp_kernel.operations.pages import LONGEST, cursor_of, place_of
+from rcp_kernel.errors import RcpError, UnknownPath, UnsupportedOperation
+from rcp_kernel.operations.pages import room
+from rcp_kernel.operations.parts import Parts
 from rcp_kernel.values import Encoding
-from rcp_kernel.wire import (
-    FINAL,
-    Reply,
-    Request,
-    Status,
-    decode_request,
-    encode_reply,
-    failure,
-    peek_header,
-)
+from rcp_kernel.wire import Reply, Request, decode_request, encode_reply, failure, peek_header
 
 __all__ = ["Calls"]
 
-_PAGE = 100  # items of a page where the caller does not say how many
-_STATUSES = (*get_args(Status), "running")
 _STREAMS = ("subscribe", "unsubscribe", "hello")
 
 
@@ -105,35 +95,11 @@ class Calls:
     async def commands(self, asked: HttpRequest, session: Session, send: Send) -> None:
         """GET /commands: the newest first, without their histories."""
         asked.allow("status", "path", "limit", "cursor")
-        status, path = asked.one("status"), asked.one("path")
-        if status is not None and status not in _STATUSES:
-            known = ", ".join(_STATUSES)
-            raise BadRequest(f"{status[:40]!r} is no status", remedy=f"Name one of {known}.")
-        limit = _count(asked.one("limit"))
-        cursor = asked.one("cursor")
-        after = None if cursor is None else _place(place_of(cursor[:LONGEST]))
-        # By when they began, which never changes: a command that ends between two pages stays
-        # where it was.
-        listed = sorted(self._client_api.commands(session), key=_age, reverse=True)
-        found: list[dict[str, Any]] = []
-        last: Command | None = None
-        for command in listed:
-            if after is not None and _age(command) >= after:
-                continue
-            live = status == "running" and command.status not in FINAL
-            if (status is None or live or command.status == status) and (
-                path is None or command.path == path
-            ):
-                if len(found) == limit:
-                    break
-                facts = command.plain()
-                del facts["history"]
-                found.append(facts)
-                last = command
-        else:
-            last = None
-        next_ = None if last is None else cursor_of(f"{last.created}:{last.id}")
-        await self._plain(asked, send, found, "/system/commands", next_)
+        client_api = self._client_api
+        page, longest = Parts(asked.encoding), room(client_api.limits.message)
+        work = fill(page, Wanted.read(asked), client_api.commands(session), longest)
+        cursor = await client_api.turns.finish(session.principal.identity, work)
+        await self._plain(asked, send, page, "/system/commands", cursor)
 
     async def command(self, asked: HttpRequest, session: Session, id_: str, send: Send) -> None:
         """GET /commands/<id>: the state, with feedback and history."""
@@ -178,7 +144,7 @@ class Calls:
             if (text := asked.one(name)) is not None:
                 query[name] = text
         if "limit" in asked.query:
-            query["limit"] = _count(asked.one("limit"))
+            query["limit"] = count("limit", asked.one("limit") or "")
         if (text := asked.one("schemas")) is not None:
             query["schemas"] = flag("schemas", text)
         request = asked.request("discover", asked.one("path"))
@@ -223,20 +189,3 @@ class Calls:
             await respond(send, 200, msgspec.json.encode(found), b"application/schema+json")
             return
         await self._plain(asked, send, found, None)
-
-
-def _count(text: str | None) -> int:
-    return _PAGE if text is None else count("limit", text)
-
-
-def _age(command: Command) -> tuple[int, str]:
-    return command.created, command.id
-
-
-def _place(text: str) -> tuple[int, str]:
-    created, _, id_ = text.partition(":")
-    if not (created.isascii() and created.isdigit()):
-        raise BadRequest(
-            "`cursor` is not one of this list's", remedy="Send the cursor of the last page."
-        )
-    return int(created), id_

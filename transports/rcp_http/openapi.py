@@ -4,21 +4,27 @@ from __future__ import annotations
 
 from typing import Any
 
+import msgspec
+from msgspec import Raw
+
 from rcp_http.openapi_calls import ERROR, REPLY, calls
 from rcp_http.openapi_responses import COMMAND, READ, refusals, responses
-from rcp_kernel.access.acl import Rights
 from rcp_kernel.client_api import ClientApi
 from rcp_kernel.clients.session import Session
-from rcp_kernel.errors import Unauthenticated
 from rcp_kernel.model import Operation
 from rcp_kernel.operations.discovery import Query
 
 __all__ = ["Described"]
 
 Node = dict[str, Any]
-_PAGE = 1000
+_PAGE = 10  # resources that are described in one step
 _CONTEXT = "/rcp/v1/context"
 _METHODS = {"get": Operation.READ, "put": Operation.WRITE, "post": Operation.EXECUTE}
+
+
+def _written(node: Node) -> Raw:
+    """Write a part of the document: the whole is too long to be written in one turn of the loop."""
+    return Raw(msgspec.json.encode(node))
 
 
 def _content(schema: Node) -> Node:
@@ -26,44 +32,35 @@ def _content(schema: Node) -> Node:
 
 
 class Described:
-    """Describes what a session sees; the last description is kept until the tree changes."""
+    """Describes what a session sees."""
 
     def __init__(self, client_api: ClientApi) -> None:
         self._client_api = client_api
-        self._known: tuple[Any, Node] | None = None
 
-    def part(self, session: Session) -> Node:
+    async def part(self, session: Session) -> Node:
         """Return `paths` and `components` of the OpenAPI document."""
-        anyone = self._rights_of_anyone()
-        key = (self._client_api.generation(session), session.rights, anyone)
-        if self._known is None or self._known[0] != key:
-            self._known = key, self._make(session, anyone)
-        return self._known[1]
-
-    def _rights_of_anyone(self) -> Rights | None:
-        """Return what those may do who prove nothing; None where nobody is served without proof."""
-        try:
-            principal = self._client_api.known(None)
-        except Unauthenticated:
-            return None
-        return None if principal is None else self._client_api.session(principal).rights
-
-    def _make(self, session: Session, anyone: Rights | None) -> Node:
+        turns, owner = self._client_api.turns, session.principal.identity
         schemas: Node = {"Reply": REPLY, "Error": ERROR}
         paths: Node = calls()
-        proofs = self._client_api.proofs
-        proved = [{"bearer": []}] if proofs.bearer else []
-        proved += [{"certificate": []}] if proofs.certificates else []
-        cursor: str | None = None
-        while True:
-            page = self._client_api.discover(session, "/**", Query(limit=_PAGE, cursor=cursor))
-            for resource in page["resources"]:
-                free = 0 if anyone is None else anyone.compute_mask(resource["path"])
-                _describe(resource, paths, schemas, free, proved)
+        free = self._client_api.rights_of_anyone()
+        proved = self._proofs()
+        query: Query | None = Query(limit=_PAGE)
+        while query is not None:
+            await turns.wait(owner)
+            with turns.spending():
+                page = self._client_api.discover(session, "/**", query)
+                for resource in page["resources"]:
+                    allowed = 0 if free is None else free.compute_mask(resource["path"])
+                    _describe(resource, paths, schemas, allowed, proved)
             cursor = page.get("cursor")
-            if cursor is None:
-                found = {"schemas": schemas, "responses": {"202": _ACCEPTED} | responses()}
-                return {"paths": paths, "components": found}
+            query = None if cursor is None else Query(limit=_PAGE, cursor=cursor)
+        found = {"schemas": schemas, "responses": {"202": _ACCEPTED} | responses()}
+        return {"paths": paths, "components": found}
+
+    def _proofs(self) -> list[Node]:
+        proofs = self._client_api.proofs
+        proved: list[Node] = [{"bearer": []}] if proofs.bearer else []
+        return proved + ([{"certificate": []}] if proofs.certificates else [])
 
 
 def _describe(resource: Node, paths: Node, schemas: Node, free: int, proved: list[Node]) -> None:
@@ -92,7 +89,7 @@ def _describe(resource: Node, paths: Node, schemas: Node, free: int, proved: lis
         if method in item and not free & operation:
             item[method]["security"] = proved
     if item:
-        paths[_CONTEXT + resource["path"]] = item
+        paths[_CONTEXT + resource["path"]] = _written(item)
 
 
 def _operation(
@@ -149,9 +146,9 @@ def _component(id_: str, schema: Node, schemas: Node) -> Node:
     if id_ not in schemas:
         place = f"#/components/schemas/{id_}."
         for name, inner in schema.get("$defs", {}).items():
-            schemas[f"{id_}.{name}"] = _moved(inner, place)
+            schemas[f"{id_}.{name}"] = _written(_moved(inner, place))
         whole = {key: item for key, item in schema.items() if key not in ("$defs", "$id")}
-        schemas[id_] = _moved(whole, place)
+        schemas[id_] = _written(_moved(whole, place))
     return {"$ref": f"#/components/schemas/{id_}"}
 
 

@@ -53,13 +53,19 @@ class Events:
         stream = Stream(scope, receive, send, self._config.comment)
         token = bearer(header(scope, b"authorization"))
         principal = await self._client_api.identify(token, peer_of(scope))
-        connection, lost = self._connect(scope, query, stream, principal)
+        # Those who come and those who go take turns: each may bring the feeds of a whole tree along.
+        turns, owner = self._client_api.turns, principal.identity
+        await turns.wait(owner)
+        with turns.spending():
+            connection, lost = self._connect(scope, query, stream, principal)
         try:
             if not connection.session.subscriptions:
                 await self._subscribe(connection, query, path)
             await self._run(connection, stream, lost)
+            await turns.wait(owner)
         finally:
-            self._leave(connection)
+            with turns.spending():
+                self._leave(connection)
 
     def _connect(
         self, scope: Scope, query: Query, stream: Stream, principal: Principal

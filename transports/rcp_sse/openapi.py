@@ -45,7 +45,7 @@ def _stream(summary: str, parameters: list[dict[str, Any]]) -> dict[str, Any]:
     }
 
 
-def described(_: Session) -> dict[str, Any]:
+async def described(_: Session) -> dict[str, Any]:
     """Describe the calls; they are the same for everybody."""
     options = [_parameter(name, "query", text) for name, text in _OPTIONS.items()]
     path = _parameter("path", "query", "A path or pattern; may be given again.", required=True)

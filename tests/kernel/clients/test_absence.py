@@ -52,6 +52,28 @@ async def test_a_source_goes_on_while_its_client_is_away_and_stops_when_it_is_gi
     assert world.server.kernel.registry.entries[LAZY].listeners == []
 
 
+async def test_any_number_of_clients_that_are_away_make_one_listener_and_the_last_takes_it_along(
+    world: World,
+) -> None:
+    entry = world.server.kernel.registry.entries[LAZY]
+    sessions: list[Any] = []
+    for rate in (1, 5, None, 5):
+        client = world.client()
+        await greeted(client)
+        await client.update(
+            await subscribed(client, "/sensor/lazy", **({} if rate is None else {"rate": rate}))
+        )
+        sessions.append(client.connection.session)
+        client.connection.close()
+    assert len(entry.listeners) == 1
+    wanted: list[float | None] = []
+    for session in reversed(sessions):
+        wanted.append(entry.listeners[0].rate)  # pyright: ignore[reportAttributeAccessIssue, reportUnknownMemberType]
+        world.server.kernel.sessions.drop(session)
+    assert wanted == [None, None, 5, 1]
+    assert entry.listeners == []
+
+
 async def test_rules_that_forbid_a_path_to_who_is_away_let_its_source_go(world: World) -> None:
     client = world.client()
     await greeted(client)

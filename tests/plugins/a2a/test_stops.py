@@ -6,9 +6,10 @@ import json
 
 import pytest
 
-from plugins.a2a.agent import agent, caller, rpc, sent, text
+from plugins.a2a.agent import agent, caller, data, rpc, sent, text
 from plugins.a2a.test_runs import said, state
 from rcp_kernel.errors import AdapterUnavailable
+from transports.robot import until
 
 pytestmark = pytest.mark.anyio
 
@@ -24,6 +25,52 @@ async def test_the_card_says_how_robots_are_stopped_and_held() -> None:
         (artifact,) = task["artifacts"]
         robots = artifact["parts"][0]["data"]["result"]["robots"]
         assert {one["state"] for one in robots.values()} == {"confirmed"}
+
+
+STOPS = [
+    text("execute /system/estop"),
+    data({"steps": [{"do": "execute", "path": "/system/estop"}]}),
+    text("execute /service/hold\nexecute /tenant/alpha/service/hold"),
+]
+NO_STOPS = [
+    text("execute /system/estop\nexecute /action/go 1"),
+    data({"steps": [{"do": "execute", "path": "/system/estop", "when": "true"}]}),
+    text("read /sensor/pose"),
+]
+
+
+async def test_no_rate_keeps_anybody_from_a_stop() -> None:
+    top = "[quotas]\nprincipal = { requests = 0.01, burst = 1 }"
+    async with agent(top=top) as site, caller(site) as client:
+        await client.get("/a2a/tasks")
+        for stop in STOPS:
+            assert state(await sent(client, stop)) == "COMPLETED"
+        for other in NO_STOPS:
+            assert (await client.post("/a2a/message:send", json=other)).status_code == 429
+
+
+@pytest.mark.parametrize(
+    "top", ["[quotas]\nprincipal = { plans = 1, commands = 1 }", "[plans]\nrunning = 1"]
+)
+async def test_no_number_of_plans_keeps_anybody_from_a_stop(top: str) -> None:
+    async with agent(top=top) as site, caller(site) as client:
+        wait = {"do": "wait", "until": "false", "deadline": 60}
+        begun = {"returnImmediately": True}
+        await sent(client, data({"steps": [wait]}, configuration=begun))
+        await until(lambda: site.server.kernel.commands.running)
+        assert "queue_full" in json.dumps(await sent(client, text("read /sensor/pose")))
+        assert state(await sent(client, text("execute /service/hold"))) == "COMPLETED"
+
+
+async def test_no_quota_keeps_anybody_from_cancelling_a_task() -> None:
+    top = "[quotas]\nprincipal = { requests = 0.01, burst = 3 }"
+    async with agent(top=top) as site, caller(site) as client:
+        begun = {"returnImmediately": True}
+        task = await sent(client, text("execute /action/go 1", configuration=begun))
+        while (await client.get(f"/a2a/tasks/{task['id']}")).status_code == 200:
+            pass
+        answer = await client.post(f"/a2a/tasks/{task['id']}:cancel", json={})
+        assert (answer.status_code, state(answer.json())) == (200, "CANCELED")
 
 
 async def test_a_robot_is_held_without_a_latch() -> None:

@@ -15,7 +15,7 @@ import signal
 import socket
 import sys
 import time
-from collections.abc import AsyncGenerator
+from collections.abc import AsyncGenerator, Generator
 from contextlib import asynccontextmanager
 from types import SimpleNamespace
 from typing import Any
@@ -184,13 +184,21 @@ class Client:
         status = self._server.status
         assert status.guard is not None
         report = status.plain()
-        text = status.exposition(self._connection.session.rights).decode()
+        text = _finished(status.exposition(self._connection.session.rights)).decode()
         tell(
             guard=report["guard"],
             pid=status.guard._process.pid,
             warnings=[record["message"] for record in report["warnings"]],
             metrics=re.findall(r"^(rcp_(?:guard|event).*) (\S+)$", text, re.MULTILINE),
         )
+
+
+def _finished(work: Generator[None, None, bytes]) -> bytes:
+    while True:
+        try:
+            next(work)
+        except StopIteration as end:
+            return end.value
 
 
 async def main(asked: dict[str, Any]) -> None:

@@ -18,6 +18,7 @@ from rcp_kernel.config.limits import Quota
 from rcp_kernel.errors import ConfigError, RateLimited
 from rcp_kernel.values import Encoding, dump
 from rcp_kernel.wire import Request
+from steps import finished
 
 pytestmark = pytest.mark.anyio
 
@@ -243,7 +244,8 @@ async def test_refusals_are_counted_for_the_operator(slow: World) -> None:
     client = slow.client(ANN)
     for _ in range(5):
         await client.ask(type="ping")
-    text = slow.server.client_api.metrics(slow.client().connection.session).decode()
+    session = slow.client().connection.session
+    text = finished(slow.server.client_api.metrics(session)).decode()
     assert 'rcp_quota_refused_total{quota="tenant",tenant="alpha",what="requests"} 2.0' in text
 
 

@@ -1,0 +1,82 @@
+"""A page of the list of commands: which are asked for, and as many as there is room for."""
+
+from __future__ import annotations
+
+from collections.abc import Generator, Iterable
+from typing import NamedTuple, get_args
+
+from rcp_http.request import HttpRequest, count
+from rcp_kernel.errors import BadRequest
+from rcp_kernel.operations.command import Command
+from rcp_kernel.operations.pages import LONGEST, cursor_of, place_of
+from rcp_kernel.operations.parts import Parts
+from rcp_kernel.wire import Status
+
+__all__ = ["Wanted", "fill"]
+
+_PAGE = 100  # items of a page where the caller does not say how many
+_STATUSES = (*get_args(Status), "running")
+
+
+class Wanted(NamedTuple):
+    """What the parameters of a request ask for."""
+
+    status: str | None
+    path: str | None
+    after: tuple[int, str] | None
+    """The last command of the page before."""
+    limit: int
+
+    @classmethod
+    def read(cls, asked: HttpRequest) -> Wanted:
+        """Read the parameters.
+
+        :raises BadRequest: one of them is not what it should be.
+        """
+        status, cursor, limit = asked.one("status"), asked.one("cursor"), asked.one("limit")
+        if status is not None and status not in _STATUSES:
+            known = ", ".join(_STATUSES)
+            raise BadRequest(f"{status[:40]!r} is no status", remedy=f"Name one of {known}.")
+        after = None if cursor is None else _place(place_of(cursor[:LONGEST]))
+        return cls(
+            status, asked.one("path"), after, _PAGE if limit is None else count("limit", limit)
+        )
+
+    def takes(self, command: Command) -> bool:
+        """Tell whether a command is asked for."""
+        if self.after is not None and command.age >= self.after:
+            return False
+        if self.path is not None and command.path != self.path:
+            return False
+        if self.status == "running":
+            return not command.final
+        return self.status in (None, command.status)
+
+
+def fill(
+    page: Parts, wanted: Wanted, commands: Iterable[Command | None], longest: int
+) -> Generator[None, None, str | None]:
+    """Fill a page with at most `longest` bytes in steps; return the cursor of the next page.
+
+    The first command is told however long it is.
+    """
+    last: Command | None = None
+    for command in commands:
+        yield
+        if command is None or not wanted.takes(command):
+            continue
+        room = None if last is None else longest
+        full = len(page) == wanted.limit
+        if full or not page.add(None, command.plain(history=False), room):
+            return None if last is None else cursor_of(f"{last.created}:{last.id}")
+        last = command
+    return None
+
+
+def _place(text: str) -> tuple[int, str]:
+    created, _, id_ = text.partition(":")
+    if not (created.isascii() and created.isdigit()):
+        raise BadRequest(
+            "`cursor` is not one of this list's", remedy="Send the cursor of the last page."
+        )
+    return int(created), id_
