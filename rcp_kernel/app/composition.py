@@ -202,9 +202,7 @@ def compose(
         sessions=clients.sessions,
         leases=clients.leases,
         guard=system.guard,
-        is_stop=requests.router.is_stop,
         status=system.status,
-        turns=base.turns,
         system=system.branch,
         supervisors=base.supervisors,
         supervise=_supervise(base, records, motion),
@@ -588,6 +586,7 @@ def _client_api(
         counts=base.counts,
         store=records.store,
         status=system.status,
+        is_stop=requests.router.is_stop,
         turns=base.turns,
         loop=base.loop,
     )

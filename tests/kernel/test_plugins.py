@@ -112,7 +112,8 @@ def distributed(
 NEEDY = """
 import msgspec
 from rcp_kernel.hookspecs import hookimpl
-from rcp_kernel.spi import AdapterKind, BackendKind
+from rcp_kernel.client_kinds import AdapterKind
+from rcp_kernel.spi import BackendKind
 class C(msgspec.Struct, forbid_unknown_fields=True): pass
 def never(config, host): raise AssertionError("opened without what it needs")
 needs = ("json", "no_such_library")

@@ -241,8 +241,12 @@ def _decode_slowly(data: bytes, encoding: Encoding, error: Exception) -> Request
             f"the envelope's are: {', '.join(sorted(_KNOWN))}.",
             details={"unknown": unknown[:10]},
         )
-    encode = _to_json.encode if encoding is Encoding.JSON else _to_msgpack.encode
+    encode = _to_json.encode if is_json else _to_msgpack.encode
     try:
+        decode = msgspec.json.decode if is_json else msgspec.msgpack.decode
+        named = decode(fields["type"]) if "type" in fields else None
+        if isinstance(named, str) and named not in get_args(RequestType):
+            raise BadRequest(f"`type` must be one of {', '.join(get_args(RequestType))}")
         request = (_from_json if encoding is Encoding.JSON else _from_msgpack).decode(
             encode(fields)
         )
@@ -256,8 +260,6 @@ def _decode_slowly(data: bytes, encoding: Encoding, error: Exception) -> Request
 def _malformed(data: bytes, encoding: Encoding, error: Exception) -> str:
     if not data:
         return "the message is empty"
-    if "type" in str(error) and "Invalid enum" in str(error):
-        return f"`type` must be one of {', '.join(get_args(RequestType))}"
     return f"malformed envelope in {encoding.value}: {error}"
 
 
