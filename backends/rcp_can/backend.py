@@ -110,7 +110,7 @@ class CanBackend(BaseBackend):
 
         :raises RcpError: as `halt`.
         """
-        reason = ModeForbids("the robot was told to hold")
+        reason = ModeForbids("the robot was commanded to hold")
         await self._all(part.hold(reason) for part in self._parts)
 
     async def recover(self, robot: str | None) -> str:

@@ -334,7 +334,7 @@ class Goal:
             self._abandon()
             raise DeviceTimeout(
                 f"the cancel of {self._name} was sent and is not confirmed",
-                remedy="Look at the robot: it may still be moving. Use the e-stop if in doubt.",
+                remedy="Check the robot: it may still be moving. Use the e-stop if in doubt.",
             )
         return True
 

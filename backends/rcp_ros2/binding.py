@@ -169,7 +169,7 @@ class Binding:
 
     async def read(self) -> Any:
         """Return the present value."""
-        raise UnsupportedOperation(f"'{self.resource.name}' cannot be asked for")
+        raise UnsupportedOperation(f"'{self.resource.name}' cannot be read")
 
     async def write(self, value: Any) -> Any:
         """Bring a value into force."""

@@ -257,7 +257,7 @@ def _weigh(account: QuotaUsage[Session], limit: int) -> None:
     account.waiting = total
     over = total - limit
     reason = (
-        f"ended: more than the {limit} bytes of the quota of this {account.owner} wait for its "
+        f"session closed: the clients of this {account.owner} have more than {limit} unread bytes, "
         "clients"
     )
     for size, session in held:

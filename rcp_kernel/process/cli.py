@@ -63,7 +63,7 @@ main.add_command(token)
 
 @main.command()
 @click.option("--port", type=click.IntRange(0, 65535), default=8080, show_default=True)
-@click.option("--verbose", is_flag=True, help="Log what the gateway does, not only warnings.")
+@click.option("--verbose", is_flag=True, help="Log at level info, not only warnings.")
 def demo(*, port: int, verbose: bool) -> None:
     """Serve simulated robots on loopback: no hardware, no configuration, no second terminal."""
     from rcp_kernel.process.demo import Demo
@@ -149,7 +149,7 @@ def new() -> None:
     "--into",
     type=click.Path(path_type=Path),
     default=Path(),
-    help="Folder to make it in; the present one if not given.",
+    help="Parent folder. Default: the current folder.",
 )
 def new_backend(name: str, into: Path) -> None:
     """Write a backend plugin of its own distribution that passes the public suite."""
@@ -181,7 +181,8 @@ def _warn_of_damage(path: Path | None) -> None:
         damage = find_damage(path)
         if damage is not None:
             text = (
-                f"the store is damaged: {damage}; every robot will be latched: `rcpd store repair`"
+                f"the store is damaged: {damage}; every robot will be latched at the start. "
+                "Run `rcpd store repair`"
             )
             click.echo(f"warning: {text}", err=True)
 
@@ -240,9 +241,9 @@ async def _serve(prepared: Prepared, recent: Recent, path: Path | None, demo: De
 
         def ask(name: str) -> None:
             if stop.is_set():
-                click.echo("rcpd: stopped without waiting", err=True)
+                click.echo("rcpd: stopped immediately", err=True)
                 signal.raise_signal(signal.SIGKILL)
-            click.echo(f"rcpd: {name}: bringing the robots to rest", err=True)
+            click.echo(f"rcpd: {name}: stopping the robots", err=True)
             notifier.send("STOPPING=1")
             stop.set()
 
@@ -253,7 +254,7 @@ async def _serve(prepared: Prepared, recent: Recent, path: Path | None, demo: De
             await _serve_until(stop, server, path, demo)
     if not server.kernel.store.lost:
         return 0
-    click.echo("rcpd: the store could not be written: the end of the record is lost", err=True)
+    click.echo("rcpd: cannot write the store: the last audit records are lost", err=True)
     return _RECORD_LOST
 
 

@@ -38,13 +38,13 @@ def check(config: Path, store: Path | None) -> None:
         with store_errors(path):
             damage = find_damage(path, bound=None)
         if damage is not None:
-            fail(f"the store '{path}' is damaged: {damage}; `rcpd store repair` makes it anew")
+            fail(f"the store '{path}' is damaged: {damage}; run `rcpd store repair`")
         verdict = check_whole(path)
     except ConfigError as error:
         fail(str(error))
     for seq, what in verdict.findings:
         click.echo(f"record {seq}: {what}")
-    click.echo(f"{path}: whole; {verdict.count} records; head {written(verdict.head)}")
+    click.echo(f"{path}: ok; {verdict.count} records; head {written(verdict.head)}")
     if verdict.findings:
         sys.exit(1)
 
@@ -110,13 +110,19 @@ def _tell(path: Path, made: Repaired) -> None:
     for seq, what in examined(path).findings:
         click.echo(f"record {seq}: {what}")
     click.echo(f"{path}: {made.records} records, {made.missing} missing; head {written(made.head)}")
-    click.echo(f"What there was is in {made.aside}.", err=True)
+    click.echo(f"The old files are in {made.aside}.", err=True)
     if made.apart:
-        click.echo("The record made since the damage stays there: its numbers are taken.", err=True)
-    if made.tokens:
         click.echo(
-            f"{made.tokens} API keys are good; one that was revoked since may be among them: "
-            "look at `rcpd token list`.",
+            "Audit records written since the damage stay there: their numbers are already in use.",
             err=True,
         )
-    click.echo("The next start has every robot latched: look at them, then reset that.", err=True)
+    if made.tokens:
+        click.echo(
+            f"{made.tokens} API keys are valid. Some may have been revoked after the backup: "
+            "check `rcpd token list`.",
+            err=True,
+        )
+    click.echo(
+        "At the next start every robot is latched: check the robots, then reset the e-stop.",
+        err=True,
+    )

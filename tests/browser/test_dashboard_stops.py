@@ -287,7 +287,7 @@ async def test_a_command_that_the_link_cut_off_says_what_becomes_of_the_robot(
         await form.get_by_role("button", name="Execute", exact=True).click()
         await expect(form.get_by_test_id("running")).to_be_visible()
         gateway.by["near"].lose()
-        words = "it is told to hold when contact returns"
+        words = "the gateway commands it to hold when the link is restored"
         await expect(form.get_by_test_id("refusal")).to_contain_text(words)
         await tab.open("commands")
         await expect(tab.page.get_by_role("main")).to_contain_text(words)

@@ -64,9 +64,9 @@ def test_the_way_to_a_safe_deployment_is_walked(tmp_path: Path) -> None:
     assert done.returncode == 0, out
     assert '"code":"unauthenticated"' in out
     for code, told in [
-        ("lease_required", "is commanded only under a lease"),
+        ("lease_required", "accepts commands only under a lease"),
         ("out_of_range", "2.0 > 1 m/s (people walk here)"),
-        ("estop_active", "an e-stop by anna is latched: a try"),
+        ("estop_active", "anna has latched an e-stop: a try"),
     ]:
         assert re.search(rf"^rcpctl: .*{re.escape(told)}.*\nrefused: {code}$", out, re.MULTILINE), (
             out

@@ -154,7 +154,7 @@ def test_the_exit_code_tells_that_the_end_of_the_record_is_lost(tmp_path: Path) 
     finally:
         code = served.end()
     assert code == 3
-    assert "rcpd: the store could not be written: the end of the record is lost" in served.text
+    assert "rcpd: cannot write the store: the last audit records are lost" in served.text
     assert "Traceback" not in served.text
 
 

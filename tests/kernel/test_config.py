@@ -46,7 +46,7 @@ def test_a_transport_is_taken_out_by_false() -> None:
         ('[[backends]]\nuse = "sin"\ntenant = "a"', ["backends 'sin'", "did you mean 'sim'"]),
         ('[[backends]]\nuse = "sim"', ["backends[0]", "tenant"]),
         ('[backends]\nuse = "sim"', ["[[backends]]"]),
-        (GOOD + GOOD, ["two [[backends]] are named 'sim'"]),
+        (GOOD + GOOD, ["two [[backends]] have the name 'sim'"]),
         ('[[keys]]\nname = "k"\nrole = "boss"\nkey = "0123456789abcdef"', ["role 'boss'", "operator"]),
         ('[[keys]]\nname = "k"\nrole = "admin"', ["key 'k' needs either `key` or `sha256`"]),
         ('[[keys]]\nname = "k"\nrole = "admin"\nkey = "short"', ["keys[0].key", "length"]),
@@ -69,9 +69,7 @@ def test_a_secret_comes_from_the_environment(monkeypatch: pytest.MonkeyPatch) ->
     monkeypatch.setenv("ROBOT_KEY", "0123456789abcdef-secret")
     assert parse(text, "f").keys[0].key == "0123456789abcdef-secret"
     monkeypatch.delenv("ROBOT_KEY")
-    with pytest.raises(
-        ConfigError, match=r"keys\[0\].key wants the environment variable ROBOT_KEY"
-    ):
+    with pytest.raises(ConfigError, match=r"keys\[0\].key uses the environment variable ROBOT_KEY"):
         parse(text, "f")
 
 

@@ -184,5 +184,5 @@ class Context:
         self._client_api.charge(session)
         found = self._client_api.discover(session, path, Query(limit=1, schemas=False))["resources"]
         if not found:
-            raise UnknownPath(f"there is no resource {path}", path=path)
+            raise UnknownPath(f"no resource {path}", path=path)
         return methods_of(found[0]["operations"])

@@ -169,7 +169,7 @@ class WsClient:
         """Take nothing but `hello` from a client that has not proved who it is."""
         type_, id_ = peek_header(data, self._encoding)
         if type_ != "hello" and not self.connection.holds:
-            error = Unauthenticated("this gateway serves nobody without a token")
+            error = Unauthenticated("authentication required")
             self.connection.send(failure(error, type_, id_))
             return
         self.connection.receive(data)

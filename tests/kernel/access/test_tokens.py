@@ -109,7 +109,7 @@ async def test_a_role_that_the_configuration_lost_gives_nothing(text: str, store
         (["create", "a b", "--role", "viewer"], "a NAME has"),
         (["create", "arm", "--role", "viewer", "--expires", "soon"], "is no day or time"),
         (["create", "arm", "--role", "viewer", "--expires", "2020-01-01"], "is past"),
-        (["revoke", "arm"], "there is no key 'arm'"),
+        (["revoke", "arm"], "no valid key is named 'arm'"),
     ],
 )
 def test_a_mistake_is_told_with_the_way_out(config: Path, words: list[str], said: str) -> None:

@@ -16,7 +16,10 @@ from rcp_kernel.errors import ConfigError
         ('[plans.actions.go]\npath = "action/go"', "plans.actions"),
         ('[plans.actions.set]\npath = "/param/limit"\ndo = "write"', "has no `value`"),
         ("[plans]\nsteps = 0", "plans.steps = 0"),
-        ('[roles.a]\napprove = ["action/dock"]', "[roles.a] approve has a rule for no path"),
+        (
+            '[roles.a]\napprove = ["action/dock"]',
+            "[roles.a] approve has a rule with an invalid path",
+        ),
         ('[roles.a]\napprove = ["/system/estop"]', "needs no approval"),
     ],
 )

@@ -88,7 +88,7 @@ async def test_a_store_that_others_may_read_is_told_of(
     warned: bool,  # noqa: FBT001 - a case
 ) -> None:
     allow(store, mode)
-    told = f"others may read '{store}', and so the record: `chmod 600 {store}`"
+    told = f"other users can read '{store}', which contains the audit log: run `chmod 600 {store}`"
     configure("warning", "json")
     with capture_logs() as said:
         DiskStore(store, asyncio.get_running_loop()).close()

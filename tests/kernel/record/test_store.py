@@ -124,7 +124,7 @@ async def test_no_start_while_another_program_holds_the_store(tmp_path: Path) ->
     path = whole(tmp_path / "store.db")
     with closing(sqlite3.connect(path)) as other:
         other.execute("BEGIN IMMEDIATE")
-        with pytest.raises(ConfigError, match="Close the program that holds it open"):
+        with pytest.raises(ConfigError, match="Close the program that has it open"):
             DiskStore(path, asyncio.get_running_loop())
         other.rollback()
 

@@ -254,7 +254,7 @@ def test_whatever_a_signed_claim_holds_it_is_told_by_an_error_of_the_contract(va
             "did you mean 'operator'",
         ),
         ('issuer = "i"\naudience = "a"\nrole = "viewer"\nkeys = "nowhere.pem"', "cannot be read"),
-        ('issuer = "i"\naudience = "a"\nrole = "viewer"\nkeys = "{}"', "holds no public key"),
+        ('issuer = "i"\naudience = "a"\nrole = "viewer"\nkeys = "{}"', "is not a public key"),
     ],
 )
 def test_a_faulty_table_says_what_is_wrong(text: str, said: str) -> None:
