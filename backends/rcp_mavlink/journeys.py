@@ -234,7 +234,7 @@ class Journeys:
         """Return what a journey fails with that ended on its way."""
         if pace.fault is not None:
             return DeviceRejected(
-                f"move_to: {pace.fault}; the vehicle was told to hold", details=error.details
+                f"move_to: {pace.fault}; the vehicle was commanded to hold", details=error.details
             )
         if is_breached(self._vehicle) and "fence" not in str(error).lower():
             return DeviceRejected(

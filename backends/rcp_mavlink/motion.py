@@ -142,7 +142,7 @@ class Motion:
         """
         why = self.measurement.unknown()
         await self.shielded(self.hold)
-        raise DeviceTimeout(f"{what}: {why}; the vehicle was told to hold")
+        raise DeviceTimeout(f"{what}: {why}; the vehicle was commanded to hold")
 
     # Coming to rest
 

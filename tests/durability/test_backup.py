@@ -161,7 +161,7 @@ async def test_a_restore_takes_no_damaged_backup_and_none_of_another_store(tmp_p
     shutil.copy(f"{file}.head", f"{bad}.head")
     bad.write_bytes(bad.read_bytes()[:-4096])
     assert "is damaged" in store("restore", bad, "--store", path, code=1)
-    assert "is there already" in store("backup", file, "--store", path, code=1)
+    assert "already exists" in store("backup", file, "--store", path, code=1)
     assert path.read_bytes() == before
 
 

@@ -127,5 +127,5 @@ def test_a_certificate_says_whose_it_is_and_what_it_may(text: str, told: str) ->
 
 def test_a_subject_of_no_known_form_is_found_before_anything_starts() -> None:
     text = '[[certificates]]\nname = "c"\nrole = "viewer"\nsubject = "CN=a=b, nothing"\n'
-    with pytest.raises(ConfigError, match=r"robots\.toml: .* 'c': .* no name of RFC 4514"):
+    with pytest.raises(ConfigError, match=r"robots\.toml: .* 'c': .* not an RFC 4514 name"):
         prepare(parse(text, "robots.toml"), "robots.toml")

@@ -103,7 +103,7 @@ class Context:
                 raise BadRequest(
                     f"the value of {reply.path} is not bytes",
                     path=reply.path,
-                    remedy="Accept application/json, or name a field of bytes with `fields`.",
+                    remedy="Accept application/json, or select a field of bytes with `fields`.",
                 )
         await self._answers.reply(send, asked, reply)
 

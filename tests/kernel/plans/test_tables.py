@@ -20,7 +20,7 @@ from rcp_kernel.errors import ConfigError
             '[roles.a]\napprove = ["action/dock"]',
             "[roles.a] approve has a rule with an invalid path",
         ),
-        ('[roles.a]\napprove = ["/system/estop"]', "needs no approval"),
+        ('[roles.a]\napprove = ["/system/estop"]', "need no approval"),
     ],
 )
 def test_a_table_that_makes_no_sense_is_refused_with_its_name(text: str, told: str) -> None:

@@ -68,9 +68,9 @@ def test_a_file_that_others_may_write_is_refused(store: Path, suffix: str, mode:
 
 async def test_nothing_opens_a_store_that_others_may_write(store: Path) -> None:
     allow(store, 0o660)
-    with pytest.raises(ConfigError, match="can be written by others"):
+    with pytest.raises(ConfigError, match="other users can write"):
         TokenFile(store)
-    with pytest.raises(ConfigError, match="can be written by others"):
+    with pytest.raises(ConfigError, match="other users can write"):
         DiskStore(store, asyncio.get_running_loop())
     done = CliRunner().invoke(token, ["list", "--store", str(store)])
     assert (done.exit_code, done.stdout) == (1, "")

@@ -113,7 +113,11 @@ async def test_no_start_where_nothing_can_be_written(
         return base
 
     monkeypatch.setattr(DiskStore, "_connect", limited)
-    with pytest.raises(ConfigError, match=r"readonly database\. Give the gateway's user a folder"):
+    with pytest.raises(
+        ConfigError,
+        match=r"readonly database\. Use a folder that the "
+        r"gateway's user",
+    ):
         DiskStore(path, asyncio.get_running_loop())
     (tmp_path / "file").touch()
     with pytest.raises(ConfigError, match="Give the gateway's user a folder"):

@@ -70,8 +70,9 @@ def test_a_value_may_begin_with_a_minus(run: Run) -> None:
 def test_a_value_that_is_not_json_is_a_mistake_of_usage(run: Run) -> None:
     done = run("write", "/param/speed_limit", "fast")
     assert done.returncode == 2
-    assert "'fast' is not JSON; /tenant/alpha/param/speed_limit takes, for example, '1.0'" in (
-        done.stderr
+    assert (
+        "'fast' is not valid JSON; /tenant/alpha/param/speed_limit accepts, for example, '1.0'"
+        in (done.stderr)
     )
     assert run("write", "/param/speed_limit", "@/nowhere/at/all").returncode == 2
 
@@ -158,7 +159,7 @@ def test_the_estop_takes_anybody_to_make_and_some_to_release(run: Run) -> None:
     assert denied.returncode == 3
     assert "may not reset an e-stop" in denied.stderr
     shown = run("estop", "--reset", "--text", RCP_TOKEN=ADMIN).stdout
-    assert shown == "E-stop released; nothing moves until a new command.\n"
+    assert shown == "E-stop reset. Nothing moves until a new command.\n"
 
 
 def test_a_lease_is_acquired_for_all_that_the_principal_runs(run: Run) -> None:

@@ -23,7 +23,7 @@ async def test_sessions_of_a_tenant_are_counted_over_all_its_principals() -> Non
             world.client(ANN)
         assert caught.value.details == {"quota": "tenant", "what": "sessions", "limit": 2}
         assert caught.value.retry_after
-        assert "End sessions that are not needed" in caught.value.remedy
+        assert "End sessions that you no longer need" in caught.value.remedy
         for _ in range(5):
             world.client(BOB)
         first.connection.close()
