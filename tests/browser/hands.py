@@ -107,4 +107,4 @@ async def drives(page: Page, source: str) -> None:
 
 async def stands(page: Page) -> None:
     """Wait until nobody drives."""
-    await expect(deadman(page)).to_contain_text("let go")
+    await expect(deadman(page)).to_contain_text("released")

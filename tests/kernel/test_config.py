@@ -53,7 +53,7 @@ def test_a_transport_is_taken_out_by_false() -> None:
         ('[anonymous]\nrole = "viewr"', ["did you mean 'viewer'"]),
         ('[[roles.x.allow]]\noperations = ["fly"]\npaths = ["/**"]', ["roles", "'fly'"]),
         ("transports = 3", ["transports"]),
-        ('[transports.asgi]\nhost = "0.0.0.0"', ["0.0.0.0", "open to others", "anonymous = false"]),
+        ('[transports.asgi]\nhost = "0.0.0.0"', ["0.0.0.0", "reachable from other machines", "anonymous = false"]),
         ("a = ", ["not TOML"]),
     ],
 )  # fmt: skip
@@ -100,9 +100,9 @@ def test_strangers_are_kept_out_by_one_word() -> None:
 @pytest.mark.parametrize(
     ("text", "told"),
     [
-        (PLAIN + KEY.format("viewer"), "so is the gateway"),
-        ("anonymous = false\n" + PLAIN, "nobody who can prove anything"),
-        ("anonymous = false\n" + PLAIN + KEY.format("nothing") + NOTHING, "nobody who can"),
+        (PLAIN + KEY.format("viewer"), "clients need no credentials"),
+        ("anonymous = false\n" + PLAIN, "no credentials give a role"),
+        ("anonymous = false\n" + PLAIN + KEY.format("nothing") + NOTHING, "no credentials give"),
         ("anonymous = false\n" + OPEN + KEY.format("viewer"), "in plain text"),
     ],
 )

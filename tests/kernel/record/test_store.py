@@ -120,7 +120,7 @@ async def test_no_start_where_nothing_can_be_written(
     ):
         DiskStore(path, asyncio.get_running_loop())
     (tmp_path / "file").touch()
-    with pytest.raises(ConfigError, match="Give the gateway's user a folder"):
+    with pytest.raises(ConfigError, match="Use a folder that the gateway's user"):
         DiskStore(tmp_path / "file" / "store.db", asyncio.get_running_loop())
 
 

@@ -45,7 +45,10 @@ def test_read_goes_on_after_a_path_that_is_not_there(run: Run) -> None:
     done = run("read", "/sensor/nothing", "/param/speed_limit")
     assert done.returncode == 3
     assert json.loads(done.stdout)["body"] == 1.0
-    assert done.stderr.startswith("rcpctl: no resource /tenant/alpha/sensor/nothing. ")
+    assert done.stderr == (
+        "rcpctl: no resource /tenant/alpha/sensor/nothing. "
+        "Run `rcpctl discover` to list the available paths.\n"
+    )
 
 
 def test_write_takes_json_standard_input_or_a_file(run: Run, tmp_path: Path) -> None:

@@ -157,7 +157,7 @@ async def test_reliable_ends_with_overrun_when_too_much_waits() -> None:
         client.connection.outbox.on_flush = flush
         client.connection.outbox.flush()
         told = await client.notice("overrun")
-        assert "2048 bytes" in told["message"]
+        assert "2048 unread bytes" in told["message"]
 
 
 async def test_who_leaves_his_replies_lying_gets_no_more_and_another_goes_on() -> None:
