@@ -219,7 +219,7 @@ async def test_a_tenant_a_group_or_all_are_stopped_from_the_menu(
         everything = page.get_by_test_id("estop")
         await expect(everything).to_have_text(re.compile(r"STOP ALL\s+4 robots"))
         await expect(everything).to_have_attribute(
-            "title", re.compile(r"all 4 robots that you see, in alpha, beta, gamma")
+            "title", re.compile(r"all 4 robots visible to you, in alpha, beta, gamma")
         )
         menu = page.get_by_role("group", name="What to stop")
 

@@ -27,7 +27,7 @@ while read -r line <&3 && [[ $line != *"rcpd: serving"* ]]; do echo "$line"; don
 
 def walk() -> str:
     """Return the page's commands as one program that stops at the first that fails."""
-    text = (DOCS / "operate.md").read_text(encoding="utf-8")
+    text = (DOCS / "deploy.md").read_text(encoding="utf-8")
     place = text.partition(f"## {_PLACE}\n")[2].partition("\n## ")[0]
     blocks = re.findall(_BASH, place, re.MULTILINE | re.DOTALL)
     served = 'rcpd serve "$RCP_HOME/rcp.toml"\n'
