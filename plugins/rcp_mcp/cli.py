@@ -32,7 +32,7 @@ __all__ = ["mcp"]
     help="PEM file with CA certificates to trust in addition to the system's.",
 )
 def mcp(url: str, token_file: Path | None, tenant: str | None, cacert: str | None) -> None:
-    """Serve a gateway's MCP on stdin and stdout, for assistants on the desktop."""
+    """Connect desktop assistants to a gateway's MCP server over stdin and stdout."""
     parts = urlsplit(url)
     if parts.scheme not in ("http", "https") or not parts.netloc:
         raise click.BadParameter("use a URL such as http://127.0.0.1:8080", param_hint="--url")

@@ -89,11 +89,11 @@ def _run(ctx: click.Context, name: str, **arguments: Any) -> int:
 @_common
 @click.version_option(package_name="rcp-gateway", message="rcpctl %(version)s")
 def rcpctl() -> None:
-    """Talk to an RCP gateway: look, read, write, command, watch.
+    """Read, write, command and watch robots through an RCP gateway.
 
-    PATH is a resource's path; without /tenant/<name> it means your own tenant's. In a PATTERN, *
-    is one segment and ** any number. A VALUE or INPUT is JSON, or plain text where the path takes
-    text; - reads it from standard input, @FILE from a file.
+    PATH is the path of a resource; without /tenant/<name> it refers to your own tenant. In a
+    PATTERN, * is one segment and ** any number. A VALUE or INPUT is JSON, or plain text if the
+    path expects a string; - reads it from standard input, @FILE from a file.
 
     Exit status: 0 completed, 1 failed (or a robot is not at rest), 2 usage, 3 rejected or denied,
     4 gateway unreachable, 130 interrupted.
@@ -110,7 +110,7 @@ def rcpctl() -> None:
 @click.option("-q", "--query", "q", metavar="WORDS", help="Words in the path or description.")
 @click.pass_context
 def discover(ctx: click.Context, **arguments: Any) -> int:
-    """List what there is; a plain path shows that resource with its schemas and examples."""
+    """List resources; for a single path, show the resource with its schemas and examples."""
     return _run(ctx, "discover", **arguments)
 
 
@@ -124,7 +124,7 @@ def discover(ctx: click.Context, **arguments: Any) -> int:
 )
 @click.pass_context
 def read(ctx: click.Context, **arguments: Any) -> int:
-    """Show the present value of each PATH, or of everything that a PATTERN matches."""
+    """Print the current value of each PATH, or of everything that a PATTERN matches."""
     return _run(ctx, "read", **arguments)
 
 
@@ -142,7 +142,7 @@ def read(ctx: click.Context, **arguments: Any) -> int:
 @click.option("--approval", metavar="ID", help="Id of an approval, if the command requires one.")
 @click.pass_context
 def write(ctx: click.Context, **arguments: Any) -> int:
-    """Write VALUE to PATH and show what is in force."""
+    """Write VALUE to PATH and print the value now in effect."""
     return _run(ctx, "write", **arguments)
 
 
@@ -163,9 +163,9 @@ def write(ctx: click.Context, **arguments: Any) -> int:
 @click.option("--approval", metavar="ID", help="Id of an approval, if the command requires one.")
 @click.pass_context
 def execute(ctx: click.Context, **arguments: Any) -> int:
-    """Carry out the action or service at PATH.
+    """Run the action or service at PATH.
 
-    The first Ctrl-C has the command cancelled and waits for its final status; the second leaves.
+    The first Ctrl-C cancels the command and waits for its final status; the second stops waiting.
     """
     return _run(ctx, "execute", **arguments)
 
@@ -185,9 +185,10 @@ def execute(ctx: click.Context, **arguments: Any) -> int:
 @click.option("--approval", metavar="ID", help="Id of an approval, if the command requires one.")
 @click.pass_context
 def plan(ctx: click.Context, file: str, **arguments: Any) -> int:
-    """Carry out the plan in FILE (- for standard input), checked whole before its first step.
+    """Run the plan in FILE (- for standard input); the gateway checks all of it first.
 
-    FILE has steps in JSON, what a PDDL planner prints, or lines such as `execute /action/dock`.
+    FILE contains steps in JSON, the output of a PDDL planner, or lines such as `execute
+    /action/dock`.
     Ctrl-C works as for `execute`.
     """
     return _run(ctx, "plan", input="-" if file == "-" else f"@{file}", **arguments)
@@ -215,7 +216,7 @@ def plan(ctx: click.Context, file: str, **arguments: Any) -> int:
 @click.option("--initial/--no-initial", default=True, help="Start with the current value [yes].")
 @click.pass_context
 def watch(ctx: click.Context, **arguments: Any) -> int:
-    """Print a line for every new value, until Ctrl-C; notices go to standard error."""
+    """Print a line for every new value until Ctrl-C; notices go to standard error."""
     return _run(ctx, "watch", **arguments)
 
 
@@ -224,7 +225,7 @@ def watch(ctx: click.Context, **arguments: Any) -> int:
 @click.option("-w", "--watch", is_flag=True, help="Refresh once per second.")
 @click.pass_context
 def status(ctx: click.Context, **arguments: Any) -> int:
-    """Show the health of the gateway and everything connected to it."""
+    """Show the health of the gateway and its robots."""
     return _run(ctx, "status", **arguments)
 
 
@@ -255,14 +256,15 @@ def cancel(ctx: click.Context, **arguments: Any) -> int:
 @click.option("--reason", metavar="TEXT", help="Reason, for the record and for other operators.")
 @click.pass_context
 def estop(ctx: click.Context, scope: str | None, named: str | None, **arguments: Any) -> int:
-    """Stop robots now, and latch the stop until somebody resets it.
+    """Stop robots now, and latch the stop until someone resets it.
 
     SCOPE is a robot (/tenant/alpha/rover, or the name of its backend), a group of the gateway's
-    configuration, or a tenant (/tenant/alpha). Without it every robot that you may see is stopped.
+    configuration, or a tenant (/tenant/alpha). Default: every robot that you may see.
 
     For each robot the output shows when the stop was requested, when the robot was commanded to stop,
     and when it was confirmed at rest by measurement. The exit status is 1 if a robot is not confirmed
-    within --timeout: it stays latched and the gateway repeats the stop, but do not approach it.
+    within --timeout: it stays latched and the gateway keeps sending the stop, but do not approach
+    it.
     """
     if scope is not None and named is not None:
         raise click.UsageError("SCOPE is given twice")
@@ -276,8 +278,8 @@ def estop(ctx: click.Context, scope: str | None, named: str | None, **arguments:
 def hold(ctx: click.Context, **arguments: Any) -> int:
     """Bring ROBOT to rest and end its commands, without an emergency stop.
 
-    Nothing is latched: the next command moves the robot again. ROBOT is a name as in `rcpctl status` or in
-    the paths of the robot. Without it every robot of your tenant is brought to rest. The exit status
+    There is no latch: the next command moves the robot again. ROBOT is a name from `rcpctl status`
+    or from the robot's paths. Default: every robot of your tenant. The exit status
     is 1 if a robot is not at rest; then use `rcpctl estop`.
     """
     return _run(ctx, "hold", **arguments)
@@ -288,7 +290,7 @@ def hold(ctx: click.Context, **arguments: Any) -> int:
 @click.option("--all", "every", is_flag=True, help="Include decided and expired approvals.")
 @click.pass_context
 def approvals(ctx: click.Context, **arguments: Any) -> int:
-    """List what waits for a person's approval: what you may decide on, and what you asked for."""
+    """List open approvals: those that you may decide on, and your own requests."""
     return _run(ctx, "approvals", **arguments)
 
 
@@ -299,21 +301,21 @@ def approvals(ctx: click.Context, **arguments: Any) -> int:
 @click.option("--reason", metavar="TEXT", help="Reason, for the audit log and the requester.")
 @click.pass_context
 def approve(ctx: click.Context, **arguments: Any) -> int:
-    """Let what somebody else asked for pass once; look at `rcpctl approvals` first."""
+    """Approve a command of someone else, once; see `rcpctl approvals`."""
     return _run(ctx, "approve", **arguments)
 
 
 @rcpctl.group(context_settings=_CONTEXT)
 @_common
 def lease() -> None:
-    """Be alone in command of a part of the tree: a tenant, a robot, or a sub-tree like /actuator."""
+    """Take exclusive control of a tenant, a robot, or a sub-tree such as /actuator."""
 
 
 @lease.command(name="list", context_settings=_CONTEXT)
 @_common
 @click.pass_context
 def lease_list(ctx: click.Context, **arguments: Any) -> int:
-    """List who holds what."""
+    """List leases and their holders."""
     return _run(ctx, "lease list", **arguments)
 
 
@@ -345,7 +347,7 @@ def _acquiring(function: F) -> F:
 @_acquiring
 @click.pass_context
 def lease_acquire(ctx: click.Context, **arguments: Any) -> int:
-    """Acquire SCOPE for your principal, in all its sessions, until it lapses or is released."""
+    """Acquire SCOPE for all sessions of your principal until it expires or is released."""
     return _run(ctx, "lease acquire", **arguments)
 
 
@@ -354,7 +356,7 @@ def lease_acquire(ctx: click.Context, **arguments: Any) -> int:
 @click.argument("scope")
 @click.pass_context
 def lease_release(ctx: click.Context, **arguments: Any) -> int:
-    """Give up what was acquired; what runs goes on."""
+    """Release the lease; running commands continue."""
     return _run(ctx, "lease release", **arguments)
 
 
@@ -363,7 +365,7 @@ def lease_release(ctx: click.Context, **arguments: Any) -> int:
 @_acquiring
 @click.pass_context
 def lease_hold(ctx: click.Context, **arguments: Any) -> int:
-    """Acquire SCOPE and keep it until Ctrl-C, or until somebody takes it."""
+    """Hold the lease on SCOPE until Ctrl-C, or until someone takes it over."""
     return _run(ctx, "lease hold", **arguments)
 
 
@@ -374,7 +376,7 @@ def lease_hold(ctx: click.Context, **arguments: Any) -> int:
 @click.argument("pattern", required=False)
 @click.pass_context
 def codegen(ctx: click.Context, **arguments: Any) -> int:
-    """Write a typed client module for what there is (or matches PATTERN) to standard output."""
+    """Generate a typed client module for all resources (or those matching PATTERN)."""
     return _run(ctx, "codegen", **arguments)
 
 
