@@ -186,7 +186,7 @@ async def test_check_looks_at_every_page_and_record(tmp_path: Path) -> None:
     path = tmp_path / "store.db"
     async with world_of(kept_in(path)) as world:
         await wrote(world, 1.0)
-        assert ": whole; " in store("check", "--store", path)
+        assert ": ok; " in store("check", "--store", path)
     with closing(sqlite3.connect(path)) as base, base:
         base.execute("UPDATE audit SET record = record || ' ' WHERE seq = 2")
     assert "damaged" in store("check", "--store", path, code=1)
