@@ -78,7 +78,7 @@ class Journeys:
             progress(m.OnItsWay(left, now.height, vehicle.mode), fraction=part(way - left, way))
             fresh = vehicle.came["GLOBAL_POSITION_INT"] > since
             there = fresh and self._arrived(now, lat, lon, altitude, goal.tolerance)
-            return pace.look(there=there)
+            return pace.update(there=there)
 
         async with holding(self._motion):
             await self._prepare(goal, fix)

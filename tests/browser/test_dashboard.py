@@ -206,5 +206,7 @@ async def test_a_page_whose_gateway_is_killed_comes_back_with_it(
             with demo(tmp_path, port):
                 await tab.connected()
                 await expect(tab.page.get_by_text("rover-alpha").first).to_be_visible()
-                up = tab.page.get_by_text(re.compile(r"^Uptime$")).locator("xpath=following-sibling::*")
+                up = tab.page.get_by_text(re.compile(r"^Uptime$")).locator(
+                    "xpath=following-sibling::*"
+                )
                 await expect(up).to_have_text(re.compile(r"^\d+ ?s$|^\d+:\d\d$"))

@@ -168,7 +168,10 @@ async def test_what_is_sent_when_approved_is_what_the_form_shows(
     ada = Asking(told, "ada")
     async with person(browser, told, "lena", f"explore?path={_SERIAL}") as tab:
         form = tab.page.get_by_test_id("ask-write")
-        value, offer = form.get_by_label("value"), form.get_by_role("button", name="Ask for approval")
+        value, offer = (
+            form.get_by_label("value"),
+            form.get_by_role("button", name="Ask for approval"),
+        )
         await value.fill("5")
         await pressed(tab.page, form)
         await offer.click()

@@ -10,7 +10,7 @@ import httpx
 import pytest
 from playwright.async_api import Browser, Page, expect
 
-from browser.fingers import fingers
+from browser.input_helpers import touching
 from browser.machines import Machines, key_of, machines, person
 from browser.watched import Watched
 
@@ -102,7 +102,7 @@ async def _spoilt(floor: Floor) -> None:
     await floor.press(3, 3)
     await mouse.move(20, 300, steps=3)
     await mouse.up()
-    async with fingers(page) as two:
+    async with touching(page) as two:
         await floor.aim()
         await two.down(0, *floor.at(2, 2))
         await two.down(1, *floor.at(-2, -2))

@@ -10,7 +10,7 @@ import httpx
 import pytest
 from playwright.async_api import Browser, Page, expect
 
-from browser.hands import UNSEEN, drives, push, shift, stands, take, unsafe
+from browser.input_helpers import UNSEEN, drives, push, shift, stands, take, unsafe
 from browser.robots import STILL, speed, until
 from browser.watched import Watched, signed_in
 from rcp_kernel.config.file import parse

@@ -10,7 +10,7 @@ import httpx
 import pytest
 from playwright.async_api import Browser, Locator, Page, expect
 
-from browser.hands import UNSEEN, drives, push, stands, take
+from browser.input_helpers import UNSEEN, drives, push, stands, take
 from browser.movers import Movers, key_of, movers, person
 from browser.robots import until
 from browser.test_dashboard_access import AXE, violations

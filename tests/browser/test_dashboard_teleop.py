@@ -9,7 +9,7 @@ import httpx
 import pytest
 from playwright.async_api import Browser, Page, expect
 
-from browser.hands import UNSEEN, take, unsafe
+from browser.input_helpers import UNSEEN, take, unsafe
 from browser.robots import STILL, speed, until
 from browser.watched import Watched, signed_in
 from docs.demo import Demo
