@@ -28,14 +28,15 @@ _NAME = r"[A-Za-z0-9_.@-]{1,64}"
 
 @click.group()
 def token() -> None:
-    """Make, list and take back API keys; a running gateway knows within two seconds."""
+    """Create, list and revoke API keys. A running gateway applies changes within two seconds."""
 
 
 def _where(command: Any) -> Any:
     found = click.option(
         "--config",
         type=click.Path(path_type=Path),
-        help="The gateway's configuration (./rcp.toml if not given): roles, tenants, [store] path.",
+        help="Configuration of the gateway, for roles, tenants and [store] path. Default: "
+        "./rcp.toml.",
     )(command)
     return click.option(
         "--store",
@@ -68,7 +69,7 @@ def create(
     grants: tuple[str, ...],
     expires: str | None,
 ) -> None:
-    """Make a key for NAME and print it, once: only its hash is kept."""
+    """Create a key for NAME and print it once; only its hash is stored."""
     from rcp_kernel.config.identity import check_grants
     from rcp_kernel.config.role import BUILTIN_ROLES
 
@@ -92,7 +93,7 @@ def create(
 @_where
 @click.option("--all", "every", is_flag=True, help="Include expired and revoked keys.")
 def list_(*, config: Path | None, store: Path | None, every: bool) -> None:
-    """List the keys, without the keys themselves."""
+    """List the keys, without their secrets."""
     for one in _read(config, store):
         if every or one.state == "good":
             click.echo(_line(one))
@@ -102,7 +103,7 @@ def list_(*, config: Path | None, store: Path | None, every: bool) -> None:
 @click.argument("named", metavar="NAME|ID")
 @_where
 def revoke(named: str, *, config: Path | None, store: Path | None) -> None:
-    """Take a key back by its ID, or all of a NAME; what they opened is closed."""
+    """Revoke a key by its ID, or all keys of a NAME, and close their sessions."""
     import difflib
 
     try:
