@@ -95,14 +95,14 @@ async def read_body(receive: Receive, limit: int, patience: float) -> bytes:
             while more:
                 message = await receive()
                 if message["type"] == "http.disconnect":  # half a value must not reach a robot
-                    raise BadRequest("the connection ended before the body did")
+                    raise BadRequest("the connection closed before the body was complete")
                 parts.append(message.get("body", b""))
                 size += len(parts[-1])
                 if size > limit:
                     raise too_large(limit)
                 more = message.get("more_body")
     except TimeoutError:
-        raise DeadlineExceeded(f"the body did not come within {patience:g} s") from None
+        raise DeadlineExceeded(f"the body was not complete within {patience:g} s") from None
     return parts[0] if len(parts) == 1 else b"".join(parts)
 
 

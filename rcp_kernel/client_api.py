@@ -236,7 +236,7 @@ class ClientApi:
         principal = self.known(token, peer)
         if principal is None:
             raise AdapterUnavailable(
-                "the keys of the token's issuer are not here yet",
+                "the keys of the token's issuer are not available yet",
                 remedy="Try again.",
                 retry_after=1,
             )

@@ -124,8 +124,9 @@ class Plugins:
         except (Exception, SystemExit, KeyboardInterrupt) as error:
             # What it would have kept out must not come in because it is broken.
             raise PluginError(
-                f"a plugin's rcp_interceptors or rcp_authenticator raised {error!r}; without it the "
-                "gateway would let in what it should not"
+                f"a plugin's rcp_interceptors or rcp_authenticator raised {error!r}; starting "
+                "without "
+                "it could admit requests that it must refuse"
             ) from error
 
     def _offers(self, hook: str) -> list[list[Any]]:
@@ -141,7 +142,7 @@ class Plugins:
                 raise
             except (Exception, SystemExit, KeyboardInterrupt) as error:
                 group, _, own = name.partition(".")
-                remedy = f"mend its `{hook}`, or take '{own}' out of the configuration"
+                remedy = f"fix its `{hook}`, or remove '{own}' from the configuration"
                 self.missing.append(Missing(group, own, repr(error), remedy))
         return found
 
@@ -151,7 +152,7 @@ class Plugins:
             point = points.get(name)
             if point is None:
                 near = difflib.get_close_matches(name, points, n=1)
-                advice = f"did you mean '{near[0]}'?" if near else f"there are {', '.join(points)}"
+                advice = f"did you mean '{near[0]}'?" if near else f"installed: {', '.join(points)}"
                 raise ConfigError(f"no installed plugin offers {group} '{name}'; {advice}")
             try:
                 module = importlib.import_module(point.value)
@@ -192,9 +193,9 @@ def register(manager: pluggy.PluginManager, module: Any, name: str) -> None:
         if hook not in known:
             near = difflib.get_close_matches(hook, known, n=1)
             advice = f"; did you mean `{near[0]}`?" if near else ""
-            raise PluginError(f"plugin {name}: there is no hook `{hook}`{advice}")
+            raise PluginError(f"plugin {name}: unknown hook `{hook}`{advice}")
         if inspect.iscoroutinefunction(getattr(module, hook)):
-            raise PluginError(f"plugin {name}: the hook `{hook}` is async; hooks only declare")
+            raise PluginError(f"plugin {name}: the hook `{hook}` must not be async")
     if not marked:
         raise PluginError(f"plugin {name}: {module.__name__} has no function marked @hookimpl")
     manager.register(module, name=name)

@@ -256,8 +256,8 @@ class Registry:
         if old is not None:
             if old.owner is not entry.owner:
                 raise PluginError(
-                    f"{entry.path} is declared by backend '{old.owner.name}' and again by "
-                    f"'{entry.owner.name}': give one of them a `robot` of its own"
+                    f"{entry.path} is declared by backend '{old.owner.name}' and by "
+                    f"'{entry.owner.name}': set a different `robot` for one of them"
                 )
             if old.resource == entry.resource:
                 return old

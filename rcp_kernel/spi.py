@@ -280,7 +280,7 @@ class BaseBackend:
 
     async def read(self, name: str) -> Any:
         """Refuse: there is nothing but what is published."""
-        raise UnsupportedOperation(f"'{name}' cannot be asked for")
+        raise UnsupportedOperation(f"'{name}' cannot be read")
 
     async def write(self, name: str, value: Any) -> Any:
         """Refuse."""

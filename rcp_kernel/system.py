@@ -238,7 +238,7 @@ class System(BaseBackend):
 
     async def execute(self, name: str, value: Any, progress: Progress) -> Any:
         """What is executable here is done before it gets this far."""
-        raise UnknownPath(f"nothing to execute at {name}")
+        raise UnknownPath(f"{name} cannot be executed")
 
 
 def _resources() -> list[Resource]:

@@ -82,8 +82,8 @@ class Turns:
         queue = self._queues.get(owner) or _Queue()
         if len(queue.places) >= _WAITING or (queue.size and queue.size + size > _BYTES):
             raise QueueFull(
-                f"{len(queue.places)} requests of yours that take long are waiting already",
-                remedy="Wait for their answers before you send more.",
+                f"{len(queue.places)} long requests of this client are already waiting",
+                remedy="Wait for their replies before you send more.",
                 retry_after=1.0,
             )
         queue.places.append(begun)

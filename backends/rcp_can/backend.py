@@ -14,13 +14,13 @@ from rcp_can.axis import Axis
 from rcp_can.binding import Part
 from rcp_can.bus import Bus
 from rcp_can.config import CanConfig
-from rcp_can.crew import by_rate, heard, make_axes, run_axes, simulated
 from rcp_can.device import DevicePart
 from rcp_can.diff_drive import DiffDrivePart
 from rcp_can.eds_node import EdsPart
 from rcp_can.health import Health
 from rcp_can.joint_group import JointGroupPart
 from rcp_can.motor import MotorPart
+from rcp_can.motor_group import by_rate, heard, make_axes, run_axes, simulated
 from rcp_can.raw import BusPart
 from rcp_can.sdo import Sdo
 from rcp_can.standstill import motion_of_all
@@ -110,7 +110,7 @@ class CanBackend(BaseBackend):
 
         :raises RcpError: as `halt`.
         """
-        reason = ModeForbids("the robot was told to hold")
+        reason = ModeForbids("the robot was commanded to hold")
         await self._all(part.hold(reason) for part in self._parts)
 
     async def recover(self, robot: str | None) -> str:

@@ -100,7 +100,7 @@ class Wire:
             self._outbox.appendleft((message, expires, now, sender))
         elif len(self._outbox) >= self._limit:
             raise QueueFull(
-                f"{self._limit} frames wait to be sent already: the bus takes none",
+                f"{self._limit} frames are already waiting: the bus accepts none",
                 remedy="See sensor/can/<bus>/state; is another node there to acknowledge?",
             )
         else:

@@ -56,12 +56,12 @@ class MavlinkBackend(BaseBackend):
         for robot in mine:
             robot.back()
 
-    async def look(self) -> None:
+    async def poll(self) -> None:
         """Look after the vehicles, until cancelled."""
         while True:
             await asyncio.sleep(_LOOK)
             for robot in self.robots.values():
-                robot.look()
+                robot.poll()
 
     def _robot(self, name: str) -> tuple[Robot, str]:
         if not self.hub.config.discover:
@@ -187,12 +187,12 @@ async def open_mavlink(config: MavlinkConfig, host: Host) -> AsyncGenerator[Mavl
         hub.found, hub.changed = backend.found, backend.changed
         await hub.first()
         await asyncio.sleep(0)
-        looking = asyncio.create_task(backend.look())
+        polling = asyncio.create_task(backend.poll())
         try:
             yield backend
         finally:
             hub.found = hub.changed = lambda _: None
-            looking.cancel()
-            await asyncio.gather(looking, return_exceptions=True)
+            polling.cancel()
+            await asyncio.gather(polling, return_exceptions=True)
             for robot in backend.robots.values():
                 await robot.close()

@@ -151,7 +151,7 @@ class Gimbals:
             release()
         if not seen:
             now = looks()
-            where = "it does not say where it looks" if now is None else (
+            where = "it does not report where it points" if now is None else (
                 f"it looks to {now.pitch:.2f}, {now.yaw:.2f} rad"
             )  # fmt: skip
             raise DeviceTimeout(f"gimbal: accepted, but {where}")

@@ -78,7 +78,7 @@ class Journeys:
             progress(m.OnItsWay(left, now.height, vehicle.mode), fraction=part(way - left, way))
             fresh = vehicle.came["GLOBAL_POSITION_INT"] > since
             there = fresh and self._arrived(now, lat, lon, altitude, goal.tolerance)
-            return pace.look(there=there)
+            return pace.update(there=there)
 
         async with holding(self._motion):
             await self._prepare(goal, fix)
@@ -234,7 +234,7 @@ class Journeys:
         """Return what a journey fails with that ended on its way."""
         if pace.fault is not None:
             return DeviceRejected(
-                f"move_to: {pace.fault}; the vehicle was told to hold", details=error.details
+                f"move_to: {pace.fault}; the vehicle was commanded to hold", details=error.details
             )
         if is_breached(self._vehicle) and "fence" not in str(error).lower():
             return DeviceRejected(

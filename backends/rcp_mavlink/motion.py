@@ -114,7 +114,7 @@ class Motion:
         began = time.monotonic()
         told, done = 0.0, False
 
-        def look() -> bool:
+        def poll() -> bool:
             nonlocal told, done
             if (now := time.monotonic()) - told >= _FEEDBACK:
                 told = now
@@ -123,7 +123,7 @@ class Motion:
                 done = False
             return done or not stays()
 
-        while not await self._vehicle.until(look, _FEEDBACK):
+        while not await self._vehicle.until(poll, _FEEDBACK):
             if what not in _WAY_DOWN and self.measurement.blind:
                 await self._blind(what)
         if done or tell():
@@ -142,7 +142,7 @@ class Motion:
         """
         why = self.measurement.unknown()
         await self.shielded(self.hold)
-        raise DeviceTimeout(f"{what}: {why}; the vehicle was told to hold")
+        raise DeviceTimeout(f"{what}: {why}; the vehicle was commanded to hold")
 
     # Coming to rest
 

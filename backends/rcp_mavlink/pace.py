@@ -35,7 +35,7 @@ class Pace:
         self.fault: str | None = None
         """What is not as it was asked for."""
 
-    def look(self, *, there: bool) -> bool:
+    def update(self, *, there: bool) -> bool:
         """Take the latest measurement; tell whether it is there and looks where it should."""
         now = time.monotonic()
         speed, self.heading = self._measured()

@@ -261,7 +261,7 @@ class Robot:
             self.intervals.begin()
         self._booted = clock
 
-    def look(self) -> None:
+    def poll(self) -> None:
         """Ask again for what is wanted and does not come; called now and then."""
         now = time.monotonic()
         came = self.vehicle.came.get("GLOBAL_POSITION_INT", self.vehicle.heard - 1)

@@ -296,14 +296,14 @@ class Stop:
             while True:
                 vehicle.check()
                 self._check_wanted(pause=attempt.pause)
-                if (why := self._look(attempt, time.monotonic())) is not None:
+                if (why := self._check(attempt, time.monotonic())) is not None:
                     return why
                 if attempt.refusals >= _REFUSALS:
                     return await self._reasons(attempt.began)
                 before = self._signature(attempt)
                 await vehicle.until(lambda b=before: self._signature(attempt) != b, _LOOK)
 
-    def _look(self, attempt: _Attempt, now: float) -> str | None:
+    def _check(self, attempt: _Attempt, now: float) -> str | None:
         """Go on with a step by what is known; return the empty text at rest, or why it failed."""
         rung = attempt.rung
         if self._shown_disarmed():

@@ -90,7 +90,7 @@ class Vehicle:
         for tell in self.on_frame:
             tell(frame)
         if self._waiters:
-            self._look()
+            self._poll()
 
     def _is_repeated(self, name: str, frame: Frame) -> bool:
         """Tell whether a position is the one of before, by the vehicle's own time stamp.
@@ -113,7 +113,7 @@ class Vehicle:
         if listeners:
             for listener in list(listeners):
                 listener(frame)
-            self._look()
+            self._poll()
 
     def _heartbeat(self, frame: Frame) -> None:
         beat = frame.fields()
@@ -236,7 +236,7 @@ class Vehicle:
                 self._waiters.remove(entry)
         return True
 
-    def _look(self) -> None:
+    def _poll(self) -> None:
         for holds, waiter in self._waiters:
             if not waiter.done() and holds():
                 waiter.set_result(None)

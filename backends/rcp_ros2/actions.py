@@ -24,8 +24,8 @@ from rcp_ros2.types import example_of, inward
 
 __all__ = ["Goal", "Run"]
 
-_FIRST_LOOK = 0.3  # s after which a server that blocks its node while it works does so by now
-_LOOK = 1.0  # s between looks after a running goal's server
+_FIRST_POLL = 0.3  # s after which a server that blocks its node while it works does so by now
+_POLL = 1.0  # s between looks after a running goal's server
 _REST = 4.0  # s for a cancelled goal to come to rest
 _LATE = 2.0  # s that a cancel waits for the acceptance of its goal
 _MATCH = 2.0  # s for a client to find a server that the graph lists
@@ -234,13 +234,13 @@ class Goal:
         await self._ros.call(self._ask_result, handle)
 
     async def _follow(self) -> Any:
-        pause = _FIRST_LOOK
+        pause = _FIRST_POLL
         next_ = time.monotonic() + pause
         while not await self._result.wait(min(pause, _FEEDBACK) if self._run.feedback else pause):
             await self._need_feedback()
             if time.monotonic() >= next_:
-                await self._look()
-                pause = _LOOK
+                await self._poll()
+                pause = _POLL
                 next_ = time.monotonic() + pause
         status, value = self._result.result()
         return self._outcome(status, value)
@@ -260,7 +260,7 @@ class Goal:
             remedy="Check the node that publishes the feedback.",
         )
 
-    async def _look(self) -> None:
+    async def _poll(self) -> None:
         """Look after the server; a goal must not wait for one that is dead."""
         ready = await self._ros.call(self._inspect)
         if self._result.done:
@@ -334,7 +334,7 @@ class Goal:
             self._abandon()
             raise DeviceTimeout(
                 f"the cancel of {self._name} was sent and is not confirmed",
-                remedy="Look at the robot: it may still be moving. Use the e-stop if in doubt.",
+                remedy="Check the robot: it may still be moving. Use the e-stop if in doubt.",
             )
         return True
 

@@ -211,7 +211,7 @@ class Fetching(Binding):
     def close(self) -> None:
         """Follow the description no more."""
         if self._follows:
-            self.shared.ros.post(self.shared.feeds.untap, self.mapping.target, self._key)
+            self.shared.ros.post(self.shared.subscriptions.untap, self.mapping.target, self._key)
 
 
 def _read(file: Path, most: int) -> bytes:

@@ -131,7 +131,9 @@ async def open_ros2(config: Ros2Config, host: Host) -> AsyncGenerator[Ros2Backen
             stops.update(graph)
 
         watch = GraphWatch(ros, catalog.matters, update)
-        watch.on_look.extend((shared.feeds.refresh, shared.pulses.look, lambda: _look(shared)))
+        watch.on_poll.extend(
+            (shared.subscriptions.refresh, shared.pulses.poll, lambda: _poll(shared))
+        )
         host.discovering(active=True)
         await catalog.place_mapped()
         await ros.call(watch.start)
@@ -156,6 +158,6 @@ async def _settle(catalog: Catalog, limit: float) -> None:
             await asyncio.wait_for(catalog.complete.wait(), limit)
 
 
-def _look(shared: Shared) -> None:
-    for look in list(shared.on_look):
-        guarded(look)()
+def _poll(shared: Shared) -> None:
+    for poll in list(shared.on_poll):
+        guarded(poll)()

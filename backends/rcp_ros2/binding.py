@@ -18,7 +18,7 @@ from rcp_ros2.naming import Naming
 from rcp_ros2.outbox import Outbox
 from rcp_ros2.pulse import Pulses
 from rcp_ros2.ros import Ros
-from rcp_ros2.topics import Feeds, Tap
+from rcp_ros2.topics import Tap, TopicSubscriptions
 
 if TYPE_CHECKING:
     from rcp_ros2.feedback import Feedback, Feedbacks
@@ -48,9 +48,9 @@ class Shared:
         self._troubles: dict[str, str] = {}
         self._reported = False
         self._complaints: dict[str, str | None] = {}
-        self.feeds = Feeds(ros, self.outbox, self.complain)
+        self.subscriptions = TopicSubscriptions(ros, self.outbox, self.complain)
         self.pulses = Pulses(ros, self.complain)
-        self.on_look: list[Callable[[], None]] = []
+        self.on_poll: list[Callable[[], None]] = []
         """Called in the ROS thread at each look at the graph."""
         self.look_again: Callable[[], None] = lambda: None
         """Has the paths made that a construct has found since the last look; on the event loop."""
@@ -109,7 +109,7 @@ class Shared:
             self.complain(key, f"{topic} cannot be followed: {error}. {error.remedy}")
             return
         tap = Tap(key, Codec(cls), taker=lambda value: taker(value.decode()))
-        self.feeds.tap(topic, cls, qos, tap)
+        self.subscriptions.tap(topic, cls, qos, tap)
 
     async def until(self, holds: Callable[[], bool], seconds: float) -> bool:
         """Wait until something about the graph holds, while that may still be discovered."""
@@ -169,7 +169,7 @@ class Binding:
 
     async def read(self) -> Any:
         """Return the present value."""
-        raise UnsupportedOperation(f"'{self.resource.name}' cannot be asked for")
+        raise UnsupportedOperation(f"'{self.resource.name}' cannot be read")
 
     async def write(self, value: Any) -> Any:
         """Bring a value into force."""

@@ -48,14 +48,14 @@ class Clock:
         self.now: int | None = None
         """The robot's time, ns; in the ROS thread."""
         if self._wanted:
-            shared.feeds.now = lambda: self.now
+            shared.subscriptions.now = lambda: self.now
             shared.ros.post(self._open)
 
     def _open(self) -> None:
         cls = load(_TYPE)
         codec = Codec(cls, "clock")
         take = partial(self._take, codec)
-        self._shared.feeds.tap(_TOPIC, cls, _QOS, Tap("clock", codec, taker=take))
+        self._shared.subscriptions.tap(_TOPIC, cls, _QOS, Tap("clock", codec, taker=take))
 
     def _take(self, codec: Codec, value: Value) -> None:
         time = codec.decode(value.data)

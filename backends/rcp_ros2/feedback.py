@@ -176,16 +176,18 @@ class Feedbacks:
             except (MissingType, ValueError) as error:
                 self._shared.trouble(f"feedback {topic}", f"{topic}: {error}")
                 return found
-            ros, feeds = self._shared.ros, self._shared.feeds
-            ros.post(feeds.untap, topic, tap.name)
-            ros.post(feeds.tap, topic, cls, Qos(), tap)
+            ros, subscriptions = self._shared.ros, self._shared.subscriptions
+            ros.post(subscriptions.untap, topic, tap.name)
+            ros.post(subscriptions.tap, topic, cls, Qos(), tap)
         return found
 
     def drop(self, robots: Iterable[str | None]) -> None:
         """Forget robots that have left for good."""
         gone = set(robots)
         for key in [key for key in self._all if key[1] in gone]:
-            self._shared.ros.post(self._shared.feeds.untap, key[0], f"feedback {key[0]} {key[1]}")
+            self._shared.ros.post(
+                self._shared.subscriptions.untap, key[0], f"feedback {key[0]} {key[1]}"
+            )
             del self._all[key]
 
     def of(self, robot: str | None) -> list[Feedback]:

@@ -157,7 +157,7 @@ class Frames:
             except NotConnected:
                 return False
 
-    def look(self, target: str, source: str, time: int | None = None) -> tuple[Place, int | None]:
+    def lookup(self, target: str, source: str, time: int | None = None) -> tuple[Place, int | None]:
         """Return where `source` is in `target`, and when: at `time`, or at the latest all know.
 
         The time is None where all of it stands for ever.

@@ -83,7 +83,7 @@ class GraphWatch:
         self._settled = 0.0
         self._chosen: dict[str, str] = {}
         """The type of each topic that has had several."""
-        self.on_look: list[Callable[[], None]] = []
+        self.on_poll: list[Callable[[], None]] = []
         """Called in the ROS thread at each look."""
 
     def start(self) -> None:
@@ -97,11 +97,11 @@ class GraphWatch:
             return
         settled = now > self._settled
         self._next = now + (self._ros.config.poll - _FAST / 2 if settled else 0.0)
-        for look in self.on_look:
-            guarded(look)()  # what one thing runs into is not the others' fault
-        self._ros.host.call_soon(self._told, self._look())
+        for poll in self.on_poll:
+            guarded(poll)()  # what one thing runs into is not the others' fault
+        self._ros.host.call_soon(self._told, self._snapshot())
 
-    def _look(self) -> Graph:
+    def _snapshot(self) -> Graph:
         node: Any = self._ros.node
         found = dict(node.get_topic_names_and_types())
         topics = {name: types[0] for name, types in found.items()}

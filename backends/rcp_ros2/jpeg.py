@@ -34,7 +34,7 @@ def compress(image: Any, quality: int) -> bytes:
     how = _HOW.get(image.encoding)
     if how is None:
         raise DeviceRejected(
-            f"no JPEG is made of an image in '{image.encoding}'",
+            f"cannot convert an image with encoding '{image.encoding}' to JPEG",
             remedy="Subscribe to the image itself: its values are not colours, or not known.",
             details={"encoding": image.encoding, "supported": list(SUPPORTED)},
         )

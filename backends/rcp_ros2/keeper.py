@@ -23,7 +23,7 @@ __all__ = ["Hold", "Keeper"]
 
 log = structlog.get_logger("rcp.ros2")
 _TICK = 0.01  # s
-_LOOK = 0.25  # s between looks at who else publishes
+_POLL = 0.25  # s between looks at who else publishes
 
 
 @dataclass(slots=True)
@@ -51,7 +51,7 @@ class Keeper:
         self.holds: dict[str | None, Hold] = {}
         """By robot; None is what belongs to none of several."""
         self._timer: Any = None
-        self._look = 0.0
+        self._poll_due = 0.0
         self._told: dict[str, tuple[str, ...]] = {}
 
     # -- from the event loop ---------------------------------------------------------------------
@@ -118,12 +118,12 @@ class Keeper:
             if server.robot in self.holds:
                 server.cancel()
 
-    def look(self) -> None:
+    def poll(self) -> None:
         """Follow who else publishes, and which servers have come or gone; at each look."""
         for server in list(self.servers.values()):
-            server.look()
+            server.poll()
         for rest in self.rests:
-            rest.look()
+            rest.poll()
             if rest.others != self._told.get(rest.topic, ()):
                 self._told[rest.topic] = rest.others
                 log.info("ros_other_publishers", topic=rest.topic, nodes=list(rest.others))
@@ -143,7 +143,7 @@ class Keeper:
                 signal.engage(now)
         for rest in self.rests:
             if rest.robot == robot:
-                rest.look()
+                rest.poll()
                 rest.listen()
         self.wake()
 
@@ -159,14 +159,14 @@ class Keeper:
         for robot, hold in list(self.holds.items()):
             if not hold.latched and now > hold.until:
                 self.holds.pop(robot, None)
-        due = now >= self._look
+        due = now >= self._poll_due
         if due:
-            self._look = now + _LOOK
+            self._poll_due = now + _POLL
         for rest in self.rests:
             if rest.robot in self.holds:
                 rest.hold(now)
                 if due:
-                    rest.look()
+                    rest.poll()
                     rest.listen()
                     self._shared.pulses.ask(rest.outlet.nodes)
             else:

@@ -156,7 +156,9 @@ class StateOf(Binding):
         """Publish the state, and each change of it."""
         if self._asking is None:
             tap = Tap(self.resource.name, self._codec, taker=self._told)
-            self.shared.ros.post(self.shared.feeds.tap, self._topic, self._event, Qos(), tap)
+            self.shared.ros.post(
+                self.shared.subscriptions.tap, self._topic, self._event, Qos(), tap
+            )
             self._asking = asyncio.ensure_future(self._ask())
 
     def unwatched(self) -> None:
@@ -164,7 +166,7 @@ class StateOf(Binding):
         if self._asking is not None:
             self._asking.cancel()
             self._asking = None
-            self.shared.ros.post(self.shared.feeds.untap, self._topic, self.resource.name)
+            self.shared.ros.post(self.shared.subscriptions.untap, self._topic, self.resource.name)
 
     async def _ask(self) -> None:
         while True:

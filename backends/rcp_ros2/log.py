@@ -95,7 +95,7 @@ class Records(Binding):
         resource = Resource(value=LogRecord, live=True, native="rcl_interfaces/msg/Log", **facts)
         super().__init__(shared, resource, mapping)
         tap = Tap(_NAME, self._codec, taker=self._heard)
-        shared.feeds.tap(_TOPIC, cls, Qos(depth=_DEPTH), tap)
+        shared.subscriptions.tap(_TOPIC, cls, Qos(depth=_DEPTH), tap)
 
     def _heard(self, value: Value) -> None:
         if value.data[_LEVEL_AT] >= self._least:
@@ -110,4 +110,4 @@ class Records(Binding):
 
     def close(self) -> None:
         """End the subscription."""
-        self.shared.ros.post(self.shared.feeds.untap, _TOPIC, _NAME)
+        self.shared.ros.post(self.shared.subscriptions.untap, _TOPIC, _NAME)

@@ -39,7 +39,7 @@ class StopSignal:
         released = config.released
         self._released = None if released is None else fill(msgspec.convert(released, type_))
         self._outlet = Outlet(shared, self.topic, cls, _QOS)
-        self._outlet.look()
+        self._outlet.poll()
         self._due = 0.0
 
     def engage(self, now: float) -> None:
@@ -63,9 +63,9 @@ class StopSignal:
         """Say that nobody heard that the robot is stopped, or None."""
         return None if self._heard or not self.engaged else f"no node subscribes to {self.topic}"
 
-    def look(self) -> None:
+    def poll(self) -> None:
         """Suit those who listen now."""
-        self._outlet.look()
+        self._outlet.poll()
 
     def _send(self, message: Any) -> None:
         try:

@@ -31,7 +31,7 @@ class Outlet:
         self._publisher: Any = None
         self._nodes: frozenset[str] = frozenset()
 
-    def look(self) -> None:
+    def poll(self) -> None:
         """Suit those who listen now, before it is needed, so that it is discovered by then."""
         with contextlib.suppress(AdapterUnavailable):  # which is told as a complaint
             self.match()

@@ -140,4 +140,6 @@ class Picture(Binding):
             return
         self.shared.complain(name, None)
         stamp = self._codec.stamp(made.data)
-        self.shared.outbox.put(name, made, self.shared.feeds.now() if stamp is None else stamp)
+        self.shared.outbox.put(
+            name, made, self.shared.subscriptions.now() if stamp is None else stamp
+        )

@@ -110,7 +110,7 @@ class Pulses:
             if (pulse := self._pulses.get(node)) is not None:
                 pulse.ask()
 
-    def look(self) -> None:
+    def poll(self) -> None:
         """Ask every node, and say which have stopped answering."""
         now = time.monotonic()
         due = now >= self._next

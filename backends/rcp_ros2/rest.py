@@ -133,7 +133,7 @@ class Rest:
         if now >= self._due:
             self.publish(now)
 
-    def look(self) -> None:
+    def poll(self) -> None:
         """Find out who else publishes, and listen to them."""
         node = self._shared.ros.node
         found = Counter(
@@ -149,12 +149,12 @@ class Rest:
         if self.others and self._tap is None:
             self._foreign.clear()
             self._tap = Tap(f"stop {self.topic} {id(self)}", self._codec, taker=self._hear)
-            self._shared.feeds.tap(self.topic, self._cls, Qos(), self._tap)
+            self._shared.subscriptions.tap(self.topic, self._cls, Qos(), self._tap)
 
     def leave(self) -> None:
         """Listen no more."""
         if self._tap is not None:
-            self._shared.feeds.untap(self.topic, self._tap.name)
+            self._shared.subscriptions.untap(self.topic, self._tap.name)
             self._tap = None
             self._foreign.clear()
 

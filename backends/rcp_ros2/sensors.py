@@ -86,11 +86,13 @@ class Observed(Binding):
 
     def tap(self, tap: Tap) -> None:
         """Let a path take from the topic, this one or one that is made of it."""
-        self.shared.ros.post(self.shared.feeds.tap, self.topic, self._cls, self.mapping.qos, tap)
+        self.shared.ros.post(
+            self.shared.subscriptions.tap, self.topic, self._cls, self.mapping.qos, tap
+        )
 
     def untap(self, name: str) -> None:
         """Let a path take no more."""
-        self.shared.ros.post(self.shared.feeds.untap, self.topic, name)
+        self.shared.ros.post(self.shared.subscriptions.untap, self.topic, name)
 
     def unwatched(self) -> None:
         """End the subscription, unless it is an event's."""
@@ -124,7 +126,9 @@ class Observed(Binding):
             )
         next_ = Ticket(shared.host)
         tap = Tap(f"{self.resource.name} read {id(next_)}", self.codec, taker=next_.give)
-        await shared.ros.call(shared.feeds.tap, self.topic, self._cls, self.mapping.qos, tap)
+        await shared.ros.call(
+            shared.subscriptions.tap, self.topic, self._cls, self.mapping.qos, tap
+        )
         try:
             if not await next_.wait(self.timeout):
                 raise DeviceTimeout(
@@ -186,8 +190,8 @@ class Commanded(Binding):
             message = self._fill(self._safe)
             self.rest = Rest(shared, self.topic, cls, self._outlet, message)
             self.rest.needed = mapping.require_subscriber
-        shared.ros.post(self._outlet.look)
-        shared.on_look.append(self._outlet.look)
+        shared.ros.post(self._outlet.poll)
+        shared.on_poll.append(self._outlet.poll)
 
     def placed(self) -> None:
         """Have it stopped with its robot, from now on."""
@@ -295,8 +299,8 @@ class Commanded(Binding):
 
     def close(self) -> None:
         """Let go of the publisher."""
-        if self._outlet.look in self.shared.on_look:
-            self.shared.on_look.remove(self._outlet.look)
+        if self._outlet.poll in self.shared.on_poll:
+            self.shared.on_poll.remove(self._outlet.poll)
         if self.rest is not None:
             self.shared.ros.post(self.shared.keeper.remove, self.rest)
         self.shared.ros.post(self._outlet.close)

@@ -54,7 +54,7 @@ class ActionServer:
         """Who published the statuses that are known."""
         codec = Codec(load(_STATUSES))
         self._tap = Tap(f"stop {name}", codec, taker=self._told)
-        shared.feeds.tap(f"{name}{GOALS}", load(_STATUSES), Qos(), self._tap)
+        shared.subscriptions.tap(f"{name}{GOALS}", load(_STATUSES), Qos(), self._tap)
 
     # -- what it tells, to any thread ------------------------------------------------------------
 
@@ -101,7 +101,7 @@ class ActionServer:
             self._abandoned.add(goal)
         self.cancel(goal)
 
-    def look(self) -> None:
+    def poll(self) -> None:
         """Forget what a server told that has gone; cancel what was given up and goes on."""
         servers = self._publishers()
         if self._servers and self._servers.isdisjoint(servers):
@@ -147,5 +147,5 @@ class ActionServer:
 
     def close(self) -> None:
         """Let go of what it holds of ROS."""
-        self._shared.feeds.untap(f"{self.name}{GOALS}", self._tap.name)
+        self._shared.subscriptions.untap(f"{self.name}{GOALS}", self._tap.name)
         self._shared.ros.node.destroy_client(self._client)

@@ -22,7 +22,7 @@ from rcp_ros2.types import example_of, inward
 
 __all__ = ["Called", "Caller", "reader"]
 
-_LOOK = 0.5  # s between looks whether the server is still there
+_POLL = 0.5  # s between looks whether the server is still there
 _MATCH = 1.0  # s for a client to find a server that the graph lists
 _PAUSE = 0.02  # s between looks whether it has
 _MARGIN = 1.0  # s that the gateway waits longer than the service has
@@ -101,7 +101,7 @@ class Caller:
     async def _answer(self, ticket: Ticket, limit: float) -> Any:
         end = time.monotonic() + limit
         while (left := end - time.monotonic()) > 0:
-            if await ticket.wait(min(left, _LOOK)):
+            if await ticket.wait(min(left, _POLL)):
                 return ticket.result()
             if not self._shared.graph.has(*self._presence):
                 raise AdapterUnavailable(f"the node that offers {self._name} has gone")

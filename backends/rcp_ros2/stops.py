@@ -30,7 +30,7 @@ __all__ = ["Stops"]
 
 log = structlog.get_logger("rcp.ros2")
 _WITHIN = 2.0  # s in which a robot that was told should have come to rest
-_LOOK = 0.02  # s between looks whether it has
+_POLL = 0.02  # s between looks whether it has
 _FOLLOW = 0.1  # s between looks at the latches
 _LINGER = 0.5  # s for which a stop without a latch goes on
 _PERIOD = 0.05  # s between two transmissions of the guard
@@ -134,7 +134,7 @@ class Stops:
                 break
             for robot in robots:
                 self._hold(robot)
-            await asyncio.sleep(_LOOK)
+            await asyncio.sleep(_POLL)
         worst = _worst(states)
         if worst.at_rest is None:
             raise AdapterUnavailable(
@@ -306,7 +306,7 @@ class Stops:
             if self._is_own(name) or name in graph.actions
         }
         self._shared.ros.post(self.keeper.follow, servers)
-        self._shared.ros.post(self.keeper.look)
+        self._shared.ros.post(self.keeper.poll)
         robots = self.robots()
         self.feedbacks.drop(self.feedbacks.robots - robots)
         feedback = config.stop.feedback
@@ -369,7 +369,7 @@ class Stops:
             self._shared.complain(f"stop topic {config.name}", f"{config.name}: {error}")
             return
         self.keeper.signals.append(signal)
-        self._shared.on_look.append(signal.look)
+        self._shared.on_poll.append(signal.poll)
 
     async def follow(self) -> None:
         """Follow the latches, and what is out of reach, for as long as the backend is open."""

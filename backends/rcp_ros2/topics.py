@@ -21,7 +21,7 @@ from rcp_ros2.outbox import Outbox
 from rcp_ros2.qos import Profile, clash, for_subscription
 from rcp_ros2.ros import Ros, guarded
 
-__all__ = ["PROFILE", "Feeds", "Tap", "TopicSubscription"]
+__all__ = ["PROFILE", "Tap", "TopicSubscription", "TopicSubscriptions"]
 
 log = structlog.get_logger("rcp.ros2")
 _LARGE = 262_144  # bytes: two of these fill what Fast DDS has by default
@@ -55,14 +55,14 @@ class TopicSubscription:
     wanted: Qos
     taps: dict[str, Tap] = field(default_factory=dict[str, Tap])
     profile: Profile | None = None
-    subscription: Any = None
+    handle: Any = None
     last: bytes | None = None
     """The newest message."""
     advised: bool = False
     """Whether it was said how large messages are not lost."""
 
 
-class Feeds:
+class TopicSubscriptions:
     """All subscriptions of a backend."""
 
     def __init__(
@@ -71,77 +71,89 @@ class Feeds:
         self._ros = ros
         self._outbox = outbox
         self._complain = complain
-        self._feeds: dict[str, TopicSubscription] = {}
+        self._subscriptions: dict[str, TopicSubscription] = {}
         self._sweeper: Any = None
         self.now: Callable[[], int | None] = lambda: None
         """The time of what carries none, ns; None is the time of receipt."""
 
     def tap(self, topic: str, cls: Any, qos: Qos, tap: Tap) -> None:
         """Let a path take from a topic, or change its rate."""
-        feed = self._feeds.get(topic)
-        if feed is None:
-            feed = self._feeds[topic] = TopicSubscription(topic, cls, qos)
-        elif feed.cls is not cls:  # the topic has another type now, and its other paths too
-            self._drop(feed)
-            feed.taps.clear()
-            feed.cls, feed.last, feed.profile = cls, None, None
-        known = feed.taps.get(tap.name)
+        subscription = self._subscriptions.get(topic)
+        if subscription is None:
+            subscription = self._subscriptions[topic] = TopicSubscription(topic, cls, qos)
+        elif subscription.cls is not cls:  # the topic has another type now, and its other paths too
+            self._drop(subscription)
+            subscription.taps.clear()
+            subscription.cls, subscription.last, subscription.profile = cls, None, None
+        known = subscription.taps.get(tap.name)
         if known is not None:
             known.period, known.due = tap.period, 0.0
         else:
-            feed.taps[tap.name] = tap
-            if feed.last is not None and feed.profile is not None and feed.profile.latched:
-                self._send(tap, feed.last, 0.0)  # the middleware does not send it again
-        self._match(feed)
+            subscription.taps[tap.name] = tap
+            if (
+                subscription.last is not None
+                and subscription.profile is not None
+                and subscription.profile.latched
+            ):
+                self._send(tap, subscription.last, 0.0)  # the middleware does not send it again
+        self._match(subscription)
         self._keep_sweeping()
 
     def untap(self, topic: str, name: str) -> None:
         """Let a path take no more; the last one ends the subscription."""
-        feed = self._feeds.get(topic)
-        if feed is None or feed.taps.pop(name, None) is None or feed.taps:
+        subscription = self._subscriptions.get(topic)
+        if subscription is None or subscription.taps.pop(name, None) is None or subscription.taps:
             return
-        del self._feeds[topic]
-        self._drop(feed)
+        del self._subscriptions[topic]
+        self._drop(subscription)
         self._complain(topic, None)
         self._keep_sweeping()
 
     def refresh(self) -> None:
         """Match publishers that have come since."""
-        for feed in self._feeds.values():
-            self._match(feed)
+        for subscription in self._subscriptions.values():
+            self._match(subscription)
 
-    def _match(self, feed: TopicSubscription) -> None:
-        found = self._ros.node.get_publishers_info_by_topic(feed.topic)
-        type_ = full_name(feed.cls)
+    def _match(self, subscription: TopicSubscription) -> None:
+        found = self._ros.node.get_publishers_info_by_topic(subscription.topic)
+        type_ = full_name(subscription.cls)
         publishers = [one for one in found if one.topic_type == type_]  # others are never heard
-        profile = for_subscription(publishers, feed.wanted)
-        if feed.subscription is None or (publishers and profile != feed.profile):
-            self._drop(feed)
-            feed.profile = profile
+        profile = for_subscription(publishers, subscription.wanted)
+        if subscription.handle is None or (publishers and profile != subscription.profile):
+            self._drop(subscription)
+            subscription.profile = profile
             try:
-                feed.subscription = _subscribe(
-                    self._ros.node, feed.cls, feed.topic, self._hearer(feed), profile
+                subscription.handle = _subscribe(
+                    self._ros.node,
+                    subscription.cls,
+                    subscription.topic,
+                    self._hearer(subscription),
+                    profile,
                 )
             except Exception as error:  # one of another type may not have left yet
-                self._complain(feed.topic, f"{feed.topic} cannot be subscribed to: {error}")
+                self._complain(
+                    subscription.topic, f"{subscription.topic} cannot be subscribed to: {error}"
+                )
                 return
-        assert feed.profile is not None
-        self._complain(feed.topic, clash(feed.topic, feed.profile, publishers))
+        assert subscription.profile is not None
+        self._complain(
+            subscription.topic, clash(subscription.topic, subscription.profile, publishers)
+        )
 
-    def _drop(self, feed: TopicSubscription) -> None:
-        if feed.subscription is not None:
-            self._ros.node.destroy_subscription(feed.subscription)
-            feed.subscription = None
+    def _drop(self, subscription: TopicSubscription) -> None:
+        if subscription.handle is not None:
+            self._ros.node.destroy_subscription(subscription.handle)
+            subscription.handle = None
 
-    def _hearer(self, feed: TopicSubscription) -> Callable[[bytes], None]:
-        taps = feed.taps
+    def _hearer(self, subscription: TopicSubscription) -> Callable[[bytes], None]:
+        taps = subscription.taps
         monotonic = time.monotonic
 
         def heard(data: bytes) -> None:
             try:
-                feed.last = data
-                if len(data) > _LARGE and not feed.advised:
-                    _advise(feed, len(data))
+                subscription.last = data
+                if len(data) > _LARGE and not subscription.advised:
+                    _advise(subscription, len(data))
                 now = monotonic()
                 for tap in taps.values():
                     if tap.period and now < tap.due:
@@ -149,7 +161,7 @@ class Feeds:
                     else:
                         self._send(tap, data, now)
             except Exception as error:  # it would end the executor
-                log.error("ros_callback_failed", topic=feed.topic, exc_info=error)
+                log.error("ros_callback_failed", topic=subscription.topic, exc_info=error)
 
         return heard
 
@@ -166,7 +178,11 @@ class Feeds:
         self._outbox.put(tap.name, Value(data, tap.codec), time_)
 
     def _keep_sweeping(self) -> None:
-        needed = any(tap.period for feed in self._feeds.values() for tap in feed.taps.values())
+        needed = any(
+            tap.period
+            for subscription in self._subscriptions.values()
+            for tap in subscription.taps.values()
+        )
         if needed and self._sweeper is None:
             self._sweeper = self._ros.node.create_timer(_SWEEP, guarded(self._sweep))
         elif not needed and self._sweeper is not None:
@@ -175,19 +191,19 @@ class Feeds:
 
     def _sweep(self) -> None:
         now = time.monotonic()
-        for feed in self._feeds.values():
-            for tap in feed.taps.values():
+        for subscription in self._subscriptions.values():
+            for tap in subscription.taps.values():
                 if tap.held is not None and now >= tap.due:
                     self._send(tap, tap.held, now)
 
 
-def _advise(feed: TopicSubscription, size: int) -> None:
-    feed.advised = True
-    if feed.profile is None or feed.profile.reliable or _PROFILES in os.environ:
+def _advise(subscription: TopicSubscription, size: int) -> None:
+    subscription.advised = True
+    if subscription.profile is None or subscription.profile.reliable or _PROFILES in os.environ:
         return
     log.warning(
         "ros_messages_may_be_lost",
-        topic=feed.topic,
+        topic=subscription.topic,
         bytes=size,
         detail="best effort, and larger than the shared memory of Fast DDS takes by itself: most "
         "of them are lost unless the node that publishes them has more",

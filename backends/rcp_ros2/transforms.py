@@ -149,7 +149,7 @@ class Tree:
         robot, _, _ = self.shared.naming.split(f"{self.space}/tf")
         for path, pair in self.shared.config.tf.names.items():
             with contextlib.suppress(UnknownFrame, NotConnected):
-                self.frames.look(*pair)
+                self.frames.lookup(*pair)
                 found[self.shared.naming.below(path.removeprefix("/"), robot)] = pair
         return found
 
@@ -169,7 +169,7 @@ class Tree:
             if source != target and root and root == roots.get(target)
         ]
 
-    def look(self, target: str, source: str, time: int | None = None) -> tuple[Place, int | None]:
+    def lookup(self, target: str, source: str, time: int | None = None) -> tuple[Place, int | None]:
         """Return where a frame is in another, and when.
 
         :raises InvalidValue: there is no such frame.
@@ -177,7 +177,7 @@ class Tree:
         :raises OutOfRange: one of them is not known at that time.
         """
         try:
-            return self.frames.look(target, source, time)
+            return self.frames.lookup(target, source, time)
         except UnknownFrame as error:
             raise _unknown(error, target) from None
         except NotConnected as error:
@@ -293,11 +293,11 @@ class Moved(Binding):
 
         :raises AdapterUnavailable: they are not connected any more.
         """
-        return self._look()[0]
+        return self._lookup()[0]
 
-    def _look(self) -> tuple[Any, int | None]:
+    def _lookup(self) -> tuple[Any, int | None]:
         try:
-            place, time = self._tree.look(*self._pair)
+            place, time = self._tree.lookup(*self._pair)
         except RcpError as error:
             raise AdapterUnavailable(error.message, remedy=error.remedy) from None
         return self._make(*self._pair, place, time), time
@@ -312,7 +312,7 @@ class Moved(Binding):
         last: Any = None
         while True:
             with contextlib.suppress(AdapterUnavailable):  # a part of the tree is gone for now
-                value, time = self._look()
+                value, time = self._lookup()
                 if value != last:
                     self.shared.host.publish(self.resource.name, value, time)
                     last = value
@@ -349,5 +349,5 @@ class LookUp(Binding):
     async def execute(self, value: Any, progress: Progress) -> Any:
         """Look it up, as `Tree.look` does."""
         at = None if value.time is None else round(value.time * 1e9)
-        place, time = self._tree.look(value.target, value.source, at)
+        place, time = self._tree.lookup(value.target, value.source, at)
         return self._make(value.target.lstrip("/"), value.source.lstrip("/"), place, time)

@@ -96,17 +96,17 @@ class View(Binding):
 
     def _begin(self) -> None:
         self._known = self._mark = None
-        if self._look not in self.shared.on_look:
-            self.shared.on_look.append(self._look)
-        self._look()
+        if self._poll not in self.shared.on_poll:
+            self.shared.on_poll.append(self._poll)
+        self._poll()
 
     def unwatched(self) -> None:
         """Look no more."""
         self.shared.ros.post(self._end)
 
     def _end(self) -> None:
-        if self._look in self.shared.on_look:
-            self.shared.on_look.remove(self._look)
+        if self._poll in self.shared.on_poll:
+            self.shared.on_poll.remove(self._poll)
 
     def close(self) -> None:
         """Look no more."""
@@ -114,7 +114,7 @@ class View(Binding):
 
     # -- ROS thread ------------------------------------------------------------------------------
 
-    def _look(self) -> None:
+    def _poll(self) -> None:
         mark, now = self._fingerprint(), time.monotonic()
         if mark == self._mark and now - self._looked < _AGAIN:
             return

@@ -151,7 +151,7 @@ class SimBackend(BaseBackend):
     async def hold(self, robot: str | None) -> None:
         """Brake as for any stop, end what is running, and return once at rest."""
         await self.device.reach("hold", stop=True)
-        self._sim.stop("the rover was told to hold")
+        self._sim.stop("the rover was commanded to hold")
         await self.device.waiting.until(lambda: self._sim.rover.at_rest)
 
     # Actions

@@ -80,7 +80,7 @@ class Device:
         for fault, active, message in self.sim.happenings:
             self._event(FaultEvent(fault, active, message, None, iso(stamp)))
         self.sim.happenings.clear()
-        self.waiting.look()
+        self.waiting.poll()
 
     def boot(self, reason: Literal["power_on", "reset"] = "power_on") -> None:
         """Announce that the rover is up, with a first value of everything it sends by itself."""
@@ -157,7 +157,7 @@ class Device:
         self.faults.inject(spec, self.uptime)
         if spec.fault == "link_lost":
             self.sim.lose_link()
-            self.waiting.look()
+            self.waiting.poll()
         self._report()
 
     def mend(self, fault: str | None = None) -> int:

@@ -36,7 +36,7 @@ class Waiting:
         if self._closed is not None:
             raise AdapterUnavailable(self._closed)
 
-    def look(self) -> None:
+    def poll(self) -> None:
         """Wake those whose condition has come true."""
         if self._waiters:
             for holds, event in self._waiters:

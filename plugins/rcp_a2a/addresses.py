@@ -59,7 +59,7 @@ class Addresses:
                 self._private.append(ip_network(text))
             except ValueError as error:
                 raise ConfigError(
-                    f"[plugins.a2a.push] private: {error}; write a network as 10.0.5.0/24"
+                    f"[plugins.a2a.push] private: {error}; write a network such as 10.0.5.0/24"
                 ) from None
 
     async def fits(self, url: str) -> bool:
@@ -88,7 +88,7 @@ class Addresses:
         if parts.scheme != "https" and not (parts.scheme == "http" and self._http):
             raise Unfit("the URL is not https")
         if not parts.hostname or parts.username is not None or parts.password is not None:
-            raise Unfit("the URL has no host, or a user in it")
+            raise Unfit("the URL has no host, or contains a user name")
         address = await self._look_up(parts.hostname, port or _default(parts.scheme))
         place = f"[{address}]" if address.version == 6 else str(address)
         netloc = place if port is None else f"{place}:{port}"
@@ -101,11 +101,11 @@ class Addresses:
             async with asyncio.timeout(_LOOKUP):
                 found = await loop.getaddrinfo(name, port, type=socket.SOCK_STREAM)
         except (OSError, UnicodeError, TimeoutError) as error:
-            raise Unknown("the URL's host cannot be found") from error
+            raise Unknown("the URL's host cannot be resolved") from error
         addresses = [ip_address(str(info[4][0]).partition("%")[0]) for info in found]
         # All of them: a name with a public and a private address is a way in.
         if not addresses or not all(map(self._fit, addresses)):
-            raise Unfit("the URL leads to an address that is not called")
+            raise Unfit("the URL's address is not allowed")
         return addresses[0]
 
     def _fit(self, address: Address) -> bool:

@@ -169,7 +169,7 @@ class _Malformed(BadRequest):
 def _check_type(scope: Scope) -> None:
     given = header(scope, b"content-type")
     if given is not None and given.partition(b";")[0].strip().lower() not in _TAKEN:
-        text = "the body is JSON: send `Content-Type: application/json`"
+        text = "the body must be JSON: send `Content-Type: application/json`"
         reason = "CONTENT_TYPE_NOT_SUPPORTED"
         raise _Malformed(Trouble(415, "INVALID_ARGUMENT", reason, -32005, text))
 
@@ -182,7 +182,7 @@ def _check_state(scope: Scope, place: Place, call: _Call) -> None:
     elif place.rest == "/tasks":
         named = parse_qs(scope["query_string"].decode("latin-1")).get("status", [None])[-1]
     if isinstance(named, str) and named not in _STATES:
-        text = f"there is no state '{named[:40]}': use one of {sorted(_STATES)}"
+        text = f"unknown state '{named[:40]}': use one of {sorted(_STATES)}"
         trouble = Trouble(400, "INVALID_ARGUMENT", "INVALID_PARAMS", -32602, text)
         raise _Malformed(msgspec.structs.replace(trouble, http=_http(place, trouble)))
 
@@ -242,7 +242,7 @@ def _count_values(plain: Any) -> int:
 def _tenant(place: Place, call: _Call) -> str | None:
     named = call.params.tenant or None
     if place.tenant is not None and named not in (None, place.tenant):
-        raise Forbidden("the address and the parameters name two tenants")
+        raise Forbidden("the URL and the parameters name different tenants")
     return place.tenant or named
 
 

@@ -42,8 +42,8 @@ OUTPUT_MODES = ("application/json", "text/plain")
 _KEPT = 64  # cards that are kept ready
 _HOST = re.compile(r"[A-Za-z0-9.\-_\[\]:]+\Z")
 _DESCRIPTION = (
-    "Robots behind one gateway. Send a plan, or one command; it is checked whole before anything "
-    "moves, and runs as a task that can be followed and cancelled."
+    "Robots behind one gateway. Send a plan or a single command. The gateway checks all of it "
+    "before anything moves, then runs it as a task that you can follow and cancel."
 )
 
 

@@ -53,7 +53,7 @@ class Handler(DefaultRequestHandler):
             task: Any = await self.task_store.get(params.message.task_id, context)
             if task is not None and task.status.state in _UNDER_WAY:
                 raise UnsupportedOperationError(
-                    "the task is under way and takes no messages: cancel it, or wait until it ends"
+                    "the task is running and takes no messages: cancel it, or wait until it ends"
                 )
         wants = params.configuration.HasField("task_push_notification_config")
         if wants and self._push_config_store is None:

@@ -71,11 +71,11 @@ def check(message: Message) -> None:
         media = part.media_type.partition(";")[0].strip().lower()
         if kind not in ("data", "text") or media not in ("", _DATA, _TEXT):
             raise ContentTypeNotSupportedError(
-                f"a plan is a data part or a text part ({_DATA}, {_TEXT}), not "
+                f"a plan must be a data part or a text part ({_DATA}, {_TEXT}), not "
                 f"{part.media_type or kind or 'nothing'}"
             )
     if kinds.count("data") > 1:
-        raise InvalidParamsError("a message has one plan: send one data part")
+        raise InvalidParamsError("a message can contain one plan only: send one data part")
 
 
 def asked(request: SendMessageRequest) -> TaskRequest:

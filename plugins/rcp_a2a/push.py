@@ -96,7 +96,9 @@ def _check(config: TaskPushNotificationConfig) -> None:
     given = (config.token, config.authentication.scheme, config.authentication.credentials)
     for text in given:
         if len(text) > _TEXT or not text.isascii() or any(ord(c) < 32 for c in text):
-            raise InvalidParamsError("a token or credential does not fit into a header")
+            raise InvalidParamsError(
+                "a token or credential contains characters that are not allowed in a header"
+            )
 
 
 def _trusted(ca: str | None) -> ssl.SSLContext:
@@ -106,7 +108,8 @@ def _trusted(ca: str | None) -> ssl.SSLContext:
             context.load_verify_locations(ca)
         except OSError as error:
             raise ConfigError(
-                f"[plugins.a2a.push] ca cannot be read ({error}): name a PEM file of certificates"
+                f"[plugins.a2a.push] ca cannot be read ({error}): set it to a PEM file of "
+                "certificates"
             ) from None
     return context
 

@@ -64,7 +64,7 @@ def question_of(facts: Node) -> Question | None:
     places = ", ".join(
         f"step '{m['step']}' {m['pointer'] or 'its whole input'}" for m in missing if m
     )
-    return Question(f"The plan lacks parameters: {places}.", None, tuple(m for m in missing if m))
+    return Question(f"Parameters are missing: {places}.", None, tuple(m for m in missing if m))
 
 
 def with_schemas(question: Question, schema: Callable[[str], Any]) -> Question:

@@ -41,9 +41,9 @@ _BY_HTTP: dict[int, tuple[str, int]] = {
     429: ("RESOURCE_EXHAUSTED", -32052),
     503: ("UNAVAILABLE", -32053),
 }
-NOT_FOUND = Trouble(404, "NOT_FOUND", "METHOD_NOT_FOUND", -32601, "nothing is at this address")
+NOT_FOUND = Trouble(404, "NOT_FOUND", "METHOD_NOT_FOUND", -32601, "nothing found at this address")
 NOT_TAKEN = Trouble(
-    405, "UNIMPLEMENTED", "METHOD_NOT_FOUND", -32601, "this address does not take that method"
+    405, "UNIMPLEMENTED", "METHOD_NOT_FOUND", -32601, "this address does not support the method"
 )
 
 

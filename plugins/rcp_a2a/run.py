@@ -144,7 +144,7 @@ class Run:
         self.cancelled = True
         if self.question is not None:
             self._resume()
-            await self._end(TaskState.TASK_STATE_CANCELED, "Cancelled before anything was begun.")
+            await self._end(TaskState.TASK_STATE_CANCELED, "Cancelled before anything was started.")
             return
         await self._known.wait()
         if self.command is not None and not self.ended.is_set():
@@ -187,7 +187,7 @@ class Run:
 
     async def _working(self, facts: dict[str, Any]) -> None:
         metadata = {"command": facts["command"]} if "command" in facts else None
-        message = self._message("The plan was checked and begins.")
+        message = self._message("The plan was checked and starts.")
         await self._status(TaskState.TASK_STATE_WORKING, message, metadata=metadata)
 
     async def _tell_step(self, facts: dict[str, Any]) -> None:
@@ -224,9 +224,9 @@ class Run:
         state = _FINAL[status]
         text = facts.get("message") or f"The plan has {status}."
         if status == "completed" and not facts.get("dry_run"):
-            text = "The plan was carried out."
+            text = "The plan completed."
         if status == "cancelled" and not self.cancelled and self._client_api.closing:
-            state, text = TaskState.TASK_STATE_FAILED, "The gateway was stopped in mid-task."
+            state, text = TaskState.TASK_STATE_FAILED, "The gateway stopped during the task."
         if facts.get("dry_run"):
             parts = [self._data(facts.get("body"))]
             await self._updater.add_artifact(parts, "check", "check", last_chunk=True)
@@ -258,7 +258,7 @@ class Run:
 
     def _lapsed(self) -> None:
         self._resume()
-        text = f"Nobody answered within {self._patience:g} s."
+        text = f"No answer within {self._patience:g} s."
         self._late = asyncio.ensure_future(self._end(TaskState.TASK_STATE_FAILED, text))
 
     async def _end(self, state: TaskState, text: str, data: Any = None) -> None:

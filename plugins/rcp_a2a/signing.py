@@ -20,7 +20,7 @@ from rcp_kernel.errors import ConfigError
 
 __all__ = ["CardKey"]
 
-_REMEDY = "give [plugins.a2a] card_key a private key of P-256, RSA or Ed25519 as PEM, or its file"
+_REMEDY = "set [plugins.a2a] card_key to a P-256, RSA or Ed25519 private key as PEM, or to its file"
 _NAMED = {"EC": ("crv", "kty", "x", "y"), "RSA": ("e", "kty", "n"), "OKP": ("crv", "kty", "x")}
 """The members of a key that make its thumbprint: RFC 7638, 3.2."""
 
@@ -51,11 +51,11 @@ def _read(given: str) -> tuple[Any, str, dict[str, Any]]:
         pem = given if "-----BEGIN" in given else Path(given).expanduser().read_text("utf-8")
         key = load_pem_private_key(pem.encode(), None)
     except (OSError, ValueError, TypeError) as error:
-        raise ConfigError(f"the key of the card cannot be read ({error}): {_REMEDY}") from None
+        raise ConfigError(f"the card key cannot be read ({error}): {_REMEDY}") from None
     if isinstance(key, EllipticCurvePrivateKey) and isinstance(key.curve, SECP256R1):
         return key, "ES256", ECAlgorithm.to_jwk(key.public_key(), as_dict=True)
     if isinstance(key, RSAPrivateKey):
         return key, "RS256", RSAAlgorithm.to_jwk(key.public_key(), as_dict=True)
     if isinstance(key, Ed25519PrivateKey):
         return key, "EdDSA", OKPAlgorithm.to_jwk(key.public_key(), as_dict=True)
-    raise ConfigError(f"the key of the card is of another kind: {_REMEDY}")
+    raise ConfigError(f"the card key has an unsupported type: {_REMEDY}")

@@ -21,10 +21,10 @@ PLAN = AgentSkill(
     id="plan",
     name="Run a plan",
     description=(
-        "Checks a whole plan, then runs it as one task. A plan is a data part with JSON (steps of "
+        "Checks all of a plan, then runs it as one task. A plan is a data part with JSON (steps of "
         "read, write and execute, in sequence or parallel, with conditions, retries and "
         "fallbacks), or a text part: the symbolic plan of a PDDL planner, or lines of commands. "
-        "With `dry_run` in the message's metadata it is only checked."
+        "With `dry_run` in the message's metadata the plan is only checked."
     ),
     tags=["plan", "robot"],
     examples=[
@@ -37,13 +37,13 @@ STOP = AgentSkill(
     id="stop",
     name="Emergency stop",
     description=(
-        "Stops robots at once and latches them, past every queue, until a person with the right "
+        "Stops robots at once, ahead of every queue, and latches them until a person with the right "
         "resets it. `scope` is a robot (its backend's name, or /tenant/<tenant>/<robot>), a group "
         "by its name, or a tenant (/tenant/<tenant>); without it every robot that you may stop. "
-        "The task is completed only when each of them is measured to be at rest. Otherwise it has "
-        "failed with device_timeout, and `details.robots` of the error says of each how far its "
-        "stop has come: tell a person to use the robot's own emergency stop. To pause a robot "
-        "without a latch execute its /service/hold."
+        "The task completes only when each of them is measured at rest. Otherwise it fails with "
+        "device_timeout, and `details.robots` of the error gives the state of each stop: tell a "
+        "person to use the robot's own emergency stop. To pause a robot without a latch, execute "
+        "its /service/hold."
     ),
     tags=["stop", "safety"],
     examples=[

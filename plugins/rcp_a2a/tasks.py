@@ -35,7 +35,7 @@ ENDED = frozenset(
     )
 )
 _S = 1_000_000_000  # ns
-_CUT_OFF = "the gateway was restarted while the task was under way; the robot was told to halt"
+_CUT_OFF = "the gateway was restarted during the task; it commanded the robot to halt"
 
 
 class Tasks(InMemoryTaskStore):

@@ -53,7 +53,7 @@ class Api:
             handlers = self._handlers.get(path.removeprefix(PREFIX))
             if handlers is None:
                 known = ", ".join(PREFIX + rest for rest in self._handlers)
-                raise UnknownPath(f"nothing is at {path}", remedy=f"There are {known}.")
+                raise UnknownPath(f"nothing found at {path}", remedy=f"Available: {known}.")
             allowed = _allowed(handlers)
             asked = DashboardRequest(scope)
             if asked.method == "OPTIONS":
@@ -63,7 +63,7 @@ class Api:
             if handler is None:
                 headers.append((b"allow", allowed))
                 raise UnsupportedOperation(
-                    f"{path} does not take {asked.method}",
+                    f"{path} does not support {asked.method}",
                     remedy=f"Use {' or '.join(handlers)}.",
                 )
             await asked.identify(self._client_api)

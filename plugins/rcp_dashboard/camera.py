@@ -101,8 +101,8 @@ class Cameras:
         path = asked.path()
         if self._streams >= self._config.streams:
             raise QueueFull(
-                f"{self._streams} camera streams are open",
-                remedy="Close one, or raise [plugins.dashboard] streams.",
+                f"{self._streams} camera streams are already open",
+                remedy="Close one, or ask the operator to raise [plugins.dashboard] streams.",
             )
         self._streams += 1
         stream = Stream(asked, receive, send)

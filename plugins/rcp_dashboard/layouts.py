@@ -29,7 +29,7 @@ class Layouts:
         """
         found = self._found.get(_key(principal))
         if found is None:
-            raise UnknownPath("no layout is kept for you", remedy="PUT one here.")
+            raise UnknownPath("no layout is saved for you", remedy="Save one with PUT.")
         return found
 
     def put(self, principal: Principal, data: bytes) -> None:
@@ -46,8 +46,8 @@ class Layouts:
             raise BadRequest(f"the layout is not JSON: {error}") from None
         if key not in self._found and len(self._found) >= self._config.layouts:
             raise QueueFull(
-                f"{len(self._found)} users have a layout",
-                remedy="Raise [plugins.dashboard] layouts.",
+                f"{len(self._found)} users already have a layout",
+                remedy="Ask the operator to raise [plugins.dashboard] layouts.",
             )
         self._found[key] = data
         self._shelf.put(key, data)
@@ -65,7 +65,7 @@ class Layouts:
 def _key(principal: Principal) -> str:
     if principal.anonymous:
         raise Forbidden(
-            "a layout is kept for who proves who they are",
-            remedy="Log in with a key or token, or keep it in the browser.",
+            "layouts are saved for authenticated users only",
+            remedy="Log in with a key or token.",
         )
     return f"{principal.proof}:{principal.name}"

@@ -76,18 +76,18 @@ class Pages:
 
     def facts(self) -> dict[str, Any]:
         """Tell of them in `/system/status`."""
-        return {} if self.built else {"detail": "its pages were not built: `make dashboard`"}
+        return {} if self.built else {"detail": "the pages were not built: run `make dashboard`"}
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Serve one request."""
         path, method = scope["path"], scope["method"]
         file = self._files.get(path)
         if file is None:
-            told = UnknownPath(f"nothing is at {path}", remedy="The pages begin at `/`.")
+            told = UnknownPath(f"nothing found at {path}", remedy="The dashboard is at `/`.")
             await refuse(send, told)
             return
         if method not in ("GET", "HEAD"):
-            told = UnsupportedOperation(f"{path} does not take {method}")
+            told = UnsupportedOperation(f"{path} does not support {method}")
             allow: Headers = [(b"allow", b"GET, HEAD, OPTIONS")]
             if method == "OPTIONS":
                 await respond(send, 204, b"", headers=allow)

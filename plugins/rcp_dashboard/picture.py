@@ -53,7 +53,7 @@ def picture(value: Any, quality: int) -> Picture:
             return Picture(b"image/jpeg", _compress(value, bytes(data), quality))
     raise DeviceRejected(
         "the value is not an image",
-        remedy="Name a resource of images: bytes of JPEG or PNG, or pixels with width and height.",
+        remedy="Use a resource with images: JPEG or PNG bytes, or pixels with width and height.",
     )
 
 
@@ -63,8 +63,9 @@ def _compress(value: Mapping[str, Any], data: bytes, quality: int) -> bytes:
     layout = _LAYOUTS.get(named.lower()) if kind is None else ("GRAY", int(kind[1]))
     if layout is None:
         raise DeviceRejected(
-            f"no JPEG is made of an image in {named[:40]!r}",
-            remedy="Read the value itself; of ROS cameras `<sensor>/jpeg` knows more encodings.",
+            f"cannot convert an image with encoding {named[:40]!r} to JPEG",
+            remedy="Read the value itself; for ROS cameras, `<sensor>/jpeg` supports more "
+            "encodings.",
             details={"encoding": named, "supported": [*_LAYOUTS, *_MEASURES]},
         )
     colours, depth = layout
@@ -72,15 +73,15 @@ def _compress(value: Mapping[str, Any], data: bytes, quality: int) -> bytes:
     step = value.get("step") or width * depth
     if not isinstance(step, int) or step < width * depth or len(data) < step * height:
         raise DeviceRejected(
-            f"{len(data)} bytes in rows of {step} are no {width} x {height} pixels of '{named}'"
+            f"{len(data)} bytes in rows of {step} are not {width} x {height} pixels of '{named}'"
         )
     try:
         import numpy as np
         import simplejpeg
     except ImportError as error:
         raise AdapterUnavailable(
-            f"raw images cannot be made JPEGs here: {error}",
-            remedy="On the gateway: pip install 'rcp-gateway[dashboard]'.",
+            f"this gateway cannot convert raw images to JPEG: {error}",
+            remedy="Install on the gateway: pip install 'rcp-gateway[dashboard]'.",
         ) from error
     rows = np.frombuffer(data, np.uint8, step * height).reshape(height, step)
     pixels = np.ascontiguousarray(rows[:, : width * depth])
@@ -112,4 +113,4 @@ def _greys(measured: Any, *, near: bool) -> Any:
 def _side(value: Any) -> int:
     if isinstance(value, int) and 0 < value <= _EDGE:
         return value
-    raise DeviceRejected(f"no JPEG is {value!r} pixels wide or high")
+    raise DeviceRejected(f"a JPEG cannot be {value!r} pixels wide or high")

@@ -38,7 +38,7 @@ class DashboardRequest:
                 max_num_fields=_MAX_PARAMETERS,
             )
         except ValueError:
-            raise BadRequest("the query cannot be read, or has too many parameters") from None
+            raise BadRequest("the query is malformed or has too many parameters") from None
         for key, value in pairs:
             self._query.setdefault(key, []).append(value)
         self.tenant = self.text("tenant")
@@ -93,7 +93,7 @@ class DashboardRequest:
         path = self.text("path")
         if not path or ("*" in path and not pattern):
             kind = "path or pattern" if pattern else "path, without `*`"
-            raise BadRequest("no resource is named", remedy=f"Add ?path=<{kind}>.")
+            raise BadRequest("`path` is missing", remedy=f"Add ?path=<{kind}>.")
         return path
 
     def number(self, name: str, least: float, most: float) -> float | None:
@@ -109,7 +109,9 @@ class DashboardRequest:
         except ValueError:
             found = math.nan
         if not least <= found <= most:
-            raise BadRequest(f"`{name}` is a number from {least:g} to {most:g}, not {text[:40]!r}")
+            raise BadRequest(
+                f"`{name}` must be a number from {least:g} to {most:g}, not {text[:40]!r}"
+            )
         return found
 
     def whole(self, name: str, least: int, most: int, default: int) -> int:
@@ -119,7 +121,7 @@ class DashboardRequest:
         """
         found = self.number(name, least, most)
         if found is not None and not found.is_integer():
-            raise BadRequest(f"`{name}` is a whole number")
+            raise BadRequest(f"`{name}` must be a whole number")
         return default if found is None else int(found)
 
     def time(self, name: str) -> float | None:
@@ -146,7 +148,7 @@ class DashboardRequest:
         for word in known:
             if word == text:
                 return word
-        raise BadRequest(f"`{name}` is {' or '.join(known)}, not {text[:40]!r}")
+        raise BadRequest(f"`{name}` must be {' or '.join(known)}, not {text[:40]!r}")
 
     async def body(self, receive: Receive, limit: int) -> bytes:
         """Read the body; the listener sees to it that it comes to an end.
@@ -157,9 +159,9 @@ class DashboardRequest:
         while more:
             message = await receive()
             if message["type"] != "http.request":
-                raise BadRequest("the request has ended early")
+                raise BadRequest("the request ended early")
             data += message.get("body", b"")
             if len(data) > limit:
-                raise PayloadTooLarge(f"the body may have {limit} bytes")
+                raise PayloadTooLarge(f"the body is longer than {limit} bytes")
             more = message.get("more_body", False)
         return data

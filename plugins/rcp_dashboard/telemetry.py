@@ -39,7 +39,7 @@ class Telemetry:
         path = asked.path()
         fields = asked.several("field") or [""]
         if len(fields) > _FIELDS:
-            raise BadRequest(f"one question is for {_FIELDS} fields at most")
+            raise BadRequest(f"a request can have at most {_FIELDS} fields")
         window = asked.number("window", 0.001, 1e9)
         until = asked.time("until")
         points = asked.whole("points", 4, _POINTS, 600)
@@ -52,7 +52,7 @@ class Telemetry:
                 raise BadRequest(
                     f"{field or 'the value'} of {path} is not a number",
                     path=path,
-                    remedy="Name a field that holds one: ?field=position.x.",
+                    remedy="Use a field with a number: ?field=position.x.",
                 )
             times, values = ring.window(window, until)
             chosen = choose(times, values, points)

@@ -105,8 +105,9 @@ class Watcher:
         if found is None:
             if len(self.watched) >= self._config.fields:
                 raise QueueFull(
-                    f"{len(self.watched)} fields are kept for this client already",
-                    remedy=f"Ask for fewer; what nobody asks for is let go after {self._config.idle:g} s.",
+                    f"this client already has {len(self.watched)} recorded fields",
+                    remedy=f"Request fewer; recording stops {self._config.idle:g} s after the "
+                    "last request.",
                 )
             self._make_room()
             found = await self._watch(path, field, now)
@@ -203,8 +204,9 @@ class Watchers:
     def _check_room(self) -> None:
         if sum(len(one.watched) for one in self._found.values()) >= self._config.all_fields:
             raise QueueFull(
-                f"the dashboard keeps {self._config.all_fields} fields already",
-                remedy="Raise [plugins.dashboard] all_fields, or try again later.",
+                f"the dashboard already records {self._config.all_fields} fields",
+                remedy="Try again later, or ask the operator to raise [plugins.dashboard] "
+                "all_fields.",
                 retry_after=self._config.idle,
             )
 

@@ -87,7 +87,7 @@ class Guard:
                 TypeError,
                 ValueError,
             ) as error:  # the others count all the same
-                self._report(name, "missing", f"this is no plan: {error!r}")
+                self._report(name, "missing", f"malformed plan: {error!r}")
                 continue
             held[name] = transmitter
             transmitter.start()

@@ -47,7 +47,7 @@ class Watch:
             return
         self.lost = True
         if self.armed and not self._spent:
-            self._stop(now, "the gateway has ended without a goodbye")
+            self._stop(now, "the gateway ended unexpectedly")
 
     def trusts(self, now: float) -> bool:
         """Tell whether the gateway's heartbeat is there and has been for a while."""
@@ -76,7 +76,7 @@ class Watch:
     def _judge_stopping(self, now: float) -> None:
         sent = now - self._since
         if not self.lost and self._good >= _HEALTHY:
-            self._release("the gateway's heartbeat is back")
+            self._release("the gateway's heartbeat has returned")
         elif sent >= self._bound or (self._end and self.may_yield(now)):
             self._spent = True
             self._release(f"the stop was sent for {sent:.1f} s")

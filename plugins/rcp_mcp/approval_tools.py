@@ -64,8 +64,8 @@ class ApprovalTools:
             "properties": {
                 "approve": {
                     "type": "boolean",
-                    "title": "Let it pass",
-                    "description": "Yes: the robot does it now, once.",
+                    "title": "Approve",
+                    "description": "Approve: the robot executes this command now, once.",
                 }
             },
             "required": ["approve"],
@@ -97,13 +97,13 @@ class ApprovalTools:
             return
         yes = action == "accept" and isinstance(content, dict) and content.get("approve") is True  # pyright: ignore[reportUnknownMemberType]
         self._client_api.approve(
-            session, id_, "approve" if yes else "reject", "asked at the client"
+            session, id_, "approve" if yes else "reject", "approved at the client"
         )
         if not yes:
             raise Forbidden(
-                "the person at the client did not approve it",
+                "the person at the client did not approve the command",
                 path=request.path,
-                remedy="Do something else, or ask the person what is wanted.",
+                remedy="Do not repeat the command; ask the person how to proceed.",
             )
         request.approval = id_
 
@@ -114,5 +114,5 @@ def _question(session: Session, request: Request, path: str) -> str:
     what = f" with {shown}" if shown else ""
     return (
         f"{session.principal.name} wants to {request.type} {path}{what}. "
-        "This moves or changes a robot, and the rules want a person's word. Let it pass?"
+        "This command moves or changes a robot and requires approval. Approve it?"
     )

@@ -18,22 +18,24 @@ __all__ = ["mcp"]
     envvar="RCP_URL",
     default="http://127.0.0.1:8080",
     show_default=True,
-    help="The gateway; `/mcp` is added unless it has a path.",
+    help="URL of the gateway; `/mcp` is added if it has no path.",
 )
 @click.option(
     "--token-file",
     type=click.Path(path_type=Path, dir_okay=False),
-    help="A file with the token; else RCP_TOKEN, else none.",
+    help="File with the token. Default: RCP_TOKEN, else no token.",
 )
-@click.option("--tenant", envvar="RCP_TENANT", help="Which tenant relative paths mean.")
+@click.option("--tenant", envvar="RCP_TENANT", help="Tenant for relative paths.")
 @click.option(
-    "--cacert", envvar="RCP_CACERT", help="Certificates to trust, as PEM, beside the system's."
+    "--cacert",
+    envvar="RCP_CACERT",
+    help="PEM file with CA certificates to trust in addition to the system's.",
 )
 def mcp(url: str, token_file: Path | None, tenant: str | None, cacert: str | None) -> None:
-    """Serve a gateway's MCP on stdin and stdout, for assistants on the desktop."""
+    """Connect desktop assistants to a gateway's MCP server over stdin and stdout."""
     parts = urlsplit(url)
     if parts.scheme not in ("http", "https") or not parts.netloc:
-        raise click.BadParameter("write it like http://127.0.0.1:8080", param_hint="--url")
+        raise click.BadParameter("use a URL such as http://127.0.0.1:8080", param_hint="--url")
     if parts.path in ("", "/"):
         url = url.rstrip("/") + "/mcp"
     token = os.environ.get("RCP_TOKEN")

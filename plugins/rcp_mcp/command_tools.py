@@ -149,8 +149,8 @@ class CommandTools:
         """Stop a command, or what runs on a path."""
         if (asked.command is None) == (asked.path is None):
             raise BadRequest(
-                "`cancel` takes either `command` or `path`",
-                remedy="Give the id that the call answered with, or the path of the action.",
+                "`cancel` needs either `command` or `path`",
+                remedy="Send the command id from the call's result, or the path of the action.",
             )
         request = Request(type="cancel", command=asked.command, path=asked.path)
         reply = await self.client_api.ask(session, request)
@@ -167,7 +167,10 @@ def _going_on(following: Following) -> types.CallToolResult:
         body = body_of(latest) if latest.status == "in_progress" else None
         facts |= {"path": latest.path, "progress": latest.progress, "feedback": body}
         facts["untrusted"] = True if speaks(body) else None
-    facts["message"] = f"It goes on. Ask `status` with command {following.command}, or `cancel` it."
+    facts["message"] = (
+        "The command is still running. Call `status` with command "
+        f"{following.command}, or `cancel`."
+    )
     return answered({key: item for key, item in facts.items() if item is not None})
 
 
@@ -203,7 +206,7 @@ def _input(typed: Typed, given: dict[str, Any]) -> Raw:
     unknown = sorted(given.keys() - {"value"})
     if unknown:
         raise BadRequest(
-            f"{typed.tool.name} takes no argument {unknown[0][:60]!r}",
+            f"{typed.tool.name} has no argument {unknown[0][:60]!r}",
             path=typed.facts["path"],
             remedy="Its input is the argument `value`.",
         )

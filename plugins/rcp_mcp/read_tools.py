@@ -62,9 +62,9 @@ class ReadTools:
         facts: dict[str, Any] = {"resources": found[:kept]}
         if (cursor := page.get("cursor")) is not None:
             facts["cursor"] = cursor
-            facts["note"] = "There is more: search with `q`, or go on with `cursor`."
+            facts["note"] = "There are more results: search with `q`, or continue with `cursor`."
         elif not found:
-            facts["note"] = "Nothing that you may see matches; try fewer words in `q`."
+            facts["note"] = "No matching resources; try fewer words in `q`."
         return answered(facts)
 
     def _fitting(self, found: list[dict[str, Any]]) -> int:
@@ -166,7 +166,7 @@ def sampled(
         left -= size(one)
         if left < 0 and told:
             facts["note"] = (
-                f"{len(samples) - len(told)} more are left out: name fewer paths, or `fields`."
+                f"{len(samples) - len(told)} more are omitted: use fewer paths, or `fields`."
             )
             more = True
             break
@@ -176,12 +176,14 @@ def sampled(
         facts["truncated"] = True
     if more and pages:
         facts["cursor"] = cursor_of(told[-1]["path"])
-        facts["note"] = "There is more: name fewer paths, or `fields`, or go on with `cursor`."
+        facts["note"] = (
+            "There are more results: use fewer paths, or `fields`, or continue with `cursor`."
+        )
     head = facts.get("note")
     said = [types.TextContent(type="text", text=head)] if head else []
     result = answered({key: told, **facts}, *blocks, *shown_as, *said)
     if not samples:
-        return answered({key: [], "note": "Nothing that you may read matches."})
+        return answered({key: [], "note": "No matching resource that you may read."})
     return result
 
 

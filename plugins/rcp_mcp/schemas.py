@@ -12,7 +12,7 @@ _DEFS = "$defs"
 _ANY_VALUE = {"description": "Anything that JSON carries."}
 ERROR: dict[str, Any] = {
     "type": "object",
-    "description": "`code`, `message`, and in `remedy` what to do about it.",
+    "description": "`code`, `message`, and `remedy`: what to do next.",
     "required": ["code", "message"],
 }
 
@@ -22,9 +22,9 @@ class Arguments(NamedTuple):
 
     schema: dict[str, Any]
     wrapped: bool
-    """The input is no object: it is the argument `value`."""
+    """The input is not an object: it is the argument `value`."""
     optional: bool
-    """No arguments at all mean no input."""
+    """Without arguments there is no input."""
     options: frozenset[str]
     """Properties that are options of the call, not part of the input."""
 

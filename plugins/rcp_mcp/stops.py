@@ -16,10 +16,10 @@ _SHOWN = 50  # robots that are named in words
 _SCOPE = (
     "What to stop: a robot by its backend's name (`rover-alpha`; one of several: "
     "`<backend>/<robot>`) or by its place (`/tenant/alpha/<robot>`), a group by its name, a tenant "
-    "(`/tenant/alpha`). Without it every robot that you may stop."
+    "(`/tenant/alpha`). Default: every robot that you may stop."
 )
-_RESET = "Release instead of stopping; only for a role with that right. Nothing moves by it."
-_REASON = "Told to everybody who looks at the stop."
+_RESET = "Reset the e-stop instead; only for roles with that right. Nothing starts to move."
+_REASON = "Shown to everyone who looks at the stop."
 _NAMES = {"type": "array", "items": {"type": "string"}}
 
 
@@ -31,12 +31,12 @@ def is_hold(path: str) -> bool:
 def stop_words() -> str:
     """Say what the tool of the emergency stop does."""
     return (
-        "It acts at once and stays latched until a person with the right resets it. `completed` "
+        "Acts at once and stays latched until a person with the right resets it. `completed` "
         "means that every robot in scope is confirmed at rest (`at_rest`). `failed` with "
-        "`device_timeout` means that some are not: `not_confirmed` names them, the stop is "
-        "repeated, and a person has to use the robot's own emergency stop: say so at once. Never "
-        "tell anybody that a robot has stopped before it stands in `at_rest`. To pause one robot "
-        "without a latch use its `hold` tool."
+        "`device_timeout` means that some are not: `not_confirmed` lists them, the gateway "
+        "keeps sending the stop, and a person must use the robot's own emergency stop: say so at "
+        "once. Never say that a robot has stopped before it is listed in `at_rest`. To pause one "
+        "robot without a latch use its `hold` tool."
     )
 
 
@@ -114,7 +114,8 @@ class Report(NamedTuple):
         if self.not_confirmed:
             names = _named([one["robot"] for one in self.not_confirmed])
             said.append(
-                f"NOT confirmed at rest: {names}. The stop is repeated; tell a person to use "
+                f"NOT confirmed at rest: {names}. The gateway keeps sending the stop; tell a "
+                "person to use "
                 "the robot's own emergency stop."
             )
             known = [one for one in self.not_confirmed if "detail" in one]

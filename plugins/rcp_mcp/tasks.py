@@ -110,7 +110,7 @@ class Tasks:
         try:
             command = self._client_api.command(session, params.task_id)
             if (command.principal, command.proof) != session.principal.identity:
-                raise UnknownPath(f"there is no command '{params.task_id[:64]}'")
+                raise UnknownPath(f"unknown command '{params.task_id[:64]}'")
         except UnknownPath:
             raise MCPError(types.INVALID_PARAMS, "Task not found") from None
         except RcpError as error:

@@ -30,12 +30,12 @@ OPTIONS: dict[str, dict[str, Any]] = {
     },
     "dry_run": {
         "type": "boolean",
-        "description": "Check everything, do nothing, and say what would happen.",
+        "description": "Check the command without running it, and return what would happen.",
     },
     "approval": {
         "type": "string",
         "maxLength": 128,
-        "description": "Id of a person's approval of exactly this, as the refusal named it.",
+        "description": "Id of the approval for exactly this command, from the refusal.",
     },
 }
 _DESCRIPTION = 900  # characters that a robot's own words may have

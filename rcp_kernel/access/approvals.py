@@ -178,10 +178,10 @@ class Approvals:
         if asked.status == "rejected":
             raise _rejected(state)
         raise ApprovalRequired(
-            f"a person has to approve `{state.request} {state.path}` first",
+            f"`{state.request} {state.path}` requires approval",
             path=entry.path,
-            remedy=f"Have it approved at {PATH}, then send the same again with `approval`: "
-            f"'{state.approval}' in the envelope.",
+            remedy=f"Ask for approval at {PATH}, then send the same command again with `approval`: "
+            f"'{state.approval}'.",
             details={
                 "approval": state.approval,
                 "expires": state.expires,
@@ -240,8 +240,8 @@ class Approvals:
         mine = [a for a in self._known.values() if a.asker == principal.identity]
         if sum(a.status == "pending" for a in mine) >= _EACH:
             raise QueueFull(
-                f"{_EACH} commands of {principal.name} wait for approval already",
-                remedy="Have them decided, or wait until they expire.",
+                f"{principal.name} already has {_EACH} commands waiting for approval",
+                remedy="Wait until they are decided or expire.",
             )
         if len(self._known) >= _ALL:
             self._drop()
@@ -261,24 +261,25 @@ class Approvals:
         asked = self._known.get(id_)
         if asked is None or asked.asker != session.principal.identity or asked.digest != digest:
             raise Forbidden(
-                "the approval is not for this command, with this value, of this principal",
+                "the approval is for a different command, value or principal",
                 path=path,
-                remedy="Send the command without `approval` to ask for one.",
+                remedy="Send the command without `approval` to request a new one.",
             )
         if asked.status == "rejected":
             raise _rejected(asked.state)
         if asked.status == "pending":
             raise ApprovalRequired(
-                f"`{asked.state.request} {path}` has not been approved yet",
+                f"`{asked.state.request} {path}` is not approved yet",
                 path=path,
-                remedy=f"Wait until {PATH} shows it approved, then send the same again.",
+                remedy=f"Wait until {PATH} shows it as approved, then send the same command again.",
                 details={"approval": id_, "expires": asked.state.expires},
             )
         if asked.status != "approved":
             raise Forbidden(
-                f"the approval is {asked.status}: it passes one command before it expires",
+                f"the approval is {asked.status}; an approval is valid for one command, until "
+                "it expires",
                 path=path,
-                remedy="Send the command without `approval` to ask for another.",
+                remedy="Send the command without `approval` to request a new one.",
             )
         self._place(session, request)  # or it would be used up for nothing
         asked.state.status = "used"
@@ -309,9 +310,9 @@ class Approvals:
         found = self._found(session, asked.id)
         if session.principal.identity == found.asker:
             raise Forbidden(
-                "nobody approves by a request what they asked for themselves",
+                "you cannot approve your own command",
                 path=PATH,
-                remedy="Have somebody else decide whose role has `may_approve = true`.",
+                remedy="Ask someone else whose role has `may_approve = true`.",
             )
         if not self._may(session, found):
             raise _may_not(session)
@@ -332,9 +333,9 @@ class Approvals:
         rights = session.rights
         if own and decision == "approve" and not all(map(rights.may_approve_own, found.tenants)):
             raise Forbidden(
-                f"{session.principal.name} may not approve what it asked for itself",
+                f"{session.principal.name} may not approve its own commands",
                 path=PATH,
-                remedy="Have somebody else decide whose role has `may_approve = true`.",
+                remedy="Ask someone else whose role has `may_approve = true`.",
             )
         if not own and not self._may(session, found):
             raise _may_not(session)
@@ -359,9 +360,9 @@ class Approvals:
     def _check_open(asked: _Asked) -> None:
         if asked.status != "pending":
             raise Forbidden(
-                f"there is nothing to decide: it is {asked.status}",
+                f"the approval is already {asked.status}",
                 path=PATH,
-                remedy="Have the command sent again to ask anew.",
+                remedy="Send the command again to request a new approval.",
             )
 
     def _decide(
@@ -413,16 +414,16 @@ def _shown(value: Any) -> Any:
 def _rejected(state: ApprovalState) -> RcpError:
     why = f": {state.reason}" if state.reason else ""
     return Forbidden(
-        f"{state.by} has rejected `{state.request} {state.path}`{why}",
+        f"{state.by} rejected `{state.request} {state.path}`{why}",
         path=state.path,
-        remedy=f"Do something else; it may be asked for again after {state.expires}.",
+        remedy=f"Do not repeat the command; approval can be requested again after {state.expires}.",
         details={"approval": state.approval, "expires": state.expires},
     )
 
 
 def _may_not(session: Session) -> Forbidden:
     return Forbidden(
-        f"{session.principal.name} may not approve anything there",
+        f"{session.principal.name} may not approve commands on these paths",
         path=PATH,
-        remedy="Have somebody decide whose role has `may_approve = true`.",
+        remedy="Ask someone whose role has `may_approve = true`.",
     )

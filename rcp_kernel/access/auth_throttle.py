@@ -52,7 +52,7 @@ class AuthThrottle:
         raise RateLimited(
             "too many failed logins from this address",
             retry_after=max(round(wait, 3), 0.001),
-            remedy="Wait `retry_after` seconds, then send a token that is good.",
+            remedy="Wait `retry_after` seconds, then send a valid token.",
         )
 
     def failed(self, address: str | None, digest: str) -> None:

@@ -117,11 +117,11 @@ class Certificates:
         """
         if certificate.expires <= now():
             raise TokenExpired(
-                "the client certificate has expired", remedy="Connect with a new one."
+                "the client certificate has expired", remedy="Connect with a new certificate."
             )
         if (certificate.issuer, certificate.serial) in self.revoked:
             raise Unauthenticated(
-                "the client certificate was revoked", remedy="Connect with a new one."
+                "the client certificate was revoked", remedy="Connect with a new certificate."
             )
         principal = self._look_up(certificate)
         if principal is not None and certificate.fingerprint not in self.known:
@@ -177,7 +177,7 @@ def _canonical(config: CertificateConfig, text: str | None) -> str | None:
         return x509.Name.from_rfc4514_string(text).rfc4514_string()
     except ValueError:
         raise ConfigError(
-            f"[[certificates]] '{config.name}': {text!r} is no name of RFC 4514: "
+            f"[[certificates]] '{config.name}': {text!r} is not an RFC 4514 name: "
             "write it as `openssl x509 -noout -subject -nameopt RFC2253` does"
         ) from None
 

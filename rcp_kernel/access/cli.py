@@ -28,27 +28,37 @@ _NAME = r"[A-Za-z0-9_.@-]{1,64}"
 
 @click.group()
 def token() -> None:
-    """Make, list and take back API keys; a running gateway knows within two seconds."""
+    """Create, list and revoke API keys. A running gateway applies changes within two seconds."""
 
 
 def _where(command: Any) -> Any:
     found = click.option(
         "--config",
         type=click.Path(path_type=Path),
-        help="The gateway's configuration (./rcp.toml if not given): roles, tenants, [store] path.",
+        help="Configuration of the gateway, for roles, tenants and [store] path. Default: "
+        "./rcp.toml.",
     )(command)
     return click.option(
-        "--store", type=click.Path(path_type=Path), help="The store itself; nothing is checked."
+        "--store",
+        type=click.Path(path_type=Path),
+        help="The store file, instead of a configuration; roles and tenants are not checked.",
     )(found)
 
 
 @token.command()
 @click.argument("name")
 @_where
-@click.option("--role", "roles", multiple=True, help="A role; may be given again.")
-@click.option("--tenant", "tenants", multiple=True, help="Where; every tenant if not given.")
-@click.option("--grant", "grants", multiple=True, help="TENANT=ROLE, instead of the two above.")
-@click.option("--expires", help="30d, 12h, 2027-01-31 or a time of ISO 8601; never if not given.")
+@click.option("--role", "roles", multiple=True, help="Role; can be repeated.")
+@click.option(
+    "--tenant", "tenants", multiple=True, help="Tenant; can be repeated. Default: every tenant."
+)
+@click.option(
+    "--grant",
+    "grants",
+    multiple=True,
+    help="TENANT=ROLE, instead of --role and --tenant; can be repeated.",
+)
+@click.option("--expires", help="30d, 12h, 2027-01-31 or an ISO 8601 time. Default: never.")
 def create(
     name: str,
     *,
@@ -59,12 +69,12 @@ def create(
     grants: tuple[str, ...],
     expires: str | None,
 ) -> None:
-    """Make a key for NAME and print it, once: only its hash is kept."""
+    """Create a key for NAME and print it once; only its hash is stored."""
     from rcp_kernel.config.identity import check_grants
     from rcp_kernel.config.role import BUILTIN_ROLES
 
     if not re.fullmatch(_NAME, name):
-        _fail("a NAME has 1 to 64 letters, digits and . _ @ -")
+        _fail("NAME must be 1 to 64 characters: letters, digits and . _ @ -")
     given = _granted(roles, tenants, grants)
     try:
         end = None if expires is None else _end(expires)
@@ -75,15 +85,15 @@ def create(
             made, key = table.create(name, given, end)
     except (ConfigError, ValueError) as error:
         _fail(str(error))
-    click.echo(f"{_line(made)}\nThe key, which is shown this once:", err=True)
+    click.echo(f"{_line(made)}\nThe key (shown only once):", err=True)
     click.echo(key)
 
 
 @token.command("list")
 @_where
-@click.option("--all", "every", is_flag=True, help="Those too that are not good any more.")
+@click.option("--all", "every", is_flag=True, help="Include expired and revoked keys.")
 def list_(*, config: Path | None, store: Path | None, every: bool) -> None:
-    """List the keys, without the keys themselves."""
+    """List the keys, without their secrets."""
     for one in _read(config, store):
         if every or one.state == "good":
             click.echo(_line(one))
@@ -93,7 +103,7 @@ def list_(*, config: Path | None, store: Path | None, every: bool) -> None:
 @click.argument("named", metavar="NAME|ID")
 @_where
 def revoke(named: str, *, config: Path | None, store: Path | None) -> None:
-    """Take a key back by its ID, or all of a NAME; what they opened is closed."""
+    """Revoke a key by its ID, or all keys of a NAME, and close their sessions."""
     import difflib
 
     try:
@@ -105,8 +115,8 @@ def revoke(named: str, *, config: Path | None, store: Path | None) -> None:
         _fail(str(error))
     if not gone:
         near = difflib.get_close_matches(named, [w for t in left for w in (t.name, t.id)], n=1)
-        advice = f"; did you mean '{near[0]}'?" if near else "; `rcpd token list` shows them"
-        _fail(f"there is no key '{named[:64]}' to take back{advice}")
+        advice = f"; did you mean '{near[0]}'?" if near else "; `rcpd token list` lists the keys"
+        _fail(f"no valid key is named '{named[:64]}'{advice}")
     for one in gone:
         click.echo(f"revoked {one.id} {one.name}")
 
@@ -151,15 +161,15 @@ def _found(config: Path | None, store: Path | None) -> tuple[Path, GatewayConfig
         if config is not None:
             raise ConfigError("give either --config or --store")
         if not store.expanduser().exists():
-            raise ConfigError(f"there is no store '{store}'; --config makes it where it belongs")
+            raise ConfigError(f"the store '{store}' does not exist; use --config to create it")
         return store.expanduser(), None
     source = config or Path("rcp.toml")
     read = load(source)
     path = store_file(read)
     if path is None:
         raise ConfigError(
-            f"{source} keeps nothing, so no token either: add [store] with a `path`, "
-            "and start the gateway anew"
+            f"{source} has no store, and tokens need one: add [store] with a `path`, "
+            "then restart the gateway"
         )
     return path, read
 
@@ -187,7 +197,7 @@ def _end(text: str) -> int:
     span = re.fullmatch(r"(\d{1,6})([mhdw])", text)
     end = now() + int(span[1]) * _UNITS[span[2]] * _S if span else instant(text)
     if end <= now():
-        raise ValueError(f"--expires {text[:40]} is past")
+        raise ValueError(f"--expires {text[:40]} is in the past")
     return end
 
 

@@ -63,8 +63,8 @@ class ConditionTooCostly(ConfigError):
     """An evaluation could hold everybody else up."""
 
     remedy = (
-        "Write fewer comprehensions (all, exists, filter, map) within each other, or over shorter "
-        "lists; have the robot say as one value what the condition is to find out."
+        "Nest fewer comprehensions (all, exists, filter, map), or use shorter lists; or have the "
+        "robot publish the result as one value."
     )
 
 
@@ -88,8 +88,9 @@ class Condition:
             raise self._wrong(str(error), costly=error.excess) from None
         if spent > BUDGET:
             raise self._wrong(
-                f"it would cost {spent} units of {BUDGET} at most, with {ASSUMED} elements in "
-                "each list of unknown length",
+                f"its estimated cost is {spent} units, the limit is {BUDGET} (assuming "
+                f"{ASSUMED} elements in "
+                "each list of unknown length)",
                 costly=True,
             )
         try:
@@ -115,7 +116,7 @@ class Condition:
             case Macro(name, range_, variable, body):
                 if variable in _ROOTS or _OWN.fullmatch(variable):
                     raise self._wrong(
-                        f"'{variable}' is taken; give what `{name}` goes over another"
+                        f"'{variable}' is already in use; choose another variable name for `{name}`"
                     )
                 inner = bound | {variable}
                 parts = tuple(self._named(part, inner) for part in body)
@@ -135,18 +136,19 @@ class Condition:
         root, *steps = chain
         if root not in _ROOTS:
             raise self._wrong(
-                f"there is no '{root[:64]}'; name a value by its branch (sensor.battery.percentage, "
+                f"unknown name '{root[:64]}'; refer to a value by its branch "
+                "(sensor.battery.percentage, "
                 'sensor["battery-1"]), `mode`, or time.hour, time.minute, time.weekday'
             )
         ref = ("sensor", "mode", *steps) if root == "mode" else (root, *steps)
         if root in ("action", "service"):
-            raise self._wrong(f"'{root}' has no value; conditions are about {', '.join(_VALUES)}")
+            raise self._wrong(f"'{root}' has no value; conditions can use {', '.join(_VALUES)}")
         if root == "time" and (len(steps) != 1 or steps[0] not in CLOCK):
-            raise self._wrong("of the time there are time.hour, time.minute and time.weekday")
+            raise self._wrong("`time` has only time.hour, time.minute and time.weekday")
         if len(ref) < 2:
             raise self._wrong(
-                f"'{root}' alone is no value; write {root}.<resource>.<field>, and "
-                f'{root}["<name>"] for a name with other characters than letters, digits and _'
+                f"'{root}' alone is not a value; write {root}.<resource>.<field>, or "
+                f'{root}["<name>"] for a name with characters other than letters, digits and _'
             )
         return self._names.setdefault(ref, f"v{len(self._names)}_")
 
@@ -174,7 +176,7 @@ class Condition:
             most = max(large, key=lambda ref: sizes[self._names[ref]].total)
             many = sizes[self._names[most]].width
             return (
-                f"it would cost {spent} units of {BUDGET} at most: {'.'.join(most)} has {many} "
+                f"its cost is {spent} units, the limit is {BUDGET}: {'.'.join(most)} has {many} "
                 "elements now"
             )
         self._afforded = sizes

@@ -139,7 +139,7 @@ def _weigh_pattern(node: Call, text: int) -> int:
     """
     pattern = node.operands[1] if len(node.operands) > 1 else None
     if not isinstance(pattern, Literal) or pattern.text[-1] not in "'\"":
-        why = "the pattern of `matches` has to be written out as a text"
+        why = "the pattern of `matches` must be a string literal"
         raise ExpressionError(why, excess=True)
     states = len(pattern.text)
     if states > _PATTERN:

@@ -60,6 +60,6 @@ def _tell(session: Session, expires: int, left: float) -> None:
             session.connection.outbox,
             "session_expiring",
             expires=iso(expires),
-            message=f"the proof of identity ends in {left:.0f} s",
-            remedy="Say `hello` with a new token of the same principal, and all of it stays.",
+            message=f"your credentials expire in {left:.0f} s",
+            remedy="Send `hello` with a new token of the same principal to keep the session.",
         )

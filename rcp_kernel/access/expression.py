@@ -141,7 +141,7 @@ def parse(text: str) -> tuple[Node, int]:
     :raises ExpressionError: it is none, or exceeds a bound.
     """
     if len(text) > LENGTH:
-        raise ExpressionError(f"it has {len(text)} characters of {LENGTH} at most", excess=True)
+        raise ExpressionError(f"it has {len(text)} characters; the limit is {LENGTH}", excess=True)
     parser = _Parser(text)
     return parser.whole(), parser.terms
 

@@ -167,7 +167,7 @@ class Identities:
         """
         grants = self._settings.config.anonymous.grants
         if not any(roles for _, roles in grants):
-            raise Unauthenticated("this gateway serves nobody without a token")
+            raise Unauthenticated("authentication required")
         return Principal("anonymous", grants)
 
     def longest(self, principal: Principal) -> int:
@@ -191,7 +191,7 @@ class Identities:
         if wanted is None:
             return tenants[0] if tenants else None
         if wanted not in tenants:
-            raise Forbidden(f"{principal.name} does not act in the tenant '{wanted[:64]}'")
+            raise Forbidden(f"{principal.name} has no access to the tenant '{wanted[:64]}'")
         return wanted
 
     def renewed(self, principal: Principal) -> Principal | None:
@@ -285,7 +285,7 @@ class Identities:
         if self._is_signed(token):
             principal = self._issuers.find(token, digest)
             return principal if isinstance(principal, Principal) else None
-        raise Unauthenticated("the token is not known")
+        raise Unauthenticated("unknown token")
 
     def _ask(self, authenticator: Authenticator, token: str) -> Principal | None:
         """Ask a plugin; what it raises may hold the token, so only its kind and place are told."""
@@ -303,14 +303,14 @@ class Identities:
                 file=None if place is None else place.tb_frame.f_code.co_filename,
                 line=None if place is None else place.tb_lineno,
             )
-        raise InternalError("the token could not be checked")
+        raise InternalError("the token could not be verified")
 
 
 def _agree(certified: Principal | None, principal: Principal) -> None:
     if certified is not None and certified.name != principal.name:
         raise Unauthenticated(
-            f"the token is that of '{principal.name}', the certificate that of '{certified.name}'",
-            remedy="Send the token of the certificate's owner, or none.",
+            f"the token belongs to '{principal.name}', the certificate to '{certified.name}'",
+            remedy="Send the token of the certificate's owner, or no token.",
         )
 
 

@@ -97,5 +97,5 @@ def check_time(principal: Principal, moment: int) -> Principal:
     :raises TokenExpired: it is.
     """
     if principal.expires is not None and principal.expires <= moment:
-        raise TokenExpired("the proof of identity has expired")
+        raise TokenExpired("the credentials have expired")
     return principal

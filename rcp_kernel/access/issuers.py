@@ -159,7 +159,7 @@ class Issuer:
             try:
                 return read_set(read_document(await fetch(url)))
             except ValueError as error:
-                return f"the key set at {_shown(url)} is none: {error}"
+                return f"the key set at {_shown(url)} is not valid: {error}"
         except Unreachable as error:
             return str(error)
 
@@ -170,12 +170,12 @@ class Issuer:
         except ValueError:
             raise Unreachable("the discovery document is not JSON") from None
         if not is_map(document) or document.get("issuer") != issuer:
-            raise Unreachable("the discovery document is of another issuer")
+            raise Unreachable("the discovery document names another issuer")
         url: Any = document.get("jwks_uri")
         if not isinstance(url, str) or not is_private_url(url):
-            raise Unreachable("the discovery document names no `jwks_uri` with https")
+            raise Unreachable("the discovery document has no `jwks_uri` with https")
         if urlsplit(url).scheme != "https" and urlsplit(issuer).scheme == "https":
-            raise Unreachable("the discovery document names a `jwks_uri` without https")
+            raise Unreachable("the discovery document has a `jwks_uri` without https")
         return url
 
     def _take(self, found: tuple[PublicKey, ...] | str) -> None:
@@ -235,7 +235,7 @@ class Issuers:
         self.issuers: dict[str, Issuer] = {}
         for config in configs:
             if config.issuer in self.issuers:
-                raise ConfigError(f"two [[jwt]] are of the issuer '{config.issuer}'")
+                raise ConfigError(f"two [[jwt]] tables have the issuer '{config.issuer}'")
             self.issuers[config.issuer] = Issuer(config, old.get(config.issuer))
         self._tenants = tenants
         self._tables = object()
@@ -292,14 +292,14 @@ class Issuers:
         read = read_token(token)
         issuer = self.issuers.get(read.issuer)
         if issuer is None:
-            raise Unauthenticated("the token is of an issuer that is not known here")
+            raise Unauthenticated("the token's issuer is not configured on this gateway")
         if read.algorithm not in issuer.config.algorithms:
-            raise Unauthenticated("the token is signed by an algorithm that is not taken here")
+            raise Unauthenticated("the token's signature algorithm is not accepted")
         keys = issuer.candidates(read) if issuer.reachable else []
         if not keys:
             if issuer.fetches:
                 return issuer
-            raise Unauthenticated("the token is signed by a key that is not known here")
+            raise Unauthenticated("the token is signed with an unknown key")
         claims, key = verify(token, keys, issuer.config)
         return self._keep(issuer.config, digest, claims, key.thumbprint, read)
 
@@ -315,9 +315,9 @@ class Issuers:
             raise AdapterUnavailable(
                 "the keys of the token's issuer cannot be fetched at present",
                 retry_after=_RETRY[0],
-                remedy="Try again; if that goes on, the operator has to look at the issuer.",
+                remedy="Try again. If it persists, ask the operator to check the issuer.",
             )
-        raise Unauthenticated("the token is signed by a key that its issuer does not list")
+        raise Unauthenticated("the token is signed with a key that its issuer does not publish")
 
     def _keep(
         self, config: JwtConfig, digest: str, claims: Claims, key: str, read: Read

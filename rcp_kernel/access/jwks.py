@@ -56,13 +56,15 @@ def read_set(document: Any) -> tuple[PublicKey, ...]:
     :raises ValueError: there is none that is of use.
     """
     if not is_map(document):
-        raise ValueError("it is no JSON object")
+        raise ValueError("it is not a JSON object")
     listed: Any = document.get("keys", [document])
     if not is_list(listed):
-        raise ValueError("`keys` is no list")
+        raise ValueError("`keys` is not a list")
     found = tuple(key for one in listed[:_MOST] if (key := _read_jwk(one)) is not None)
     if not found:
-        raise ValueError("it has no RSA (2048 bits or more), P-256 or Ed25519 key for signatures")
+        raise ValueError(
+            "it has no signing key of a supported type (RSA with 2048 bits or more, P-256, Ed25519)"
+        )
     return found
 
 
@@ -122,7 +124,7 @@ def read_static(given: str | Iterable[str], where: str) -> tuple[PublicKey, ...]
         try:
             found += _read_text(text)
         except ValueError as error:
-            raise ConfigError(f"{place} holds no public key: {error}") from None
+            raise ConfigError(f"{place} is not a public key: {error}") from None
     return tuple(found)
 
 
@@ -133,7 +135,7 @@ def _read_text(text: str) -> tuple[PublicKey, ...]:
     if text.lstrip().startswith("{"):
         return read_set(read_document(text.encode()))
     if "PRIVATE KEY" in text:
-        raise ValueError("it is a private key, which belongs to the issuer alone")
+        raise ValueError("it is a private key; only the issuer may have it")
     begin = "-----BEGIN PUBLIC KEY-----"
     found: list[PublicKey] = []
     for block in text.split(begin)[1:]:
@@ -142,7 +144,9 @@ def _read_text(text: str) -> tuple[PublicKey, ...]:
         except (ValueError, UnsupportedAlgorithm):
             raise ValueError("a PEM block cannot be read") from None
         if made is None:
-            raise ValueError("it is not RSA (2048 bits or more), P-256 or Ed25519")
+            raise ValueError(
+                "the key type is not supported: use RSA (2048 bits or more), P-256 or Ed25519"
+            )
         found.append(made)
     if not found:
         raise ValueError("write PEM (BEGIN PUBLIC KEY), JWK or JWKS")
@@ -193,7 +197,7 @@ async def fetch(url: str) -> bytes:
         async with asyncio.timeout(_PATIENCE):
             return await done
     except TimeoutError:
-        raise Unreachable(f"no whole answer within {_PATIENCE:g} s") from None
+        raise Unreachable(f"no complete answer within {_PATIENCE:g} s") from None
     finally:
         call.stop()
 

@@ -37,8 +37,8 @@ class Allowance:
         ahead = self._free.get(principal, 0.0) - asyncio.get_running_loop().time() - _READ_AHEAD
         if ahead > 0:
             raise RateLimited(
-                "too many new conditions in too short a time",
-                remedy="Wait, or send plans with conditions that were sent before.",
+                "too many new conditions in a short time",
+                remedy="Wait, or use conditions that were sent before.",
                 retry_after=round(ahead, 3),
             )
 

@@ -257,8 +257,8 @@ def _weigh(account: QuotaUsage[Session], limit: int) -> None:
     account.waiting = total
     over = total - limit
     reason = (
-        f"ended: more than the {limit} bytes of the quota of this {account.owner} wait for its "
-        "clients"
+        f"ended: the clients of this {account.owner} have more than the {limit} unread bytes of "
+        "its quota"
     )
     for size, session in held:
         if over > 0:

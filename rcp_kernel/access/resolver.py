@@ -36,7 +36,7 @@ class Resolver:
         :raises InvalidPath, UnknownPath, Forbidden, UnsupportedOperation: as they say.
         """
         if path is None:
-            raise BadRequest("the envelope has no `path`", remedy="Name the path of a resource.")
+            raise BadRequest("`path` is missing", remedy="Send `path` with the path of a resource.")
         # A hidden path must cost what one costs that does not exist: the rights come first.
         full = path if path.startswith(_WHOLE) else parse_path(path, session.tenant)
         rights = session.rights
@@ -48,7 +48,7 @@ class Resolver:
             # By the rights and the place alone: what is hidden answers as what is not there.
             if mask and self._registry.may_come(full):
                 raise _not_yet(full)
-            raise UnknownPath(f"there is no resource {full}", path=full)
+            raise UnknownPath(f"no resource {full}", path=full)
         if not known:
             rights.remember(full, mask)
         if not entry.operations & operation:
@@ -77,18 +77,18 @@ class Resolver:
             raise Forbidden(text, path=entry.path)
         blocking = rights.blocking_condition(entry, operation)
         if blocking is None or not rights.shows(blocking, entry):
-            raise Forbidden(f"{text} at present", path=entry.path, remedy="Try again later.")
+            raise Forbidden(f"{text} at the moment", path=entry.path, remedy="Try again later.")
         raise Forbidden(
-            f"{text} at present: the rule hangs on the condition `{blocking.text}`",
+            f"{text} at the moment: the rule requires `{blocking.text}`",
             path=entry.path,
-            remedy="Bring about what the condition asks for, or have the rule changed.",
+            remedy="Wait until the condition holds, or ask the operator to change the rule.",
             details={"condition": blocking.text},
         )
 
 
 def _not_yet(path: str) -> RcpError:
     return AdapterUnavailable(
-        f"there is no resource {path} yet: a robot that may have it is not connected so far",
+        f"no resource {path} yet: a robot that may have it is not connected",
         path=path,
         remedy="Send it again after `retry_after` seconds; `status` shows each backend.",
         retry_after=_AGAIN,

@@ -128,8 +128,8 @@ class QuotaUsage(Generic[S]):
         """Count a refusal and return it; it tells the limit, not who else has how much."""
         self.refused[what] = self.refused.get(what, 0) + 1
         return QueueFull(
-            f"the quota of this {self.owner} is {limit} {what}, and they are in use",
-            remedy=f"End {what} that are not needed, or ask the operator for a greater quota.",
+            f"this {self.owner} already has {limit} {what}, its quota",
+            remedy=f"End {what} that you no longer need, or ask the operator for a larger quota.",
             details={"quota": self.owner, "what": what, "limit": limit},
         )
 
@@ -198,13 +198,13 @@ class TokenBucket(Generic[S]):
         """Count and return why `take` took nothing."""
         if (choked := self.choked) is not None:
             error = choked.full("queue_bytes", choked.quota.queue_bytes or 0)
-            error.remedy = "Take what waits for you before you ask for more."
+            error.remedy = "Read the messages that are waiting before you send more requests."
             error.retry_after = SWEEP
             return error
         account = max(self.first, self.second, key=lambda a: a.paid - a.slack)
         account.refused["requests"] = account.refused.get("requests", 0) + 1
         return RateLimited(
-            f"the quota of this {account.owner} is {account.quota.requests:g} requests a second",
+            f"this {account.owner} may send {account.quota.requests:g} requests per second",
             retry_after=round(max(account.paid - account.slack - moment, 0.0) + 0.0005, 3),
             details={
                 "quota": account.owner,

@@ -61,7 +61,7 @@ def read_token(token: str) -> Read:
     if not isinstance(issuer, str) or not isinstance(algorithm, str):
         raise _malformed()
     if "crit" in head:  # RFC 7515, 4.1.11: what is not understood must be refused
-        raise Unauthenticated("the token has critical extensions, and none is understood here")
+        raise Unauthenticated("the token has critical extensions (`crit`), which are not supported")
     return Read(issuer, algorithm, key if isinstance(key, str) else None)
 
 
@@ -75,7 +75,7 @@ def _check_names(token: str) -> None:
 def _unique(pairs: list[tuple[str, Any]]) -> Claims:
     found = dict(pairs)
     if len(found) < len(pairs):
-        raise ValueError("a name is there twice")
+        raise ValueError("a name occurs twice")
     return found
 
 
@@ -109,17 +109,17 @@ def verify(token: str, keys: list[PublicKey], config: JwtConfig) -> tuple[Claims
             raise TokenExpired("the token has expired") from None
         except jwt.ImmatureSignatureError:
             raise Unauthenticated(
-                "the token is not good yet: its `nbf` or `iat` lies ahead",
-                remedy="Check that the clocks of the issuer and of the gateway agree.",
+                "the token is not valid yet: its `nbf` or `iat` is in the future",
+                remedy="Check that the clocks of the issuer and the gateway agree.",
             ) from None
         except jwt.InvalidAudienceError:
-            raise Unauthenticated("the token is not for this gateway: see its `aud`") from None
+            raise Unauthenticated("the token is for another audience (`aud`)") from None
         except jwt.MissingRequiredClaimError:
             raise Unauthenticated("the token needs the claims `exp`, `iss` and `aud`") from None
         except Exception:  # as in `read_token`
             raise _malformed() from None
         return claims, key
-    raise Unauthenticated("the signature of the token is wrong")
+    raise Unauthenticated("the token's signature is invalid")
 
 
 def principal_of(config: JwtConfig, claims: Claims, digest: str, tenants: list[str]) -> Principal:
@@ -131,7 +131,7 @@ def principal_of(config: JwtConfig, claims: Claims, digest: str, tenants: list[s
     """
     name = _claim(claims, config.name_claim)
     if not isinstance(name, str) or not 0 < len(name) <= _NAME or not name.isprintable():
-        raise Unauthenticated(f"the claim `{config.name_claim}` of the token is no name")
+        raise Unauthenticated(f"the token's claim `{config.name_claim}` is not a valid name")
     end = min(int(claims["exp"]), _LAST)
     if config.max_age is not None:
         begun: Any = claims.get("iat")
@@ -141,8 +141,8 @@ def principal_of(config: JwtConfig, claims: Claims, digest: str, tenants: list[s
     grants = _grants(config, claims, tenants)
     if not any(roles for _, roles in grants):
         raise Forbidden(
-            f"the token of {config.prefix}{name} gives no role here",
-            remedy="Ask the operator which claims give a role.",
+            f"the token gives {config.prefix}{name} no role on this gateway",
+            remedy="Ask the operator which claims assign a role.",
         )
     expires = int((end + config.leeway) * _S)
     made = Principal(config.prefix + name, grants, f"jwt {config.issuer}", digest, expires)

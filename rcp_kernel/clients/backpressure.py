@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 __all__ = ["Relief", "shed", "waiting_bytes"]
 
 _SWEEP = 0.25  # s between looks at what waits
-_SLOW = "ended: more bytes wait for this client than `[limits] queue_bytes` allows"
+_SLOW = "ended: this client has more unread bytes than `limits.queue_bytes` allows"
 
 
 def waiting_bytes(session: Session) -> int:

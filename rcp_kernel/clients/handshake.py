@@ -71,7 +71,7 @@ class Handshake:
     ) -> dict[str, Any]:
         """Carry out `hello`, whose token proved `principal`: resume or keep the session, agree.
 
-        :raises Unauthenticated: the session is somebody else's, or the resume token is wrong.
+        :raises Unauthenticated: the session is somebody else's, or invalid resume token.
         :raises Gap: the session is not there any more.
         """
         session = connection.session
@@ -144,13 +144,14 @@ class Handshake:
         present = connection.session.principal
         if not same(session.principal, present):
             raise Unauthenticated(
-                "the session belongs to somebody else",
-                remedy="Prove who you are as when the session began; a resume token alone is no proof.",
+                "the session belongs to another principal",
+                remedy="Send the credentials with which the session began; a resume token "
+                "alone does not authenticate.",
             )
         if proof is None and hello.resume_token is not None:
             raise Unauthenticated(
-                "the resume token is wrong",
-                remedy="Send the `resume_token` that the first `hello` was answered with.",
+                "invalid resume token",
+                remedy="Send the `resume_token` from the reply to the first `hello`.",
             )
         if isinstance(session, StoredSession):
             self._revive(connection, hello, session, proof)
@@ -211,7 +212,7 @@ class Handshake:
                 tell(command.reply())
         if session.overflowed:
             lost = session.overflowed
-            gap = Gap(f"{lost} replies were lost while the client was away")
+            gap = Gap(f"{lost} replies were lost while the client was disconnected")
             connection.send(failure(gap, "hello"))
             session.overflowed = 0
         while session.missed:
@@ -233,8 +234,8 @@ def _proves(text: str, session: Session | StoredSession) -> bool:
 
 def _gone() -> Gap:
     return Gap(
-        "the session has expired or never was",
-        remedy="Say `hello` without `session`, then subscribe afresh.",
+        "the session has expired or never existed",
+        remedy="Send `hello` without `session`, then subscribe again.",
     )
 
 

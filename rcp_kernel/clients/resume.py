@@ -195,8 +195,8 @@ class SessionResume:
                 "gap",
                 id=id_,
                 reason="restart",
-                message="the gateway was started anew: what came meanwhile is lost, and the "
-                "numbers of samples begin again",
+                message="the gateway was restarted: samples in between are lost, and sample "
+                "numbers start again",
             )
 
 

@@ -129,7 +129,7 @@ class Sessions:
         if len(self.known) >= self._settings.limits.sessions:
             self._make_room()
         if len(self.known) >= self._settings.limits.sessions:
-            raise QueueFull("the gateway holds as many sessions as it can already")
+            raise QueueFull("the gateway has reached its limit of sessions")
         session = Session(principal, self._rules.rights(principal), chosen, transport)
         self._quotas.enter(session, self.drop)
         self.known[session.id] = session
@@ -246,7 +246,7 @@ class Sessions:
 
     def _expel(self, session: Session) -> None:
         """End a session whose proof is not good any more, and all that it holds."""
-        told = TokenExpired("the proof of this session is not good any more")
+        told = TokenExpired("the session's credentials are no longer valid")
         connection = session.connection
         if connection is not None:
             for id_ in session.subscriptions:
@@ -288,7 +288,7 @@ class Sessions:
         for command in [running[id_] for id_ in session.commands if id_ in running]:
             entry = command.entry
             if entry is not None and not entry.resource.outlives:
-                self._commands.cancel(command, "its session was cut")
+                self._commands.cancel(command, "the session was disconnected")
         if not session.greeted or self._shutdown.begun:
             self.drop(session)
             return

@@ -19,10 +19,11 @@ def left_out(reply: Reply, size: int) -> Reply:
     """
     acted = reply.type in _ACTS
     error = QueueFull(
-        f"the reply of {size} bytes is not sent: too much waits for this client, or for all clients",
-        remedy="Take the messages that wait, then look at what is there before you send it again."
+        f"the reply of {size} bytes was not sent: this client, or all clients, have too much "
+        "unread",
+        remedy="Read the waiting messages, then check the state before you send it again."
         if acted
-        else "Take the messages that wait, then ask again.",
+        else "Read the waiting messages, then send it again.",
         details={"size": size} | ({"outcome": reply.status} if acted else {}),
     )
     told = failure(error, reply.type, reply.id, reply.path, command=reply.command)

@@ -93,8 +93,8 @@ def _pattern(text: str) -> Pattern:
     branch = steps[0] if steps else ""
     if branch not in (*_COMMANDED, "*", "**"):
         near = difflib.get_close_matches(branch, _COMMANDED, n=1)
-        advice = f"did you mean '{near[0]}'?" if near else f"these do: {', '.join(_COMMANDED)}"
-        raise InvalidPath(f"nothing at {text!r} takes commands; {advice}")
+        advice = f"did you mean '{near[0]}'?" if near else f"use one of {', '.join(_COMMANDED)}"
+        raise InvalidPath(f"{text!r} matches no branch that takes commands; {advice}")
     return Pattern(text if text.startswith("/tenant/") else f"/tenant/*{text}")
 
 
@@ -109,7 +109,7 @@ def check_envelopes(
     for table in tables:
         where = f"{source}: [[envelopes]] '{table.name}'"
         if names.count(table.name) > 1:
-            raise ConfigError(f"{where}: two have this `name`: give each one of its own")
+            raise ConfigError(f"{where}: duplicate `name`")
         _check_reach(table, where, roles, tenants)
         _check_limits(table, where)
 
@@ -117,7 +117,7 @@ def check_envelopes(
 def _check_limits(table: EnvelopeConfig, where: str) -> None:
     if not (table.bounds or table.rate or table.fence or table.when or table.modes):
         raise ConfigError(
-            f"{where} limits nothing: give it `bounds`, `rate`, `fence`, `when` or `modes`"
+            f"{where} limits nothing: add `bounds`, `rate`, `fence`, `when` or `modes`"
         )
     for field, bound in table.bounds.items():
         _check_bound(bound, f"{where}: bounds.{_quoted(field)}")
@@ -144,26 +144,26 @@ def _check_reach(
             raise ConfigError(f"{where}: paths: {error.message}") from None
         tenant = path.split("/")[2] if path.startswith("/tenant/") else "*"
         if tenant not in ("*", "**", *tenants):
-            raise ConfigError(f"{where}: paths: {path!r} names the unknown tenant '{tenant}'")
+            raise ConfigError(f"{where}: paths: {path!r} refers to the unknown tenant '{tenant}'")
     for role in table.roles:
         if role not in roles:
             near = difflib.get_close_matches(role, roles, n=1)
-            known = f"did you mean '{near[0]}'?" if near else f"there are {', '.join(roles)}"
-            raise ConfigError(f"{where}: roles: there is no role '{role}'; {known}")
+            known = f"did you mean '{near[0]}'?" if near else f"known roles: {', '.join(roles)}"
+            raise ConfigError(f"{where}: roles: unknown role '{role}'; {known}")
 
 
 def _check_bound(bound: Bound, where: str) -> None:
     if bound.allow:
         if bound.min is not None or bound.max is not None:
-            raise ConfigError(f"{where} has `allow` beside `min` or `max`: one of them says it all")
+            raise ConfigError(f"{where} has both `allow` and `min` or `max`: use one or the other")
         return
     if bound.min is None and bound.max is None:
-        raise ConfigError(f"{where} bounds nothing: give it `min`, `max` or `allow`")
+        raise ConfigError(f"{where} has no bound: add `min`, `max` or `allow`")
     for limit in (bound.min, bound.max):
         if limit is not None:
             _check_finite(limit, where)
     if bound.min is not None and bound.max is not None and bound.min > bound.max:
-        raise ConfigError(f"{where}: `min` {bound.min:g} lies above `max` {bound.max:g}")
+        raise ConfigError(f"{where}: `min` {bound.min:g} is greater than `max` {bound.max:g}")
 
 
 def _check_finite(number: float, where: str) -> None:
@@ -173,7 +173,7 @@ def _check_finite(number: float, where: str) -> None:
 
 def _check_fence(fence: Fence, where: str) -> None:
     if not fence.inside and not fence.outside:
-        raise ConfigError(f"{where} has no area: give it `inside` or `outside`")
+        raise ConfigError(f"{where} has no area: add `inside` or `outside`")
     for side, areas in (("inside", fence.inside), ("outside", fence.outside)):
         for name, corners in areas.items():
             try:
@@ -182,17 +182,17 @@ def _check_fence(fence: Fence, where: str) -> None:
                 raise ConfigError(f"{where}.{side}.{_quoted(name)} {error}") from None
     for field in fence.point:
         if "*" in field.split("."):
-            raise ConfigError(f"{where}.point: '{field}' stands for several fields; name one")
+            raise ConfigError(f"{where}.point: '{field}' matches several fields; name one")
     both = fence.inside.keys() & fence.outside.keys()
     if both:
-        raise ConfigError(f"{where} has '{min(both)}' in `inside` and in `outside`")
+        raise ConfigError(f"{where} has '{min(both)}' in both `inside` and `outside`")
     if fence.of is not None:
         try:
             good = kind_of(fence.of) is Kind.SENSOR
         except InvalidPath:
             good = False
         if not good:
-            raise ConfigError(f"{where}.of = '{fence.of}' is no sensor: write 'sensor/<name>'")
+            raise ConfigError(f"{where}.of = '{fence.of}' is not a sensor: write 'sensor/<name>'")
     _check_finite(fence.max_age, f"{where}.max_age")
 
 

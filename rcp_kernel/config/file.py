@@ -194,7 +194,9 @@ def parse(text: str, source: str) -> GatewayConfig:
     raw = _with_secrets(raw, source, "")
     backends = raw.get("backends", [])
     if not is_list(backends):
-        raise ConfigError(f"{source}: write [[backends]] in double brackets, once for each robot")
+        raise ConfigError(
+            f"{source}: write [[backends]] with double brackets, one table for each robot"
+        )
     raw["backends"] = [_split(table, i, source) for i, table in enumerate(backends)]
     _default_transports(raw)
     if raw.get("anonymous") is False:
@@ -202,7 +204,7 @@ def parse(text: str, source: str) -> GatewayConfig:
     for group in ("transports", "plugins"):
         tables: Any = raw.get(group, {})
         if not is_map(tables) or not all(is_map(table) for table in tables.values()):
-            raise ConfigError(f"{source}: [{group}] holds tables: write [{group}.<name>]")
+            raise ConfigError(f"{source}: [{group}] contains only tables: write [{group}.<name>]")
     config = decode_table(raw, GatewayConfig, f"{source}: ")
     _check(config, source)
     return config
@@ -252,7 +254,7 @@ def _with_secrets(node: Any, source: str, where: str) -> Any:
         value = os.environ.get(match[1])
         if value is None:
             raise ConfigError(
-                f"{source}: {where} wants the environment variable {match[1]}, which is not set"
+                f"{source}: {where} uses the environment variable {match[1]}, which is not set"
             )
         return value
 
@@ -306,7 +308,7 @@ def _follow(raw: Any, at: str) -> Any:
 
 def _shown(value: Any) -> str:
     if isinstance(value, _Secret):
-        return "a text from the environment" if value else "…"
+        return "a value from the environment" if value else "…"
     return repr(value) if len(repr(value)) <= 60 else type(value).__name__
 
 
@@ -338,7 +340,7 @@ def _check(config: GatewayConfig, source: str) -> None:
     for name in names:
         if names.count(name) > 1:
             raise ConfigError(
-                f"{source}: two [[backends]] are named '{name}': give each a `name` of its own"
+                f"{source}: two [[backends]] have the name '{name}': give each a unique `name`"
             )
     roles = {**BUILTIN_ROLES, **config.roles}
     found = check_identity(config.keys, config.certificates, config.jwt, source)
@@ -347,7 +349,7 @@ def _check(config: GatewayConfig, source: str) -> None:
     for path in config.safety.lease_required:
         check_pattern(path, f"{source}: [safety] lease_required")
     if config.safety.lease_ttl > config.safety.lease_ttl_max:
-        raise ConfigError(f"{source}: [safety] lease_ttl is longer than lease_ttl_max")
+        raise ConfigError(f"{source}: [safety] lease_ttl is greater than lease_ttl_max")
     check_groups(config.safety.groups, names, config.tenant_names, source)
     check_roles(config.roles, source)
     check_envelopes(config.envelopes, source, roles, config.tenant_names)

@@ -124,7 +124,7 @@ def instant(text: str) -> int:
         found = datetime.fromisoformat(text)
     except ValueError:
         raise ValueError(
-            f"'{text[:40]}' is no day or time: write 2027-01-31 or 2027-01-31T12:00:00Z"
+            f"'{text[:40]}' is not a date or time: write 2027-01-31 or 2027-01-31T12:00:00Z"
         ) from None
     if found.tzinfo is None:
         found = found.replace(tzinfo=UTC)
@@ -164,11 +164,11 @@ def check_grants(
     for tenant, held in grants:
         if tenant != "*" and tenant not in there:
             advice = _near(tenant, there)
-            raise ConfigError(f"{where} names the unknown tenant '{tenant}'{advice}")
+            raise ConfigError(f"{where} refers to the unknown tenant '{tenant}'{advice}")
         for role in held:
             if role not in roles:
                 raise ConfigError(
-                    f"{where} has the role '{role}', which is not there{_near(role, [*roles])}"
+                    f"{where} refers to the unknown role '{role}'{_near(role, [*roles])}"
                 )
 
 
@@ -176,7 +176,7 @@ def _near(word: str, words: list[str]) -> str:
     near = difflib.get_close_matches(word, words, n=1)
     if near:
         return f"; did you mean '{near[0]}'?"
-    return f"; there are {', '.join(words)}" if words else ""
+    return f"; known: {', '.join(words)}" if words else ""
 
 
 def check_identity(
@@ -206,7 +206,7 @@ def check_identity(
         found.append((one, where))
         _needs_role(one, where)
         if one.subject is None and one.san is None:
-            raise ConfigError(f"{where} needs a `subject` or a `san`: whose it is")
+            raise ConfigError(f"{where} needs a `subject` or a `san`")
     for issuer in issuers:
         where = f"{source}: [[jwt]] '{issuer.issuer}'"
         found.append((issuer, where))
@@ -224,11 +224,11 @@ def _check_issuer(issuer: JwtConfig, where: str) -> None:
     for value, one in issuer.by_claim.items():
         _needs_role(one, f"{where} by_claim '{value}'")
     if (issuer.role_claim is None) != (not issuer.by_claim):
-        raise ConfigError(f"{where}: `role_claim` and `by_claim` go together")
+        raise ConfigError(f"{where}: `role_claim` and `by_claim` must be used together")
     if not issuer.by_claim:
         _needs_role(issuer, where)
     if not issuer.audience:
-        raise ConfigError(f"{where}: `audience` is empty: name this gateway as the issuer does")
+        raise ConfigError(f"{where}: `audience` is empty: set the issuer's name for this gateway")
     sources = [bool(issuer.keys), issuer.jwks_url is not None, issuer.discovery]
     if sources.count(True) != 1:
         raise ConfigError(f"{where} needs one of `keys`, `jwks_url` and `discovery = true`")
@@ -236,15 +236,15 @@ def _check_issuer(issuer: JwtConfig, where: str) -> None:
     if not issuer.keys and not is_private_url(url):
         key = "issuer" if issuer.discovery else "jwks_url"
         raise ConfigError(
-            f"{where}: `{key}` is not an https URL (or http on loopback), without user"
+            f"{where}: `{key}` must be an https URL (or http on loopback) without a user name"
         )
     if not issuer.keys and issuer.lifetime < issuer.refresh + _FETCH:
         raise ConfigError(
-            f"{where}: `lifetime` = {issuer.lifetime:g} is not longer than `refresh` = "
-            f"{issuer.refresh:g} by {_FETCH:g} s: the keys would lapse between two fetches"
+            f"{where}: `lifetime` = {issuer.lifetime:g} must exceed `refresh` = "
+            f"{issuer.refresh:g} by {_FETCH:g} s, or keys expire between two fetches"
         )
     for claim in (issuer.name_claim, issuer.role_claim, issuer.tenant_claim):
         if claim is not None and not re.fullmatch(r"[^.]+(\.[^.]+)*", claim):
             raise ConfigError(
-                f"{where}: {claim!r} names no claim: write `sub`, or `a.b` for one in `a`"
+                f"{where}: {claim!r} is not a claim: write `sub`, or `a.b` for `b` in `a`"
             )

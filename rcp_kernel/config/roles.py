@@ -24,8 +24,9 @@ def check_roles(roles: dict[str, Role], source: str) -> None:
             check_pattern(path, where)
             if path.startswith("/system/"):
                 raise ConfigError(
-                    f"{where} names {path}: what the gateway does itself needs no approval; name "
-                    "paths of robots (a plan is approved for the steps that it has there)"
+                    f"{where} names {path}: operations of the gateway itself need no approval; "
+                    "name "
+                    "paths of robots (a plan is approved for its steps on those paths)"
                 )
 
 
@@ -42,8 +43,8 @@ def _check(rule: Rule, where: str, *, deny: bool) -> None:
         raise ConfigError(f"{where} when: {error}") from None
     if deny and "discover" in rule.operations:
         raise ConfigError(
-            f"{where} denies `discover` under a condition: what is there must not change with the "
-            "state; deny it without `when`, or deny other operations (`*` is all but discover)"
+            f"{where} denies `discover` with a `when`: visibility must not change with the "
+            "state; remove `when`, or deny other operations (`*` is all except discover)"
         )
 
 
@@ -57,4 +58,4 @@ def check_pattern(path: str, where: str) -> None:
             raise InvalidPath(f"{path!r} does not begin with '/'")
         Pattern(path)
     except InvalidPath as error:
-        raise ConfigError(f"{where} has a rule for no path: {error.message}") from None
+        raise ConfigError(f"{where} has a rule with an invalid path: {error.message}") from None

@@ -49,7 +49,7 @@ def check_groups(
     where = f"{source}: [safety.groups]"
     for name, scopes in groups.items():
         if name in backends:
-            raise ConfigError(f"{where} {name}: a backend has that name; give the group another")
+            raise ConfigError(f"{where} {name}: a backend has this name; rename the group")
         if not scopes or name.startswith("/"):
             raise ConfigError(f'{where} {name}: write <name> = ["/tenant/<tenant>/<robot>", …]')
         for scope in scopes:
@@ -59,6 +59,6 @@ def check_groups(
                 tenant = None
             if tenant not in tenants:
                 raise ConfigError(
-                    f"{where} {name}: {scope!r} is in no tenant of this gateway; write "
+                    f"{where} {name}: {scope!r} is not in a tenant of this gateway; write "
                     f"/tenant/<tenant> or /tenant/<tenant>/<robot> with one of {', '.join(tenants)}"
                 )

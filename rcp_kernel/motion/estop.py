@@ -190,7 +190,7 @@ class Estop:
         if not all(session.rights.may_reset(tenant) for tenant in touched):
             raise Forbidden(
                 f"{session.principal.name} may not reset an e-stop",
-                remedy="Have a person reset it whose role has `reset = true`.",
+                remedy="Ask someone whose role has `reset = true`.",
             )
         return keys, robots
 
@@ -246,16 +246,16 @@ class Estop:
                 keys = _keys(robots)
         if not keys:
             raise UnknownPath(
-                f"there is no robot in the scope {scope or 'of this session'!r}",
-                remedy="Read /system/estop and /system/status for the names of robots and groups.",
+                f"no robot in the scope {scope or 'of this session'!r}",
+                remedy="/system/estop and /system/status list the robots and groups.",
             )
         return keys, self._with_partners(robots)
 
     def _own_tenant(self, session: Session) -> str:
         if session.tenant is None:
             raise Forbidden(
-                f"{session.principal.name} may not stop the robots of several tenants at once",
-                remedy="Name a `scope`: a tenant (/tenant/<tenant>), a robot, or a group.",
+                f"{session.principal.name} may not stop robots of several tenants at once",
+                remedy="Set `scope` to a tenant (/tenant/<tenant>), a robot, or a group.",
             )
         return tenant_key(session.tenant)
 
@@ -368,9 +368,10 @@ class Estop:
         names = [f"{stop.unit.name} ({stop.detail})" for stop in shown]
         names = names or ["another part of the robot"]
         return DeviceTimeout(
-            f"latched, but not confirmed at rest: {', '.join(names)}; the stop is repeated",
+            f"latched, but not confirmed at rest: {', '.join(names)}; the gateway keeps "
+            "sending the stop",
             path="/system/estop",
-            remedy="Use the robot's own emergency stop. /system/estop tells when it is at rest.",
+            remedy="Use the robot's own emergency stop. /system/estop shows when it is at rest.",
             details={"robots": {stop.unit.name: stop.plain() for stop in shown}},
         )
 

@@ -108,7 +108,7 @@ class FenceGuard:
     def _tell(self, session: Session, bound: Bound, sensor: str, envelope: str, why: str) -> None:
         entry = bound.entry
         log.warning("fence_left", path=entry.path, envelope=envelope, sensor=sensor, reason=why)
-        text = f"{entry.path} was brought to rest: {why}"
+        text = f"{entry.path} was stopped: {why}"
         facts = {"path": entry.path, "envelope": envelope, "message": text}
         self._sessions.tell(session.holder, "fence_left", **facts)
         self._audit.note(

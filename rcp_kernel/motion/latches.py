@@ -111,7 +111,7 @@ def _read(kept: Any) -> Latch:
     try:
         return Latch(kept["by"], kept["reason"], int(kept["since"]), kept["freed"])
     except (KeyError, TypeError, ValueError):  # somebody had latched it: that is what matters
-        return Latch("the gateway", "what the store holds of this e-stop cannot be read")
+        return Latch("the gateway", "the stored state of this e-stop cannot be read")
 
 
 def _wide(key: str) -> bool:

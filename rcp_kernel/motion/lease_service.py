@@ -91,7 +91,9 @@ class LeaseService:
         """
         scope = None if asked.scope is None else Scope(asked.scope, session.tenant)
         if scope is None and (asked.lease is None or asked.do == "acquire"):
-            raise BadRequest("the request names no lease", remedy="Name a `scope`, or a `lease`.")
+            raise BadRequest(
+                "`scope` and `lease` are both missing", remedy="Set `scope` or `lease`."
+            )
         if asked.do == "acquire":
             assert scope is not None
             return self._acquire(session, asked, scope, dry_run=dry_run)
@@ -119,10 +121,11 @@ class LeaseService:
         registry, mask = self._registry, session.rights.mask
         ttl = self._ttl(asked)
         if not any(mask(entry.path) for entry in scope.entries(registry)):
-            raise UnknownPath(f"there is nothing in {scope.text}", path=scope.text)
+            raise UnknownPath(f"no resources in {scope.text}", path=scope.text)
         if not self._leases.commands_in(session, scope):
             raise Forbidden(
-                f"{session.principal.name} may command nothing in {scope.text}", path=scope.text
+                f"{session.principal.name} may not command anything in {scope.text}",
+                path=scope.text,
             )
         self._shutdown.check()
         if dry_run:
@@ -135,8 +138,8 @@ class LeaseService:
         ttl = asked.ttl if asked.ttl is not None else safety.lease_ttl
         if ttl > safety.lease_ttl_max:
             raise OutOfRange(
-                f"a lease lasts at most {safety.lease_ttl_max:g} s; {ttl:g} s were asked for",
-                remedy="Ask for less, and renew it in time.",
+                f"`ttl` is {ttl:g} s; the limit is {safety.lease_ttl_max:g} s",
+                remedy="Use a shorter `ttl` and renew the lease in time.",
                 details={"field": "ttl", "value": ttl, "maximum": safety.lease_ttl_max},
             )
         return ttl
@@ -148,7 +151,7 @@ class LeaseService:
         :raises UnknownPath: there is nobody of that name who may command in the scope.
         """
         if not to:
-            raise BadRequest("`hand_over` names nobody in `to`")
+            raise BadRequest("`hand_over` needs `to`")
         sessions = self._sessions
         others = [s for s in sessions.everyone() if s is not session]
         able = [
@@ -164,13 +167,14 @@ class LeaseService:
         ]
         if not present:
             raise UnknownPath(
-                f"there is nobody called '{to[:64]}' who may command {scope.text}",
-                remedy="Name a principal or session of `/system/sessions` of the same tenant.",
+                f"no session of '{to[:64]}' may command {scope.text}",
+                remedy="Set `to` to a principal or session of the same tenant; "
+                "/system/sessions lists them.",
             )
         if len({s.holder for s in present}) > 1:
             raise BadRequest(
                 f"{to[:64]} has {len(present)} sessions",
-                remedy="Name one by the beginning of its id: "
+                remedy="Set `to` to the first characters of a session id: "
                 + ", ".join(s.id[:8] for s in present[:10])
                 + ".",
             )

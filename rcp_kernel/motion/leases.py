@@ -127,7 +127,7 @@ class Leases:
         if lease is not None:
             raise refusal(lease, path)
         if self._requires(path):
-            raise LeaseRequired(f"{path} is commanded only under a lease", path=path)
+            raise LeaseRequired(f"{path} accepts commands only under a lease", path=path)
 
     def over(self, path: str) -> Lease | None:
         """Return the lease that a path is under."""
@@ -194,7 +194,7 @@ class Leases:
         """
         if take and not reason:
             raise BadRequest(
-                "a take-over without a `reason`", remedy="Say why: the loser is told so."
+                "`take` needs a `reason`", remedy="Set `reason`; the previous holder is shown it."
             )
         priority = session.rights.priority(scope.tenant)
         for rival in self.rivals(session, scope):
@@ -331,7 +331,7 @@ class Leases:
         ]
 
     def _lapse(self, lease: Lease) -> None:
-        self.lose(lease, "the gateway", "its time was over")
+        self.lose(lease, "the gateway", "the lease expired")
 
     def drop_on(self, paths: Iterable[str], by: str, reason: str) -> None:
         """End the leases that reach one of some paths whose robots are halted."""
@@ -353,7 +353,7 @@ class Leases:
         for lease in list(self.held.values()):
             holders = self._sessions.holding(lease.key)
             if holders and not any(self.commands_in(one, lease.scope) for one in holders):
-                self.lose(lease, "the gateway", "the holder's rights were withdrawn")
+                self.lose(lease, "the gateway", "the holder no longer has access")
 
     def commands_in(self, session: Session, scope: Scope) -> bool:
         """Tell whether a session may write or execute anything in a scope."""

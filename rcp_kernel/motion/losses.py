@@ -26,7 +26,7 @@ class Loss:
     @property
     def told(self) -> str:
         """Say it to the loser."""
-        return f"the lease on {self.scope.text} is gone: {self.reason} (by {self.by})"
+        return f"the lease on {self.scope.text} was lost: {self.reason} (by {self.by})"
 
 
 class Losses:

@@ -60,7 +60,9 @@ class MotionLimit:
             if leaf is None:
                 return f"{self.entry.label} has no field '{field.text}'"
             if not (leaf.word if words else leaf.number):
-                return f"{_named(field.text, self.entry)} is no {'word' if words else 'number'}"
+                return (
+                    f"{_named(field.text, self.entry)} is not a {'string' if words else 'number'}"
+                )
             self.units[field.text] = leaf.unit
         return None
 
@@ -84,9 +86,10 @@ class MotionLimit:
         """
         if self.fault is not None:
             raise PreconditionFailed(
-                f"the envelope '{self.table.name}' does not fit this path: {self.fault}",
+                f"the motion limits '{self.table.name}' do not fit this path: {self.fault}",
                 path=self.entry.path,
-                remedy="Have the operator mend [[envelopes]]; until then nothing is let through.",
+                remedy="Ask the operator to correct [[envelopes]]; until then every command is "
+                "refused.",
                 details=self.facts(),
             )
         if self.table.modes:
@@ -110,7 +113,7 @@ class MotionLimit:
             return
         plain = found.value if isinstance(found, Enum) else found
         if plain is None:
-            self._refuse(name, "is not given, so the robot would choose it", None, unit)
+            self._refuse(name, "is missing, so the robot would choose it", None, unit)
         if bound.allow:
             allowed = ", ".join(map(str, bound.allow))
             text = f"is {_shown(plain)}, allowed: {allowed}"
@@ -139,7 +142,7 @@ class MotionLimit:
             if not _is_number(number):
                 self._refuse(name, "is not a finite number", number, unit)
         if known and known.keys() != found.keys():
-            self._refuse(field.text, "has other elements than the value in force", None, unit)
+            self._refuse(field.text, "has different elements than the current value", None, unit)
         for name, was in known.items():
             if abs(found[name] - was) > step:
                 per = f"{_text(most)} {unit}/s" if unit and unit != "1" else f"{_text(most)}/s"
@@ -156,11 +159,11 @@ class MotionLimit:
         if place.sensor is None:
             where = place.commanded(value)
             if where is None:
-                self._refuse(place.point[0].text, "does not say where", None, None)
+                self._refuse(place.point[0].text, "has no position", None, None)
             trouble = place.trouble(*where)
             if trouble is not None:
                 self._raise(
-                    f"the place {_spot(where)} of {self.entry.label} {trouble[1]}",
+                    f"the position {_spot(where)} of {self.entry.label} {trouble[1]}",
                     value=list(where),
                     fence=trouble[0],
                     field=[field.text for field in place.point],
@@ -169,9 +172,9 @@ class MotionLimit:
         where = place.present()
         if where is None:
             raise PreconditionFailed(
-                f"where the robot is cannot be known now{self.why}",
+                f"the robot's position is unknown{self.why}",
                 path=self.entry.path,
-                remedy="Wait until the robot says where it is, then send it again.",
+                remedy="Wait until the robot reports its position, then send it again.",
                 details=self.facts(),
             )
         trouble = place.trouble(*where)
@@ -185,15 +188,15 @@ class MotionLimit:
         found = self._conditions.values((_MODE,), self.entry).get(_MODE)
         if isinstance(found, str) and found in self.table.modes:
             return
-        known = "its mode cannot be known now"
+        known = "its mode is unknown"
         facts: dict[str, Any] = {}
         if found is not None:
-            known = "its mode is another"
+            known = "it is in a different mode"
             if self._may_read(session.rights, _MODE):
                 known, facts = f"its mode is {_shown(found)}", {"mode": _plain(found)}
         wanted = ", ".join(self.table.modes)
         raise ModeForbids(
-            f"{self.entry.path} takes commands in the mode {wanted}; {known}{self.why}",
+            f"{self.entry.path} accepts commands in mode {wanted}; {known}{self.why}",
             path=self.entry.path,
             details={"modes": list(self.table.modes), **facts, **self.facts()},
         )
@@ -201,9 +204,9 @@ class MotionLimit:
     def _precondition(self, session: Session, when: Condition) -> NoReturn:
         if not all(self._may_read(session.rights, ref) for ref in when.refs):
             raise PreconditionFailed(
-                f"a condition for commands to {self.entry.path} does not hold now{self.why}",
+                f"a condition for commands to {self.entry.path} does not hold{self.why}",
                 path=self.entry.path,
-                remedy="Ask the operator of the gateway, who knows the condition.",
+                remedy="Ask the operator of the gateway which condition it is.",
                 details=self.facts(),
             )
         values = self._conditions.values(when.refs, self.entry)
@@ -254,7 +257,7 @@ class MotionLimit:
         raise OutOfRange(
             f"{text}{self.why}",
             path=self.entry.path,
-            remedy="Stay inside the envelope that the details name; `discover` shows it.",
+            remedy="Stay within the limits that `details.envelope` names; `discover` returns them.",
             details={**facts, **self.facts()},
         )
 

@@ -23,7 +23,7 @@ class Polygon:
     def __init__(self, corners: Sequence[Corner]) -> None:
         self.corners = tuple((float(x), float(y)) for x, y in corners)
         if len(self.corners) < 3:
-            raise ValueError(f"has {len(self.corners)} corners: an area needs three")
+            raise ValueError(f"has {len(self.corners)} corners; an area needs at least three")
         if not all(math.isfinite(c) for corner in self.corners for c in corner):
             raise ValueError("has a corner that is not a finite number")
         self._edges = tuple(zip((self.corners[-1], *self.corners[:-1]), self.corners, strict=True))

@@ -37,7 +37,7 @@ def check_motion(entry: Entry, latch: Latch | None) -> None:
     """
     if latch is not None and entry.barred:
         raise EstopActive(
-            f"an e-stop by {latch.by} is latched" + (f": {latch.reason}" if latch.reason else ""),
+            f"{latch.by} has latched an e-stop" + (f": {latch.reason}" if latch.reason else ""),
             path=entry.path,
             details=latch.plain(),
         )
@@ -56,9 +56,9 @@ def check_age(entry: Entry, timestamp: str | float | None) -> None:
     sent = parse_time(timestamp)
     if sent < entry.unit.released and entry.barred:
         raise StaleCommand(
-            f"the command is older than the reset of the e-stop on {entry.unit.name}",
+            f"the command was sent before the e-stop on {entry.unit.name} was reset",
             path=entry.path,
-            remedy="Look at the robot, then send a new command.",
+            remedy="Check the robot, then send a new command.",
             details={"reset": iso(entry.unit.released)},
         )
     limit = entry.resource.max_age
@@ -67,7 +67,7 @@ def check_age(entry: Entry, timestamp: str | float | None) -> None:
     age = (now() - sent) / 1e9
     if abs(age) > limit:
         raise StaleCommand(
-            f"the command is {age:.3f} s old; {entry.path} takes none older than {limit:g} s",
+            f"the command is {age:.3f} s old; the limit of {entry.path} is {limit:g} s",
             path=entry.path,
             details={"age": age, "max_age": limit},
         )
@@ -141,9 +141,9 @@ class Deadman:
             return entry.resource.valid_for
         if entry.resource.safe is None:
             raise BadRequest(
-                f"{entry.path} has no safe value to fall back to after `valid_for`",
+                f"{entry.path} has no safe value to apply after `valid_for`",
                 path=entry.path,
-                remedy="Leave `valid_for` out, or use an actuator that has a dead-man.",
+                remedy="Omit `valid_for`, or use an actuator with a dead-man.",
             )
         return request.valid_for
 

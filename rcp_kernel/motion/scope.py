@@ -85,6 +85,6 @@ class Scope:
 def _bad(text: str) -> InvalidPath:
     return InvalidPath(
         f"{text[:80]!r} is not a scope",
-        remedy="Name a tenant (/tenant/<tenant>), a sub-tree of a branch "
+        remedy="Use a tenant (/tenant/<tenant>), a sub-tree of a branch "
         "(/tenant/<tenant>/actuator/…) or a robot (/tenant/<tenant>/<robot>).",
     )

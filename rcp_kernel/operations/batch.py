@@ -132,7 +132,7 @@ class _Batch:
         try:
             request = decode_request(data, self._encoding)
             if request.type in ("batch", "hello"):
-                raise BadRequest(f"`{request.type}` cannot stand in a batch")
+                raise BadRequest(f"`{request.type}` is not allowed in a batch")
         except RcpError as error:
             self._settle(number, failure(error, *peek_header(data, self._encoding)))
             return None
@@ -174,9 +174,9 @@ def _without_body(reply: Reply, size: int, limit: int) -> Reply:
         reply.body, reply.truncated = NO_BODY, True
         return reply
     error = PayloadTooLarge(
-        f"the answer has {size} bytes, and those before it leave no room in this batch",
+        f"the reply has {size} bytes and does not fit into the reply of this batch",
         path=reply.path,
-        remedy="Send this request by itself, not in a batch.",
+        remedy="Send this request on its own, not in a batch.",
         details={"limit": limit},
     )
     told = failure(error, reply.type, reply.id, reply.path)
@@ -195,7 +195,7 @@ def _parts(request: Request, limit: int) -> list[bytes]:
         found = module.decode(request.body or b"null", type=_places(limit))
     except (msgspec.DecodeError, RecursionError) as error:
         if "at most length" in str(error):
-            raise BadRequest(f"a batch holds at most {limit} envelopes") from None
+            raise BadRequest(f"a batch has at most {limit} envelopes") from None
         raise InvalidValue(f"batch: {error}", details={"pointer": ""}) from None
     parts = (bytes(part) for part in msgspec.structs.astuple(found))
     return list(takewhile(bool, parts))

@@ -203,7 +203,7 @@ def outcome_of(command: Command, task: asyncio.Task[Any]) -> Any:
     error = None if task.cancelled() else task.exception()
     fenced = isinstance(error, EstopActive) and command.cancelling is not None
     if task.cancelled() or fenced:  # what it did last was fenced off by the stop that ended it
-        reason = command.cancelling or "the backend gave it up"
+        reason = command.cancelling or "the backend gave up"
         return Cancelled(f"{command.path} was cancelled: {reason}", path=command.path)
     if error is None:
         return task.result()
@@ -215,7 +215,7 @@ def outcome_of(command: Command, task: asyncio.Task[Any]) -> Any:
     log.error(
         "command_crashed", command=command.id, path=command.path, trace_id=trace, exc_info=error
     )
-    failure = InternalError("the backend failed; the gateway's log has the reason")
+    failure = InternalError("the backend failed; see the gateway's log")
     failure.trace_id = trace
     return failure
 

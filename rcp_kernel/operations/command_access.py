@@ -79,4 +79,4 @@ def is_own(session: Session, command: Command) -> bool:
 
 
 def _no_command(id_: str) -> UnknownPath:
-    return UnknownPath(f"there is no command '{id_[:64]}'", remedy="List `commands`.")
+    return UnknownPath(f"unknown command '{id_[:64]}'", remedy="List `commands`.")

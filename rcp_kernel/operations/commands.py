@@ -97,7 +97,9 @@ class Commands:
             return
         if entry.resource.policy == "queue":
             if len(self._queues.get(entry.path, ())) >= _QUEUE:
-                raise QueueFull(f"{_QUEUE} commands wait for {entry.path} already", path=entry.path)
+                raise QueueFull(
+                    f"{_QUEUE} commands are already waiting for {entry.path}", path=entry.path
+                )
             return
         raise AlreadyRunning(
             f"action '{entry.path}' is currently in progress; rejecting duplicate request",
@@ -198,8 +200,8 @@ class Commands:
         except RcpError as error:
             entry.owner.fault(f"result of {entry.path}: {error.message}")
             raise DeviceRejected(
-                f"the robot finished, and its result does not fit its type: {error.message}",
-                remedy="Mend the backend or the type that it declares.",
+                f"the robot finished, but its result does not match its type: {error.message}",
+                remedy="Correct the backend or the type that it declares.",
             ) from error
 
     def _progress(
@@ -223,7 +225,7 @@ class Commands:
         command.expired = True
         if command.task is None:
             self._unqueue(command)
-            what = f"did not begin within {timeout:g} s: others were before it"
+            what = f"did not start within {timeout:g} s: other commands were ahead of it"
         else:
             command.task.cancel()
             what = f"did not finish within {timeout:g} s; the robot was told to stop"
@@ -260,10 +262,10 @@ class Commands:
             self._end(
                 command,
                 DeadlineExceeded(
-                    f"{command.path} was cancelled and the backend has not confirmed it for "
+                    f"{command.path} was cancelled, but the backend has not confirmed it for "
                     f"{_CANCEL_GRACE:g} s",
                     path=command.path,
-                    remedy="Look at the robot: it may still be moving. Use the e-stop if in doubt.",
+                    remedy="Check the robot: it may still be moving. Use the e-stop if in doubt.",
                 ),
             )
 

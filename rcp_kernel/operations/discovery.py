@@ -187,7 +187,7 @@ def _operation(name: str | None) -> Operation:
         return Operation[name.upper()]
     except KeyError:
         allowed = ", ".join(operation_names(Operation(31)))
-        raise BadRequest(f"{name!r} is no operation", remedy=f"Name one of {allowed}.") from None
+        raise BadRequest(f"{name!r} is not an operation", remedy=f"Use one of {allowed}.") from None
 
 
 def _has(entry: Entry, words: list[str]) -> bool:

@@ -372,8 +372,12 @@ class ExecuteHandler:
             self._resolver.check(session, entry, Operation.EXECUTE)
         live = [command for command in found if not command.final]
         for command in live:
-            self._commands.cancel(command, f"{session.principal.name} asked for it")
-        text = f"Cancel of {entry.path} sent." if live else f"Nothing is running on {entry.path}."
+            self._commands.cancel(command, f"requested by {session.principal.name}")
+        text = (
+            f"Cancel request for {entry.path} sent."
+            if live
+            else f"Nothing is running on {entry.path}."
+        )
         return Reply(
             type="cancel",
             id=request.id,

@@ -79,7 +79,9 @@ class Keys:
         if found is None or found.created < now() - _AGE:
             return None
         if found.digest != _digest(request, path):
-            raise DuplicateRequest("the idempotency key was used for another request", path=path)
+            raise DuplicateRequest(
+                "the idempotency key was used for a different request", path=path
+            )
         return found.outcome
 
     def note(self, session: Session, request: Request, path: str, outcome: Outcome) -> None:
@@ -192,9 +194,9 @@ def _read(row: Any) -> _Seen | None:
 
 def _cut_off(seen: _Seen) -> Reply:
     error = InternalError(
-        "the gateway stopped while the request was under way; nothing was sent again",
+        "the gateway stopped during the request; it was not sent again",
         path=seen.path,
-        remedy="Look at the state of the robot, then send it under a new key if it is still wanted.",
+        remedy="Check the state of the robot, then send it with a new key if it is still needed.",
     )
     return failure(error, seen.type, path=seen.path, command=seen.command)
 

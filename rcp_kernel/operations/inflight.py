@@ -89,11 +89,11 @@ class InFlight:
         """
         inflight = session.inflight
         if len(inflight) >= self._settings.limits.in_flight:
-            raise QueueFull(f"{len(inflight)} requests of this session are unanswered already")
+            raise QueueFull(f"this session already has {len(inflight)} unanswered requests")
         if request.id is None or session.stateless:
             return f"\0{secrets.token_hex(8)}"
         if request.id in inflight:
-            raise DuplicateRequest(f"a request with the id '{request.id}' is still in flight")
+            raise DuplicateRequest(f"a request with the id '{request.id}' is still unanswered")
         return request.id
 
     def deadline(self, request: Request, entry: Entry) -> float:

@@ -52,7 +52,7 @@ def place_of(cursor: str) -> str:
         return base64.b64decode(cursor.encode(), altchars=b"-_", validate=True).decode()
     except (binascii.Error, UnicodeError):
         raise BadRequest(
-            "`cursor` is not one of this gateway's", remedy="Send the cursor of the last page."
+            "`cursor` is not valid", remedy="Send the `cursor` of the previous page."
         ) from None
 
 

@@ -32,7 +32,7 @@ def to_internal_error(error: BaseException, **facts: Any) -> RcpError:
         return error
     if isinstance(error, (ConnectionError, TimeoutError)):
         return AdapterUnavailable(f"the link to the robot failed: {error or type(error).__name__}")
-    failure = InternalError("the gateway failed to handle the request; its log has the reason")
+    failure = InternalError("the gateway failed to handle the request; see its log")
     failure.trace_id = secrets.token_hex(8)
     log.error("request_crashed", trace_id=failure.trace_id, exc_info=error, **facts)
     return failure

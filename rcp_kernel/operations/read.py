@@ -161,9 +161,9 @@ class ReadHandler:
         entry = self._resolver.resolve(session, request.path, Operation.READ)
         if options.cursor is not None:
             raise FilterUnsupported(
-                "`cursor` goes on with the read of a pattern, and this is a path",
+                "`cursor` needs a pattern, and this is a single path",
                 path=entry.path,
-                remedy="Send the pattern whose page the cursor came with.",
+                remedy="Send the pattern that the cursor belongs to.",
             )
         for field in options.fields or ():
             if not entry.value_type.has_field(field):
@@ -272,7 +272,7 @@ def _last_shown(entry: Entry, shown: Callable[[Any], Any]) -> Sample:
         if (told := masked(sample, shown)) is not None:
             return told
     raise AdapterUnavailable(
-        f"nothing that you may see has happened at {entry.path} yet",
+        f"no event on {entry.path} yet",
         path=entry.path,
         remedy="Subscribe to it.",
     )
@@ -323,10 +323,10 @@ async def _first(entry: Entry, backend: Backend) -> Sample:
     """Watch until the first sample comes; what is published unasked has to have come already."""
     if not has_watch(backend):
         raise AdapterUnavailable(
-            f"no value of {entry.path} has arrived yet",
+            f"{entry.path} has no value yet",
             path=entry.path,
             origin=entry.owner.name,
-            remedy="Wait for the robot to send it, or subscribe to it.",
+            remedy="Wait until the robot publishes it, or subscribe to it.",
         )
     waiter = _Waiter()
     entry.listeners.append(waiter)

@@ -144,8 +144,8 @@ def _ping(_session: Session, request: Request, _answer: Answer) -> Reply:
 
 def _hello(_session: Session, _request: Request, _answer: Answer) -> Reply:
     raise UnsupportedOperation(
-        "there is no session to greet for here",
-        remedy="Say `hello` as a message of its own over WebSocket; HTTP needs none.",
+        "`hello` is not available over this transport",
+        remedy="Send `hello` as a separate message over WebSocket; HTTP does not need it.",
     )
 
 

@@ -90,13 +90,13 @@ class SubscribeHandler:
         connection = session.connection
         if connection is None:
             raise UnsupportedOperation(
-                "this transport carries no stream",
+                "this transport does not support subscriptions",
                 remedy="Subscribe over WebSocket, or GET /rcp/v1/events for SSE.",
             )
         if len(bytes(request.body)) > _LONGEST:
             raise PayloadTooLarge(
-                f"the options of a subscription have at most {_LONGEST} bytes",
-                remedy="Name fewer paths, or patterns; or subscribe more than once.",
+                f"the options of a subscription are limited to {_LONGEST} bytes",
+                remedy="Use fewer paths, use patterns, or split it into several subscriptions.",
                 details={"limit": _LONGEST},
             )
         options: Options = request.decode_body(_OPTIONS, "subscribe") or Options()
@@ -129,7 +129,7 @@ class SubscribeHandler:
 
     def _check_room(self, session: Session, id_: str) -> None:
         if id_ in session.subscriptions or id_ in session.inflight:
-            raise DuplicateRequest(f"the id '{id_}' is in use in this session")
+            raise DuplicateRequest(f"the id '{id_}' is already in use in this session")
         if len(session.subscriptions) >= self._settings.limits.subscriptions:
             raise QueueFull(
                 f"a session holds at most {self._settings.limits.subscriptions} subscriptions"
@@ -186,11 +186,9 @@ class SubscribeHandler:
     def _patterns(self, session: Session, request: Request, options: Options) -> list[Pattern]:
         texts = [request.path, *options.paths] if request.path is not None else [*options.paths]
         if not texts:
-            raise BadRequest(
-                "subscribe names no path", remedy="Give `path`, or `paths` in the body."
-            )
+            raise BadRequest("`path` is missing", remedy="Send `path`, or `paths` in the body.")
         if len(texts) > self._settings.limits.subscriptions:
-            raise PayloadTooLarge("a subscription names too many paths")
+            raise PayloadTooLarge("too many paths in one subscription")
         return [Pattern(text, session.tenant) for text in texts]
 
     def _entries(
@@ -219,9 +217,9 @@ class SubscribeHandler:
         held = sum(len(subscription.feeds) for subscription in session.subscriptions.values())
         if held + len(found) > self._settings.limits.paths:
             raise PayloadTooLarge(
-                f"the patterns match {len(found)} paths, and the session has {held} already; its "
+                f"the patterns match {len(found)} paths and the session already has {held}; its "
                 f"subscriptions have at most {self._settings.limits.paths} together",
-                remedy="Use narrower patterns, or end a subscription that is not needed.",
+                remedy="Use narrower patterns, or unsubscribe from what you no longer need.",
                 details={"limit": self._settings.limits.paths},
             )
         return list(found.values())
@@ -244,7 +242,7 @@ class SubscribeHandler:
                 "resource_removed",
                 id=subscription.id,
                 path=path,
-                message="the rules of this gateway have changed",
+                message="the access rules have changed",
             )
         for pattern in subscription.patterns:
             for entry in self._registry.match(pattern):
@@ -285,7 +283,7 @@ class SubscribeHandler:
         raise UnknownPath(
             "this session has no such subscription",
             path=request.path,
-            remedy='Name it in the body: {"subscription": "<id of the subscribe>"}.',
+            remedy='Send {"subscription": "<id of the subscribe>"} in the body.',
             details={"subscriptions": list(known)[:20]},
         )
 

@@ -129,7 +129,7 @@ class WriteHandler:
                 backend = self._admission.confirm(session, entry, value, request.timestamp)
                 if entry.unit.stops != stops and entry.barred:
                     self._motion_limits.refused(entry, value)
-                    text = "an e-stop has come and gone since this was sent"
+                    text = "an e-stop was latched and reset since this was sent"
                     raise EstopActive(text, path=entry.path)
                 return await self._send(backend, entry, value, window)
             except BaseException:
@@ -220,7 +220,7 @@ def dry_run_reply(request: Request, entry: Entry, what: dict[str, Any]) -> Reply
         id=request.id,
         path=entry.path,
         body={key: item for key, item in what.items() if item is not None},
-        message=f"Dry run: {entry.path} would accept this; nothing was changed.",
+        message=f"Dry run: {entry.path} would accept this. Nothing was changed.",
         dry_run=True,
         timestamp=iso(now()),
         custom=request.custom,

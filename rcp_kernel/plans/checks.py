@@ -146,7 +146,7 @@ class _Check:
         given = [n for n in ("steps", "symbolic", "lines") if getattr(plan, n) is not None]
         if len(given) != 1:
             raise InvalidValue(
-                "a plan is given in one notation: `steps`, `symbolic` or `lines`",
+                "a plan needs exactly one of `steps`, `symbolic` and `lines`",
                 details={"given": given},
             )
         if plan.steps is not None:
@@ -169,7 +169,7 @@ class _Check:
             if self._count > self._limits.steps:
                 raise OutOfRange(
                     f"the plan has more than {self._limits.steps} steps",
-                    remedy="Send it in parts.",
+                    remedy="Split it into several plans.",
                     details={"limit": self._limits.steps},
                 )
             node = Node(step.id or f"{place}{number}", step)
@@ -204,7 +204,7 @@ class _Check:
     def _one(self, node: Node, known: dict[str, Node]) -> dict[str, Node]:
         step = node.step
         if step.after:
-            self._fault(node, BadRequest("`after` stands in steps of a `parallel` only"))
+            self._fault(node, BadRequest("`after` is allowed only in the steps of a `parallel`"))
         return self._inside(node, known)
 
     def _inside(self, node: Node, known: dict[str, Node]) -> dict[str, Node]:
@@ -227,7 +227,10 @@ class _Check:
             before = dict(known)
             for id_ in child.step.after:
                 if id_ not in ends:
-                    text = f"`after` names '{id_[:64]}', which is no earlier step of this parallel"
+                    text = (
+                        f"`after` refers to '{id_[:64]}', which is not an earlier step of "
+                        "this `parallel`"
+                    )
                     self._fault(child, BadRequest(text))
                 before |= ends.get(id_, {})
             ends[child.id] = self._inside(child, before)
@@ -242,12 +245,12 @@ class _Check:
             id_, *fields = wanted.split("/")
             if id_ not in known:
                 there = id_ in self._ids
-                why = "does not end before this one" if there else "is not in the plan"
+                why = "does not end before this step" if there else "is not in the plan"
                 near = [] if there else nearest(id_, known)
                 advice = f"Did you mean {', '.join(near)}? " if near else ""
                 raise InvalidValue(
-                    f"the value wants the result of step '{id_[:64]}', which {why}",
-                    remedy=f"{advice}Name a step that has ended by then, by its `id`.",
+                    f"the value refers to the result of step '{id_[:64]}', which {why}",
+                    remedy=f"{advice}Refer to an earlier step by its `id`.",
                     details={"near": near} if near else None,
                 )
             type_ = self._types.get(id_)
@@ -302,11 +305,11 @@ class _Check:
             raise
         if entry.path in _NOT_HERE and not isinstance(step, Read):
             raise UnsupportedOperation(
-                f"{entry.path} has no place in a plan",
+                f"{entry.path} is not allowed in a plan",
                 path=entry.path,
-                remedy="Write the steps of the other plan into this one."
+                remedy="Copy the steps of the other plan into this one."
                 if entry.path == "/system/plans"
-                else "Have a person decide by a request of their own.",
+                else "Decide on approvals with a separate request.",
             )
         return entry
 
@@ -375,8 +378,8 @@ class _Check:
 
 def _too_long() -> OutOfRange:
     return OutOfRange(
-        f"the conditions of the plan have more than {_TEXT} characters",
-        remedy="Send the plan in parts.",
+        f"the plan's conditions have more than {_TEXT} characters in total",
+        remedy="Split it into several plans.",
         details={"limit": _TEXT},
     )
 
@@ -390,7 +393,7 @@ def _codes(retry: Retry | None) -> None:
         if code not in BY_CODE:
             near = nearest(code, BY_CODE, 0.8)
             raise InvalidValue(
-                f"`retry` names '{code[:64]}', which is no error code",
+                f"`retry` has the unknown error code '{code[:64]}'",
                 remedy=f"Did you mean {', '.join(near)}?" if near else None,
                 details={"near": near, "pointer": "/retry/on"},
             )

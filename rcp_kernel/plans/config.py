@@ -54,13 +54,14 @@ def check_plans(config: PlansConfig, source: str) -> None:
         where = f"{source}: [plans.actions.{name}]"
         if any(match[2] for match in ARGUMENT.finditer(table.path)):
             raise ConfigError(
-                f"{where} path = {table.path!r}: a field of an object has no place in it"
+                f"{where} path = {table.path!r}: a path cannot contain a field of an object"
             )
         try:
             parse_path(ARGUMENT.sub("x", table.path), "t")
         except InvalidPath as error:
             raise ConfigError(
-                f"{where} path = {table.path!r} is no path: {error.remedy} An argument is {{0}}, {{1}}…"
+                f"{where} path = {table.path!r} is not a path: {error.remedy} An argument is "
+                f"{{0}}, {{1}}…"
             ) from None
         if table.do == "write" and table.value is None:
-            raise ConfigError(f"{where} writes, and has no `value`")
+            raise ConfigError(f"{where} is a write and has no `value`")

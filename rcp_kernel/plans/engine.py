@@ -141,7 +141,7 @@ class Engine:
                     raise
                 assert retry is not None
                 self._telling.change(
-                    node, "running", message=f"{error.message}; {left} further tries are left"
+                    node, "running", message=f"{error.message}; {left} retries left"
                 )
                 await asyncio.sleep(retry.delay)
                 self._afresh(node)
@@ -218,7 +218,7 @@ class Engine:
             if before:
                 await asyncio.wait(before)
             if any(task.cancelled() or task.exception() is not None for task in before):
-                error = PreconditionFailed("a step that has to complete before it did not")
+                error = PreconditionFailed("a step that it depends on did not complete")
                 self._telling.change(
                     child, "failed", error=error_body(error), message=error.message
                 )
@@ -273,8 +273,8 @@ class Engine:
         while (found := self._look(node, when)) is None:
             if self._loop.time() > until:
                 raise PreconditionFailed(
-                    f"whether `{when.text}` holds cannot be known",
-                    remedy="Look at the values that it names: they are stale, or never came.",
+                    f"cannot evaluate `{when.text}`",
+                    remedy="Check the values that it uses: they are stale or have not arrived.",
                 )
             await self._pause()
         return found
@@ -314,10 +314,10 @@ def _again(retry: Retry | None, error: RcpError) -> bool:
 
 
 def _late(node: Node) -> DeadlineExceeded:
-    what = "did not come to hold" if isinstance(node.step, Wait) else "did not end"
+    what = "did not become true" if isinstance(node.step, Wait) else "did not end"
     return DeadlineExceeded(
         f"it {what} within {node.step.deadline:g} s",
-        remedy="Look at the state of the robot, then send the plan again with more time.",
+        remedy="Check the state of the robot, then send the plan again with a longer `deadline`.",
     )
 
 

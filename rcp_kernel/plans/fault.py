@@ -38,14 +38,15 @@ class Fault(NamedTuple):
 def refusal(faults: list[Fault]) -> RcpError:
     """Make one error of all faults; its code is that of the first."""
     first = faults[0]
-    count = f"{len(faults)} faults; the first" if len(faults) > 1 else "a fault"
+    count = f"{len(faults)} faults; the first is" if len(faults) > 1 else "a fault"
     details: dict[str, Any] = {"faults": [fault.plain() for fault in faults[:_TOLD]]}
     if len(faults) > _TOLD:
         details |= {"truncated": True, "count": len(faults)}
     return type(first.error)(
         f"the plan has {count} in step '{first.step}': {first.error.message}",
         path=first.error.path,
-        remedy="Mend what `details.faults` lists and send the plan again; nothing was begun.",
+        remedy="Correct the faults in `details.faults` and send the plan again; nothing was "
+        "started.",
         retry_after=first.error.retry_after,
         details=details,
     )

@@ -17,7 +17,7 @@ __all__ = ["from_lines", "word"]
 
 _LINE = re.compile(r"(?P<do>\S+)\s+(?P<path>\S+)(?:\s+(?P<rest>.*\S))?\s*\Z", re.DOTALL)
 _PAIR = re.compile(r"([A-Za-z_][\w.]*)=(\"(?:[^\"\\]|\\.)*\"|\S+)(?:\s+|\Z)")
-_SYNTAX = "Write `read|write|execute <path> [value]`; a value is JSON, or name=value pairs."
+_SYNTAX = "Use `read|write|execute <path> [value]`; a value is JSON, or name=value pairs."
 
 
 def from_lines(text: str) -> tuple[list[Step], list[Fault]]:
@@ -51,11 +51,11 @@ def _command(line: str, id_: str) -> Step:
         case "write" if rest is not None:
             return Write(id=id_, path=path, value=value)
         case "write":
-            raise InvalidValue(f"`{line[:80]}` writes no value", path=path, remedy=_SYNTAX)
+            raise InvalidValue(f"`{line[:80]}` has no value to write", path=path, remedy=_SYNTAX)
         case "execute":
             return Execute(id=id_, path=path, value=value)
         case _:
-            raise BadRequest(f"'{match['do'][:40]}' is no operation of plans", remedy=_SYNTAX)
+            raise BadRequest(f"'{match['do'][:40]}' is not an operation of plans", remedy=_SYNTAX)
 
 
 def _value(text: str) -> Any:
@@ -72,7 +72,7 @@ def _value(text: str) -> Any:
         for step in way:
             child = inner.setdefault(step, {})
             if not is_map(child):
-                raise InvalidValue(f"'{pair[1]}' is given as a value and as an object")
+                raise InvalidValue(f"'{pair[1]}' is both a value and an object")
             inner = child
         inner[last] = word(pair[2])
         place = pair.end()

@@ -27,9 +27,9 @@ def _path(conditions: Conditions, session: Session, node: Node, ref: tuple[str, 
     found = conditions.resource(ref, node)
     if found is None or not session.rights.mask(found[0].path):
         raise UnknownPath(
-            f"the condition names {'.'.join(ref)}, which is no value of "
+            f"the condition refers to {'.'.join(ref)}, which is not a value of "
             f"'{node.robot or node.tenant or 'any robot'}'",
-            remedy="Name a sensor, actuator or param; `robot` says whose, where there are several.",
+            remedy="Refer to a sensor, actuator or param; set `robot` if there are several robots.",
         )
     entry = found[0]
     if not session.rights.permits(entry, Operation.READ):

@@ -43,9 +43,10 @@ class NameScope:
         value = _assign(entry.input_type.schema, given, objects)
         if given:
             raise InvalidValue(
-                f"({action.name} …) has {len(given)} arguments more than {entry.path} takes",
+                f"({action.name} …) has {len(given)} more arguments than {entry.path} accepts",
                 path=entry.path,
-                remedy="Give its required fields in order, or name the action in `[plans.actions]`.",
+                remedy="List the required fields in order, or define the action in "
+                "`[plans.actions]`.",
             )
         return entry.path, value
 
@@ -54,12 +55,12 @@ class NameScope:
         of_robot = [e for e in self._called if _plain(robot) in map(_plain, _names(e))]
         if not of_robot:
             known = sorted({name for entry in self._called for name in _names(entry)})
-            raise _unknown(f"({action.name} …) names no robot that there is", robot, known)
+            raise _unknown(f"({action.name} …) names no known robot", robot, known)
         found = [e for e in of_robot if _plain(_last(e)) == _plain(action.name)]
         if not found:
             known = sorted({_last(entry) for entry in of_robot})
             raise _unknown(
-                f"there is no action or service '{action.name[:64]}' of '{robot[:64]}'",
+                f"'{robot[:64]}' has no action or service '{action.name[:64]}'",
                 action.name,
                 known,
             )
@@ -87,7 +88,8 @@ def _unknown(text: str, name: str, known: list[str]) -> UnknownPath:
     advice = f"Did you mean {', '.join(near)}? " if near else ""
     return UnknownPath(
         text,
-        remedy=f"{advice}Name an action of `discover`, or put this one into `[plans.actions]`.",
+        remedy=f"{advice}Use an action that `discover` lists, or define this one in "
+        "`[plans.actions]`.",
         details={"near": near} if near else None,
     )
 

@@ -123,8 +123,8 @@ def _result(wanted: str, known: dict[str, Node]) -> Any:
     node = known[id_]
     if node.state.state != "completed":
         raise PreconditionFailed(
-            f"step '{id_}' has no result to go on with: it is {node.state.state}",
-            remedy="Give the step a fallback, or this one a `when`.",
+            f"step '{id_}' has no result: it is {node.state.state}",
+            remedy="Add a fallback to that step, or a `when` to this one.",
         )
     value = node.raw
     for field in fields:

@@ -113,12 +113,12 @@ class StepRequests:
         command = next((c for c in running if c.custom is request.custom), None)
         if command is None:
             if isinstance(node.step, (Write, Execute)):
-                state.message = "it was under way when the plan was ended: look at the robot"
+                state.message = "it was running when the plan ended; check the robot"
             return
-        self._commands.cancel(command, "its plan was ended")
+        self._commands.cancel(command, "its plan ended")
         done, _ = await asyncio.wait([final], timeout=_END)
         if not done:
-            state.message = "the robot has not confirmed that it stopped"
+            state.message = "the robot did not confirm that it stopped"
         elif (reply := final.result()).error is not None:
             state.error, state.message = reply.error, reply.message
 

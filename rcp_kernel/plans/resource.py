@@ -181,8 +181,8 @@ class Plans:
         running = [c for c in self._commands.running.values() if c.path == PATH]
         if sum(1 for c in running if c.tenant == session.tenant) >= limits.running:
             raise QueueFull(
-                f"{limits.running} plans of this tenant run already",
-                remedy="Wait for one to end, or cancel one.",
+                f"this tenant already has {limits.running} plans running",
+                remedy="Wait until one ends, or cancel one.",
                 details={"limit": limits.running},
             )
 

@@ -22,7 +22,7 @@ _ACTION = re.compile(
     rf"\s*(?:(?P<time>{_NUMBER})\s*:)?\s*\((?P<words>[^()]*)\)\s*(?:\[\s*(?P<length>{_NUMBER})\s*\])?"
 )
 _SEGMENT = re.compile(r"[A-Za-z0-9_.-]+\Z")
-_SYNTAX = "Write one action a line: `(name argument …)`, `; ` begins a comment."
+_SYNTAX = "Write one action per line: `(name argument …)`; `; ` starts a comment."
 
 
 class Action(NamedTuple):
@@ -69,7 +69,7 @@ def _parse(text: str) -> tuple[list[Action], list[Fault]]:
             match = _ACTION.match(line, place)
             if match is None:
                 what = line[place:].strip()[:80]
-                error = BadRequest(f"{what!r} is no action of a plan", remedy=_SYNTAX)
+                error = BadRequest(f"{what!r} is not an action", remedy=_SYNTAX)
                 faults.append(Fault(f"line {number}", error))
                 break
             place = match.end()
@@ -100,8 +100,8 @@ def _argument(match: re.Match[str], action: Action) -> str:
     number = int(match[1])
     if number >= len(action.arguments):
         raise InvalidValue(
-            f"({action.name} …) has {len(action.arguments)} arguments; its table wants "
-            f"{{{number}}}, the one after {number} others"
+            f"({action.name} …) has {len(action.arguments)} arguments; its table uses "
+            f"{{{number}}}, argument number {number + 1}"
         )
     return action.arguments[number]
 
@@ -109,7 +109,7 @@ def _argument(match: re.Match[str], action: Action) -> str:
 def _in_path(match: re.Match[str], action: Action) -> str:
     text = _argument(match, action)
     if not _SEGMENT.match(text):
-        raise InvalidPath(f"'{text[:40]}' of ({action.name} …) cannot stand in a path")
+        raise InvalidPath(f"'{text[:40]}' in ({action.name} …) is not valid in a path")
     return text
 
 
@@ -132,8 +132,8 @@ def _object(match: re.Match[str], action: Action, objects: dict[str, Any]) -> An
     for field in match[2].split(".")[1:]:
         if not is_map(value) or field not in value:
             raise InvalidValue(
-                f"'{text[:40]}' of ({action.name} …) has no field '{field}'",
-                remedy="Name an object of `[plans.objects]` that has it.",
+                f"'{text[:40]}' in ({action.name} …) has no field '{field}'",
+                remedy="Use an object in `[plans.objects]` that has it.",
             )
         value = value[field]
     return value

@@ -53,7 +53,7 @@ def _brought() -> dict[str, EntryPoint]:
 
 @click.group(cls=_Commands, context_settings={"help_option_names": ["-h", "--help"]})
 def main() -> None:
-    """Run the RCP gateway: one server between robots and everybody who talks to them."""
+    """Run and manage an RCP gateway: one server between robots and their clients."""
 
 
 main.add_command(audit)
@@ -63,9 +63,9 @@ main.add_command(token)
 
 @main.command()
 @click.option("--port", type=click.IntRange(0, 65535), default=8080, show_default=True)
-@click.option("--verbose", is_flag=True, help="Log what the gateway does, not only warnings.")
+@click.option("--verbose", is_flag=True, help="Log at level info, not only warnings.")
 def demo(*, port: int, verbose: bool) -> None:
-    """Serve simulated robots on loopback: no hardware, no configuration, no second terminal."""
+    """Serve simulated robots on loopback, without hardware or configuration."""
     from rcp_kernel.process.demo import Demo
 
     made = Demo(port)
@@ -76,11 +76,11 @@ def demo(*, port: int, verbose: bool) -> None:
 @main.command()
 @click.argument("config", type=click.Path(path_type=Path), default="rcp.toml")
 def serve(config: Path) -> None:
-    """Serve the robots of a configuration file (./rcp.toml if not given).
+    """Serve the robots of a configuration file (default: ./rcp.toml).
 
-    SIGHUP reads the file again: roles, keys, certificates, limits and backends change at once;
-    listeners need a restart. SIGTERM or Ctrl-C brings the robots to rest and stops: exit code 0, or
-    3 if the end of the record could not be written. 1: it cannot start.
+    SIGHUP reloads the file: roles, keys, certificates, limits and backends change at once;
+    listeners need a restart. SIGTERM or Ctrl-C stops the robots and the gateway. Exit code: 0, 1
+    if the gateway cannot start, 3 if the last audit records could not be written.
     """
     _run(_loaded(config), str(config), config, None)
 
@@ -88,7 +88,7 @@ def serve(config: Path) -> None:
 @main.command()
 @click.argument("config", type=click.Path(path_type=Path))
 def check(config: Path) -> None:
-    """Find every fault of a configuration without opening a robot or a socket."""
+    """Report every error of a configuration without opening a robot or a socket."""
     from rcp_kernel.access.identities import store_file
     from rcp_kernel.app.server import prepare
 
@@ -140,7 +140,7 @@ def plugins() -> None:
 
 @main.group()
 def new() -> None:
-    """Write the beginning of something new."""
+    """Generate the skeleton of a new plugin."""
 
 
 @new.command("backend")
@@ -149,10 +149,10 @@ def new() -> None:
     "--into",
     type=click.Path(path_type=Path),
     default=Path(),
-    help="Folder to make it in; the present one if not given.",
+    help="Parent folder. Default: the current folder.",
 )
 def new_backend(name: str, into: Path) -> None:
-    """Write a backend plugin of its own distribution that passes the public suite."""
+    """Generate a backend plugin with its own distribution that passes the public test suite."""
     from rcp_kernel.process.scaffold import write_backend
 
     try:
@@ -181,7 +181,8 @@ def _warn_of_damage(path: Path | None) -> None:
         damage = find_damage(path)
         if damage is not None:
             text = (
-                f"the store is damaged: {damage}; every robot will be latched: `rcpd store repair`"
+                f"the store is damaged: {damage}; every robot will be latched at the start. "
+                "Run `rcpd store repair`"
             )
             click.echo(f"warning: {text}", err=True)
 
@@ -240,9 +241,9 @@ async def _serve(prepared: Prepared, recent: Recent, path: Path | None, demo: De
 
         def ask(name: str) -> None:
             if stop.is_set():
-                click.echo("rcpd: stopped without waiting", err=True)
+                click.echo("rcpd: stopped immediately", err=True)
                 signal.raise_signal(signal.SIGKILL)
-            click.echo(f"rcpd: {name}: bringing the robots to rest", err=True)
+            click.echo(f"rcpd: {name}: stopping the robots", err=True)
             notifier.send("STOPPING=1")
             stop.set()
 
@@ -253,7 +254,7 @@ async def _serve(prepared: Prepared, recent: Recent, path: Path | None, demo: De
             await _serve_until(stop, server, path, demo)
     if not server.kernel.store.lost:
         return 0
-    click.echo("rcpd: the store could not be written: the end of the record is lost", err=True)
+    click.echo("rcpd: cannot write the store: the last audit records are lost", err=True)
     return _RECORD_LOST
 
 

@@ -35,9 +35,7 @@ _ORDINARY = (Exception, asyncio.CancelledError, GeneratorExit)
 
 def _plugin_exit(error: BaseException) -> PluginExit:
     what = f"{type(error).__name__}({', '.join(map(str, error.args))})"
-    return PluginExit(
-        f"the plugin raised {what}, which ends a process; only the plugin's work ended"
-    )
+    return PluginExit(f"the plugin raised {what}; the gateway contained it and goes on")
 
 
 @contextmanager

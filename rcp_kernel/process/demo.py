@@ -172,12 +172,12 @@ class Demo:
         beside = Path(sys.argv[0]).with_name("rcpctl")
         rcpctl = "rcpctl" if shutil.which("rcpctl") or not beside.exists() else beside
         where = "simulated rovers of the tenants alpha and beta"
-        fly = "  A drone flies too after: pip install 'rcp-gateway[mavlink]'"
+        fly = "  To add a drone: pip install 'rcp-gateway[mavlink]'"
         if self._drone:
             where += ", a drone of gamma"
             does = f"  {rcpctl} --url {url} execute /tenant/gamma/action"
             fly = f"{does}/arm\n{does}/takeoff\n{does}/land"
-        look = "  Motors on CAN turn too after: pip install 'rcp-gateway[can]'"
+        look = "  To add CAN motors: pip install 'rcp-gateway[can]'"
         if self._head:
             where += ", a head on two motors of delta"
             does = f"  {rcpctl} --url {url} execute /tenant/delta"

@@ -225,7 +225,7 @@ class GuardLink:
                 and command.entry.owner is supervisor
                 and command.entry.barred
             ):
-                self._commands.cancel(command, f"the guard has stopped the robot: {reason}")
+                self._commands.cancel(command, f"the guard stopped the robot: {reason}")
         if supervisor.backend is not None:
             hold = retry_until_confirmed(
                 supervisor.whole.hold, "hold_failed", backend=supervisor.name
@@ -289,7 +289,8 @@ class GuardLink:
                     "robot_without_watchdog",
                     backend=supervisor.name,
                     robot=unit.place,
-                    detail="if the gateway freezes or is killed, nothing is known to stop it",
+                    detail="no known watchdog or guard plan stops it if the gateway freezes or "
+                    "is killed",
                 )
 
 

@@ -66,9 +66,10 @@ class GuardArming:
         left = self._thawed + _THAW - time.monotonic()
         if left > 0 and supervisor.name in self._frozen:
             raise StaleCommand(
-                "the gateway stood still and the guard has stopped the robot: this may be older",
+                "the gateway froze and the guard stopped the robot; this command may be from "
+                "before",
                 path=entry.path,
-                remedy="Look at the robot, then send a new command.",
+                remedy="Check the robot, then send a new command.",
             )
 
     def look_for_freeze(self) -> None:

@@ -82,7 +82,7 @@ class GuardProcess:
         if self._heard and now - self._heard > _SILENT:
             self._hear()  # the loop may have stood still itself
             if now - self._heard > _SILENT:
-                self._drop(f"no sign of life for {_SILENT:g} s")
+                self._drop(f"no heartbeat for {_SILENT:g} s")
 
     def arm(self, armed: frozenset[str]) -> None:
         """Tell the guard at once which groups may move."""
@@ -187,7 +187,7 @@ class GuardProcess:
             self._drop(str(error))
             return
         if not data:
-            self._drop("it ended by itself")
+            self._drop("it exited")
             return
         if not self._heard:
             self._pause = _FIRST_RETRY

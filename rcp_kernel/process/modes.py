@@ -35,11 +35,14 @@ def check_store_modes(path: Path) -> str | None:
     for file in files:
         if others_may(file, WRITE):
             raise ConfigError(
-                f"the store's file '{file}' can be written by others, who could make tokens of "
-                f"their own: find out what they did (`rcpd token list`, `rcpd audit verify`), then "
+                f"other users can write the store file '{file}' and create tokens: check it "
+                f"(`rcpd token list`, `rcpd audit verify`), then run "
                 f"`chmod 600 {file}`"
             )
     for file in files:
         if others_may(file, READ):
-            return f"others may read '{file}', and so the record: `chmod 600 {file}`"
+            return (
+                f"other users can read '{file}', which contains the audit log: run `chmod "
+                f"600 {file}`"
+            )
     return None

@@ -32,13 +32,13 @@ def write_backend(name: str, into: Path) -> Path:
     """
     if not _NAME.match(name) or len(name) > _LONGEST:
         raise ConfigError(
-            f"{name[:60]!r} cannot be the name of a backend: write lower-case letters, digits and "
-            "single dashes, a letter first, at most 40 characters"
+            f"{name[:60]!r} is not a valid backend name: use lower-case letters, digits and "
+            "single dashes, starting with a letter, at most 40 characters"
         )
     dashed, word = name.replace("_", "-"), name.replace("-", "_")
     made = into / f"rcp-backend-{dashed}"
     if made.exists():
-        raise ConfigError(f"{made} is there already: give the backend another name")
+        raise ConfigError(f"{made} already exists: choose another name")
     facts = {"@name@": dashed, "@word@": word, "@Word@": _camel(word)}
     try:
         for template, place in _TEMPLATES.items():

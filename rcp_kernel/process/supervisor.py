@@ -211,7 +211,7 @@ class BackendSupervisor:
             entry = self.entries.pop(name, None)
             if entry is not None:
                 entry.unit.own.pop(name, None)
-                gone = AdapterUnavailable(f"{entry.path} was withdrawn by its backend")
+                gone = AdapterUnavailable(f"the backend withdrew {entry.path}")
                 self._commands.interrupt(entry.path, gone)
                 self._registry.withdraw(entry.path)
                 self._take_hold_back(entry.unit)
@@ -227,7 +227,7 @@ class BackendSupervisor:
         """Hand a value over; an undeclared name is a fault."""
         entry = self.entries.get(name)
         if entry is None:
-            self.fault(f"published '{name}', which it has not declared")
+            self.fault(f"published '{name}', which it did not declare")
             return
         entry.publish(value, timestamp)
 
@@ -266,7 +266,7 @@ class BackendSupervisor:
     def link_restored(self, robot: str | None = None) -> None:
         """Stop a latched robot before anything else reaches it."""
         if self.state == "down" and self._backend is not None:
-            self._enter("degraded", "the link has just returned")
+            self._enter("degraded", "the link has just been restored")
         self._regain(self.unit(robot))
 
     def is_latched(self, robot: str | None = None) -> bool:
@@ -417,7 +417,7 @@ class BackendSupervisor:
     def retire(self) -> None:
         """Let nothing move any more: the configuration has this backend no longer."""
         self.whole.retired = Latch("the gateway", "the backend is being closed")
-        self._interrupt("the configuration has it no longer")
+        self._interrupt("it was removed from the configuration")
 
     def close(self) -> None:
         """Have `run` end; the backend is closed by leaving its context."""

@@ -81,7 +81,7 @@ class _Held:
         if reply is None:
             return
         if self.anyway:
-            reply.message = f"{reply.message or ''} It is not on record yet.".lstrip()
+            reply.message = f"{reply.message or ''} The audit record is not written yet.".lstrip()
             self.release()
             return
         self.reply = None
@@ -112,9 +112,10 @@ class AuditWriter:
         store = self._store
         if store.trouble is not None or store.waiting > FULL:
             raise QueueFull(
-                f"the record cannot be written ({store.trouble or 'the disk is slow'}); commands "
-                "and writes are refused until it can",
-                remedy="Free the disk of `[store] path`, or unlock the file.",
+                f"cannot write the audit log ({store.trouble or 'the disk is slow'}); commands "
+                "and writes are refused until this works again",
+                remedy="Ask the operator to free disk space for `[store] path`, or to unlock "
+                "the file.",
                 retry_after=1.0,
             )
 
@@ -402,8 +403,8 @@ def _unrecorded(reply: Reply) -> Reply:
     error = reply.error
     outcome = reply.status if error is None else error["code"]
     told: RcpError = DeadlineExceeded(
-        "its record could not be written in time; without one nothing is confirmed",
-        remedy="Look at the state of the robot before you send it again, and at `/system/status`.",
+        "its audit record could not be written in time, so it cannot be confirmed",
+        remedy="Check the state of the robot and /system/status before you send it again.",
         details={"outcome": outcome},
     )
     return failure(told, reply.type, reply.id, reply.path, command=reply.command)

@@ -29,7 +29,7 @@ def make_backup(path: Path, target: Path) -> Verdict:
     :raises ConfigError: the store is damaged or cannot be read, or the file is there already.
     """
     if target.exists():
-        raise ConfigError(f"'{target}' is there already: give the backup a name of its own")
+        raise ConfigError(f"'{target}' already exists: choose another name for the backup")
     with store_errors(path):
         damage = find_damage(path)
     if damage is not None:
@@ -40,7 +40,9 @@ def make_backup(path: Path, target: Path) -> Verdict:
         copied(path, part)
         verdict = check_whole(part)
         if verdict.head[0] < head[0]:
-            raise ConfigError(f"'{part}' ends before record {head[0]}: it is no copy of '{path}'")
+            raise ConfigError(
+                f"'{part}' ends before record {head[0]}: it is not a copy of '{path}'"
+            )
     except BaseException:
         part.unlink(missing_ok=True)
         raise

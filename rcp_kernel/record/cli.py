@@ -38,12 +38,12 @@ def _moment(text: str) -> int:
 
 @click.group()
 def audit() -> None:
-    """Verify or export the record of a gateway, also while it runs."""
+    """Verify or export the audit log of a gateway, also while it runs."""
 
 
 config_argument = click.argument("config", type=click.Path(path_type=Path), default="rcp.toml")
 store_option = click.option(
-    "--store", type=click.Path(path_type=Path), help="The database, instead of a configuration."
+    "--store", type=click.Path(path_type=Path), help="Database file, instead of a configuration."
 )
 
 
@@ -56,12 +56,12 @@ store_option = click.option(
     type=_head,
     multiple=True,
     metavar="SEQ:HASH",
-    help="A head that was kept elsewhere: the chain must still have it.",
+    help="A head stored elsewhere, which the chain must contain.",
 )
 def verify_command(config: Path, store: Path | None, heads: tuple[Head, ...]) -> None:
-    """Find changed, removed, inserted or reordered records; print the head.
+    """Report changed, removed, inserted or reordered records, and print the head.
 
-    Exit code 1 if there are any. A record cut off from the end is missed where a later head is
+    The exit code is 1 if there are any. Records missing at the end are found if a later head is
     known: from the file beside the database, or from --head.
     """
     path = store or path_of(config)
@@ -81,11 +81,23 @@ def verify_command(config: Path, store: Path | None, heads: tuple[Head, ...]) ->
 @config_argument
 @store_option
 @click.option(
-    "--since", type=_moment, metavar="TIME", help="ISO 8601 in UTC, or a date: not before."
+    "--since",
+    type=_moment,
+    metavar="TIME",
+    help="Only records from this time on (ISO 8601 in UTC, or a date).",
 )
-@click.option("--until", type=_moment, metavar="TIME", help="ISO 8601 in UTC, or a date: before.")
-@click.option("--tenant", help="Only of this tenant.")
-@click.option("--what", multiple=True, help="Only these: write, command, denial, …")
+@click.option(
+    "--until",
+    type=_moment,
+    metavar="TIME",
+    help="Only records before this time (ISO 8601 in UTC, or a date).",
+)
+@click.option("--tenant", help="Only records of this tenant.")
+@click.option(
+    "--what",
+    multiple=True,
+    help="Only records of this type (write, command, denial, …); can be repeated.",
+)
 def export(
     config: Path,
     store: Path | None,
@@ -94,7 +106,7 @@ def export(
     tenant: str | None,
     what: tuple[str, ...],
 ) -> None:
-    """Write records as JSON lines."""
+    """Print audit records as JSON lines."""
     path = store or path_of(config)
     try:
         base = open_read_only(path)

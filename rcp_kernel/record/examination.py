@@ -37,5 +37,5 @@ def rows_of(base: sqlite3.Connection) -> Iterator[Row]:
     for seq, digest, data in base.execute(f"{ROWS} ORDER BY seq"):
         # A spoilt file may hold any type in any column.
         if not (isinstance(seq, int) and isinstance(digest, bytes) and isinstance(data, bytes)):
-            raise sqlite3.DatabaseError("a row of the record has not the form of one")
+            raise sqlite3.DatabaseError("a row of the audit table is malformed")
         yield seq, digest, data

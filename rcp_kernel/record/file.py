@@ -248,14 +248,14 @@ class _Taken(sqlite3.OperationalError):
 
 def _remedy(error: Exception) -> str:
     if isinstance(error, _Taken):
-        return "Stop the other gateway, or give this one a path of its own."
+        return "Stop the other gateway, or use another path."
     number = getattr(error, "sqlite_errorcode", 0) & 0xFF
     if number in (sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED):
-        return "Close the program that holds it open."
+        return "Close the program that has it open."
     if number == sqlite3.SQLITE_FULL or getattr(error, "errno", None) == ENOSPC:
-        return "Free some of the disk."
+        return "Free some disk space."
     if isinstance(error, OSError) or number in _NO_ACCESS:
-        return "Give the gateway's user a folder that it may write to."
+        return "Use a folder that the gateway's user can write to."
     return "Stop the gateway, then run `rcpd store repair`, or `rcpd store restore` with a backup."
 
 

@@ -104,7 +104,7 @@ def _cut_off(command: Command) -> None:
     error = InternalError(
         "the gateway stopped while the command was running",
         path=command.path,
-        remedy="Look at the state of the robot, then send the command again if it is still wanted.",
+        remedy="Check the state of the robot, then send the command again if it is still needed.",
     )
     command.finished = now()
     command.history.append(

@@ -123,11 +123,9 @@ class LatchFile:
         except (msgspec.DecodeError, UnicodeDecodeError) as error:
             raise ValueError(f"it cannot be read ({error})") from None
         if content.version != _VERSION:
-            raise ValueError(
-                f"it has the version {content.version}, which this gateway cannot read"
-            )
+            raise ValueError(f"its version {content.version} is not supported by this gateway")
         if content.sha256 != _checksum(content.latches):
-            raise ValueError("its checksum does not fit")
+            raise ValueError("its checksum is wrong")
         return content.latches
 
     def write(self, data: bytes) -> None:

@@ -80,14 +80,14 @@ def restore(path: Path, backup: Path) -> Repaired:
 def _check_backup(path: Path, backup: Path) -> None:
     damage = find_damage(backup, bound=None)
     if damage is not None or not backup.exists():
-        raise ConfigError(f"the backup '{backup}' is damaged: {damage or 'it is not there'}")
+        raise ConfigError(f"the backup '{backup}' is damaged: {damage or 'it does not exist'}")
     head = known_head(backup)
     with suppress(*FAULTS), closing(looked_at(path, in_spite=True)) as base:
         row = base.execute("SELECT hash FROM audit WHERE seq = ?", (head[0],)).fetchone()
         if row is not None and row[0] != head[1]:
             raise ConfigError(
-                f"'{backup}' is a backup of another store: its record {head[0]} is not this one's. "
-                f"Move '{path}' and its neighbours away, if it is to be replaced all the same"
+                f"'{backup}' is a backup of another store: record {head[0]} differs. "
+                f"To replace it anyway, first move '{path}' and the files beside it away"
             )
 
 

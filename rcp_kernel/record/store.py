@@ -352,7 +352,7 @@ class DiskStore(Store):
         self._thread.join(timeout=_CLOSE)
         if self._thread.is_alive():
             self.lost = True
-            log.error("store_lost", path=str(self.path), detail="the disk does not answer")
+            log.error("store_lost", path=str(self.path), detail="the disk does not respond")
         else:
             self._head.close()
         self._lock.close()
@@ -515,6 +515,6 @@ def _held(latch: dict[str, Any] | None, why: str) -> dict[str, Any]:
 
 def _way_out(interim: Path) -> str:
     return (
-        f"every robot is latched, and the record goes on in {interim.name}; stop the gateway, then "
+        f"every robot is latched and audit records go to {interim.name}; stop the gateway, then "
         "run `rcpd store repair`, or `rcpd store restore` with a backup"
     )

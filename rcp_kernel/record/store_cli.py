@@ -28,7 +28,7 @@ def store() -> None:
 @config_argument
 @store_option
 def check(config: Path, store: Path | None) -> None:
-    """Check every page and every record, also while the gateway runs; exit code 1 if it is damaged."""
+    """Check every page and record, also while the gateway runs; exit code 1 if damaged."""
     from rcp_kernel.record.backup import check_whole
     from rcp_kernel.record.damage import find_damage
     from rcp_kernel.record.file import store_errors
@@ -38,13 +38,13 @@ def check(config: Path, store: Path | None) -> None:
         with store_errors(path):
             damage = find_damage(path, bound=None)
         if damage is not None:
-            fail(f"the store '{path}' is damaged: {damage}; `rcpd store repair` makes it anew")
+            fail(f"the store '{path}' is damaged: {damage}; run `rcpd store repair`")
         verdict = check_whole(path)
     except ConfigError as error:
         fail(str(error))
     for seq, what in verdict.findings:
         click.echo(f"record {seq}: {what}")
-    click.echo(f"{path}: whole; {verdict.count} records; head {written(verdict.head)}")
+    click.echo(f"{path}: ok; {verdict.count} records; head {written(verdict.head)}")
     if verdict.findings:
         sys.exit(1)
 
@@ -54,7 +54,7 @@ def check(config: Path, store: Path | None) -> None:
 @config_argument
 @store_option
 def backup(file: Path, config: Path, store: Path | None) -> None:
-    """Copy the store into FILE, also while the gateway runs; print the head of its record."""
+    """Copy the store to FILE, also while the gateway runs, and print the head of its audit log."""
     from rcp_kernel.record.backup import make_backup
 
     try:
@@ -68,10 +68,10 @@ def backup(file: Path, config: Path, store: Path | None) -> None:
 @config_argument
 @store_option
 def repair(config: Path, store: Path | None) -> None:
-    """Make a damaged store anew of what can be read of it; the gateway must not run.
+    """Rebuild a damaged store from what is readable; the gateway must be stopped.
 
-    What there was is kept in a folder beside it. Missing records stay missing, and the chain says
-    how many. The next start has every robot latched, until somebody resets that.
+    The old files are kept in a folder beside it. Missing records stay missing, and the chain
+    records their number. The next start latches every robot until someone resets the e-stop.
     """
     from rcp_kernel.record.repair import repair
 
@@ -91,10 +91,10 @@ def repair(config: Path, store: Path | None) -> None:
 @config_argument
 @store_option
 def restore(backup: Path, config: Path, store: Path | None) -> None:
-    """Put BACKUP in the store's place; the gateway must not run.
+    """Replace the store by BACKUP; the gateway must be stopped.
 
-    Records that are later than the backup are added, as far as they can be read. What there was is
-    kept in a folder beside it. The next start has every robot latched, until somebody resets that.
+    Later records are added as far as they are readable. The old files are kept in a folder beside
+    it. The next start latches every robot until someone resets the e-stop.
     """
     from rcp_kernel.record.repair import restore
 
@@ -110,13 +110,19 @@ def _tell(path: Path, made: Repaired) -> None:
     for seq, what in examined(path).findings:
         click.echo(f"record {seq}: {what}")
     click.echo(f"{path}: {made.records} records, {made.missing} missing; head {written(made.head)}")
-    click.echo(f"What there was is in {made.aside}.", err=True)
+    click.echo(f"The old files are in {made.aside}.", err=True)
     if made.apart:
-        click.echo("The record made since the damage stays there: its numbers are taken.", err=True)
-    if made.tokens:
         click.echo(
-            f"{made.tokens} API keys are good; one that was revoked since may be among them: "
-            "look at `rcpd token list`.",
+            "Audit records written since the damage stay there: their numbers are already in use.",
             err=True,
         )
-    click.echo("The next start has every robot latched: look at them, then reset that.", err=True)
+    if made.tokens:
+        click.echo(
+            f"{made.tokens} API keys are valid. Some may have been revoked after the backup: "
+            "check `rcpd token list`.",
+            err=True,
+        )
+    click.echo(
+        "At the next start every robot is latched: check the robots, then reset the e-stop.",
+        err=True,
+    )

@@ -74,4 +74,4 @@ def check_fence() -> None:
     if fenced_off():
         permit = _permit.get()
         assert permit is not None
-        raise EstopActive(f"{permit[0].name} was stopped after this was sent")
+        raise EstopActive(f"{permit[0].name} was stopped after this command was sent")

@@ -65,7 +65,7 @@ class Hold:
         for unit, state in zip(self._units, states, strict=True):
             if not state.at_rest:
                 raise DeviceTimeout(
-                    f"{unit.name} was told to hold and is not at rest: {state.detail}",
+                    f"{unit.name} received the hold command but is not at rest: {state.detail}",
                     remedy="Use the e-stop.",
                 )
         return Held(at_rest=True, detail="; ".join(s.detail for s in states if s.detail))
@@ -79,7 +79,7 @@ class Hold:
         paths = {entry.path for entry in moving}
         for other in list(self._commands.running.values()):
             if other.path in paths:
-                self._commands.cancel(other, "the robot was told to hold")
+                self._commands.cancel(other, "the robot was commanded to hold")
                 if other.task is not None:
                     ending.append(other.task)
         return ending

@@ -15,10 +15,10 @@ __all__ = ["tell_cut_off", "tell_loss"]
 
 _LOST = (AdapterUnavailable, DeviceTimeout)
 _THEN = {
-    "hold": "it is told to hold when contact returns",
-    "continue": "it may carry on: nothing is sent when contact returns",
-    "land": "it is told to land when contact returns",
-    "return": "it is told to return home when contact returns",
+    "hold": "the gateway commands it to hold when the link is restored",
+    "continue": "it may carry on: the gateway sends nothing when the link is restored",
+    "land": "the gateway commands it to land when the link is restored",
+    "return": "the gateway commands it to return home when the link is restored",
 }
 
 

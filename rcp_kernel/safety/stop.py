@@ -264,7 +264,7 @@ class StopController:
             state = stop.unit.motion()
         except Exception as error:
             log.exception("motion_failed", backend=stop.unit.name)
-            state = MotionState(None, f"its motion cannot be told: {error!r}")
+            state = MotionState(None, f"its motion is unknown: {error!r}")
         if state is None:  # it measures nothing
             state = MotionState(True if stop.halted else None, stop.detail or "")
         if state.at_rest and stop.halted:

@@ -53,7 +53,7 @@ class ConditionalSubscriptions:
             return
         if may:
             self._hub.unpause(feed)
-            facts = {"code": "resumed", "message": "the condition of its rule holds again"}
+            facts = {"code": "resumed", "message": "the condition of the access rule holds again"}
         else:
             self._hub.pause(feed)
             facts = {"code": "paused", **_why(session, feed.entry)}
@@ -69,8 +69,8 @@ def _tell(feed: PathSubscription, facts: dict[str, Any]) -> None:
 def _why(session: Session, entry: Entry) -> dict[str, Any]:
     blocking = session.rights.blocking_condition(entry, Operation.SUBSCRIBE)
     if blocking is None or not session.rights.shows(blocking, entry):
-        return {"message": "a rule does not allow it at present"}
+        return {"message": "an access rule does not allow it at the moment"}
     return {
-        "message": f"a rule hangs on the condition `{blocking.text}`",
+        "message": f"an access rule requires `{blocking.text}`",
         "condition": blocking.text,
     }

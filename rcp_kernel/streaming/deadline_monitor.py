@@ -65,7 +65,7 @@ class DeadlineMonitor:
             path=feed.entry.path,
             seq=feed.entry.seq,
             age=round(age, 3) if age is not None else None,
-            message=f"{feed.entry.path} has sent nothing new within its deadline",
+            message=f"{feed.entry.path} has sent no new sample within its deadline",
         )
 
     def _check_deadline(self, feed: PathSubscription, moment: float) -> None:

@@ -60,7 +60,7 @@ class Options(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         several = {"fields": self.fields, "deadband": self.deadband}
         for name, given in several.items():
             if isinstance(given, (tuple, dict)) and len(given) > _MAX_TERMS:
-                text = f"`{name}` names {len(given)} fields of {_MAX_TERMS} at most"
+                text = f"`{name}` has {len(given)} fields; the limit is {_MAX_TERMS}"
                 raise ValueError(text)
 
     @property
@@ -100,7 +100,7 @@ def seconds(text: str) -> float:
             if math.isfinite(value) and value >= 0:
                 return min(value, _AGES)
             break
-    raise InvalidValue(f"{text[:40]!r} is not a duration", remedy='Write "30s", "500ms" or "2m".')
+    raise InvalidValue(f"{text[:40]!r} is not a duration", remedy='Use "30s", "500ms" or "2m".')
 
 
 _COMPARE: dict[str, Callable[[Any, Any], bool]] = {
@@ -155,9 +155,9 @@ def parse_where(node: dict[str, Any]) -> Where:
 
 def _bad(why: str) -> FilterUnsupported:
     return FilterUnsupported(
-        f"`where` cannot be read: {why}",
-        remedy='Write {"field": "voltage", "lt": 11.1}, joined by {"and": […]}, {"or": […]}, '
-        '{"not": …}; "edge": "rise" at the top.',
+        f"`where` is malformed: {why}",
+        remedy='Use {"field": "voltage", "lt": 11.1}, combined with {"and": […]}, {"or": […]}, '
+        '{"not": …}; "edge": "rise" at the top level.',
     )
 
 
@@ -169,7 +169,7 @@ def _predicate(node: Any, budget: list[int]) -> Predicate:
         raise _bad("each term is an object")
     terms = [_term(key, item, node, budget) for key, item in node.items() if key != "field"]
     if not terms:
-        raise _bad("a field without a comparison")
+        raise _bad("a field has no comparison")
     return terms[0] if len(terms) == 1 else lambda value: all(term(value) for term in terms)
 
 
@@ -270,7 +270,7 @@ def _band(size: float | str) -> Callable[[float, float], bool]:
             raise ValueError(size)
     except ValueError:
         raise FilterUnsupported(
-            f"{str(size)[:40]!r} is not a deadband", remedy='Write a number, or "5%".'
+            f"{str(size)[:40]!r} is not a deadband", remedy='Use a number, or "5%".'
         ) from None
     if percent:
         return lambda old, new: _beyond(old, new, abs(old) * number / 100)
@@ -298,11 +298,11 @@ def check_fields(options: Options, entry: Entry) -> None:
             raise FilterUnsupported(
                 f"{entry.path} has no field '{field}'",
                 path=entry.path,
-                remedy="Name a field that its schema has; `discover` shows the schema.",
+                remedy="Use a field of its schema; `discover` returns the schema.",
             )
     if options.encoding == "native" and entry.resource.native is None:
         raise FilterUnsupported(
             f"{entry.path} has no native encoding",
             path=entry.path,
-            remedy="Ask for json, cbor or msgpack.",
+            remedy="Use json, cbor or msgpack.",
         )

@@ -249,7 +249,7 @@ class Hub:
                 lost=lost,
                 first=known + 1,
                 last=oldest - 1,
-                message=f"{lost} samples of {feed.entry.path} are not in the replay buffer any more",
+                message=f"{lost} samples of {feed.entry.path} are no longer in the replay buffer",
             )
         feed.replay([s for s in ring if s.seq > known and feed.admit(s)])
 

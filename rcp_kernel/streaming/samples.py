@@ -187,11 +187,11 @@ class Sample(Body):
     def _fault(self, error: Exception) -> DeviceRejected:
         why = error.message if isinstance(error, RcpError) else f"{type(error).__name__}: {error}"
         fault = DeviceRejected(
-            f"backend '{self.entry.owner.name}' published a value that does not fit the type of "
+            f"backend '{self.entry.owner.name}' published a value that does not match the type of "
             f"{self.entry.path}: {why}",
             path=self.entry.path,
             origin=self.entry.owner.name,
-            remedy="Mend the backend or the type it declares; the value was not delivered.",
+            remedy="Correct the backend or the type it declares. The value was not delivered.",
         )
         self.entry.owner.fault(fault.message)
         return fault

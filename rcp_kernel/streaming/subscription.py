@@ -111,7 +111,7 @@ class Subscription:
 
     def overrun(self, feed: PathSubscription, why: str | None = None) -> None:
         """End the subscription: a reliable queue is full, and nothing may be skipped."""
-        behind = f"fell {feed.depth} samples of {feed.entry.path} behind"
+        behind = f"fell more than {feed.depth} samples of {feed.entry.path} behind"
         error = Overrun(
             f"subscription '{self.id}' {why or behind}",
             path=feed.entry.path,

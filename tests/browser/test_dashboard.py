@@ -159,7 +159,7 @@ async def test_who_is_refused_is_told_and_may_log_in(browser: Browser) -> None:
     closed = "[anonymous]\nrole = []\n"
     async with gateway(more=closed) as url, watched(browser, url) as tab:
         await tab.open()
-        await expect(tab.page.get_by_role("heading", name="Not let in")).to_be_visible()
+        await expect(tab.page.get_by_role("heading", name="Log in required")).to_be_visible()
         await log_in(tab.page, "a-key-that-may-only-look")
         await tab.connected()
         await expect(tab.page.get_by_test_id("principal")).to_have_text("looks-at-beta")
@@ -206,5 +206,7 @@ async def test_a_page_whose_gateway_is_killed_comes_back_with_it(
             with demo(tmp_path, port):
                 await tab.connected()
                 await expect(tab.page.get_by_text("rover-alpha").first).to_be_visible()
-                up = tab.page.get_by_text(re.compile(r"^Up$")).locator("xpath=following-sibling::*")
+                up = tab.page.get_by_text(re.compile(r"^Uptime$")).locator(
+                    "xpath=following-sibling::*"
+                )
                 await expect(up).to_have_text(re.compile(r"^\d+ ?s$|^\d+:\d\d$"))

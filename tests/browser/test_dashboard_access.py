@@ -122,7 +122,7 @@ async def test_axe_finds_nothing_serious_on_any_page(
 async def test_every_page_is_reached_and_walked_through_by_keyboard(tab: Watched) -> None:
     page = tab.page
     await page.keyboard.press("Tab")
-    await expect(page.get_by_role("link", name="Skip to the page")).to_be_focused()
+    await expect(page.get_by_role("link", name="Skip to content")).to_be_focused()
     for name in ("Explore", "Teleop", "Plot", "Commands", "Log", "Overview"):
         await page.get_by_role("link", name=name, exact=True).first.focus()
         await page.keyboard.press("Enter")

@@ -142,7 +142,7 @@ async def test_whoever_approves_sees_the_whole_value_to_its_last_digit_and_lette
         words = page.locator(f"[data-approval={turned}] pre")
         await expect(words).to_contain_text(r"slow \u{202e}\u{200b}tsaf")
         unseen = page.locator(f"[data-approval={huge}]")
-        await expect(unseen).to_contain_text("too long to be shown")
+        await expect(unseen).to_contain_text("too long to display")
         await expect(unseen.get_by_role("button", name="Approve")).to_be_disabled()
         await tab.shoot("approval-whole")
     for one in (long, turned, serial, huge):
@@ -168,13 +168,16 @@ async def test_what_is_sent_when_approved_is_what_the_form_shows(
     ada = Asking(told, "ada")
     async with person(browser, told, "lena", f"explore?path={_SERIAL}") as tab:
         form = tab.page.get_by_test_id("ask-write")
-        value, offer = form.get_by_label("value"), form.get_by_role("button", name="Ask, and send")
+        value, offer = (
+            form.get_by_label("value"),
+            form.get_by_role("button", name="Ask for approval"),
+        )
         await value.fill("5")
         await pressed(tab.page, form)
         await offer.click()
         await expect(value).to_be_disabled()
         await expect(form.get_by_test_id("kept")).to_have_text("5")
-        await form.get_by_role("button", name="Do not wait").click()
+        await form.get_by_role("button", name="Stop waiting").click()
         await value.fill("6")
         await expect(form.get_by_test_id("approval")).to_have_count(0)  # it was asked for 5
         await pressed(tab.page, form)
@@ -193,8 +196,8 @@ async def test_what_a_button_asks_for_is_sent_when_it_is_approved(
         buttons = tab.page.get_by_test_id("actions")
         await buttons.get_by_role("button", name="Dock").click()
         await expect(buttons.get_by_test_id("kept")).to_have_text("null")
-        await buttons.get_by_role("button", name="Ask, and send").click()
-        await expect(buttons).to_contain_text("Waiting for a person")
+        await buttons.get_by_role("button", name="Ask for approval").click()
+        await expect(buttons).to_contain_text("Waiting for approval")
         await ada.approve()
         await expect(buttons.get_by_test_id("action-status")).to_contain_text("completed")
         assert told.one == [("action/dock", None)]
@@ -210,8 +213,8 @@ async def test_what_nobody_approved_in_time_is_not_sent_and_may_be_asked_anew(
         form = tab.page.get_by_test_id("ask-write")
         await form.get_by_label("value").fill("5")
         await pressed(tab.page, form)
-        waiting = form.get_by_role("button", name="Ask, and send")
-        over = form.get_by_text("The time to decide and to send it is over")
+        waiting = form.get_by_role("button", name="Ask for approval")
+        over = form.get_by_text("The approval has expired")
         await waiting.or_(over).first.click()
         await expect(over).to_be_visible()
         await expect(form.get_by_label("value")).to_be_enabled()
@@ -260,7 +263,7 @@ async def test_nothing_is_approved_that_has_only_just_slid_under_the_pointer(
         await expect(asked).to_have_count(3)
         await expect(asked.first).to_contain_text("71")
         assert await asked.first.evaluate(_SLIDES) == second
-        await asked.nth(1).get_by_role("button", name="Refuse").click()
+        await asked.nth(1).get_by_role("button", name="Reject").click()
         await expect(asked).to_have_count(1)
         states = await ada.states()
         assert [states[one] for one in (first, second, third)] == [

@@ -61,7 +61,7 @@ async def ask(page: Page, value: str) -> None:
     await form.get_by_label("value").fill(value)
     await form.get_by_role("button", name="Write", exact=True).click()
     await expect(form.get_by_test_id("refusal")).to_have_attribute("data-code", "approval_required")
-    await form.get_by_role("button", name="Ask, and send when approved").click()
+    await form.get_by_role("button", name="Ask for approval").click()
 
 
 async def test_what_a_person_has_to_approve_goes_on_when_granted(
@@ -76,9 +76,9 @@ async def test_what_a_person_has_to_approve_goes_on_when_granted(
         await expect(lena.page.get_by_test_id("badge")).to_have_count(0)  # not hers to decide
         await expect(ada.page.get_by_test_id("badge")).to_contain_text("1")
         await ada.page.get_by_role("link", name="Commands").click()
-        asked = ada.page.get_by_role("article", name="lena asks for")
+        asked = ada.page.get_by_role("article", name="lena requests")
         await expect(asked).to_contain_text("0.7")
-        await expect(asked).to_contain_text("stays for")
+        await expect(asked).to_contain_text("expires in")
         await ada.shoot("approval-asked")
         await asked.get_by_role("button", name="Approve").click()
         await expect(lena.page.get_by_test_id("answer")).to_contain_text("completed")
@@ -93,11 +93,11 @@ async def test_what_is_refused_is_told_with_the_reason(browser: Browser, url: st
         person(browser, url, "lena", limit) as lena,
     ):
         await ask(lena.page, "2.4")
-        asked = ada.page.get_by_role("article", name="lena asks for")
+        asked = ada.page.get_by_role("article", name="lena requests")
         await asked.get_by_label("Reason").fill("too fast for the hall")
-        await asked.get_by_role("button", name="Refuse").click()
+        await asked.get_by_role("button", name="Reject").click()
         told = lena.page.get_by_test_id("approval")
-        await expect(told).to_contain_text("ada refused it: too fast for the hall")
+        await expect(told).to_contain_text("ada rejected it: too fast for the hall")
         await lena.shoot("approval-refused")
 
 
@@ -110,8 +110,8 @@ async def test_who_may_not_decide_is_not_offered_it(browser: Browser, url: str) 
         await lena.page.get_by_role("button", name="Execute", exact=True).click()
         await expect(lena.page.get_by_test_id("refusal")).to_be_visible()
         await lena.open("commands")
-        own = lena.page.get_by_role("article", name="lena asks for")
-        await expect(own).to_contain_text("somebody else decides")
+        own = lena.page.get_by_role("article", name="lena requests")
+        await expect(own).to_contain_text("someone else must decide")
         await expect(own.get_by_role("button")).to_have_count(0)
         await expect(otto.page.get_by_test_id("approvals")).to_have_count(0)
 
@@ -137,7 +137,7 @@ async def test_a_plan_is_shown_step_by_step_and_cancelled(browser: Browser, url:
         await expect(shown.locator('[data-step="start"]')).to_contain_text("completed")
         await expect(shown.locator('[data-step="2"]')).to_contain_text("running")
         await otto.shoot("plan-running")
-        await shown.get_by_role("button", name="Cancel the plan").click()
+        await shown.get_by_role("button", name="Cancel plan").click()
         await expect(shown.locator('[data-status="cancelled"]')).to_be_visible()
 
 
@@ -159,18 +159,18 @@ async def test_who_has_control_is_seen_and_a_higher_priority_takes_it_over(
         await drive(otto)
         refusal = otto.page.get_by_test_id("refusal")
         await expect(refusal).to_have_attribute("data-code", "lease_held")
-        await otto.page.get_by_label("Reason for taking it over").fill("the hall is full")
+        await otto.page.get_by_label("Reason for taking over").fill("the hall is full")
         await otto.shoot("control-refused")
-        await otto.page.get_by_role("button", name="Take it over").click()
+        await otto.page.get_by_role("button", name="Take over").click()
         await expect(otto.page.get_by_test_id("control")).to_contain_text("You have control")
         lost = lena.page.get_by_test_id("refusal")
         await expect(lost).to_contain_text("the hall is full")
-        await expect(lena.page.get_by_test_id("control")).to_contain_text("Somebody else")
+        await expect(lena.page.get_by_test_id("control")).to_contain_text("Someone else")
         await lena.page.get_by_role("button", name="Take control").click()
         await expect(lost).to_have_attribute("data-code", "lease_held")
-        await lena.page.get_by_label("Reason for taking it over").fill("mine again")
-        await lena.page.get_by_role("button", name="Take it over").click()
+        await lena.page.get_by_label("Reason for taking over").fill("mine again")
+        await lena.page.get_by_role("button", name="Take over").click()
         await expect(lost).to_have_attribute("data-code", "lease_held")  # of a lower priority
-        await lena.page.get_by_role("button", name="Take it when it is free").click()
-        await otto.page.get_by_role("button", name="Give it back").click()
+        await lena.page.get_by_role("button", name="Take control when free").click()
+        await otto.page.get_by_role("button", name="Release control").click()
         await expect(lena.page.get_by_test_id("control")).to_contain_text("You have control")

@@ -129,5 +129,5 @@ async def test_thousands_of_alarms_a_second_leave_the_page_in_hand(browser: Brow
             await expect(more).to_contain_text("194")  # as many as are known at once
             assert await longest(page) < LONGEST
             await tab.open("log")
-            await expect(page.get_by_text("show each").first).to_be_visible()
+            await expect(page.get_by_text("show all").first).to_be_visible()
             assert await longest(page) < LONGEST

@@ -10,7 +10,7 @@ import httpx
 import pytest
 from playwright.async_api import Browser, Page, expect
 
-from browser.fingers import fingers
+from browser.input_helpers import touching
 from browser.machines import Machines, key_of, machines, person
 from browser.watched import Watched
 
@@ -102,7 +102,7 @@ async def _spoilt(floor: Floor) -> None:
     await floor.press(3, 3)
     await mouse.move(20, 300, steps=3)
     await mouse.up()
-    async with fingers(page) as two:
+    async with touching(page) as two:
         await floor.aim()
         await two.down(0, *floor.at(2, 2))
         await two.down(1, *floor.at(-2, -2))
@@ -164,7 +164,7 @@ async def test_only_a_click_on_the_map_sends_a_robot_there_and_only_the_one_that
 ) -> None:
     async with person(browser, told, "otto", "map") as tab:
         floor = await earth(tab)
-        choice = tab.page.get_by_label("Action that goes to a place")
+        choice = tab.page.get_by_label("Action for the goal")
         await choice.select_option(label="beta/action/go_to")
         await _spoilt(floor)
         await floor.aim()
@@ -204,7 +204,7 @@ async def test_where_a_robot_has_gone_no_other_one_takes_its_place(
 ) -> None:
     async with person(browser, told, "otto", "map") as tab:
         page, alpha = tab.page, told.by["alpha"]
-        aim, choice = page.get_by_test_id("aim"), page.get_by_label("Action that goes to a place")
+        aim, choice = page.get_by_test_id("aim"), page.get_by_label("Action for the goal")
         await expect(choice).to_have_value("/tenant/alpha/action/go_to")
         alpha.go()
         await expect(page.get_by_test_id("map")).to_have_attribute("data-tracks", "1")
@@ -216,7 +216,7 @@ async def test_where_a_robot_has_gone_no_other_one_takes_its_place(
         robot = page.get_by_label("Robot", exact=True)
         await expect(robot).to_have_value("one")
         alpha.go()
-        await expect(page.get_by_role("main")).to_contain_text("one is not here")
+        await expect(page.get_by_role("main")).to_contain_text("not available")
         await expect(robot).to_have_value("one")
         await expect(aim).to_have_count(0)
         alpha.come()
@@ -236,8 +236,8 @@ async def test_a_goal_that_wants_approval_is_shown_as_it_is_and_sent_when_it_is_
         kept = await tab.page.evaluate(
             "JSON.parse(document.querySelector('[data-testid=kept]').innerText)"
         )
-        await tab.page.get_by_role("button", name="Ask, and send when approved").click()
-        await expect(tab.page.get_by_test_id("approval")).to_contain_text("Waiting for a person")
+        await tab.page.get_by_role("button", name="Ask for approval").click()
+        await expect(tab.page.get_by_test_id("approval")).to_contain_text("Waiting for approval")
         await tab.shoot(f"approval-{where.partition('?')[0]}")
         assert not told.one
         headers = {"authorization": f"Bearer {key_of('ada')}"}

@@ -10,7 +10,7 @@ import httpx
 import pytest
 from playwright.async_api import Browser, Page, expect
 
-from browser.hands import UNSEEN, drives, push, shift, stands, take, unsafe
+from browser.input_helpers import UNSEEN, drives, push, shift, stands, take, unsafe
 from browser.robots import STILL, speed, until
 from browser.watched import Watched, signed_in
 from rcp_kernel.config.file import parse
@@ -254,7 +254,7 @@ async def test_a_lease_that_comes_when_its_page_is_left_is_given_back(
     await button.click()
     await until(robot, "/system/leases", bool)
     await tab.page.get_by_role("combobox", name="Robot").select_option("other")
-    await expect(told).to_contain_text("Nothing was asked of it")  # it is another robot's
+    await expect(told).to_contain_text("No commands yet")  # it is another robot's
     await tab.page.evaluate("goOn()")
     await until(robot, "/system/leases", lambda found: not found)
     await expect(tab.page.get_by_test_id("control")).to_contain_text("No control")
@@ -268,7 +268,7 @@ async def test_who_waits_for_one_robot_gets_no_other(
     assert (await robot.post(leases, json=held)).is_success
     await tab.open("teleop?robot=rover")
     await page.get_by_role("button", name="Take control").click()
-    await page.get_by_role("button", name="Take it when it is free").click()
+    await page.get_by_role("button", name="Take control when free").click()
     await page.get_by_role("combobox", name="Robot").select_option("other")
     await page.get_by_role("button", name="Clear faults").click()
     # What was asked of the gateway before this is answered before it.
@@ -286,11 +286,11 @@ async def test_control_that_was_taken_over_and_comes_back_moves_nothing_before_a
         await moves(robot)
         await otto.open("teleop?robot=rover")
         await otto.page.get_by_role("button", name="Take control").click()
-        await otto.page.get_by_label("Reason for taking it over").fill("the hall is full")
-        await otto.page.get_by_role("button", name="Take it over").click()
+        await otto.page.get_by_label("Reason for taking over").fill("the hall is full")
+        await otto.page.get_by_role("button", name="Take over").click()
         await stands(page)
         await rests(robot)
-        await otto.page.get_by_role("button", name="Give it back").click()
+        await otto.page.get_by_role("button", name="Release control").click()
         await expect(otto.page.get_by_test_id("control")).to_contain_text("No control")
         await take(lena, "rover")
         await shift(page)
@@ -378,5 +378,5 @@ async def test_what_nothing_stops_is_not_offered_to_be_driven(browser: Browser, 
         picker = tab.page.get_by_role("combobox", name="Robot")
         await expect(picker.get_by_role("option")).to_have_text(["other (beta)"])
         await tab.open("teleop?robot=rover")  # nor another one in its place
-        await expect(tab.page.get_by_text("The robot that was chosen is not here")).to_be_visible()
+        await expect(tab.page.get_by_text("The selected robot is not available")).to_be_visible()
         await expect(tab.page.get_by_role("button", name="Take control")).to_have_count(0)

@@ -10,7 +10,7 @@ import httpx
 import pytest
 from playwright.async_api import Browser, Locator, Page, expect
 
-from browser.hands import UNSEEN, drives, push, stands, take
+from browser.input_helpers import UNSEEN, drives, push, stands, take
 from browser.movers import Movers, key_of, movers, person
 from browser.robots import until
 from browser.test_dashboard_access import AXE, violations
@@ -147,11 +147,11 @@ async def test_a_robot_that_moves_again_is_an_alarm_everywhere(
         near.obeys = False
         near.tell(None, 0.3)
         alarm = page.get_by_test_id("stop-alarm")
-        await expect(alarm).to_contain_text("near moves again under the stop")
+        await expect(alarm).to_contain_text("near is moving despite the stop")
         await expect(page.get_by_role("alert").filter(has_text="ALARM")).to_be_visible()
-        await expect(card(page, "near")).to_contain_text("ALARM: moves again")
+        await expect(card(page, "near")).to_contain_text("ALARM: moving")
         await expect(page).to_have_title(re.compile("ALARM"))  # for who looks at another tab
-        words = "ALARM: near moves again under the emergency stop: moves at 0.3 m/s"
+        words = "ALARM: near is moving despite the emergency stop: moves at 0.3 m/s"
         await expect(page.get_by_role("region", name="Warnings", exact=True)).to_contain_text(words)
         await tab.shoot("stop-alarm")
         await tab.open("log")
@@ -161,7 +161,7 @@ async def test_a_robot_that_moves_again_is_an_alarm_everywhere(
         await expect(alarm).to_have_count(0)
         banner = page.get_by_test_id("estop-active")
         await expect(banner).to_contain_text("near is at rest.")
-        await expect(banner).to_contain_text("it had moved again under the stop")
+        await expect(banner).to_contain_text("it moved again during the stop")
 
 
 async def test_hold_brings_one_robot_to_rest_without_a_latch(
@@ -182,7 +182,7 @@ async def test_hold_brings_one_robot_to_rest_without_a_latch(
         near.obeys = False
         near.tell(None, 0.2)
         await page.get_by_role("button", name="Hold near", exact=True).click()
-        await expect(card(page, "near")).to_contain_text("near is not confirmed to be at rest")
+        await expect(card(page, "near")).to_contain_text("near is not confirmed at rest")
         await expect(told).not_to_contain_text("at rest.")
 
 
@@ -219,7 +219,7 @@ async def test_a_tenant_a_group_or_all_are_stopped_from_the_menu(
         everything = page.get_by_test_id("estop")
         await expect(everything).to_have_text(re.compile(r"STOP ALL\s+4 robots"))
         await expect(everything).to_have_attribute(
-            "title", re.compile(r"all 4 robots that you see, in alpha, beta, gamma")
+            "title", re.compile(r"all 4 robots visible to you, in alpha, beta, gamma")
         )
         menu = page.get_by_role("group", name="What to stop")
 
@@ -287,7 +287,7 @@ async def test_a_command_that_the_link_cut_off_says_what_becomes_of_the_robot(
         await form.get_by_role("button", name="Execute", exact=True).click()
         await expect(form.get_by_test_id("running")).to_be_visible()
         gateway.by["near"].lose()
-        words = "it is told to hold when contact returns"
+        words = "the gateway commands it to hold when the link is restored"
         await expect(form.get_by_test_id("refusal")).to_contain_text(words)
         await tab.open("commands")
         await expect(tab.page.get_by_role("main")).to_contain_text(words)

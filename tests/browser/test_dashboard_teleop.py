@@ -9,7 +9,7 @@ import httpx
 import pytest
 from playwright.async_api import Browser, Page, expect
 
-from browser.hands import UNSEEN, take, unsafe
+from browser.input_helpers import UNSEEN, take, unsafe
 from browser.robots import STILL, speed, until
 from browser.watched import Watched, signed_in
 from docs.demo import Demo
@@ -44,7 +44,7 @@ async def test_a_gamepad_drives_with_its_shoulder_held_and_stops_when_it_is_unpl
     odometry = "/tenant/alpha/sensor/odometry"
     await page.evaluate("hold([0, -1, 0, 0], false)")
     await expect(page.get_by_test_id("pad")).to_contain_text("Test Pad")
-    await expect(page.get_by_test_id("deadman")).to_contain_text("let go")
+    await expect(page.get_by_test_id("deadman")).to_contain_text("released")
     await page.evaluate("hold([0, -1, 0, 0], true)")
     await until(robot, odometry, lambda found: found["twist"]["linear"]["x"] > 0.1)
     await expect(page.get_by_test_id("deadman")).to_contain_text("gamepad")
@@ -52,7 +52,7 @@ async def test_a_gamepad_drives_with_its_shoulder_held_and_stops_when_it_is_unpl
     await until(robot, odometry, lambda found: found["twist"]["angular"]["z"] > 0.1)
     await tab.shoot("teleop-gamepad")
     await page.evaluate("window.pads = []")
-    await expect(page.get_by_test_id("deadman")).to_contain_text("let go")
+    await expect(page.get_by_test_id("deadman")).to_contain_text("released")
     await until(robot, odometry, lambda found: speed(found) < STILL)
     commanded = await until(robot, "/tenant/alpha/actuator/cmd_vel", bool)
     assert commanded["linear"]["x"] == commanded["angular"]["z"] == 0
@@ -80,7 +80,7 @@ async def test_joints_move_while_a_slider_is_held_and_stay_where_it_is_let_go(
     await page.keyboard.down("PageDown")
     await until(robot, joints, lambda found: found["positions"]["pan"] < before - 0.05)
     await page.keyboard.up("PageDown")
-    await page.get_by_role("button", name="Each joint by itself").click()
+    await page.get_by_role("button", name="Show individual joints").click()
     panel = page.locator('[data-joints="/tenant/delta/actuator/tilt/position"]')
     tilt = panel.get_by_role("slider")  # without a dead-man: it goes there when it is let go
     await tilt.focus()
@@ -144,7 +144,7 @@ async def test_a_speed_that_nothing_ends_is_not_set_by_a_slider(
     script = unsafe(f"{actuators}/pan/velocity")
     async with signed_in(browser, running.url, running.key, "demo-operator", script) as tab:
         await tab.open("teleop?robot=head-delta")
-        await tab.page.get_by_role("button", name="Each joint by itself").click()
+        await tab.page.get_by_role("button", name="Show individual joints").click()
         await expect(tab.page.locator(f'[data-joints="{actuators}/tilt/velocity"]')).to_be_visible()
         await expect(tab.page.locator(f'[data-joints="{actuators}/pan/velocity"]')).to_have_count(0)
 

@@ -7,7 +7,7 @@ import asyncio
 import pytest
 from playwright.async_api import Browser, Page, expect
 
-from browser.fingers import fingers
+from browser.input_helpers import touching
 from browser.machines import key_of, machines
 from browser.watched import signed_in
 
@@ -57,7 +57,7 @@ async def test_one_finger_moves_a_plot_and_two_stretch_it(browser: Browser) -> N
             return box["x"] + part * box["width"], box["y"] + box["height"] * (0.7 if low else 0.4)
 
         begin, end = await shown(page)
-        async with fingers(page) as touch:
+        async with touching(page) as touch:
             await touch.down(0, *at(0.2))
             for step in range(1, 9):  # quicker than it is drawn
                 await touch.move(a=at(0.2 + 0.05 * step))

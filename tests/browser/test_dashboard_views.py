@@ -142,7 +142,7 @@ async def test_the_rover_stops_when_the_page_loses_the_eyes_on_it(
         Object.defineProperty(document, "hidden", {value: true});
         document.dispatchEvent(new Event("visibilitychange"));
     """)
-    await expect(tab.page.get_by_test_id("deadman")).to_contain_text("let go")
+    await expect(tab.page.get_by_test_id("deadman")).to_contain_text("released")
     await robot.stands()
 
 
@@ -216,7 +216,7 @@ async def test_a_picture_that_is_old_is_covered(tab: Watched, robot: Robot) -> N
     fault = {"fault": "sensor_stop", "target": "sensor/camera", "seconds": 60}
     await robot.execute("tenant/alpha/service/inject_fault", fault)
     await expect(camera).to_have_attribute("data-stale", "true")
-    await expect(camera.get_by_role("alert")).to_contain_text("Do not drive by it")
+    await expect(camera.get_by_role("alert")).to_contain_text("Do not use it to drive")
     await tab.shoot("camera-stale")
 
 
@@ -230,7 +230,7 @@ async def test_the_map_shows_who_tells_where_on_earth_it_is(tab: Watched, robot:
 async def test_the_log_has_events_and_for_who_may_the_audit(tab: Watched, robot: Robot) -> None:
     await tab.open("log")
     await expect(tab.page.locator("tr[data-source=event]").first).to_be_visible()
-    await expect(tab.page.locator("main")).to_contain_text("does not see the audit")
+    await expect(tab.page.locator("main")).to_contain_text("cannot see the audit log")
     await tab.page.get_by_role("button", name="Log out").click()
     await log_in(tab.page, robot.admin)
     await expect(tab.page.locator("tr[data-source=audit]").first).to_be_visible()

@@ -70,7 +70,7 @@ async def test_a_role_that_only_looks_is_offered_nothing_to_change(
         await expect(tab.page.get_by_test_id("value")).to_contain_text("m/s")
         await expect(tab.page.get_by_test_id("ask-write")).to_have_count(0)
         await tab.open("teleop")
-        await expect(tab.page.get_by_text("Your role drives no robot here")).to_be_visible()
+        await expect(tab.page.get_by_text("Your role may not drive any robot here")).to_be_visible()
 
 
 async def test_a_rover_is_sent_somewhere_and_arrives(
@@ -126,7 +126,7 @@ async def test_a_rover_drives_while_the_stick_is_held_and_no_longer(
     await until(robot, f"{ALPHA}/sensor/odometry", lambda found: speed(found) < STILL)
     after = (await value(robot, f"{ALPHA}/sensor/pose"))["position"]
     assert abs(after["x"] - before["x"]) + abs(after["y"] - before["y"]) > 0.01
-    await tab.page.get_by_role("button", name="Give it back").click()
+    await tab.page.get_by_role("button", name="Release control").click()
     await expect(tab.page.get_by_test_id("control")).to_contain_text("No control")
 
 
@@ -148,7 +148,7 @@ async def test_keys_drive_only_with_the_dead_man_held(
     await take_control(tab, robot)
     keyboard = tab.page.keyboard
     await keyboard.down("ArrowUp")
-    await expect(tab.page.get_by_test_id("deadman")).to_contain_text("let go")
+    await expect(tab.page.get_by_test_id("deadman")).to_contain_text("released")
     await keyboard.down("Shift")
     await until(robot, f"{ALPHA}/sensor/odometry", lambda found: speed(found) > 0.05)
     await keyboard.up("Shift")

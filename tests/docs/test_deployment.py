@@ -27,7 +27,7 @@ while read -r line <&3 && [[ $line != *"rcpd: serving"* ]]; do echo "$line"; don
 
 def walk() -> str:
     """Return the page's commands as one program that stops at the first that fails."""
-    text = (DOCS / "operate.md").read_text(encoding="utf-8")
+    text = (DOCS / "deploy.md").read_text(encoding="utf-8")
     place = text.partition(f"## {_PLACE}\n")[2].partition("\n## ")[0]
     blocks = re.findall(_BASH, place, re.MULTILINE | re.DOTALL)
     served = 'rcpd serve "$RCP_HOME/rcp.toml"\n'
@@ -64,9 +64,9 @@ def test_the_way_to_a_safe_deployment_is_walked(tmp_path: Path) -> None:
     assert done.returncode == 0, out
     assert '"code":"unauthenticated"' in out
     for code, told in [
-        ("lease_required", "is commanded only under a lease"),
+        ("lease_required", "accepts commands only under a lease"),
         ("out_of_range", "2.0 > 1 m/s (people walk here)"),
-        ("estop_active", "an e-stop by anna is latched: a try"),
+        ("estop_active", "anna has latched an e-stop: a try"),
     ]:
         assert re.search(rf"^rcpctl: .*{re.escape(told)}.*\nrefused: {code}$", out, re.MULTILINE), (
             out

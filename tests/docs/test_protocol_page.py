@@ -68,7 +68,7 @@ def test_every_status_is_told() -> None:
 
 
 def test_hello_tells_its_fields() -> None:
-    request = section(PAGE, "Sessions").split("The answer's body:")[0]
+    request = section(PAGE, "Sessions").split("The reply's body:")[0]
     assert set(keys(request)) == fields(Hello)
 
 
@@ -95,7 +95,7 @@ def test_every_policy_is_told() -> None:
 async def test_the_system_branch_and_the_metrics_are_told() -> None:
     loop = asyncio.get_running_loop()
     kernel = compose(GatewayConfig(), loop, store=Store(), recent=Recent())
-    told = {row[0].strip("`"): row[1] for row in rows(section(PAGE, "The system branch"))}
+    told = {row[0].strip("`"): row[1] for row in rows(section(PAGE, "System branch"))}
     assert told == {
         path: ", ".join(sorted(operation_names(entry.operations), key=_told_order))
         for path, entry in kernel.registry.entries.items()

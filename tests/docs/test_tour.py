@@ -50,7 +50,7 @@ def test_the_curl_calls_of_the_readme_are_answered(live: Demo) -> None:
     assert "position" in json.loads(pose.stdout)["body"]
     assert json.loads(write.stdout)["body"] == 0.8
     message = json.loads(refused.stdout)["error"]["message"]
-    assert message in section(ROOT / "README.md", "Sixty seconds")
+    assert message in section(ROOT / "README.md", "Quick tour")
     assert stream.stdout.count("event: update") > 2
 
 

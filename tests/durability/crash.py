@@ -370,7 +370,7 @@ class Inspector:
             latched = "/tenant/gamma" in reply["body"]["scopes"]
             if body is not None:
                 assert latched != body["reset"], reply
-                if "not on record yet" in reply.get("message", ""):
+                if "not written yet" in reply.get("message", ""):
                     self.counts["unrecorded"] += 1  # a stop does not wait for a slow disk
                     return
                 assert ("estop", body["reason"]) in self._records, reply

@@ -161,7 +161,7 @@ async def test_a_restore_takes_no_damaged_backup_and_none_of_another_store(tmp_p
     shutil.copy(f"{file}.head", f"{bad}.head")
     bad.write_bytes(bad.read_bytes()[:-4096])
     assert "is damaged" in store("restore", bad, "--store", path, code=1)
-    assert "is there already" in store("backup", file, "--store", path, code=1)
+    assert "already exists" in store("backup", file, "--store", path, code=1)
     assert path.read_bytes() == before
 
 
@@ -186,7 +186,7 @@ async def test_check_looks_at_every_page_and_record(tmp_path: Path) -> None:
     path = tmp_path / "store.db"
     async with world_of(kept_in(path)) as world:
         await wrote(world, 1.0)
-        assert ": whole; " in store("check", "--store", path)
+        assert ": ok; " in store("check", "--store", path)
     with closing(sqlite3.connect(path)) as base, base:
         base.execute("UPDATE audit SET record = record || ' ' WHERE seq = 2")
     assert "damaged" in store("check", "--store", path, code=1)

@@ -63,7 +63,7 @@ async def test_a_store_that_is_lost_is_noticed_and_nothing_moves(tmp_path: Path,
         assert moved["error"]["code"] == "queue_full"
         stop = await client.ask(type="execute", path="/system/estop", body={"reason": "smoke"})
         assert (stop["status"], world.robot.halts) == ("completed", 1)
-        assert "not on record yet" in stop["message"]
+        assert "not written yet" in stop["message"]
     async with world_of(kept_in(path)) as world:
         estop = (await world.client(ADMIN).ask(type="read", path="/system/estop"))["body"]
         assert "smoke" in estop["robots"]["robot"]["reason"]
@@ -154,7 +154,7 @@ def test_the_exit_code_tells_that_the_end_of_the_record_is_lost(tmp_path: Path) 
     finally:
         code = served.end()
     assert code == 3
-    assert "rcpd: the store could not be written: the end of the record is lost" in served.text
+    assert "rcpd: cannot write the store: the last audit records are lost" in served.text
     assert "Traceback" not in served.text
 
 

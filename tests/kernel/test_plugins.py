@@ -39,7 +39,11 @@ def test_an_async_hook_is_refused() -> None:
     async def rcp_backends() -> list[BackendKind]:
         return []
 
-    with pytest.raises(PluginError, match=r"backends\.some: the hook `rcp_backends` is async"):
+    with pytest.raises(
+        PluginError,
+        match=r"backends\.some: the hook `rcp_backends` must not "
+        r"be async",
+    ):
         registered(module(rcp_backends=rcp_backends))
 
 
@@ -48,7 +52,9 @@ def test_a_misspelt_hook_is_refused_with_the_right_name() -> None:
     def rcp_backend() -> list[BackendKind]:
         return []
 
-    with pytest.raises(PluginError, match="no hook `rcp_backend`; did you mean `rcp_backends`"):
+    with pytest.raises(
+        PluginError, match="unknown hook `rcp_backend`; did you mean `rcp_backends`"
+    ):
         registered(module(rcp_backend=rcp_backend))
 
 

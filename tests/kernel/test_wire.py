@@ -49,7 +49,7 @@ def test_a_reply_repeats_custom_fields_and_reads_the_same(encoding: Encoding) ->
         (b'{"type": "read", "id": 7}', "$.id"),
         (b'{"type": "read", "id": ""}', "$.id"),
         (b'{"type": "read", "deadline": 0}', "$.deadline"),
-        (b'{"type": "read", "timestamp": "noon"}', "'noon' is not a time"),
+        (b'{"type": "read", "timestamp": "noon"}', "'noon' is not a timestamp"),
         (b'{"type": "read", "x-": 1}', "unknown field 'x-'"),
         (b'{"type": "write", "body": NaN}', "malformed"),
     ],

@@ -183,7 +183,7 @@ async def test_a_lease_that_a_key_does_not_renew_lapses_and_its_listener_is_told
     listener = await clients.listener(AGENT)
     assert code(await lease(listener, ttl=0.2)) == "completed"
     told = await listener.notice("lease_lost")
-    assert (told["by"], told["reason"]) == ("the gateway", "its time was over")
+    assert (told["by"], told["reason"]) == ("the gateway", "the lease expired")
     assert await drive(clients.http(OPERATOR)) == "completed"
 
 

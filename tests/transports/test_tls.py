@@ -204,9 +204,9 @@ async def test_faults_of_the_files_are_faults_of_the_configuration(
     mine = {"client_certificates": "required", "client_ca": ca.file}
     for bad, told in [
         (table(server, key=tmp_path / "none"), r"`key` = .* cannot be read"),
-        (table(server, key=other.key), "do not load"),
-        (table(server, certificate=empty), "do not load"),
-        (table(server, client_ca=ca.file), "does not go with"),
+        (table(server, key=other.key), "cannot be loaded"),
+        (table(server, certificate=empty), "cannot be loaded"),
+        (table(server, client_ca=ca.file), "contradicts"),
         (table(server, client_certificates="optional"), "needs `client_ca`"),
         (table(server, client_certificates="optional", client_ca=empty), "`client_ca` ="),
         (table(server, **mine, crl=empty), "`crl` ="),
@@ -357,7 +357,7 @@ async def test_a_token_decides_and_must_not_contradict_the_certificate(ca: Autho
         async with calling(gateway, ca, anna, KEY) as http:
             refused = await http.put(limit, json=1)
             assert refused.status_code == 401
-            assert "certificate that of 'anna'" in refused.json()["error"]["message"]
+            assert "certificate to 'anna'" in refused.json()["error"]["message"]
         async with socket_to(gateway, trusting(ca, anna)) as wire:
             hello = await ask(wire, type="hello", body={"token": KEY})
             assert hello["error"]["code"] == "unauthenticated"

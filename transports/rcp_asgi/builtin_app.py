@@ -59,7 +59,7 @@ def builtin_app(client_api: ClientApi) -> Asgi:
         """Write the Prometheus exposition: it names every tenant's robots."""
         if not await _sees_all(client_api, request):
             await _session(client_api, request)  # 401 for those who did not say who they are
-            raise Forbidden("metrics are for those who act in every tenant")
+            raise Forbidden("metrics need access to every tenant")
         session = await _session(client_api, request)
         text = await scrapes.result(session.rights, lambda: _exposition(client_api, session))
         return Response(text, media_type=_METRICS)
@@ -126,11 +126,9 @@ def _told(request: Asked, error: Exception) -> RcpError:
         return error
     path = request.scope["path"]
     if isinstance(error, NotFoundException):
-        return UnknownPath(
-            f"nothing is at {path}", remedy="Look at `/` or at /rcp/v1/openapi.json."
-        )
+        return UnknownPath(f"nothing found at {path}", remedy="See `/` or /rcp/v1/openapi.json.")
     if isinstance(error, MethodNotAllowedException):
-        return UnsupportedOperation(f"{path} does not take {request.method}")
+        return UnsupportedOperation(f"{path} does not support {request.method}")
     if isinstance(error, HTTPException) and error.status_code < 500:
         return BadRequest(error.detail or "the request is malformed")
     return InternalError("the gateway failed to handle the request")

@@ -79,15 +79,15 @@ class ConnectionLimiter:
             wait = _draw(guest, rate, now)
             if wait > 0:
                 return RateLimited(
-                    f"more than {rate:g} connections a second come from this address",
+                    f"more than {rate:g} connections per second from this address",
                     retry_after=wait,
-                    remedy="Keep a connection open and send every request over it.",
+                    remedy="Keep a connection open and send all requests over it.",
                 )
         each = self._each or (None if guest.near else _PER_ADDRESS)
         if each is not None and guest.open >= each:
-            return QueueFull(f"{each} connections of this address are open already")
+            return QueueFull(f"this address already has {each} open connections")
         if self.taken >= self._limit:
-            return QueueFull(f"{self._limit} connections are open already")
+            return QueueFull(f"the gateway already has {self._limit} open connections")
         return None
 
     def sweep(self, now: float) -> None:

@@ -194,7 +194,9 @@ class HttpProtocol(HttpToolsProtocol):
                 self._upgrade(rest)
                 return
             else:
-                self._give_up(Malformed("a WebSocket does not begin while a request is answered"))
+                self._give_up(
+                    Malformed("a WebSocket cannot start before the previous request is answered")
+                )
                 return
         except httptools.HttpParserError as error:
             self._give_up(self._fault or _fault_of(error, part))
@@ -240,7 +242,7 @@ class HttpProtocol(HttpToolsProtocol):
         if self._unread:
             return
         if self._in_body or (self._in_head and (self._head or self._silent)):
-            self._give_up(Malformed("the connection ended before the request did"))
+            self._give_up(Malformed("the connection closed before the request was complete"))
         elif self.cycle is None or self.cycle.response_complete:
             self.transport.close()
 
@@ -442,6 +444,6 @@ class HttpProtocol(HttpToolsProtocol):
 def _fault_of(error: Exception, data: bytes | memoryview) -> RcpError:
     """Say what the parser did not like."""
     if isinstance(error, httptools.HttpParserInvalidMethodError) and _METHOD.match(data):
-        return UnknownMethod("the method is not known here")
+        return UnknownMethod("the method is not supported")
     reason = "" if isinstance(error, httptools.HttpParserCallbackError) else f": {error}"
-    return Malformed(f"this is not HTTP/1.1{reason}")
+    return Malformed(f"malformed HTTP/1.1 request{reason}")

@@ -9,9 +9,9 @@ from rcp_kernel.client_api import ClientApi
 __all__ = ["index_page"]
 
 _PLACES = (
-    ("/rcp/v1/discovery", "everything there is, with schemas and examples"),
-    ("/rcp/v1/status", "how the gateway and its robots are"),
-    ("/rcp/v1/openapi.json", "this interface, the live resources included"),
+    ("/rcp/v1/discovery", "all resources, with schemas and examples"),
+    ("/rcp/v1/status", "health of the gateway and its robots"),
+    ("/rcp/v1/openapi.json", "OpenAPI document, including the live resources"),
     ("/rcp/v1/ws", "WebSocket (rcp.v1.json, rcp.v1.cbor, rcp.v1.msgpack)"),
     ("/rcp/v1/events?path=/**", "server-sent events"),
     ("/healthz", "liveness"),

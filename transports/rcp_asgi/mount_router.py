@@ -64,7 +64,7 @@ class MountRouter:
             self._strip(scope)
         app = self._find(scope["type"], scope["path"])
         if app is None:
-            await _turn_away(scope, receive, send, UnknownPath(f"nothing is at {scope['path']}"))
+            await _turn_away(scope, receive, send, UnknownPath(f"nothing found at {scope['path']}"))
             return
         try:
             await app(scope, receive, send)

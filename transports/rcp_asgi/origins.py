@@ -52,13 +52,13 @@ class Origins:
         for name, value in scope["headers"]:
             if name in _LOOKED_AT:
                 if name in found:
-                    raise Forbidden(f"the header {name.decode()} is there twice")
+                    raise Forbidden(f"the header {name.decode()} occurs twice")
                 found[name] = value
         host = found.get(b"host")
         if host is not None and not self._is_ours(host):
             raise Forbidden(
-                f"this gateway is not called {host.decode('latin-1')[:80]!r}",
-                remedy="Use an address that it listens on, or list the name in "
+                f"host {host.decode('latin-1')[:80]!r} is not listed in `hosts`",
+                remedy="Use an address that the gateway listens on, or add the name to "
                 "`[transports.asgi] hosts`.",
             )
         origin = found.get(b"origin")
@@ -72,8 +72,8 @@ class Origins:
         if text in self._origins or "*" in self._origins:
             return text
         raise Forbidden(
-            f"pages of {text[:80]!r} may not use this gateway",
-            remedy="List the origin in `[transports.asgi] origins`.",
+            f"origin {text[:80]!r} is not listed in `origins`",
+            remedy="Add the origin to `[transports.asgi] origins`.",
         )
 
     def _check_embedding(self, found: dict[bytes, bytes], method: str) -> None:
@@ -86,8 +86,8 @@ class Origins:
         visit = found.get(b"sec-fetch-mode") == b"navigate" and method in ("GET", "HEAD")
         if not (visit and found.get(b"sec-fetch-dest") == b"document"):
             raise Forbidden(
-                "another page may link to this gateway, but not embed it",
-                remedy="List its origin in `[transports.asgi] origins`, and have it ask with CORS "
+                "pages of other origins cannot embed this gateway",
+                remedy="Add its origin to `[transports.asgi] origins` and load it with CORS "
                 "(`crossorigin`).",
             )
 

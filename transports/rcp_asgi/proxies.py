@@ -22,7 +22,7 @@ class Proxies:
             self._networks = [ip_network(name, strict=False) for name in names]
         except ValueError as error:
             raise ConfigError(
-                f"[transports.asgi] proxies: {error}: write addresses or networks, such as "
+                f"[transports.asgi] proxies: {error}: use addresses or networks, such as "
                 "'127.0.0.1' or '10.0.0.0/24'"
             ) from None
 

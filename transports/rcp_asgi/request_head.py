@@ -33,7 +33,7 @@ Headers = list[tuple[bytes, bytes]]
 class Malformed(BadRequest):
     """What came is no request of HTTP/1.1, or could be read as two different ones."""
 
-    default_remedy = "Send HTTP/1.1 as RFC 9112 has it."
+    default_remedy = "Send an HTTP/1.1 request as RFC 9112 defines it."
 
 
 class UnknownVersion(Malformed):
@@ -76,22 +76,22 @@ def check_head(method: bytes, version: str, target: bytes, headers: Headers) -> 
     :raises UnknownCoding: the body is coded otherwise than in chunks.
     """
     if version not in _VERSIONS:
-        raise UnknownVersion(f"HTTP/{version} is not spoken here")
+        raise UnknownVersion(f"HTTP/{version} is not supported")
     if method == b"CONNECT":
-        raise UnknownMethod("this gateway is no proxy")
+        raise UnknownMethod("this gateway is not a proxy")
     _check_body(version, headers)
     host = _host(version, headers)
     if b"#" in target:
-        raise Malformed("the request's target has a fragment")
+        raise Malformed("the request target has a fragment")
     if target[:1] == b"/":
         return target
     if target == b"*" and method == b"OPTIONS":
         return target
     match = _ABSOLUTE.match(target)
     if match is None or match[1].lower() not in (b"http", b"https"):
-        raise Malformed("the request's target is neither a path nor an http URL")
+        raise Malformed("the request target is neither a path nor an http URL")
     if not match[2] or not _AUTHORITY.match(match[2]):
-        raise Malformed("the authority of the request's target is not a host and a port")
+        raise Malformed("the authority of the request target is not a host and port")
     # RFC 9112, 3.2.2: what an absolute target says goes before the header, and is checked as it is.
     if host is not None:
         headers.remove((b"host", host))
@@ -109,7 +109,7 @@ def _host(version: str, headers: Headers) -> bytes | None:
             return None
         raise Malformed("the request has no Host header")
     if not _AUTHORITY.match(named[0]):
-        raise Malformed("the Host header is not a host and a port")
+        raise Malformed("the Host header is not a host and port")
     return named[0]
 
 
@@ -127,7 +127,7 @@ def _check_body(version: str, headers: Headers) -> None:
     if length:
         raise Malformed("the request has both Content-Length and Transfer-Encoding")
     if version == "1.0":
-        raise Malformed("HTTP/1.0 has no Transfer-Encoding")
+        raise Malformed("Transfer-Encoding is not allowed in HTTP/1.0")
     if coding.strip().lower() != b"chunked":
         text = coding.decode("latin-1")[:80]
-        raise UnknownCoding(f"the transfer coding {text!r} is not understood here")
+        raise UnknownCoding(f"the transfer coding {text!r} is not supported")

@@ -38,18 +38,19 @@ def check_door(config: AsgiConfig, client_api: ClientApi) -> None:
 def _check(config: AsgiConfig, *, closed: bool, served: bool) -> None:
     if is_loopback(config.host):
         return
-    where = f"[transports.asgi] host = '{config.host}' is open to others"
+    where = f"[transports.asgi] host = '{config.host}' is reachable from other machines"
     if not closed:
         raise ConfigError(
-            f"{where}, and so is the gateway: write `anonymous = false`, or listen on 127.0.0.1"
+            f"{where}, but clients need no credentials: set `anonymous = false`, or listen on "
+            "127.0.0.1"
         )
     if not served:
         raise ConfigError(
-            f"{where}, and nobody who can prove anything has a role that allows anything: "
+            f"{where}, but no credentials give a role with any rights: "
             "add [[keys]] or [[certificates]], or listen on 127.0.0.1"
         )
     if config.tls is None and not config.plaintext:
         raise ConfigError(
-            f"{where}, and keys would cross the network in plain text: add [transports.asgi.tls]; "
-            "or write `plaintext = true` if a proxy in front of it adds TLS"
+            f"{where}, and keys would cross the network in plain text: add [transports.asgi.tls], "
+            "or set `plaintext = true` if a proxy in front of it adds TLS"
         )

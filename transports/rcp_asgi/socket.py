@@ -137,7 +137,7 @@ class Socket(WSListener):
                 self._settled()
         except Exception:
             log.exception("websocket_failed", opcode=str(opcode))
-            self._fail(_INTERNAL, "the gateway failed; its log has the reason")
+            self._fail(_INTERNAL, "the gateway failed; see its log")
 
     def on_ws_disconnected(self, transport: WSTransport) -> None:
         """End."""

@@ -96,14 +96,14 @@ def _context(config: TlsConfig) -> ssl.SSLContext:
     if config.client_certificates == "none":
         if config.client_ca is not None or config.crl is not None:
             raise _fault(
-                "client_certificates = 'none' does not go with `client_ca` or `crl`: "
-                "write 'optional' or 'required'"
+                "client_certificates = 'none' contradicts `client_ca` or `crl`: "
+                "use 'optional' or 'required'"
             )
         return context
     if config.client_ca is None:
         raise _fault(
             f"client_certificates = '{config.client_certificates}' needs `client_ca`: "
-            "the file of the CA that signs them"
+            "the file with the CA that signs them"
         )
     context.verify_mode = _VERIFY[config.client_certificates]
     _trust(context, "client_ca", config.client_ca)
@@ -125,8 +125,9 @@ def _own(context: ssl.SSLContext, config: TlsConfig) -> None:
         context.load_cert_chain(certificate, key, password=config.key_password or "")
     except (ssl.SSLError, ValueError) as error:
         raise _fault(
-            f"`certificate` = '{certificate}' and `key` = '{key}' do not load: {_why(error)}; both "
-            "are PEM and belong together, and `key_password` is that of the key if it has one"
+            f"`certificate` = '{certificate}' and `key` = '{key}' cannot be loaded: "
+            f"{_why(error)}; both "
+            "must be PEM and match, and `key_password` must be correct if the key is encrypted"
         ) from None
 
 
@@ -136,7 +137,9 @@ def _trust(context: ssl.SSLContext, name: str, text: str) -> None:
     try:
         context.load_verify_locations(path)
     except (ssl.SSLError, OSError) as error:
-        raise _fault(f"`{name}` = '{path}' does not load: {_why(error)}; it is PEM") from None
+        raise _fault(
+            f"`{name}` = '{path}' cannot be loaded: {_why(error)}; it must be PEM"
+        ) from None
 
 
 def _revoked(config: TlsConfig) -> frozenset[Serial]:
@@ -146,7 +149,7 @@ def _revoked(config: TlsConfig) -> frozenset[Serial]:
     try:
         return revoked_by(data)
     except ValueError as error:
-        raise _fault(f"`crl` = '{config.crl}' does not load: {error}") from None
+        raise _fault(f"`crl` = '{config.crl}' cannot be loaded: {error}") from None
 
 
 def _path(text: str) -> Path:

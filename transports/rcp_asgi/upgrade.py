@@ -104,19 +104,19 @@ class Upgrade(asyncio.Protocol):
 
     def _problem(self) -> tuple[int, str] | None:
         if self._scope["method"] != "GET":
-            return 400, "a WebSocket begins with GET"
+            return 400, "a WebSocket handshake must use GET"
         if self._scope["http_version"] != "1.1":
-            return 400, "a WebSocket begins with HTTP/1.1"
+            return 400, "a WebSocket handshake must use HTTP/1.1"
         length = self._headers.get(b"content-length", b"0")
         if length.strip(b"0") or b"transfer-encoding" in self._headers:
-            return 400, "the request for a WebSocket has no body"
+            return 400, "a WebSocket handshake must not have a body"
         if self._headers.get(b"sec-websocket-version") != b"13":
-            return 426, "only WebSocket version 13 is spoken"
+            return 426, "only WebSocket version 13 is supported"
         try:
             good = len(base64.b64decode(self._key, validate=True)) == 16
         except (binascii.Error, ValueError):
             good = False
-        return None if good else (400, "the Sec-WebSocket-Key is not one")
+        return None if good else (400, "the Sec-WebSocket-Key is invalid")
 
     def _offered(self) -> list[str]:
         found: list[str] = []

@@ -28,7 +28,7 @@ def check_url(scope: Scope) -> None:
     for name, _ in parse_qsl(query.decode("latin-1"), keep_blank_values=True):
         if name.strip().lower().replace("-", "_") in _SECRETS:
             raise BadRequest(
-                f"the URL has a parameter `{name.strip()}`, and secrets do not belong in URLs",
+                f"the URL has a parameter `{name.strip()}`; secrets are not allowed in URLs",
                 remedy="Send `Authorization: Bearer <token>`, or `token` in `hello` on the "
                 "WebSocket; and change the secret: it may be in logs.",
             )

@@ -69,7 +69,7 @@ class HttpApp:
             return
         handlers = self._fixed.get(rest) or self._named(rest)
         if handlers is None:
-            raise UnknownPath(f"nothing is at {path}", remedy="Look at /rcp/v1/openapi.json.")
+            raise UnknownPath(f"nothing found at {path}", remedy="See /rcp/v1/openapi.json.")
         if asked.method == "OPTIONS":
             await respond(
                 send, 204, b"", headers=[(b"allow", ", ".join(_methods(handlers)).encode())]
@@ -149,7 +149,7 @@ def _methods(handlers: dict[str, Handler]) -> list[str]:
 
 def _not_taken(asked: HttpRequest, path: str, methods: list[str]) -> UnsupportedOperation:
     return UnsupportedOperation(
-        f"{path} does not take {asked.method}",
+        f"{path} does not support {asked.method}",
         remedy=f"Use {' or '.join(methods)}.",
         details={"allowed": methods},
     )

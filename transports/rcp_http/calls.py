@@ -66,7 +66,7 @@ class Calls:
             request = decode_request(data, encoding)
             if request.type in _STREAMS:
                 raise UnsupportedOperation(
-                    f"`{request.type}` needs a connection, and HTTP has none",
+                    f"`{request.type}` is not available over HTTP",
                     remedy="Use the WebSocket at /rcp/v1/ws, or GET /rcp/v1/events.",
                 )
         except RcpError as error:
@@ -184,7 +184,7 @@ class Calls:
         asked.allow()
         found = self._client_api.schemas(session).get(id_.removeprefix("rcp:schema:"))
         if found is None:
-            raise UnknownPath(f"there is no schema '{id_[:80]}'", remedy="List /rcp/v1/schemas.")
+            raise UnknownPath(f"unknown schema '{id_[:80]}'", remedy="List /rcp/v1/schemas.")
         if b"application/schema+json" in asked.found.get("accept", b""):
             await respond(send, 200, msgspec.json.encode(found), b"application/schema+json")
             return

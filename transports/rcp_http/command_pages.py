@@ -36,7 +36,7 @@ class Wanted(NamedTuple):
         status, cursor, limit = asked.one("status"), asked.one("cursor"), asked.one("limit")
         if status is not None and status not in _STATUSES:
             known = ", ".join(_STATUSES)
-            raise BadRequest(f"{status[:40]!r} is no status", remedy=f"Name one of {known}.")
+            raise BadRequest(f"{status[:40]!r} is not a status", remedy=f"Use one of {known}.")
         after = None if cursor is None else _place(place_of(cursor[:LONGEST]))
         return cls(
             status, asked.one("path"), after, _PAGE if limit is None else count("limit", limit)
@@ -77,6 +77,6 @@ def _place(text: str) -> tuple[int, str]:
     created, _, id_ = text.partition(":")
     if not (created.isascii() and created.isdigit()):
         raise BadRequest(
-            "`cursor` is not one of this list's", remedy="Send the cursor of the last page."
+            "`cursor` is not valid for this list", remedy="Send the `cursor` of the previous page."
         )
     return int(created), id_

@@ -103,7 +103,7 @@ class Context:
                 raise BadRequest(
                     f"the value of {reply.path} is not bytes",
                     path=reply.path,
-                    remedy="Accept application/json, or name a field of bytes with `fields`.",
+                    remedy="Accept application/json, or select a field of bytes with `fields`.",
                 )
         await self._answers.reply(send, asked, reply)
 
@@ -184,5 +184,5 @@ class Context:
         self._client_api.charge(session)
         found = self._client_api.discover(session, path, Query(limit=1, schemas=False))["resources"]
         if not found:
-            raise UnknownPath(f"there is no resource {path}", path=path)
+            raise UnknownPath(f"no resource {path}", path=path)
         return methods_of(found[0]["operations"])

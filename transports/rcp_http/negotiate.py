@@ -65,7 +65,7 @@ def accepted(accept: bytes) -> Wanted:
             best = (weight, -place, found)
     if best is None:
         raise BadRequest(
-            f"no answer can be given as {accept.decode('latin-1')[:100]}",
+            f"none of the accepted media types is supported: {accept.decode('latin-1')[:100]}",
             remedy=f"Accept one of {', '.join(_TYPES)}.",
         )
     return best[2], octets
@@ -85,7 +85,7 @@ def body_encoding(content_type: bytes) -> Encoding | None:
     found = _TYPES.get(name)
     if found is None:
         raise BadRequest(
-            f"a body in {name[:100]!r} cannot be read",
+            f"the media type {name[:100]!r} is not supported",
             remedy=f"Send one of {', '.join(_TYPES)}; {OCTETS} for a value of bytes.",
         )
     return found

@@ -156,7 +156,7 @@ def calls() -> Node:
         "/rcp/v1/context/{pattern}": {"get": many},
         "/rcp/v1/messages": {"post": post},
         "/rcp/v1/discovery": {"get": discovery},
-        "/rcp/v1/status": {"get": _call("Report how the gateway and its robots are.")},
+        "/rcp/v1/status": {"get": _call("Report health of the gateway and its robots.")},
         "/rcp/v1/schemas": {"get": _call("List the schemas of what the caller may see.")},
         "/rcp/v1/schemas/{id}": {"get": _call("Return one schema.", _ID)},
         "/rcp/v1/commands": {

@@ -91,7 +91,7 @@ class HttpRequest:
                 text.decode("ascii"), keep_blank_values=True, max_num_fields=_MAX_PARAMETERS
             )
         except ValueError:
-            raise BadRequest("the query cannot be read, or has too many parameters") from None
+            raise BadRequest("the query is malformed or has too many parameters") from None
         for key, value in pairs:
             self.query.setdefault(key, []).append(value)
 
@@ -151,7 +151,7 @@ class HttpRequest:
                 known = ", ".join((*names, *_FIELDS, "tenant"))
                 raise BadRequest(
                     f"unknown parameter {name[:60]!r}",
-                    remedy=f"The parameters are {known}; name one of your own x-<name>.",
+                    remedy=f"The parameters are {known}; custom parameters are named x-<name>.",
                 )
 
     def request(self, type_: str, path: str | None = None) -> Request:
@@ -212,8 +212,8 @@ class HttpRequest:
         for name, header in _CONDITIONS.items():
             if name in self.found:
                 raise NotImplementedByRobot(
-                    f"`{header}` does not hold for what changes something",
-                    remedy="Send it without, and acquire a lease to be the only one who writes.",
+                    f"`{header}` is not supported for requests that change something",
+                    remedy="Omit the header; acquire a lease for exclusive control.",
                 )
 
     async def body(self, receive: Receive, limit: int, patience: float) -> bytes:
@@ -227,10 +227,11 @@ class HttpRequest:
         if coding != b"identity":
             text = coding.decode("latin-1")[:40]
             raise BadRequest(
-                f"a body coded with {text!r} cannot be read", remedy="Send the body as it is."
+                f"the content coding {text!r} is not supported",
+                remedy="Send the body without a content coding.",
             )
         if "content_range" in self.found:
-            raise BadRequest("a part of a value cannot be written", remedy="Send the whole value.")
+            raise BadRequest("partial writes are not supported", remedy="Send the whole value.")
         length = self.found.get("content_length", b"")
         if length.isdigit() and int(length) > limit:
             raise too_large(limit)
@@ -262,7 +263,7 @@ def number(name: str, text: str) -> float:
     except ValueError:
         found = math.nan
     if not math.isfinite(found) or found < 0:
-        raise BadRequest(f"`{name}` is a number of seconds, not {text[:40]!r}")
+        raise BadRequest(f"`{name}` must be a number of seconds, not {text[:40]!r}")
     return found
 
 
@@ -272,7 +273,7 @@ def count(name: str, text: str) -> int:
     :raises BadRequest: it is not a number of those.
     """
     if not (text.isascii() and text.isdigit()) or not 1 <= int(text[:9]) <= MOST:
-        raise BadRequest(f"`{name}` is a number from 1 to {MOST}, not {text[:40]!r}")
+        raise BadRequest(f"`{name}` must be a number from 1 to {MOST}, not {text[:40]!r}")
     return int(text)
 
 
@@ -283,5 +284,5 @@ def flag(name: str, text: str) -> bool:
     """
     known = {"true": True, "1": True, "": True, "false": False, "0": False}
     if text.lower() not in known:
-        raise BadRequest(f"`{name}` is true or false, not {text[:40]!r}")
+        raise BadRequest(f"`{name}` must be true or false, not {text[:40]!r}")
     return known[text.lower()]

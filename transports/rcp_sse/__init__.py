@@ -63,12 +63,12 @@ class _Sse:
             id_ = path[len(_COMMANDS) + 1 : -len(_TAIL)]
             await self._replies.serve(scope, receive, send, id_)
         else:
-            raise UnknownPath(f"nothing is at {path}")
+            raise UnknownPath(f"nothing found at {path}")
 
 
 def _check(scope: Scope) -> None:
     if scope["method"] != "GET":
-        raise UnsupportedOperation(f"{scope['path']} does not take {scope['method']}")
+        raise UnsupportedOperation(f"{scope['path']} does not support {scope['method']}")
     accept = header(scope, b"accept")
     if accept is not None and not any(
         name in accept for name in (b"text/event-stream", b"text/*", b"*/*")

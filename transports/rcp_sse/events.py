@@ -173,7 +173,8 @@ def _gap() -> bytes:
     facts = {
         "type": "notice",
         "code": "gap",
-        "message": "what came after the last event is not known any more; from here on it is live",
+        "message": "the events after the last one received are no longer available; the stream "
+        "continues live",
         "timestamp": iso(now()),
     }
     return event(b"notice", encode_frame(facts, b"", Encoding.JSON))

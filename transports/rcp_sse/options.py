@@ -33,7 +33,7 @@ def read_query(text: bytes) -> Query:
     try:
         pairs = parse_qsl(text.decode("ascii"), keep_blank_values=True, max_num_fields=2000)
     except ValueError:
-        raise BadRequest("the query cannot be read, or has too many parameters") from None
+        raise BadRequest("the query is malformed or has too many parameters") from None
     for key, value in pairs:
         found.setdefault(key, []).append(value)
     return found
@@ -47,10 +47,10 @@ def subscription(query: Query, path: str | None) -> Wish:
     paths = [*query.get("path", ()), *query.get("paths", ())]
     if path is not None:
         if paths:
-            raise BadRequest("the path of this stream is in its URL")
+            raise BadRequest("the path of this stream is already in its URL")
         paths = [path]
     if not paths:
-        raise BadRequest("no path is named", remedy="Add ?path=<path or pattern>.")
+        raise BadRequest("no path given", remedy="Add ?path=<path or pattern>.")
     body: dict[str, Any] = {"paths": paths[1:]} if len(paths) > 1 else {}
     qos: dict[str, Any] = {}
     for name, values in query.items():
@@ -93,7 +93,7 @@ def _value(name: str, values: list[str]) -> Any:
     if name in _TEXTS:
         return text
     if name.startswith("x-"):
-        raise BadRequest("a stream keeps no fields of your own")
+        raise BadRequest("custom fields are not supported on a stream")
     raise BadRequest(
         f"unknown parameter {name[:60]!r}",
         remedy="The parameters are path and the options of `subscribe`: rate, on, deadband, where, "
@@ -105,20 +105,20 @@ def _cast(name: str, text: str, kind: type[Any]) -> Any:
     try:
         return kind(text)
     except ValueError:
-        raise BadRequest(f"`{name}` is a number, not {text[:40]!r}") from None
+        raise BadRequest(f"`{name}` must be a number, not {text[:40]!r}") from None
 
 
 def _json(name: str, text: str) -> Any:
     try:
         return msgspec.json.decode(text)
     except msgspec.DecodeError as error:
-        raise BadRequest(f"`{name}` is JSON: {error}") from None
+        raise BadRequest(f"`{name}` must be JSON: {error}") from None
 
 
 def _flag(name: str, text: str) -> bool:
     known = {"true": True, "1": True, "": True, "false": False, "0": False}
     if text.lower() not in known:
-        raise BadRequest(f"`{name}` is true or false, not {text[:40]!r}")
+        raise BadRequest(f"`{name}` must be true or false, not {text[:40]!r}")
     return known[text.lower()]
 
 

@@ -169,17 +169,17 @@ class WsClient:
         """Take nothing but `hello` from a client that has not proved who it is."""
         type_, id_ = peek_header(data, self._encoding)
         if type_ != "hello" and not self.connection.holds:
-            error = Unauthenticated("this gateway serves nobody without a token")
+            error = Unauthenticated("authentication required")
             self.connection.send(failure(error, type_, id_))
             return
         self.connection.receive(data)
 
     def _cut_off(self) -> None:
         """Close a client that does not take what waits for it, so that there is room for others."""
-        self._close(_TRY_LATER, "too much waits that is not taken")
+        self._close(_TRY_LATER, "too many unread bytes")
 
     def _turn_away(self) -> None:
-        self._close(_POLICY, "no proof of identity")
+        self._close(_POLICY, "not authenticated")
 
     def _end_patience(self) -> None:
         if self._patience is not None:
@@ -189,7 +189,7 @@ class WsClient:
     def _broken(self, error: Exception) -> None:
         """Close a connection that cannot go on: what it was told may have gaps."""
         log.error("websocket_failed", session=self.connection.session.id, exc_info=error)
-        self._close(_INTERNAL, "the gateway failed; its log has the reason")
+        self._close(_INTERNAL, "the gateway failed; see its log")
 
     def _close(self, code: int, reason: str) -> None:
         self._gate.close()
@@ -292,7 +292,7 @@ class WsClient:
         else:
             outbox.hand(socket.buffered)
         if self.connection.expelled:
-            self._close(_POLICY, "the session has ended or moved")
+            self._close(_POLICY, "the session has ended or moved to another connection")
 
     def _flush_cut(self, outgoing: Outgoing, size: int) -> None:
         busy = outgoing.busy

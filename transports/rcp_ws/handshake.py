@@ -23,7 +23,7 @@ def choose(offered: list[str]) -> tuple[str | None, Encoding]:
             return name, SUBPROTOCOLS[name]
     if offered:
         raise BadRequest(
-            f"no subprotocol of {', '.join(offered)[:100]} is spoken here",
+            f"none of the subprotocols {', '.join(offered)[:100]} is supported",
             remedy=f"Offer one of {', '.join(SUBPROTOCOLS)}, or none for JSON.",
         )
     return None, Encoding.JSON

@@ -78,14 +78,14 @@ class Incoming:
             raise SegmentCorrupt(f"segment {segment.num} belongs to another message than the first")
         if segment.num >= total:
             self._drop(segment.id)
-            raise SegmentCorrupt(f"segment {segment.num} of a transfer that has {total}")
+            raise SegmentCorrupt(f"segment {segment.num} of a transfer with {total} segments")
         if segment.num not in transfer.parts:
             transfer.parts[segment.num] = segment.body
             transfer.have += len(segment.body)
             self._held += len(segment.body)
         if transfer.have > size:
             self._drop(segment.id)
-            raise SegmentCorrupt(f"the segments hold more than the {size} bytes they promised")
+            raise SegmentCorrupt(f"the segments have more than the announced {size} bytes")
         if len(transfer.parts) == total:
             self._complete(segment.id, transfer)
             return
@@ -103,7 +103,9 @@ class Incoming:
                 details={"limit": self.limit, "segments": self._config.segments},
             )
         if len(self._transfers) >= self._config.transfers or self._held > 2 * self.limit:
-            raise QueueFull(f"{len(self._transfers)} transfers of this connection are incomplete")
+            raise QueueFull(
+                f"this connection already has {len(self._transfers)} incomplete transfers"
+            )
         transfer = self._transfers[segment.id] = _Transfer(segment)
         self._watch(segment.id, transfer, self._config.segment_timeout)
         return transfer
@@ -123,7 +125,7 @@ class Incoming:
         self._failed(
             id_,
             SegmentMissing(
-                f"nothing came for {self._config.segment_timeout:g} s, and "
+                f"no segment for {self._config.segment_timeout:g} s, and "
                 f"{transfer.facts[0] - len(transfer.parts)} segments are missing",
                 details={"missing": missing},
             ),
@@ -134,9 +136,9 @@ class Incoming:
         total, size, sha256 = transfer.facts
         data = b"".join(transfer.parts[num] for num in range(total))
         if len(data) != size:
-            raise SegmentCorrupt(f"the segments make {len(data)} bytes, not {size}")
+            raise SegmentCorrupt(f"the segments have {len(data)} bytes, not {size}")
         if not hmac.compare_digest(digest(data), sha256):
-            raise SegmentCorrupt("the segments do not have the hash that they promised")
+            raise SegmentCorrupt("the segments do not match the announced hash")
         self._whole(data)
 
     def _drop(self, id_: str | int) -> None:

@@ -118,15 +118,17 @@ class Outgoing:
         transfer = self._known.get(str(wish.id))
         if transfer is None:
             raise SegmentMissing(
-                f"the transfer '{wish.id}' is not kept any more",
-                remedy="Ask for the value itself again.",
+                f"the transfer '{wish.id}' is no longer available",
+                remedy="Read the value again.",
             )
         total = len(transfer.bodies)
         wanted = sorted(set(wish.resend))
         if any(num >= total for num in wanted):
             raise SegmentMissing(f"the transfer '{wish.id}' has {total} segments")
         if transfer.waiting + len(wanted) > 2 * total:
-            raise QueueFull(f"{transfer.waiting} segments of '{wish.id}' wait to be sent already")
+            raise QueueFull(
+                f"{transfer.waiting} segments of '{wish.id}' are already waiting to be sent"
+            )
         self._send(transfer, wanted)
 
     def close(self) -> None:

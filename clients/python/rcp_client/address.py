@@ -33,7 +33,7 @@ class Address:
         parts = urlsplit(whole)
         secure = _SECURE.get(parts.scheme)
         if secure is None or not parts.hostname:
-            raise ValueError(f"{text!r} is not the address of a gateway, such as {DEFAULT_URL}")
+            raise ValueError(f"{text!r} is not a gateway address such as {DEFAULT_URL}")
         port = parts.port or (443 if secure else 80)
         prefix = parts.path.rstrip("/").removesuffix(_WS_PATH)
         return cls(

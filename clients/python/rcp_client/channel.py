@@ -163,7 +163,7 @@ class Channel:
             async with asyncio.timeout(self.settings.connect_timeout):
                 outcome = await call.end
         except TimeoutError:
-            raise ConnectionLost(f"{self.settings.address.url} does not answer hello") from None
+            raise ConnectionLost(f"{self.settings.address.url} does not answer `hello`") from None
         finally:
             self.calls.leave(call)
         return _outcome(outcome)
@@ -214,7 +214,7 @@ class Channel:
                 away = time.monotonic() - began
                 if settings.patience is not None and away + pause > settings.patience:
                     raise ConnectionLost(
-                        f"the gateway has been out of reach for {away:.0f} s: {error.message}"
+                        f"the gateway has been unreachable for {away:.0f} s: {error.message}"
                     ) from error
             await asyncio.sleep(pause * random.uniform(0.5, 1.0))  # noqa: S311 - spreads clients
             pause = min(pause * 2, settings.longest_pause)

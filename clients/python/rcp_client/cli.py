@@ -38,27 +38,36 @@ def _common(function: F) -> F:
     options = (
         _shared("--url", metavar="URL", help="Gateway [RCP_URL; http://127.0.0.1:8080]."),
         _shared("--token", metavar="TEXT", help="API key or JWT [RCP_TOKEN; rcpd demo's]."),
-        _shared("--tenant", metavar="NAME", help="Tenant of relative paths [RCP_TENANT]."),
-        _shared("--cacert", metavar="FILE", help="CA of the gateway's certificate [RCP_CACERT]."),
-        _shared("--cert", metavar="FILE", help="Certificate to show [RCP_CERT]."),
-        _shared("--cert-key", "client_key", metavar="FILE", help="Its key [RCP_KEY]."),
+        _shared("--tenant", metavar="NAME", help="Tenant for relative paths [RCP_TENANT]."),
+        _shared(
+            "--cacert",
+            metavar="FILE",
+            help="CA certificate that signed the gateway's certificate [RCP_CACERT].",
+        ),
+        _shared("--cert", metavar="FILE", help="Client certificate [RCP_CERT]."),
+        _shared(
+            "--cert-key",
+            "client_key",
+            metavar="FILE",
+            help="Key of the client certificate [RCP_KEY].",
+        ),
         _shared(
             "--plaintext",
             is_flag=True,
             default=None,
-            help="Send the token over plain http to another machine.",
+            help="Allow sending the token over plain http to another machine.",
         ),
         _shared(
             "--timeout",
             type=click.FloatRange(0, min_open=True),
             metavar="SECONDS",
-            help="How long to wait for an answer [10].",
+            help="Time limit for a reply [10].",
         ),
         _shared(
             "--json/--text",
             "json",
             default=None,
-            help="One JSON document a line, or text [text on a terminal, else JSON].",
+            help="One JSON document per line, or text [text on a terminal, else JSON].",
         ),
     )
     for option in reversed(options):
@@ -80,11 +89,11 @@ def _run(ctx: click.Context, name: str, **arguments: Any) -> int:
 @_common
 @click.version_option(package_name="rcp-gateway", message="rcpctl %(version)s")
 def rcpctl() -> None:
-    """Talk to an RCP gateway: look, read, write, command, watch.
+    """Read, write, command and watch robots through an RCP gateway.
 
-    PATH is a resource's path; without /tenant/<name> it means your own tenant's. In a PATTERN, *
-    is one segment and ** any number. A VALUE or INPUT is JSON, or plain text where the path takes
-    text; - reads it from standard input, @FILE from a file.
+    PATH is the path of a resource; without /tenant/<name> it refers to your own tenant. In a
+    PATTERN, * is one segment and ** any number. A VALUE or INPUT is JSON, or plain text if the
+    path expects a string; - reads it from standard input, @FILE from a file.
 
     Exit status: 0 completed, 1 failed (or a robot is not at rest), 2 usage, 3 rejected or denied,
     4 gateway unreachable, 130 interrupted.
@@ -97,11 +106,11 @@ def rcpctl() -> None:
 @click.option("--kind", type=click.Choice(["sensor", "actuator", "param", "action", "service",
                                            "event"]), help="Only resources of this kind.")  # fmt: skip
 @click.option("--op", type=click.Choice(["read", "write", "execute", "subscribe"]),
-              help="Only those that you may do this with.")  # fmt: skip
+              help="Only resources on which you may use this operation.")  # fmt: skip
 @click.option("-q", "--query", "q", metavar="WORDS", help="Words in the path or description.")
 @click.pass_context
 def discover(ctx: click.Context, **arguments: Any) -> int:
-    """List what there is; a plain path shows that resource with its schemas and examples."""
+    """List resources; for a single path, show the resource with its schemas and examples."""
     return _run(ctx, "discover", **arguments)
 
 
@@ -109,11 +118,13 @@ def discover(ctx: click.Context, **arguments: Any) -> int:
 @_common
 @click.argument("paths", nargs=-1, required=True, metavar="PATH...")
 @click.option("--field", "fields", multiple=True, metavar="NAME",
-              help="Only this field (position.x); may be repeated.")  # fmt: skip
-@click.option("--fresh", is_flag=True, help="Ask the robot, even where a value is at hand.")
+              help="Only this field (position.x); can be repeated.")  # fmt: skip
+@click.option(
+    "--fresh", is_flag=True, help="Read from the robot, even if a recent value is available."
+)
 @click.pass_context
 def read(ctx: click.Context, **arguments: Any) -> int:
-    """Show the present value of each PATH, or of everything that a PATTERN matches."""
+    """Print the current value of each PATH, or of everything that a PATTERN matches."""
     return _run(ctx, "read", **arguments)
 
 
@@ -122,13 +133,16 @@ def read(ctx: click.Context, **arguments: Any) -> int:
 @click.argument("path")
 @click.argument("value")
 @click.option("--valid-for", type=float, metavar="SECONDS",
-              help="How long a velocity stands before the gateway stops the robot.")  # fmt: skip
-@click.option("--dry-run", is_flag=True, help="Check everything, change nothing.")
-@click.option("--key", metavar="TEXT", help="Idempotency key: sent twice, written once.")
-@click.option("--approval", metavar="ID", help="Of a person's approval, where one is needed.")
+              help="Time after which the gateway stops the robot unless the value is written "
+                   "again.")  # fmt: skip
+@click.option("--dry-run", is_flag=True, help="Check the request without changing anything.")
+@click.option(
+    "--key", metavar="TEXT", help="Idempotency key: a repeated request is not executed again."
+)
+@click.option("--approval", metavar="ID", help="Id of an approval, if the command requires one.")
 @click.pass_context
 def write(ctx: click.Context, **arguments: Any) -> int:
-    """Write VALUE to PATH and show what is in force."""
+    """Write VALUE to PATH and print the value now in effect."""
     return _run(ctx, "write", **arguments)
 
 
@@ -138,17 +152,20 @@ def write(ctx: click.Context, **arguments: Any) -> int:
 @click.argument("input", required=False)
 @click.option("--wait/--no-wait", default=True, help="Wait for the end [--wait].")
 @click.option("--deadline", type=click.FloatRange(0, min_open=True), metavar="SECONDS",
-              help="Have it stopped if it takes longer [what the path allows].")  # fmt: skip
+              help="Time limit; the robot is stopped when it passes [that of the "
+                   "path].")  # fmt: skip
 @click.option("--feedback/--no-feedback", default=None,
-              help="Show feedback while it runs [on a terminal].")  # fmt: skip
-@click.option("--dry-run", is_flag=True, help="Check everything, change nothing.")
-@click.option("--key", metavar="TEXT", help="Idempotency key: sent twice, run once.")
-@click.option("--approval", metavar="ID", help="Of a person's approval, where one is needed.")
+              help="Show feedback while the command runs [on a terminal].")  # fmt: skip
+@click.option("--dry-run", is_flag=True, help="Check the request without changing anything.")
+@click.option(
+    "--key", metavar="TEXT", help="Idempotency key: a repeated request is not executed again."
+)
+@click.option("--approval", metavar="ID", help="Id of an approval, if the command requires one.")
 @click.pass_context
 def execute(ctx: click.Context, **arguments: Any) -> int:
-    """Carry out the action or service at PATH.
+    """Run the action or service at PATH.
 
-    The first Ctrl-C has the command cancelled and waits for its final status; the second leaves.
+    The first Ctrl-C cancels the command and waits for its final status; the second stops waiting.
     """
     return _run(ctx, "execute", **arguments)
 
@@ -158,17 +175,20 @@ def execute(ctx: click.Context, **arguments: Any) -> int:
 @click.argument("file")
 @click.option("--wait/--no-wait", default=True, help="Wait for the end [--wait].")
 @click.option("--deadline", type=click.FloatRange(0, min_open=True), metavar="SECONDS",
-              help="Have it stopped if it takes longer [an hour].")  # fmt: skip
+              help="Time limit; the robots are stopped when it passes [an hour].")  # fmt: skip
 @click.option("--feedback/--no-feedback", default=None,
-              help="Show each step while it runs [on a terminal].")  # fmt: skip
-@click.option("--dry-run", is_flag=True, help="Have it checked whole, change nothing.")
-@click.option("--key", metavar="TEXT", help="Idempotency key: sent twice, run once.")
-@click.option("--approval", metavar="ID", help="Of a person's approval, where one is needed.")
+              help="Show each step while the plan runs [on a terminal].")  # fmt: skip
+@click.option("--dry-run", is_flag=True, help="Check the whole plan without running it.")
+@click.option(
+    "--key", metavar="TEXT", help="Idempotency key: a repeated request is not executed again."
+)
+@click.option("--approval", metavar="ID", help="Id of an approval, if the command requires one.")
 @click.pass_context
 def plan(ctx: click.Context, file: str, **arguments: Any) -> int:
-    """Carry out the plan in FILE (- for standard input), checked whole before its first step.
+    """Run the plan in FILE (- for standard input); the gateway checks all of it first.
 
-    FILE has steps in JSON, what a PDDL planner prints, or lines such as `execute /action/dock`.
+    FILE contains steps in JSON, the output of a PDDL planner, or lines such as `execute
+    /action/dock`.
     Ctrl-C works as for `execute`.
     """
     return _run(ctx, "plan", input="-" if file == "-" else f"@{file}", **arguments)
@@ -178,36 +198,40 @@ def plan(ctx: click.Context, file: str, **arguments: Any) -> int:
 @_common
 @click.argument("patterns", nargs=-1, required=True, metavar="PATTERN...")
 @click.option("--rate", type=click.FloatRange(0, min_open=True), metavar="HZ",
-              help="At most so many updates a second, of each path.")  # fmt: skip
+              help="Maximum updates per second and path.")  # fmt: skip
 @click.option("--count", type=click.IntRange(1), metavar="N", help="Stop after N updates.")
 @click.option("--duration", type=click.FloatRange(0, min_open=True), metavar="SECONDS",
-              help="Stop after so long.")  # fmt: skip
-@click.option("--history", metavar="N|SPAN", help="First the last N samples, or those of 30s.")
-@click.option("--change", is_flag=True, help="Only values that differ from the last.")
-@click.option("--deadband", metavar="NUMBER|P%|JSON", help="Only changes of at least so much.")
-@click.option("--where", metavar="JSON", help='Only where {"field":"voltage","lt":11.1} holds.')
+              help="Stop after this time.")  # fmt: skip
+@click.option(
+    "--history", metavar="N|SPAN", help="Start with the last N samples, or those of the last 30s."
+)
+@click.option("--change", is_flag=True, help="Only values that differ from the previous one.")
+@click.option("--deadband", metavar="NUMBER|P%|JSON", help="Only changes of at least this size.")
+@click.option(
+    "--where", metavar="JSON", help='Only samples that match, e.g. {"field":"voltage","lt":11.1}.'
+)
 @click.option("--field", "fields", multiple=True, metavar="NAME",
-              help="Only this field (position.x); may be repeated.")  # fmt: skip
-@click.option("--reliable", is_flag=True, help="Every sample in order, or an error.")
-@click.option("--initial/--no-initial", default=True, help="Begin with the present value [yes].")
+              help="Only this field (position.x); can be repeated.")  # fmt: skip
+@click.option("--reliable", is_flag=True, help="Deliver every sample in order, or fail.")
+@click.option("--initial/--no-initial", default=True, help="Start with the current value [yes].")
 @click.pass_context
 def watch(ctx: click.Context, **arguments: Any) -> int:
-    """Print a line for every new value, until Ctrl-C; notices go to standard error."""
+    """Print a line for every new value until Ctrl-C; notices go to standard error."""
     return _run(ctx, "watch", **arguments)
 
 
 @rcpctl.command(context_settings=_CONTEXT)
 @_common
-@click.option("-w", "--watch", is_flag=True, help="Go on showing it, once a second.")
+@click.option("-w", "--watch", is_flag=True, help="Refresh once per second.")
 @click.pass_context
 def status(ctx: click.Context, **arguments: Any) -> int:
-    """Show the health of the gateway and everything connected to it."""
+    """Show the health of the gateway and its robots."""
     return _run(ctx, "status", **arguments)
 
 
 @rcpctl.command(context_settings=_CONTEXT)
 @_common
-@click.option("--running", is_flag=True, help="Only those that have not ended.")
+@click.option("--running", is_flag=True, help="Only running and queued commands.")
 @click.pass_context
 def commands(ctx: click.Context, **arguments: Any) -> int:
     """List running and recent commands, newest first."""
@@ -228,18 +252,19 @@ def cancel(ctx: click.Context, **arguments: Any) -> int:
 @click.argument("scope", required=False)
 @click.option("--scope", "named", metavar="SCOPE", hidden=True)
 @click.option("--reset", is_flag=True,
-              help="Release the stop. Your role must have `reset = true`.")  # fmt: skip
+              help="Reset the e-stop. Your role must have `reset = true`.")  # fmt: skip
 @click.option("--reason", metavar="TEXT", help="Reason, for the record and for other operators.")
 @click.pass_context
 def estop(ctx: click.Context, scope: str | None, named: str | None, **arguments: Any) -> int:
-    """Stop robots now, and latch the stop until somebody resets it.
+    """Stop robots now, and latch the stop until someone resets it.
 
     SCOPE is a robot (/tenant/alpha/rover, or the name of its backend), a group of the gateway's
-    configuration, or a tenant (/tenant/alpha). Without it every robot that you may see is stopped.
+    configuration, or a tenant (/tenant/alpha). Default: every robot that you may see.
 
     For each robot the output shows when the stop was requested, when the robot was commanded to stop,
     and when it was confirmed at rest by measurement. The exit status is 1 if a robot is not confirmed
-    within --timeout: it stays latched and the gateway repeats the stop, but do not approach it.
+    within --timeout: it stays latched and the gateway keeps sending the stop, but do not approach
+    it.
     """
     if scope is not None and named is not None:
         raise click.UsageError("SCOPE is given twice")
@@ -253,8 +278,8 @@ def estop(ctx: click.Context, scope: str | None, named: str | None, **arguments:
 def hold(ctx: click.Context, **arguments: Any) -> int:
     """Bring ROBOT to rest and end its commands, without an emergency stop.
 
-    Nothing is latched: the next command moves the robot again. ROBOT is a name as in `rcpctl status` or in
-    the paths of the robot. Without it every robot of your tenant is brought to rest. The exit status
+    There is no latch: the next command moves the robot again. ROBOT is a name from `rcpctl status`
+    or from the robot's paths. Default: every robot of your tenant. The exit status
     is 1 if a robot is not at rest; then use `rcpctl estop`.
     """
     return _run(ctx, "hold", **arguments)
@@ -262,35 +287,35 @@ def hold(ctx: click.Context, **arguments: Any) -> int:
 
 @rcpctl.command(context_settings=_CONTEXT)
 @_common
-@click.option("--all", "every", is_flag=True, help="Those that are decided or over, too.")
+@click.option("--all", "every", is_flag=True, help="Include decided and expired approvals.")
 @click.pass_context
 def approvals(ctx: click.Context, **arguments: Any) -> int:
-    """List what waits for a person's approval: what you may decide on, and what you asked for."""
+    """List open approvals: those that you may decide on, and your own requests."""
     return _run(ctx, "approvals", **arguments)
 
 
 @rcpctl.command(context_settings=_CONTEXT)
 @_common
 @click.argument("approval", metavar="ID")
-@click.option("--reject", is_flag=True, help="Reject it instead.")
-@click.option("--reason", metavar="TEXT", help="Why, for the record and for whoever asked.")
+@click.option("--reject", is_flag=True, help="Reject instead of approve.")
+@click.option("--reason", metavar="TEXT", help="Reason, for the audit log and the requester.")
 @click.pass_context
 def approve(ctx: click.Context, **arguments: Any) -> int:
-    """Let what somebody else asked for pass once; look at `rcpctl approvals` first."""
+    """Approve a command of someone else, once; see `rcpctl approvals`."""
     return _run(ctx, "approve", **arguments)
 
 
 @rcpctl.group(context_settings=_CONTEXT)
 @_common
 def lease() -> None:
-    """Be alone in command of a part of the tree: a tenant, a robot, or a sub-tree like /actuator."""
+    """Take exclusive control of a tenant, a robot, or a sub-tree such as /actuator."""
 
 
 @lease.command(name="list", context_settings=_CONTEXT)
 @_common
 @click.pass_context
 def lease_list(ctx: click.Context, **arguments: Any) -> int:
-    """List who holds what."""
+    """List leases and their holders."""
     return _run(ctx, "lease list", **arguments)
 
 
@@ -301,10 +326,16 @@ def _acquiring(function: F) -> F:
             "--ttl",
             type=click.FloatRange(0, min_open=True),
             metavar="SECONDS",
-            help="How long it lasts unless it is renewed [the gateway's].",
+            help="Time until the lease expires unless renewed [the gateway's default].",
         ),
-        click.option("--take", is_flag=True, help="Take it from holders of a lower priority."),
-        click.option("--reason", metavar="TEXT", help="Why; needed to take it, and told to them."),
+        click.option(
+            "--take", is_flag=True, help="Take the lease over from holders with a lower priority."
+        ),
+        click.option(
+            "--reason",
+            metavar="TEXT",
+            help="Reason; required with --take, shown to the previous holder.",
+        ),
     )
     for option in reversed(options):
         function = option(function)
@@ -316,7 +347,7 @@ def _acquiring(function: F) -> F:
 @_acquiring
 @click.pass_context
 def lease_acquire(ctx: click.Context, **arguments: Any) -> int:
-    """Acquire SCOPE for your principal, in all its sessions, until it lapses or is released."""
+    """Acquire SCOPE for all sessions of your principal until it expires or is released."""
     return _run(ctx, "lease acquire", **arguments)
 
 
@@ -325,7 +356,7 @@ def lease_acquire(ctx: click.Context, **arguments: Any) -> int:
 @click.argument("scope")
 @click.pass_context
 def lease_release(ctx: click.Context, **arguments: Any) -> int:
-    """Give up what was acquired; what runs goes on."""
+    """Release the lease; running commands continue."""
     return _run(ctx, "lease release", **arguments)
 
 
@@ -334,18 +365,18 @@ def lease_release(ctx: click.Context, **arguments: Any) -> int:
 @_acquiring
 @click.pass_context
 def lease_hold(ctx: click.Context, **arguments: Any) -> int:
-    """Acquire SCOPE and keep it until Ctrl-C, or until somebody takes it."""
+    """Hold the lease on SCOPE until Ctrl-C, or until someone takes it over."""
     return _run(ctx, "lease hold", **arguments)
 
 
 @rcpctl.command(context_settings=_CONTEXT)
 @_common
 @click.option("--lang", required=True, type=click.Choice(["python", "typescript"]),
-              help="Language to write.")  # fmt: skip
+              help="Output language.")  # fmt: skip
 @click.argument("pattern", required=False)
 @click.pass_context
 def codegen(ctx: click.Context, **arguments: Any) -> int:
-    """Write a typed client module for what there is (or matches PATTERN) to standard output."""
+    """Generate a typed client module for all resources (or those matching PATTERN)."""
     return _run(ctx, "codegen", **arguments)
 
 

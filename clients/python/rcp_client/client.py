@@ -362,7 +362,7 @@ class Client:
         """
         wanted = [patterns] if isinstance(patterns, str) else list(patterns)
         if not wanted:
-            raise ValueError("a subscription names at least one path or pattern")
+            raise ValueError("a subscription needs at least one path or pattern")
         if reliable:
             qos = {**(qos or {}), "reliability": "reliable"}
         options: dict[str, Any] = {

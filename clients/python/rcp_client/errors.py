@@ -23,7 +23,7 @@ class ConnectionLost(AdapterUnavailable, ConnectionError):
     A write or execute that ends so may have been carried out: the message says what is known.
     """
 
-    default_remedy = "Check the address and that `rcpd` runs there, then try again."
+    default_remedy = "Check the address and that `rcpd` is running there, then try again."
 
 
 _BY_STATUS: dict[str, type[RcpError]] = {"rejected": Refused, "cancelled": Cancelled}

@@ -111,16 +111,16 @@ class Lease:
             except (LeaseLost, LeaseRequired, LeaseHeld) as error:
                 self._lose(LeaseLost(error.message, remedy=error.remedy, details=error.details))
             except TimeoutError:
-                self._lose(LeaseLost("the lease lapsed: the gateway could not be reached in time"))
+                self._lose(LeaseLost("the lease expired: the gateway could not be reached in time"))
             except RcpError:  # a cut, most likely: there may be time for another attempt
                 if loop.time() >= self._until:
-                    self._lose(LeaseLost("the lease lapsed: it could not be renewed"))
+                    self._lose(LeaseLost("the lease expired: it could not be renewed"))
 
     def _noticed(self, notice: Notice) -> None:
         facts = notice.facts
         if notice.code == "lease_lost" and facts.get("lease") == self.facts["lease"]:
             by, reason = facts.get("by"), facts.get("reason")
-            text = f"the lease on {facts.get('scope')} is gone: {reason} (by {by})"
+            text = f"the lease on {facts.get('scope')} was lost: {reason} (by {by})"
             self._lose(LeaseLost(text, details={"by": by, "reason": reason}))
 
     def _lose(self, error: LeaseLost) -> None:

@@ -105,11 +105,11 @@ class Link(WSListener):
             reason = reason or (os.strerror(number) if number else str(error) or "no answer")
             raise ConnectionLost(f"cannot reach {address.url}: {reason}") from error
         if not isinstance(link, cls):  # picows' word for a hang-up in the middle of the handshake
-            raise ConnectionLost(f"{address.url} hung up")
+            raise ConnectionLost(f"{address.url} closed the connection")
         spoken = transport.response.headers.get("Sec-WebSocket-Protocol")
         if spoken != codec.subprotocol:
             transport.disconnect()
-            raise ConnectionLost(f"{address.url} does not speak {codec.subprotocol}")
+            raise ConnectionLost(f"{address.url} does not support {codec.subprotocol}")
         return link
 
     # -- out -----------------------------------------------------------------------------------
@@ -184,7 +184,7 @@ class Link(WSListener):
         try:
             message = self._codec.decode(data)
         except ValueError as error:
-            log.warning("the gateway sent what is no envelope: %s", error)
+            log.warning("the gateway sent a malformed envelope: %s", error)
             return
         if message.type != "segment" or message.status:  # the answer to a transfer is a reply
             self._received(message, data)
@@ -249,7 +249,7 @@ def _refusal(error: WSHandshakeError, address: Address) -> RcpError:
     """Say what an HTTP answer instead of the upgrade means."""
     response = error.response
     if response is None:
-        return ConnectionLost(f"{address.url} does not answer as a gateway does: {error}")
+        return ConnectionLost(f"{address.url} does not respond like a gateway: {error}")
     try:
         told = error_of(json.decode(error.raw_body or response.body or b"", type=Reply))
     except (DecodeError, UnicodeDecodeError):
@@ -259,5 +259,7 @@ def _refusal(error: WSHandshakeError, address: Address) -> RcpError:
     status = int(response.status)
     if status in (401, 403):
         kind = Unauthenticated if status == 401 else Forbidden
-        return kind(f"{address.url} does not let this client in (HTTP {status})")
-    return ConnectionLost(f"{address.url} is no RCP gateway: HTTP {status} instead of a WebSocket")
+        return kind(f"{address.url} refused this client (HTTP {status})")
+    return ConnectionLost(
+        f"{address.url} is not an RCP gateway: HTTP {status} instead of a WebSocket"
+    )

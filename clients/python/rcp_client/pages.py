@@ -33,7 +33,7 @@ async def pages(
             asked["deadline"] = end - time.monotonic()
             if asked["deadline"] <= 0:
                 raise DeadlineExceeded(
-                    f"only a part of {envelope.get('path')} was read within {deadline:g} s",
+                    f"only part of {envelope.get('path')} was read within {deadline:g} s",
                     path=envelope.get("path"),
                 )
         reply = await ask(asked)

@@ -35,4 +35,4 @@ def plan_of(given: str | Sequence[Mapping[str, Any]] | Mapping[str, Any]) -> dic
         return {"steps": found}
     if isinstance(found, dict):
         return {str(key): item for key, item in found.items()}  # pyright: ignore[reportUnknownVariableType, reportUnknownArgumentType]
-    raise BadRequest("a plan in JSON is an object, or a list of steps")
+    raise BadRequest("a JSON plan must be an object or a list of steps")

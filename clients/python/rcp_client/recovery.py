@@ -123,10 +123,10 @@ class Recovery:
                 call.take(_reply_of(found))
             call.fail(
                 ConnectionLost(
-                    "the connection was lost before the answer came; whether this was carried out "
-                    "is not known",
+                    "the connection was lost before the reply; it is unknown whether the request "
+                    "was executed",
                     path=call.envelope.get("path"),
-                    remedy="Look at the state of the robot before you send it again.",
+                    remedy="Check the state of the robot before you send it again.",
                 )
             )
             self._requests.calls.leave(call)

@@ -101,11 +101,12 @@ class Assembler:
             raise SegmentCorrupt("a segment lacks its id, total, size or sha256")
         if size > self._limit or total > _MAX_PARTS:
             raise PayloadTooLarge(
-                f"a message of {size} bytes comes in; the limit of this client is {self._limit}",
+                f"the gateway sends a message of {size} bytes; the limit of this client is "
+                f"{self._limit}",
                 details={"limit": self._limit},
             )
         if len(self._open) >= _MAX_TRANSFERS:
-            raise PayloadTooLarge(f"{_MAX_TRANSFERS} transfers are under way already")
+            raise PayloadTooLarge(f"{_MAX_TRANSFERS} transfers are already in progress")
         transfer = self._open[name] = _Transfer(total, size, sha256, time.monotonic())
         return transfer
 
@@ -138,7 +139,7 @@ class Assembler:
                 continue
             if transfer.asked >= self._tries:
                 del self._open[name]
-                raise SegmentMissing(f"parts of transfer '{name}' never came")
+                raise SegmentMissing(f"parts of transfer '{name}' did not arrive")
             transfer.asked += 1
             transfer.heard = moment
             wanted[name] = transfer.missing()

@@ -258,7 +258,9 @@ class Subscription:
     def _overrun(self, path: str) -> None:
         self.close()
         self._error = Overrun(
-            f"{self._buffer} updates wait here unread", path=path, details={"buffer": self._buffer}
+            f"{self._buffer} updates are unread in this client",
+            path=path,
+            details={"buffer": self._buffer},
         )
 
     def note(self, notice: Notice) -> None:
@@ -318,13 +320,13 @@ class Subscription:
 
 def _gap(id_: str, path: str | None, first: int | None, last: int | None) -> Notice:
     if first is None or last is None:
-        text = "the subscription had to be begun afresh; what came meanwhile is lost"
+        text = "the subscription had to be restarted; samples in between are lost"
         return Notice(code="gap", id=id_, path=path, message=text)
     lost = last - first + 1
     return Notice(
         code="gap",
         id=id_,
         path=path,
-        message=f"{lost} samples of {path} were lost on the way",
+        message=f"{lost} samples of {path} were lost",
         facts={"lost": lost, "first": first, "last": last},
     )

@@ -27,20 +27,20 @@ def secured(
     if cert is None and key is None:
         cert, key = os.environ.get("RCP_CERT") or None, os.environ.get("RCP_KEY") or None
     if key is not None and cert is None:
-        raise ValueError("a key was given without its certificate: add `cert` (--cert, RCP_CERT)")
+        raise ValueError("the key needs its certificate: add `cert` (--cert, RCP_CERT)")
     for path in (cacert, cert, key):
         if path is not None and not Path(path).is_file():
-            raise ValueError(f"there is no file {path}")
+            raise ValueError(f"file {path} not found")
     try:
         context = ssl.create_default_context(cafile=cacert)
     except (ssl.SSLError, OSError) as error:
-        raise ValueError(f"{cacert} does not load as certificates of a CA: {error}") from None
+        raise ValueError(f"cannot load CA certificates from {cacert}: {error}") from None
     context.minimum_version = ssl.TLSVersion.TLSv1_2
     if cert is not None:
         try:
             context.load_cert_chain(cert, key)
         except (ssl.SSLError, OSError) as error:
-            raise ValueError(f"{cert} and its key do not load: {error}") from None
+            raise ValueError(f"cannot load {cert} and its key: {error}") from None
     return context
 
 
@@ -52,8 +52,8 @@ def check_secrecy(address: Address, token: str | None, *, plaintext: bool) -> No
     if token is None or address.secure or plaintext or _is_loopback(address.host):
         return
     raise ValueError(
-        f"the token would cross the network in plain text to {address.url}: use https, or say "
-        "that it may (--plaintext, plaintext=True)"
+        f"the token would cross the network to {address.url} in plain text: use https, or allow "
+        "it (--plaintext, plaintext=True)"
     )
 
 
@@ -61,8 +61,8 @@ def tls_reason(error: OSError) -> str | None:
     """Say why there is no TLS connection; None if that was not the trouble."""
     if isinstance(error, ssl.SSLCertVerificationError):
         return (
-            f"its certificate is not to be trusted: {error.verify_message} "
-            "(--cacert FILE or RCP_CACERT names the CA of a gateway's own)"
+            f"its certificate is not trusted: {error.verify_message} "
+            "(set its CA with --cacert FILE or RCP_CACERT)"
         )
     if isinstance(error, ssl.SSLError):
         return (error.reason or str(error)).lower().replace("_", " ")

@@ -50,6 +50,6 @@ def parse_time(value: str | float) -> int:
         return int(whole.timestamp()) * 1_000_000_000 + int((match[2] or "0").ljust(9, "0"))
     except (ValueError, OverflowError):
         raise BadRequest(
-            f"timestamp {str(value)[:40]!r} is not a time",
-            remedy="Write ISO 8601 in UTC (2026-05-29T14:12:04Z) or seconds since the UNIX epoch.",
+            f"timestamp {str(value)[:40]!r} is not a timestamp",
+            remedy="Use ISO 8601 in UTC (2026-05-29T14:12:04Z) or seconds since the UNIX epoch.",
         ) from None

@@ -104,8 +104,8 @@ def _resolve(text: str, tenant: str | None) -> str:
         raise _bad(text)
     if tenant is None:
         raise InvalidPath(
-            f"'{text[:80]}' is relative and this session has no tenant of its own",
-            remedy="Write the whole path: /tenant/<tenant>/<branch>/<name>.",
+            f"'{text[:80]}' is a relative path and this session has no default tenant",
+            remedy="Use the full path: /tenant/<tenant>/<branch>/<name>.",
         )
     return f"/tenant/{tenant}{text}"
 
@@ -135,8 +135,8 @@ def kind_of(name: str) -> Kind:
     branch, _, rest = name.partition("/")
     if branch not in BRANCHES or not rest or not _PATH.match("/" + name) or len(name) > MAX_PATH:
         raise InvalidPath(
-            f"{name!r} is not the name of a resource",
-            remedy=f"Write <branch>/<name> with a branch of {', '.join(Kind)}.",
+            f"{name!r} is not a valid resource name",
+            remedy=f"Use <branch>/<name>, where branch is one of {', '.join(Kind)}.",
         )
     return Kind(branch)
 
@@ -247,5 +247,5 @@ class Resource(msgspec.Struct, frozen=True, kw_only=True):
         if self.robot is not None and self.name.split("/")[1] != self.robot:
             raise InvalidPath(
                 f"{self.name!r} is not a resource of robot {self.robot!r}",
-                remedy=f"Write <branch>/{self.robot}/<name>, or leave `robot` out.",
+                remedy=f"Use <branch>/{self.robot}/<name>, or omit `robot`.",
             )

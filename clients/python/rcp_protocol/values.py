@@ -82,7 +82,7 @@ class ValueType:
             self._from_json = msgspec.json.Decoder(type_)
             self._from_msgpack = msgspec.msgpack.Decoder(type_)
         except (TypeError, ValueError) as error:
-            raise PluginError(f"{type_!r} is not a type that msgspec decodes: {error}") from error
+            raise PluginError(f"msgspec cannot decode the type {type_!r}: {error}") from error
         self._bottomless = self._shape.open or self._shape.endless
         self.probes_null = self._shape.has_float
         self.grows = self._shape.grows
@@ -314,12 +314,12 @@ def sound(value: Any) -> Any:
     if is_map(value):
         keys: Any = value
         if not all(isinstance(key, str) for key in keys):
-            raise BadRequest("a map has a key that is not text")
+            raise BadRequest("a map has a key that is not a string")
         return {key: sound(item) for key, item in value.items()}
     if is_list(value):
         return [sound(item) for item in value]
     if not isinstance(value, _PLAIN):
-        raise BadRequest(f"{type(value).__name__} has no place in an envelope")
+        raise BadRequest(f"{type(value).__name__} is not allowed in an envelope")
     if isinstance(value, int) and not -(2**63) <= value < 2**64:
         raise BadRequest("an integer is longer than 64 bits")
     return value

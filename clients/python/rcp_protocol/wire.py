@@ -218,7 +218,7 @@ def _decode_slowly(data: bytes, encoding: Encoding, error: Exception) -> Request
         spare = len(data) - len(bytes(shell.body))
         if spare > _SPARE:
             raise PayloadTooLarge(
-                f"the envelope has {spare} bytes beside its body; it has at most {_SPARE}",
+                f"the envelope has {spare} bytes besides its body; the limit is {_SPARE}",
                 remedy="Put large data into the body.",
                 details={"limit": _SPARE},
             )
@@ -229,16 +229,16 @@ def _decode_slowly(data: bytes, encoding: Encoding, error: Exception) -> Request
     size = sum(len(key) + len(bytes(value)) for key, value in custom.items())
     if size > _MAX_CUSTOM:
         raise PayloadTooLarge(
-            f"the x-… fields have {size} bytes; they have at most {_MAX_CUSTOM}",
-            remedy="Put large data into the body; x-… fields are kept with every record.",
+            f"the x-… fields have {size} bytes; the limit is {_MAX_CUSTOM}",
+            remedy="Put large data into the body; x-… fields are stored with every audit record.",
             details={"limit": _MAX_CUSTOM},
         )
     unknown = sorted(fields.keys() - _KNOWN)
     if unknown:
         raise BadRequest(
             f"unknown field {unknown[0][:60]!r} in the envelope",
-            remedy="Options and values go into `body`; a field of your own is named x-<name>; "
-            f"the envelope's are: {', '.join(sorted(_KNOWN))}.",
+            remedy="Options and values belong in `body`; custom fields are named x-<name>; "
+            f"the envelope has: {', '.join(sorted(_KNOWN))}.",
             details={"unknown": unknown[:10]},
         )
     encode = _to_json.encode if is_json else _to_msgpack.encode

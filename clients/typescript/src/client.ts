@@ -17,7 +17,7 @@ export interface ReadOptions {
 }
 
 export interface CommandOptions {
-  /** Check everything, change nothing. */
+  /** Check the request without changing anything. */
   dryRun?: boolean;
   deadline?: number;
   idempotencyKey?: string;

@@ -47,5 +47,5 @@ def open_sender(name: str, data: dict[str, Any]) -> Sender:
     module = _MODULES.get(name)
     if module is None:
         known = ", ".join(_MODULES)
-        raise MissingLibraryError(f"there is no sender '{name}'; there are {known}")
+        raise MissingLibraryError(f"unknown sender '{name}'; available: {known}")
     return importlib.import_module(f"{__name__}.{module}").open_sender(data)

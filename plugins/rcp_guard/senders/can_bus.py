@@ -69,9 +69,7 @@ def open_sender(data: dict[str, Any]) -> CanSender:
         settings = dict(data["bus"])
         frames = [_frame(can, frame) for frame in data["frames"]]
     except (KeyError, TypeError, ValueError) as error:
-        raise MissingLibraryError(
-            f"the plan's data do not fit the sender 'can': {error!r}"
-        ) from error
+        raise MissingLibraryError(f"invalid plan data for the sender 'can': {error!r}") from error
     interface = str(settings.get("interface"))
     if (why := _UNSHARED.get(interface)) is not None:
         raise MissingLibraryError(f"the CAN interface '{interface}' {why}")

@@ -45,9 +45,7 @@ def open_sender(data: dict[str, Any]) -> UdpSender:
         host, port = data["to"]
         frames = [bytes.fromhex(frame) for frame in data["frames"]]
     except (KeyError, TypeError, ValueError) as error:
-        raise MissingLibraryError(
-            f"the plan's data do not fit the sender 'udp': {error!r}"
-        ) from error
+        raise MissingLibraryError(f"invalid plan data for the sender 'udp': {error!r}") from error
     family, kind, number, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)[0]
     to = socket.socket(family, kind, number)
     to.setblocking(False)

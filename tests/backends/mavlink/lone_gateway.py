@@ -77,7 +77,7 @@ class LoneGateway:
 
     async def ended(self, id_: str) -> dict[str, Any]:
         """Wait for a command to end; return it."""
-        return await self.look(lambda: self.command(id_), lambda c: c["status"] in _FINAL)
+        return await self.poll(lambda: self.command(id_), lambda c: c["status"] in _FINAL)
 
     async def estop(self) -> dict[str, Any]:
         """Stop everything; return the final reply."""
@@ -95,7 +95,7 @@ class LoneGateway:
         """Return the health report."""
         return (await self.http.get("/status")).json()["body"]
 
-    async def look(self, ask: Callable[[], Any], holds: Callable[[Any], object]) -> Any:
+    async def poll(self, ask: Callable[[], Any], holds: Callable[[Any], object]) -> Any:
         """Ask again and again until an answer is as wanted; return it."""
         found: Any = None
         try:
@@ -108,7 +108,7 @@ class LoneGateway:
 
     async def guarded(self) -> None:
         """Wait until the guard is ready to stop the vehicle, and armed."""
-        await self.look(
+        await self.poll(
             self.status,
             lambda s: (
                 s["guard"]["state"] == "ready" and s["guard"]["armed"] and s["guard"]["plans"]

@@ -63,7 +63,7 @@ async def rest(vehicle: Vehicle, within: float, *, level: bool = False) -> float
 
 async def moving(gateway: LoneGateway, vehicle: Vehicle, height: float = HEIGHT) -> str:
     """Send it to a far goal, and see it fly; return the command."""
-    await gateway.look(_is_ready(gateway), bool)
+    await gateway.poll(_is_ready(gateway), bool)
     id_ = await gateway.start("action/move_to", {"north": 3000.0, "altitude": height})
 
     async def flies() -> bool:
@@ -71,7 +71,7 @@ async def moving(gateway: LoneGateway, vehicle: Vehicle, height: float = HEIGHT)
         assert found["status"] in ("accepted", "pending", "in_progress"), found
         return speed(vehicle) > 8.0
 
-    await gateway.look(flies, bool)
+    await gateway.poll(flies, bool)
     return id_
 
 
@@ -205,7 +205,7 @@ async def test_what_nobody_stopped_is_told_what_its_policy_says_by_the_next_gate
             await gateway.kill()
         await goes_on(vehicle, 3.0)  # as the real one
         async with lone_gateway(tmp_path, port, **options) as gateway:
-            found = await gateway.look(
+            found = await gateway.poll(
                 lambda: gateway.command(id_), lambda c: "on_loss" in str(c.get("error"))
             )
             assert found["status"] == "failed"
@@ -217,7 +217,7 @@ async def test_what_nobody_stopped_is_told_what_its_policy_says_by_the_next_gate
                 await stays(vehicle)
                 assert vehicle.flight.mode is Mode.BRAKE
             else:
-                await gateway.look(_is_ready(gateway), bool)
+                await gateway.poll(_is_ready(gateway), bool)
                 await goes_on(vehicle, 3.0)
 
 
@@ -241,7 +241,7 @@ async def test_a_latch_outlives_the_gateway_and_the_stop_is_the_first_that_the_n
             first = link.sent[0]
             assert first.get_type() == "COMMAND_LONG", first
             assert (first.command, first.param2) == (SET_MODE, BRAKE)
-            state = await gateway.look(gateway.stopped, lambda s: s["state"] == "confirmed")
+            state = await gateway.poll(gateway.stopped, lambda s: s["state"] == "confirmed")
             assert state["detail"] is None, state
             assert speed(vehicle) < AT_REST
             refused = await gateway.http.post(

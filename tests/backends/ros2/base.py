@@ -1,6 +1,6 @@
 """A driving base with wheels that obey whoever spoke last, and a navigator that drives it.
 
-Run as `python base.py`; takes orders as `crew.py` does. It has no command timeout of its own: what it
+Run as `python base.py`; takes orders as `robot_nodes.py` does. It has no command timeout of its own: what it
 was told once, it does until told otherwise, also while it is cut off from everybody.
 """
 
@@ -200,7 +200,7 @@ class Robot:
 
 
 def main() -> None:
-    from crew import serve
+    from robot_nodes import serve
 
     rclpy.init()
     serve(Robot())

@@ -1,6 +1,6 @@
 """Somebody else who commands the robot, in a process of its own: a teleop, and a client of actions.
 
-Run as `python commander.py`; takes orders as `crew.py` does.
+Run as `python commander.py`; takes orders as `robot_nodes.py` does.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ class Commander:
 
 
 def main() -> None:
-    from crew import serve
+    from robot_nodes import serve
 
     rclpy.init()
     serve(Commander())

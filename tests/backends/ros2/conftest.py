@@ -22,7 +22,7 @@ else:
         warnings.simplefilter("ignore")
         import rosidl_parser.definition
         import rosidl_parser.parser  # noqa: F401
-    from backends.ros2.robot import Crew, Fleet, Peer, Robot, fresh_domain, robot_of
+    from backends.ros2.robot import Fleet, Peer, Robot, RobotNodes, fresh_domain, robot_of
 
     MAP: dict[str, Any] = {
         "/sensor/odom": {"topic": "/odom"},
@@ -66,17 +66,17 @@ else:
         peer.stop()
 
     @pytest.fixture(scope="session")
-    def crew_domain() -> int:
-        """The domain of the crew that lives as long as the run."""
+    def nodes_domain() -> int:
+        """The domain of the robot_nodes that lives as long as the run."""
         return fresh_domain()
 
     @pytest.fixture(scope="session")
-    def crew(crew_domain: int) -> Iterator[Crew]:
+    def robot_nodes(nodes_domain: int) -> Iterator[RobotNodes]:
         """Nodes that follow ROS's conventions, for as long as the run."""
-        crew = Crew(crew_domain)
-        crew.start()
-        yield crew
-        crew.stop()
+        robot_nodes = RobotNodes(nodes_domain)
+        robot_nodes.start()
+        yield robot_nodes
+        robot_nodes.stop()
 
     @pytest.fixture(scope="session")
     def fleet_domain() -> int:

@@ -237,35 +237,35 @@ class Peer:
             self._process = None
 
 
-class Crew(Peer):
+class RobotNodes(Peer):
     """Nodes that follow ROS's conventions, in a process of their own."""
 
-    script = "crew.py"
+    script = "robot_nodes.py"
 
     def tell(self, do: str, **order: Any) -> Any:
         """Have it do something; return when it has."""
         return self._ask(json.dumps({"do": do, **order}))
 
 
-class Fleet(Crew):
+class Fleet(RobotNodes):
     """Rovers, each in a namespace of its own, in one process."""
 
     script = "rover.py"
 
 
-class Eyes(Crew):
+class Eyes(RobotNodes):
     """A rover with all that a dashboard draws."""
 
     script = "seen.py"
 
 
-class Base(Crew):
+class Base(RobotNodes):
     """A driving base with a navigator."""
 
     script = "base.py"
 
 
-class Commander(Crew):
+class Commander(RobotNodes):
     """Somebody else who commands the base."""
 
     script = "commander.py"

@@ -1,6 +1,6 @@
 """Rovers of a fleet, each in a namespace of its own, and whatever else a graph may bring.
 
-Run as `python rover.py NAMESPACE…`; takes orders as `crew.py` does.
+Run as `python rover.py NAMESPACE…`; takes orders as `robot_nodes.py` does.
 """
 
 from __future__ import annotations
@@ -258,7 +258,7 @@ class Fleet:
 
 
 def main() -> None:
-    from crew import serve
+    from robot_nodes import serve
 
     rclpy.init()
     serve(Fleet(sys.argv[1:]))

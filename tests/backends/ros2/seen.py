@@ -1,6 +1,6 @@
 """A rover with eyes: all that the scene of a dashboard draws, each thing where it can be told to be.
 
-Run as `python seen.py [VISUALS]`, which go into its base; takes orders as `crew.py` does.
+Run as `python seen.py [VISUALS]`, which go into its base; takes orders as `robot_nodes.py` does.
 
 In `map` the robot is at (3, 1), turned by 90 degrees to the left.
 """
@@ -17,12 +17,12 @@ import threading
 from typing import Any
 
 import rclpy
-from crew import LATCHED, Caster, serve, transforms
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import OccupancyGrid, Odometry, Path
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
+from robot_nodes import LATCHED, Caster, serve, transforms
 from sensor_msgs.msg import (
     CameraInfo,
     CompressedImage,

@@ -8,7 +8,7 @@ from contextlib import suppress
 
 import pytest
 
-from backends.ros2.robot import BOUND, Crew, Robot, fresh_domain, robot_of
+from backends.ros2.robot import BOUND, Robot, RobotNodes, fresh_domain, robot_of
 from rcp_kernel.errors import InvalidValue
 
 pytestmark = pytest.mark.anyio
@@ -18,21 +18,21 @@ CLOCK, JUMP, NOTE = "sensor/clock", "event/clock_jump", "sensor/note"
 
 
 @pytest.fixture(scope="module")
-def simulator() -> Iterator[tuple[int, Crew]]:
+def simulator() -> Iterator[tuple[int, RobotNodes]]:
     domain = fresh_domain()
-    crew = Crew(domain)
-    crew.start()
-    yield domain, crew
-    crew.stop()
+    robot_nodes = RobotNodes(domain)
+    robot_nodes.start()
+    yield domain, robot_nodes
+    robot_nodes.stop()
 
 
 @pytest.fixture
-async def simulated(simulator: tuple[int, Crew]) -> AsyncIterator[tuple[Robot, Crew]]:
-    domain, crew = simulator
+async def simulated(simulator: tuple[int, RobotNodes]) -> AsyncIterator[tuple[Robot, RobotNodes]]:
+    domain, robot_nodes = simulator
     expose = ["/note", "/tf", "/tf_static"]
     async with robot_of(domain, expose=expose, use_sim_time=True) as robot:
         await robot.until(lambda: {CLOCK, JUMP, NOTE} <= robot.resources.keys())
-        yield robot, crew
+        yield robot, robot_nodes
 
 
 async def repeated(robot: Robot, once: Callable[[], object], holds: Callable[[], bool]) -> None:
@@ -44,32 +44,34 @@ async def repeated(robot: Robot, once: Callable[[], object], holds: Callable[[],
                 await robot.until(holds, 0.1)
 
 
-async def test_what_carries_no_time_has_the_robots(simulated: tuple[Robot, Crew]) -> None:
-    robot, crew = simulated
+async def test_what_carries_no_time_has_the_robots(simulated: tuple[Robot, RobotNodes]) -> None:
+    robot, robot_nodes = simulated
 
     def stamps() -> list[int | None]:
         return [stamp for name, _, stamp in robot.samples if name == NOTE]
 
     async with robot.backend.watch(NOTE, None), robot.backend.watch(CLOCK, None):
-        await repeated(robot, lambda: crew.tell("tick", time=40 * S), lambda: 40 * S in stamps())
+        await repeated(
+            robot, lambda: robot_nodes.tell("tick", time=40 * S), lambda: 40 * S in stamps()
+        )
         assert robot.of(CLOCK)[-1].sec == 40
     assert not robot.of(JUMP)
 
 
 async def test_a_jump_back_is_told_and_what_moved_is_forgotten(
-    simulated: tuple[Robot, Crew],
+    simulated: tuple[Robot, RobotNodes],
 ) -> None:
-    robot, crew = simulated
+    robot, robot_nodes = simulated
     here = [1.0, 0, 0, 0, 0, 0, 1]
     pair = "sensor/tf/odom/base_link"
 
     def drive() -> None:
-        crew.tell("tick", time=50 * S)
-        crew.tell("move", parent="odom", child="base_link", time=50 * S, place=here)
+        robot_nodes.tell("tick", time=50 * S)
+        robot_nodes.tell("move", parent="odom", child="base_link", time=50 * S, place=here)
 
-    crew.tell("fix", by="arm", parent="base_link", child="camera", place=here)
+    robot_nodes.tell("fix", by="arm", parent="base_link", child="camera", place=here)
     await repeated(robot, drive, lambda: pair in robot.resources)
-    crew.tell("tick", time=2 * S)
+    robot_nodes.tell("tick", time=2 * S)
     jump = await robot.first(JUMP)
     assert (jump.before, jump.after) == (50.0, 2.0)
     lookup = {"target": "odom", "source": "base_link"}

@@ -6,7 +6,7 @@ from collections.abc import AsyncIterator, Iterator
 
 import pytest
 
-from backends.ros2.robot import Crew, Robot, fresh_domain, robot_of
+from backends.ros2.robot import Robot, RobotNodes, fresh_domain, robot_of
 from rcp_kernel.values import Encoding, value_type
 
 pytestmark = pytest.mark.anyio
@@ -16,27 +16,27 @@ MOTOR = "sensor/diagnostics/base/motor_left"
 
 
 @pytest.fixture(scope="module")
-def board() -> Iterator[tuple[int, Crew]]:
+def board() -> Iterator[tuple[int, RobotNodes]]:
     domain = fresh_domain()
-    crew = Crew(domain)
-    crew.start()
-    yield domain, crew
-    crew.stop()
+    robot_nodes = RobotNodes(domain)
+    robot_nodes.start()
+    yield domain, robot_nodes
+    robot_nodes.stop()
 
 
 @pytest.fixture
-async def watched(board: tuple[int, Crew]) -> AsyncIterator[tuple[Robot, Crew]]:
-    domain, crew = board
-    if not crew.runs:
-        crew.start()
-    crew.tell("diagnose", name="/base/motor: left", level=0, message="turns", volts="24.1")
+async def watched(board: tuple[int, RobotNodes]) -> AsyncIterator[tuple[Robot, RobotNodes]]:
+    domain, robot_nodes = board
+    if not robot_nodes.runs:
+        robot_nodes.start()
+    robot_nodes.tell("diagnose", name="/base/motor: left", level=0, message="turns", volts="24.1")
     async with robot_of(domain, expose=["/diagnostics"], diagnostics={"stale": 1.0}) as robot:
         await robot.until(lambda: EVENT in robot.resources)
         await robot.first(MOTOR)
-        yield robot, crew
+        yield robot, robot_nodes
 
 
-async def test_a_status_is_a_sensor_with_all_it_says(watched: tuple[Robot, Crew]) -> None:
+async def test_a_status_is_a_sensor_with_all_it_says(watched: tuple[Robot, RobotNodes]) -> None:
     robot, _ = watched
     said = await robot.first(MOTOR)
     assert (said.level, said.message, said.hardware_id) == ("ok", "turns", "hw-1")
@@ -50,11 +50,11 @@ async def test_a_status_is_a_sensor_with_all_it_says(watched: tuple[Robot, Crew]
 
 
 async def test_a_change_of_level_is_an_event_and_more_of_the_same_is_not(
-    watched: tuple[Robot, Crew],
+    watched: tuple[Robot, RobotNodes],
 ) -> None:
-    robot, crew = watched
+    robot, robot_nodes = watched
     assert not robot.of(EVENT)
-    crew.tell("diagnose", name="/base/motor: left", level=2, message="stuck")
+    robot_nodes.tell("diagnose", name="/base/motor: left", level=2, message="stuck")
     change = await robot.first(EVENT)
     assert (change.path, change.was) == (f"/{MOTOR}", "ok")
     assert (change.now.level, change.now.message) == ("error", "stuck")
@@ -64,47 +64,49 @@ async def test_a_change_of_level_is_an_event_and_more_of_the_same_is_not(
     assert len(robot.of(EVENT)) == 1
 
 
-async def test_a_status_that_is_unwell_from_the_first_is_told(watched: tuple[Robot, Crew]) -> None:
-    robot, crew = watched
-    crew.tell("diagnose", name="lidar", level=1, message="dust")
+async def test_a_status_that_is_unwell_from_the_first_is_told(
+    watched: tuple[Robot, RobotNodes],
+) -> None:
+    robot, robot_nodes = watched
+    robot_nodes.tell("diagnose", name="lidar", level=1, message="dust")
     change = await robot.first(EVENT)
     assert (change.was, change.now.name, change.now.level) == (None, "lidar", "warn")
     await robot.until(lambda: "sensor/diagnostics/lidar" in robot.resources)
-    crew.tell("hush", name="lidar")
+    robot_nodes.tell("hush", name="lidar")
 
 
-async def test_names_that_differ_keep_different_paths(watched: tuple[Robot, Crew]) -> None:
-    robot, crew = watched
+async def test_names_that_differ_keep_different_paths(watched: tuple[Robot, RobotNodes]) -> None:
+    robot, robot_nodes = watched
     names = ["a b", "a_b", "..", "", "ärger/Öl: 5 %"]
     for name in names:
-        crew.tell("diagnose", name=name, level=0)
+        robot_nodes.tell("diagnose", name=name, level=0)
     await robot.until(lambda: set(names) <= {v.name for _, v, _ in robot.samples})
     paths = {v.name: n for n, v, _ in robot.samples}
     assert len(set(paths.values())) == len(paths)
     for name in names:
-        crew.tell("hush", name=name)
+        robot_nodes.tell("hush", name=name)
 
 
 async def test_a_status_that_is_not_repeated_goes_stale_and_comes_back(
-    watched: tuple[Robot, Crew],
+    watched: tuple[Robot, RobotNodes],
 ) -> None:
-    robot, crew = watched
-    crew.tell("hush", name="/base/motor: left")
+    robot, robot_nodes = watched
+    robot_nodes.tell("hush", name="/base/motor: left")
     await robot.until(lambda: robot.of(MOTOR)[-1].level == "stale")
     stale = robot.of(MOTOR)[-1]
     assert stale.message == "nothing heard for 1 s; it was ok: turns"
     assert robot.of(EVENT)[-1].now == stale
-    crew.tell("diagnose", name="/base/motor: left", level=0, message="turns")
+    robot_nodes.tell("diagnose", name="/base/motor: left", level=0, message="turns")
     await robot.until(lambda: robot.of(MOTOR)[-1].level == "ok")
     assert robot.of(EVENT)[-1].was == "stale"
 
 
 async def test_a_monitor_that_is_killed_leaves_all_stale_until_it_is_back(
-    watched: tuple[Robot, Crew],
+    watched: tuple[Robot, RobotNodes],
 ) -> None:
-    robot, crew = watched
-    crew.kill()
+    robot, robot_nodes = watched
+    robot_nodes.kill()
     await robot.until(lambda: robot.of(MOTOR)[-1].level == "stale")
-    crew.start()
-    crew.tell("diagnose", name="/base/motor: left", level=0, message="turns again")
+    robot_nodes.start()
+    robot_nodes.tell("diagnose", name="/base/motor: left", level=0, message="turns again")
     await robot.until(lambda: robot.of(MOTOR)[-1].message == "turns again")

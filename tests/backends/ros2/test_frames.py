@@ -37,41 +37,41 @@ def tree(*, buffer: float = 10) -> Frames:
 
 def test_a_chain_is_joined_in_both_directions() -> None:
     frames = tree()
-    place, time = frames.look("map", "camera")
+    place, time = frames.lookup("map", "camera")
     assert time == 105 * S
     assert near(place, at(1, 5, 1, math.pi / 2))
-    back, _ = frames.look("camera", "map")
+    back, _ = frames.lookup("camera", "map")
     assert near(back, at(-5, 1, -1, -math.pi / 2))
-    assert frames.look("base_link", "camera") == (at(0, 0, 1), None)
+    assert frames.lookup("base_link", "camera") == (at(0, 0, 1), None)
 
 
 def test_two_branches_meet_where_they_part() -> None:
     frames = tree()
     frames.put("lidar", "base_link", 0, at(2), static=True)
-    assert frames.look("lidar", "camera") == (at(-2, 0, 1), None)  # nothing between them moves
+    assert frames.lookup("lidar", "camera") == (at(-2, 0, 1), None)  # nothing between them moves
 
 
 def test_a_time_between_two_is_interpolated() -> None:
     frames = tree()
-    place, time = frames.look("odom", "base_link", 102 * S + S // 4)
+    place, time = frames.lookup("odom", "base_link", 102 * S + S // 4)
     assert near(place, at(2.25))
     assert time == 102 * S + S // 4
     frames.put("wheel", "base_link", 104 * S, at(yaw=3.0), static=False)
     frames.put("wheel", "base_link", 105 * S, at(yaw=-3.0), static=False)  # the short way round
-    middle, _ = frames.look("base_link", "wheel", 104 * S + S // 2)
+    middle, _ = frames.lookup("base_link", "wheel", 104 * S + S // 2)
     assert near(middle, at(yaw=math.pi))
 
 
 def test_a_time_outside_is_refused_with_the_times_that_are_known() -> None:
     with pytest.raises(Extrapolation) as caught:
-        tree().look("map", "camera", 106 * S)
+        tree().lookup("map", "camera", 106 * S)
     error = caught.value
     assert (error.child, error.first, error.last) == ("base_link", 100 * S, 105 * S)
 
 
 def test_an_unknown_frame_is_refused_with_those_that_sound_alike() -> None:
     with pytest.raises(UnknownFrame) as caught:
-        tree().look("map", "camara")
+        tree().lookup("map", "camara")
     assert caught.value.near[0] == "camera"
 
 
@@ -79,7 +79,7 @@ def test_two_trees_are_not_connected() -> None:
     frames = tree()
     frames.put("cup", "table", 0, at(), static=True)
     with pytest.raises(NotConnected):
-        frames.look("map", "cup")
+        frames.lookup("map", "cup")
 
 
 def test_a_ring_is_an_error_and_not_a_hang() -> None:
@@ -87,7 +87,7 @@ def test_a_ring_is_an_error_and_not_a_hang() -> None:
     frames.put("a", "b", S, at(), static=False)
     frames.put("b", "a", S, at(), static=False)
     with pytest.raises(NotConnected):
-        frames.look("a", "b")
+        frames.lookup("a", "b")
 
 
 def test_what_is_no_transform_is_left_out() -> None:
@@ -104,23 +104,23 @@ def test_old_times_are_forgotten_and_what_is_static_is_not() -> None:
     for tenth in range(1050, 1300):
         frames.put("base_link", "odom", tenth * S // 10, at(tenth / 10), static=False)
     with pytest.raises(Extrapolation):
-        frames.look("odom", "base_link", 120 * S)
+        frames.lookup("odom", "base_link", 120 * S)
     assert len(frames._tracks["base_link"].times) < 40
-    assert near(frames.look("map", "odom")[0], at(1, 0, 0, math.pi / 2))
+    assert near(frames.lookup("map", "odom")[0], at(1, 0, 0, math.pi / 2))
 
 
 def test_times_that_come_in_any_order_are_sorted() -> None:
     frames = Frames(10)
     for second in (3, 1, 2, 5, 4):
         frames.put("a", "b", second * S, at(second), static=False)
-    assert near(frames.look("b", "a", 3 * S + S // 2)[0], at(3.5))
+    assert near(frames.lookup("b", "a", 3 * S + S // 2)[0], at(3.5))
 
 
 def test_a_clock_that_was_set_back_does_not_leave_the_tree_deaf() -> None:
     frames = tree()
     for second in range(1, 5):
         frames.put("base_link", "odom", second * S, at(second), static=False)
-    place, time = frames.look("odom", "base_link")
+    place, time = frames.lookup("odom", "base_link")
     assert (place, time) == (at(4), 4 * S)
 
 
@@ -131,7 +131,7 @@ def test_a_frame_hung_elsewhere_is_found_there() -> None:
     assert frames.version > version
     assert frames.tree()["base_link"] == "lift"
     with pytest.raises(NotConnected):
-        frames.look("map", "camera")
+        frames.lookup("map", "camera")
 
 
 numbers = st.floats(-100, 100)
@@ -150,9 +150,9 @@ def test_there_and_back_is_where_one_was(a: Place, b: Place, c: Place) -> None:
     frames.put("b", "a", 0, a, static=True)
     frames.put("c", "b", S, b, static=False)
     frames.put("d", "b", 0, c, static=True)
-    there, _ = frames.look("c", "d")
-    back, _ = frames.look("d", "c")
+    there, _ = frames.lookup("c", "d")
+    back, _ = frames.lookup("d", "c")
     joined = Frames(10)
     joined.put("d", "c", 0, there, static=True)
     joined.put("c2", "d", 0, back, static=True)
-    assert near(joined.look("c", "c2")[0], at())
+    assert near(joined.lookup("c", "c2")[0], at())

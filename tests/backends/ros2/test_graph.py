@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from backends.ros2.robot import Crew, Robot, fresh_domain, robot_of
+from backends.ros2.robot import Robot, RobotNodes, fresh_domain, robot_of
 from rcp_kernel.values import Encoding, value_type
 from rcp_ros2.qos import Terms, mismatches
 
@@ -70,18 +70,18 @@ async def test_the_graph_tells_nodes_topics_services_and_actions(seen: Robot) ->
 
 async def test_a_change_of_the_graph_is_told_and_no_change_is_not() -> None:
     domain = fresh_domain()
-    crew = Crew(domain)
+    robot_nodes = RobotNodes(domain)
     async with robot_of(domain, graph=True, poll=0.2, grace=0.5) as robot:
         await robot.until(lambda: GRAPH in robot.resources)
         async with robot.backend.watch(GRAPH, None):
             await robot.first(GRAPH)
-            crew.start()
+            robot_nodes.start()
             try:
                 await robot.until(lambda: "/monitor" in robot.of(GRAPH)[-1].nodes)
-                crew.stop()
+                robot_nodes.stop()
                 await robot.until(lambda: "/monitor" not in robot.of(GRAPH)[-1].nodes)
             finally:
-                crew.stop()
+                robot_nodes.stop()
             values = robot.of(GRAPH)
             assert all(a != b for a, b in pairwise(values))
 

@@ -13,7 +13,7 @@ import rcp_ros2
 from rcp_ros2 import topics
 from rcp_ros2.config import Qos
 from rcp_ros2.qos import Profile
-from rcp_ros2.topics import Feeds, TopicSubscription
+from rcp_ros2.topics import TopicSubscription, TopicSubscriptions
 
 
 def logged(
@@ -31,9 +31,9 @@ def logged(
             structlog.PrintLogger(), wrapper_class=structlog.make_filtering_bound_logger(0)
         ),
     )
-    feed = TopicSubscription("/camera", Image, Qos(), profile=Profile(reliable, False, 5))
+    subscription = TopicSubscription("/camera", Image, Qos(), profile=Profile(reliable, False, 5))
     with capture_logs() as found:
-        hear = Feeds(None, None, lambda _key, _detail: None)._hearer(feed)
+        hear = TopicSubscriptions(None, None, lambda _key, _detail: None)._hearer(subscription)
         for _ in range(2):
             hear(bytes(size))
     return found

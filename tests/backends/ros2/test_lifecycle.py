@@ -7,7 +7,7 @@ from collections.abc import AsyncIterator, Iterator
 
 import pytest
 
-from backends.ros2.robot import BOUND, Crew, Robot, fresh_domain, robot_of
+from backends.ros2.robot import BOUND, Robot, RobotNodes, fresh_domain, robot_of
 from rcp_kernel.errors import (
     AdapterUnavailable,
     DeviceRejected,
@@ -23,20 +23,20 @@ SERVICE = "service/lifecycle/camera/driver"
 
 
 @pytest.fixture(scope="module")
-async def managed(crew_domain: int, crew: Crew) -> AsyncIterator[Robot]:
-    async with robot_of(crew_domain, expose=["/camera/**"]) as robot:
+async def managed(nodes_domain: int, robot_nodes: RobotNodes) -> AsyncIterator[Robot]:
+    async with robot_of(nodes_domain, expose=["/camera/**"]) as robot:
         await robot.until(lambda: {SENSOR, SERVICE} <= robot.resources.keys())
         yield robot
 
 
 @pytest.fixture
-async def unconfigured(managed: Robot, crew: Crew) -> Robot:
+async def unconfigured(managed: Robot, robot_nodes: RobotNodes) -> Robot:
     """The backend, with a driver that has just begun."""
-    crew.tell("break_", broken=False)
+    robot_nodes.tell("break_", broken=False)
     for transition in ("deactivate", "cleanup"):
         state = await managed.backend.read(SENSOR)
         if transition in state.transitions:
-            crew.tell("lead", transition=transition)
+            robot_nodes.tell("lead", transition=transition)
     assert (await managed.backend.read(SENSOR)).state == "unconfigured"
     managed.samples.clear()
     return managed
@@ -75,20 +75,22 @@ async def test_a_transition_that_is_not_possible_is_refused_with_those_that_are(
 
 
 async def test_a_transition_the_node_fails_at_is_refused_with_the_state_it_is_in(
-    unconfigured: Robot, crew: Crew
+    unconfigured: Robot, robot_nodes: RobotNodes
 ) -> None:
     await lead(unconfigured, "configure")
-    crew.tell("break_", broken=True)
+    robot_nodes.tell("break_", broken=True)
     with pytest.raises(DeviceRejected, match="it was inactive and is inactive now"):
         await lead(unconfigured, "activate")
 
 
-async def test_a_change_by_somebody_else_is_told_at_once(unconfigured: Robot, crew: Crew) -> None:
+async def test_a_change_by_somebody_else_is_told_at_once(
+    unconfigured: Robot, robot_nodes: RobotNodes
+) -> None:
     shared = unconfigured.backend._catalog._shared
     ros = shared.ros
     async with unconfigured.backend.watch(SENSOR, None):
         assert (await unconfigured.first(SENSOR)).state == "unconfigured"
-        crew.tell("lead", transition="configure")
+        robot_nodes.tell("lead", transition="configure")
         await unconfigured.until(lambda: unconfigured.of(SENSOR)[-1].state == "inactive")
     left = await ros.call(lambda: [s.topic_name for s in ros.node.subscriptions])
     assert left == ["/parameter_events"]
@@ -110,27 +112,27 @@ async def test_under_an_estop_a_node_is_led_down_and_not_up(unconfigured: Robot)
 
 
 @pytest.fixture
-def mortal() -> Iterator[tuple[int, Crew]]:
+def mortal() -> Iterator[tuple[int, RobotNodes]]:
     domain = fresh_domain()
-    crew = Crew(domain)
-    crew.start()
-    yield domain, crew
-    crew.stop()
+    robot_nodes = RobotNodes(domain)
+    robot_nodes.start()
+    yield domain, robot_nodes
+    robot_nodes.stop()
 
 
 async def test_a_node_that_is_killed_and_comes_back_is_at_its_beginning_again(
-    mortal: tuple[int, Crew],
+    mortal: tuple[int, RobotNodes],
 ) -> None:
-    domain, crew = mortal
+    domain, robot_nodes = mortal
     async with robot_of(domain, expose=["/camera/driver"], timeout=3.0) as robot:
         await robot.until(lambda: {SENSOR, SERVICE} <= robot.resources.keys())
         async with robot.backend.watch(SENSOR, None):
             assert await lead(robot, "configure") == "inactive"
             await robot.until(lambda: any(s.state == "inactive" for s in robot.of(SENSOR)))
-            crew.kill()
+            robot_nodes.kill()
             with pytest.raises(RcpError):
                 await robot.backend.read(SENSOR)
-            crew.start()
+            robot_nodes.start()
             await robot.until(lambda: robot.of(SENSOR)[-1].state == "unconfigured")
         async with asyncio.timeout(BOUND):
             while True:
@@ -141,12 +143,12 @@ async def test_a_node_that_is_killed_and_comes_back_is_at_its_beginning_again(
                     continue
 
 
-async def test_a_node_that_leaves_says_so(mortal: tuple[int, Crew]) -> None:
-    domain, crew = mortal
+async def test_a_node_that_leaves_says_so(mortal: tuple[int, RobotNodes]) -> None:
+    domain, robot_nodes = mortal
     async with robot_of(domain, expose=["/camera/driver"]) as robot:
         await robot.until(lambda: {SENSOR, SERVICE} <= robot.resources.keys())
         shared = robot.backend._catalog._shared
-        crew.stop()
+        robot_nodes.stop()
         assert await shared.until(lambda: not shared.graph.lifecycle, BOUND)
         with pytest.raises(AdapterUnavailable, match="lifecycle node /camera/driver is not there"):
             async with asyncio.timeout(BOUND):

@@ -52,23 +52,23 @@ async def test_a_projection_is_the_part_and_keeps_the_time(robot: Robot) -> None
 STOP = "feedback /odom None"
 
 
-def _taps(feeds: Any) -> set[str]:
-    return set(feeds._feeds["/odom"].taps)
+def _taps(subscriptions: Any) -> set[str]:
+    return set(subscriptions._subscriptions["/odom"].taps)
 
 
 async def test_two_paths_on_one_topic_share_a_subscription_that_ends_with_the_last(
     robot: Robot,
 ) -> None:
-    feeds = robot.backend._catalog._shared.feeds
+    subscriptions = robot.backend._catalog._shared.subscriptions
     ros = robot.backend._catalog._shared.ros
     async with robot.backend.watch("sensor/odom", None):
         async with robot.backend.watch("sensor/pose", None):
             await robot.first("sensor/odom")
             await robot.first("sensor/pose")
-            assert await ros.call(_taps, feeds) == {"sensor/odom", "sensor/pose", STOP}
+            assert await ros.call(_taps, subscriptions) == {"sensor/odom", "sensor/pose", STOP}
             assert await ros.call(lambda: ros.node.count_subscribers("/odom")) == 1
-        assert await ros.call(_taps, feeds) == {"sensor/odom", STOP}
-    assert await ros.call(_taps, feeds) == {STOP}
+        assert await ros.call(_taps, subscriptions) == {"sensor/odom", STOP}
+    assert await ros.call(_taps, subscriptions) == {STOP}
     assert await ros.call(lambda: {s.topic_name for s in ros.node.subscriptions}) == UNASKED
 
 

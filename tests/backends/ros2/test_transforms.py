@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from backends.ros2.robot import BOUND, Crew, Robot, fresh_domain, robot_of
+from backends.ros2.robot import BOUND, Robot, RobotNodes, fresh_domain, robot_of
 from rcp_kernel.errors import DeviceRejected, InvalidValue, OutOfRange
 from rcp_kernel.values import Encoding, value_type
 from rcp_ros2.definitions import TF_MESSAGE
@@ -39,31 +39,35 @@ def test_a_hash_is_the_one_that_the_generated_code_has() -> None:
 
 
 @pytest.fixture(scope="module")
-def casters() -> Iterator[tuple[int, Crew]]:
+def casters() -> Iterator[tuple[int, RobotNodes]]:
     domain = fresh_domain()
-    crew = Crew(domain)
-    crew.start()
-    yield domain, crew
-    crew.stop()
+    robot_nodes = RobotNodes(domain)
+    robot_nodes.start()
+    yield domain, robot_nodes
+    robot_nodes.stop()
 
 
-def stand(crew: Crew) -> int:
+def stand(robot_nodes: RobotNodes) -> int:
     """Two nodes say what stands for ever, one of them where the base is; return its last time."""
-    crew.tell("fix", by="base", parent="base_link", child="camera", place=[0, 0, 1, 0, 0, 0, 1])
-    crew.tell("fix", by="arm", parent="camera", child="lens/left", place=[0, 1, 0, 0, 0, 0, 1])
+    robot_nodes.tell(
+        "fix", by="base", parent="base_link", child="camera", place=[0, 0, 1, 0, 0, 0, 1]
+    )
+    robot_nodes.tell(
+        "fix", by="arm", parent="camera", child="lens/left", place=[0, 1, 0, 0, 0, 0, 1]
+    )
     now = time.time_ns()
     for tenth in range(11):
         place = [tenth / 10, 0, 0, 0, 0, 0, 1]
         stamp = now - S + tenth * S // 10
-        crew.tell("move", parent="odom", child="base_link", time=stamp, place=place)
+        robot_nodes.tell("move", parent="odom", child="base_link", time=stamp, place=place)
     return now
 
 
 @pytest.fixture
-async def framed(casters: tuple[int, Crew]) -> AsyncIterator[tuple[Robot, Crew, int]]:
-    domain, crew = casters
-    if not crew.runs:
-        crew.start()
+async def framed(casters: tuple[int, RobotNodes]) -> AsyncIterator[tuple[Robot, RobotNodes, int]]:
+    domain, robot_nodes = casters
+    if not robot_nodes.runs:
+        robot_nodes.start()
     async with robot_of(domain, expose=["/tf", "/tf_static"]) as robot:
         await robot.until(lambda: LOOKUP in robot.resources)
         now = 0
@@ -72,13 +76,13 @@ async def framed(casters: tuple[int, Crew]) -> AsyncIterator[tuple[Robot, Crew, 
             nonlocal now
             if {CAMERA, "sensor/tf/odom/lens.left"} <= robot.resources.keys():
                 frames = robot.backend._catalog.bindings[CAMERA]._tree.frames
-                if frames.look("odom", "camera")[1] == now:
+                if frames.lookup("odom", "camera")[1] == now:
                     return True
-            now = stand(crew)
+            now = stand(robot_nodes)
             return False
 
         await repeated(robot, stood)
-        yield robot, crew, now
+        yield robot, robot_nodes, now
 
 
 async def repeated(robot: Robot, once: Callable[[], bool]) -> None:
@@ -94,7 +98,7 @@ async def lookup(robot: Robot, target: str, source: str, at: float | None = None
     return await robot.execute(LOOKUP, asked)
 
 
-async def test_a_frame_is_read_in_one_that_matters(framed: tuple[Robot, Crew, int]) -> None:
+async def test_a_frame_is_read_in_one_that_matters(framed: tuple[Robot, RobotNodes, int]) -> None:
     robot, _, now = framed
     value = await robot.backend.read(CAMERA)
     moved = value.transform.translation
@@ -109,7 +113,7 @@ async def test_a_frame_is_read_in_one_that_matters(framed: tuple[Robot, Crew, in
 
 
 async def test_what_several_nodes_say_stands_for_ever_reaches_one_that_comes_late(
-    framed: tuple[Robot, Crew, int], casters: tuple[int, Crew]
+    framed: tuple[Robot, RobotNodes, int], casters: tuple[int, RobotNodes]
 ) -> None:
     domain, _ = casters
     names = {"/sensor/lens": ["base_link", "lens/left"]}
@@ -121,17 +125,17 @@ async def test_what_several_nodes_say_stands_for_ever_reaches_one_that_comes_lat
         assert (moved.x, moved.y, moved.z) == (0.0, 1.0, 1.0)
 
 
-async def test_a_pair_is_told_as_it_moves(framed: tuple[Robot, Crew, int]) -> None:
-    robot, crew, now = framed
+async def test_a_pair_is_told_as_it_moves(framed: tuple[Robot, RobotNodes, int]) -> None:
+    robot, robot_nodes, now = framed
     async with robot.backend.watch(CAMERA, 50.0):
         assert (await robot.first(CAMERA)).transform.translation.x == 1.0
         there = [2.0, 0, 0, 0, 0, 0, 1]
-        crew.tell("move", parent="odom", child="base_link", time=now + S, place=there)
+        robot_nodes.tell("move", parent="odom", child="base_link", time=now + S, place=there)
         await robot.until(lambda: robot.of(CAMERA)[-1].transform.translation.x == 2.0)
     assert [stamp for _, _, stamp in robot.samples] == [now, now + S]
 
 
-async def test_a_lookup_at_a_time_is_interpolated(framed: tuple[Robot, Crew, int]) -> None:
+async def test_a_lookup_at_a_time_is_interpolated(framed: tuple[Robot, RobotNodes, int]) -> None:
     robot, _, now = framed
     value = await lookup(robot, "odom", "lens/left", (now - S // 20) / S)
     assert abs(value.transform.translation.x - 0.95) < 1e-4
@@ -140,8 +144,8 @@ async def test_a_lookup_at_a_time_is_interpolated(framed: tuple[Robot, Crew, int
     assert back.transform.translation.x == -1.0
 
 
-async def test_a_lookup_that_cannot_be_says_why(framed: tuple[Robot, Crew, int]) -> None:
-    robot, crew, now = framed
+async def test_a_lookup_that_cannot_be_says_why(framed: tuple[Robot, RobotNodes, int]) -> None:
+    robot, robot_nodes, now = framed
     with pytest.raises(InvalidValue, match="there is no frame 'camra'") as unknown:
         await lookup(robot, "odom", "camra")
     assert "camera" in unknown.value.remedy
@@ -149,26 +153,26 @@ async def test_a_lookup_that_cannot_be_says_why(framed: tuple[Robot, Crew, int])
         await lookup(robot, "odom", "camera", now / S + 60)
     assert late.value.details is not None
     assert late.value.details["last"] > late.value.details["first"]
-    crew.tell("fix", by="arm", parent="table", child="cup", place=[0, 0, 0, 0, 0, 0, 1])
+    robot_nodes.tell("fix", by="arm", parent="table", child="cup", place=[0, 0, 0, 0, 0, 0, 1])
     await robot.until(lambda: "sensor/tf/table/cup" in robot.resources)
     with pytest.raises(DeviceRejected, match="are not connected"):
         await lookup(robot, "odom", "cup")
 
 
 async def test_casters_that_are_killed_and_come_back_go_on(
-    framed: tuple[Robot, Crew, int],
+    framed: tuple[Robot, RobotNodes, int],
 ) -> None:
-    robot, crew, _ = framed
+    robot, robot_nodes, _ = framed
     async with robot.backend.watch(CAMERA, None):
         await robot.first(CAMERA)
-        crew.kill()
+        robot_nodes.kill()
         assert (await robot.backend.read(CAMERA)).transform.translation.z == 1.0
-        crew.start()
+        robot_nodes.start()
 
         def moved() -> bool:
             there = [5.0, 0, 0, 0, 0, 0, 1]
             stamp = time.time_ns()
-            crew.tell("move", parent="odom", child="base_link", time=stamp, place=there)
+            robot_nodes.tell("move", parent="odom", child="base_link", time=stamp, place=there)
             return robot.of(CAMERA)[-1].transform.translation.x == 5.0
 
         await repeated(robot, moved)

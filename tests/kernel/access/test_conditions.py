@@ -93,9 +93,9 @@ async def test_a_condition_holds_fails_or_cannot_be_known(
     ("text", "why"),
     [
         ("sensor.battery >", "Syntax error"),
-        ("battery > 1", "there is no 'battery'"),
-        ("size(sensor) == 0", "'sensor' alone is no value"),
-        ("'x' in param", "'param' alone is no value"),
+        ("battery > 1", "unknown name 'battery'"),
+        ("size(sensor) == 0", "'sensor' alone is not a value"),
+        ("'x' in param", "'param' alone is not a value"),
         ("time.second > 1", "time.hour, time.minute and time.weekday"),
         ("action.go == 1", "'action' has no value"),
         ("reboot(sensor.battery)", "there is no function 'reboot'"),

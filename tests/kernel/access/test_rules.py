@@ -246,7 +246,7 @@ async def test_what_conditions_of_rules_are_about_is_watched(world: World) -> No
     [
         ('deny = [{ operations = ["discover"], paths = ["/**"], when = "true" }]', "discover"),
         ('allow = [{ operations = ["read"], paths = ["/**"], when = "battery" }]', "battery"),
-        ('allow = [{ operations = ["read"], paths = ["x"] }]', "rule for no path"),
+        ('allow = [{ operations = ["read"], paths = ["x"] }]', "rule with an invalid path"),
     ],
 )
 def test_a_rule_that_cannot_be_meant_stops_the_start(role: str, why: str) -> None:

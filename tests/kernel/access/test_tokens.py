@@ -106,10 +106,10 @@ async def test_a_role_that_the_configuration_lost_gives_nothing(text: str, store
         (["create", "arm", "--role", "viewer", "--tenant", "alpah"], "did you mean 'alpha'?"),
         (["create", "arm", "--grant", "alpha"], "write TENANT=ROLE"),
         (["create", "arm"], "--grant TENANT=ROLE"),
-        (["create", "a b", "--role", "viewer"], "a NAME has"),
-        (["create", "arm", "--role", "viewer", "--expires", "soon"], "is no day or time"),
-        (["create", "arm", "--role", "viewer", "--expires", "2020-01-01"], "is past"),
-        (["revoke", "arm"], "there is no key 'arm'"),
+        (["create", "a b", "--role", "viewer"], "NAME must be"),
+        (["create", "arm", "--role", "viewer", "--expires", "soon"], "is not a date or time"),
+        (["create", "arm", "--role", "viewer", "--expires", "2020-01-01"], "is in the past"),
+        (["revoke", "arm"], "no valid key is named 'arm'"),
     ],
 )
 def test_a_mistake_is_told_with_the_way_out(config: Path, words: list[str], said: str) -> None:

@@ -167,11 +167,11 @@ async def test_a_mode_that_is_not_named_or_not_known_forbids() -> None:
         client = world.client()
         refusal = await drive(client, 0.1)
         assert refusal["error"]["code"] == "mode_forbids"
-        assert "its mode cannot be known now" in refusal["error"]["message"]
+        assert "its mode is unknown" in refusal["error"]["message"]
         world.robot.host.publish("sensor/mode", "MANUAL")
         refusal = await drive(client, 0.1)
         assert refusal["error"]["message"] == (
-            "/tenant/alpha/actuator/drive takes commands in the mode GUIDED, AUTO; its mode is MANUAL"
+            "/tenant/alpha/actuator/drive accepts commands in mode GUIDED, AUTO; its mode is MANUAL"
         )
         assert refusal["error"]["details"]["mode"] == "MANUAL"
         world.robot.host.publish("sensor/mode", "AUTO")

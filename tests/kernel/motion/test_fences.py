@@ -50,7 +50,8 @@ async def test_a_goal_outside_the_fence_or_in_a_forbidden_area_is_refused() -> N
             assert code(reply) == ("completed" if wanted is None else "out_of_range"), (x, y)
         refusal = await client.ask(type="execute", path="/action/move", body=goal(10, 1))
         assert (
-            refusal["error"]["message"] == "the place (10, 1) of action 'move' is outside of hall"
+            refusal["error"]["message"] == "the position (10, 1) of action 'move' is outside "
+            "of hall"
         )
         assert refusal["error"]["details"]["fence"] == ["hall"]
         assert world.robot.writes == []

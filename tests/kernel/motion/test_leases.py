@@ -126,7 +126,7 @@ async def test_a_lapsed_lease_brings_to_rest_what_its_holder_left_moving(world: 
     await lease(holder, ttl=0.05)
     await drive(holder, valid_for=100)
     told = await holder.notice("lease_lost")
-    assert "time" in told["reason"]
+    assert "expired" in told["reason"]
     id_ = holder.send(type="subscribe", path=DRIVE)
     await holder.until(
         lambda m: m["type"] == "update" and m["id"] == id_ and m["body"]["linear"]["x"] == 0

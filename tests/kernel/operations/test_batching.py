@@ -31,7 +31,7 @@ async def test_reads_beyond_the_room_of_a_batch_are_referred_to_requests_of_thei
         assert {part["body"] for part in told} == {LONG}
         assert [part["id"] for part in reply["body"]] == [f"r{n}" for n in range(20)]
         assert {part["error"]["code"] for part in left} == {"payload_too_large"}
-        assert left[0]["error"]["remedy"] == "Send this request by itself, not in a batch."
+        assert left[0]["error"]["remedy"] == "Send this request on its own, not in a batch."
         assert len((await client.ask(**reads[-1]))["body"]) == len(LONG)
 
 
@@ -69,7 +69,7 @@ async def test_an_estop_goes_before_whatever_stands_with_it() -> None:
 async def test_a_batch_that_is_too_long_is_not_read_to_its_end(world: World, size: int) -> None:
     reply = await world.client().ask(type="batch", body=[1] * size)
     assert reply["error"]["code"] == "bad_request"
-    assert reply["message"] == "a batch holds at most 256 envelopes"
+    assert reply["message"] == "a batch has at most 256 envelopes"
 
 
 async def test_a_part_that_takes_long_keeps_no_other_from_its_turn(world: World) -> None:

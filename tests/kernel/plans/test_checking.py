@@ -291,7 +291,7 @@ async def test_all_conditions_of_a_plan_together_are_bounded() -> None:
     async with world_of() as world:
         reply = await run(world.client(), *(echo(when=text) for text in texts))
         assert code(reply) == "out_of_range"
-        assert "conditions of the plan" in reply["error"]["message"]
+        assert "the plan's conditions" in reply["error"]["message"]
         assert (await run(world.client(), *(echo(when="param.limit > 9.0") for _ in texts)))[
             "status"
         ] == "completed"

@@ -16,8 +16,11 @@ from rcp_kernel.errors import ConfigError
         ('[plans.actions.go]\npath = "action/go"', "plans.actions"),
         ('[plans.actions.set]\npath = "/param/limit"\ndo = "write"', "has no `value`"),
         ("[plans]\nsteps = 0", "plans.steps = 0"),
-        ('[roles.a]\napprove = ["action/dock"]', "[roles.a] approve has a rule for no path"),
-        ('[roles.a]\napprove = ["/system/estop"]', "needs no approval"),
+        (
+            '[roles.a]\napprove = ["action/dock"]',
+            "[roles.a] approve has a rule with an invalid path",
+        ),
+        ('[roles.a]\napprove = ["/system/estop"]', "need no approval"),
     ],
 )
 def test_a_table_that_makes_no_sense_is_refused_with_its_name(text: str, told: str) -> None:

@@ -126,7 +126,7 @@ def test_a_plugin_that_guards_and_cannot_be_asked_stops_the_start(
         return guard if name == "rcp_a2a" else real(name)
 
     monkeypatch.setattr(importlib, "import_module", load)
-    with pytest.raises(PluginError, match="let in what it should not"):
+    with pytest.raises(PluginError, match="admit requests that it must refuse"):
         Plugins(parse("[plugins.a2a]", "test"))
 
 

@@ -68,9 +68,9 @@ def test_a_file_that_others_may_write_is_refused(store: Path, suffix: str, mode:
 
 async def test_nothing_opens_a_store_that_others_may_write(store: Path) -> None:
     allow(store, 0o660)
-    with pytest.raises(ConfigError, match="can be written by others"):
+    with pytest.raises(ConfigError, match="other users can write"):
         TokenFile(store)
-    with pytest.raises(ConfigError, match="can be written by others"):
+    with pytest.raises(ConfigError, match="other users can write"):
         DiskStore(store, asyncio.get_running_loop())
     done = CliRunner().invoke(token, ["list", "--store", str(store)])
     assert (done.exit_code, done.stdout) == (1, "")
@@ -88,7 +88,7 @@ async def test_a_store_that_others_may_read_is_told_of(
     warned: bool,  # noqa: FBT001 - a case
 ) -> None:
     allow(store, mode)
-    told = f"others may read '{store}', and so the record: `chmod 600 {store}`"
+    told = f"other users can read '{store}', which contains the audit log: run `chmod 600 {store}`"
     configure("warning", "json")
     with capture_logs() as said:
         DiskStore(store, asyncio.get_running_loop()).close()

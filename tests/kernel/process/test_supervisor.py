@@ -98,7 +98,7 @@ async def test_two_backends_of_one_path_do_not_both_get_it() -> None:
     async with world_of(text) as world:
         backends = (await world.client().ask(type="status"))["body"]["backends"]
         assert [b["state"] for b in backends] == ["ready", "down"]
-        assert "is declared by backend 'robot' and again by 'second'" in backends[1]["detail"]
+        assert "is declared by backend 'robot' and by 'second'" in backends[1]["detail"]
 
 
 async def test_a_reload_starts_and_stops_backends(world: World) -> None:

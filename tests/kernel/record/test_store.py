@@ -113,10 +113,14 @@ async def test_no_start_where_nothing_can_be_written(
         return base
 
     monkeypatch.setattr(DiskStore, "_connect", limited)
-    with pytest.raises(ConfigError, match=r"readonly database\. Give the gateway's user a folder"):
+    with pytest.raises(
+        ConfigError,
+        match=r"readonly database\. Use a folder that the "
+        r"gateway's user",
+    ):
         DiskStore(path, asyncio.get_running_loop())
     (tmp_path / "file").touch()
-    with pytest.raises(ConfigError, match="Give the gateway's user a folder"):
+    with pytest.raises(ConfigError, match="Use a folder that the gateway's user"):
         DiskStore(tmp_path / "file" / "store.db", asyncio.get_running_loop())
 
 
@@ -124,7 +128,7 @@ async def test_no_start_while_another_program_holds_the_store(tmp_path: Path) ->
     path = whole(tmp_path / "store.db")
     with closing(sqlite3.connect(path)) as other:
         other.execute("BEGIN IMMEDIATE")
-        with pytest.raises(ConfigError, match="Close the program that holds it open"):
+        with pytest.raises(ConfigError, match="Close the program that has it open"):
             DiskStore(path, asyncio.get_running_loop())
         other.rollback()
 

@@ -40,7 +40,10 @@ async def test_it_ends_what_moves_the_robot_and_latches_nothing(world: World) ->
     held = await world.client().ask(type="execute", path=HOLD)
     assert (held["status"], held["body"]) == ("completed", {"at_rest": True, "detail": ""})
     final = await admin.final(go)
-    assert (final["status"], "told to hold" in final["error"]["message"]) == ("cancelled", True)
+    assert (final["status"], "commanded to hold" in final["error"]["message"]) == (
+        "cancelled",
+        True,
+    )
     assert robot.sent.count("hold") == 2, "what a cancelled action sends last could come after it"
     assert robot.sent[-1] == "hold"
     assert (await admin.ask(type="read", path=ESTOP))["body"]["active"] is False

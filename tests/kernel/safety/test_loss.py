@@ -33,7 +33,8 @@ async def lose(world: World, admin: Client) -> None:
     final = await admin.final(go)
     assert (final["status"], final["error"]["code"]) == ("failed", "adapter_unavailable")
     assert final["error"]["details"]["on_loss"] == "land"
-    assert "told to land when contact returns (on_loss = land)" in final["error"]["message"]
+    told = "commands it to land when the link is restored (on_loss = land)"
+    assert told in final["error"]["message"]
     robot.sent.clear()
 
 

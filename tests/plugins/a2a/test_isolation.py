@@ -160,4 +160,4 @@ async def test_what_was_asked_for_in_vain_is_told_although_it_is_hidden() -> Non
         id_ = (await sent(client, text("read /tenant/beta/sensor/text")))["id"]
         for method in ("GetTask", "ListTasks"):
             answer = await rpc(client, method, **({"id": id_} if method == "GetTask" else {}))
-            assert "there is no resource /tenant/beta/sensor/text" in str(answer)
+            assert "no resource /tenant/beta/sensor/text" in str(answer)

@@ -376,7 +376,7 @@ async def test_a_task_that_nobody_answers_fails() -> None:
     async with agent("input_timeout = 0.05") as site, caller(site) as client:
         task = await sent(client, text("execute /service/add"))
         over = await ended(client, task["id"])
-        assert (state(over), "Nobody answered" in said(over)) == ("FAILED", True)
+        assert (state(over), "No answer" in said(over)) == ("FAILED", True)
 
 
 @pytest.fixture

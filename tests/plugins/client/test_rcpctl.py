@@ -45,7 +45,10 @@ def test_read_goes_on_after_a_path_that_is_not_there(run: Run) -> None:
     done = run("read", "/sensor/nothing", "/param/speed_limit")
     assert done.returncode == 3
     assert json.loads(done.stdout)["body"] == 1.0
-    assert done.stderr.startswith("rcpctl: there is no resource /tenant/alpha/sensor/nothing. ")
+    assert done.stderr == (
+        "rcpctl: no resource /tenant/alpha/sensor/nothing. "
+        "Run `rcpctl discover` to list the available paths.\n"
+    )
 
 
 def test_write_takes_json_standard_input_or_a_file(run: Run, tmp_path: Path) -> None:
@@ -70,8 +73,9 @@ def test_a_value_may_begin_with_a_minus(run: Run) -> None:
 def test_a_value_that_is_not_json_is_a_mistake_of_usage(run: Run) -> None:
     done = run("write", "/param/speed_limit", "fast")
     assert done.returncode == 2
-    assert "'fast' is not JSON; /tenant/alpha/param/speed_limit takes, for example, '1.0'" in (
-        done.stderr
+    assert (
+        "'fast' is not valid JSON; /tenant/alpha/param/speed_limit accepts, for example, '1.0'"
+        in (done.stderr)
     )
     assert run("write", "/param/speed_limit", "@/nowhere/at/all").returncode == 2
 
@@ -158,7 +162,7 @@ def test_the_estop_takes_anybody_to_make_and_some_to_release(run: Run) -> None:
     assert denied.returncode == 3
     assert "may not reset an e-stop" in denied.stderr
     shown = run("estop", "--reset", "--text", RCP_TOKEN=ADMIN).stdout
-    assert shown == "E-stop released; nothing moves until a new command.\n"
+    assert shown == "E-stop reset. Nothing moves until a new command.\n"
 
 
 def test_a_lease_is_acquired_for_all_that_the_principal_runs(run: Run) -> None:

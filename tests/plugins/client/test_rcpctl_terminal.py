@@ -69,7 +69,7 @@ def test_the_first_interrupt_cancels_the_command_and_waits_for_its_end(run: Run,
         terminal.until("in_progress")
         terminal.interrupt()
         assert terminal.wait() == 130
-        assert "Ctrl-C again leaves without waiting" in terminal.text
+        assert "Ctrl-C again to stop waiting" in terminal.text
         assert "was cancelled" in terminal.text
     assert documents(run("commands"))[0]["status"] == "cancelled"
 

@@ -109,7 +109,7 @@ async def test_a_command_of_an_earlier_life_is_never_run_again() -> None:
         await heard.until("disconnected")
         proxy.mute = None
         await gateway.start()
-        with pytest.raises(ConnectionLost, match="not known"):
+        with pytest.raises(ConnectionLost, match="is unknown whether"):
             await running
         assert gateway.robot.started == []
 

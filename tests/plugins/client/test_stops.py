@@ -137,7 +137,7 @@ async def test_rcpctl_shows_how_far_the_stop_of_each_robot_has_come(
     assert names.split() == ["ROBOT", "STATE", "REQUESTED", "COMMANDED", "CONFIRMED", "DETAIL"]
     assert [row.split()[:2] for row in rows] == [["other", "confirmed"], ["robot", "confirmed"]]
     code, out, _ = await rcpctl(gateway, "estop", "--reset", "--text", token=ADMIN)
-    assert (code, out) == (0, "E-stop released; nothing moves until a new command.\n")
+    assert (code, out) == (0, "E-stop reset. Nothing moves until a new command.\n")
 
 
 async def test_rcpctl_names_who_is_not_confirmed_and_fails(

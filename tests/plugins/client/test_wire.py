@@ -266,7 +266,7 @@ async def test_a_refused_hello_is_why_there_is_no_connection() -> None:
 async def test_a_gateway_that_does_not_answer_hello_is_not_waited_for() -> None:
     async with asyncio.timeout(BOUND), peer() as gateway:
         gateway.greet = lambda _: None
-        with pytest.raises(ConnectionLost, match="does not answer hello"):
+        with pytest.raises(ConnectionLost, match="does not answer `hello`"):
             async with connect(gateway.url, encoding="json", connect_timeout=0.2):
                 pass
 
@@ -338,7 +338,7 @@ async def test_the_gateways_own_words_are_kept_when_it_refuses_the_connection() 
 async def test_a_server_of_another_protocol_is_no_gateway() -> None:
     async with serve(_nothing, "127.0.0.1", 0) as server:
         port = next(iter(server.sockets)).getsockname()[1]
-        with pytest.raises(ConnectionLost, match=r"does not speak rcp\.v1\.msgpack"):
+        with pytest.raises(ConnectionLost, match=r"does not support rcp\.v1\.msgpack"):
             async with connect(f"127.0.0.1:{port}"):
                 pass
 

@@ -123,7 +123,7 @@ async def test_an_installation_without_pages_says_how_to_get_them(static: Path) 
         page = await http.get("/")
         assert page.status_code == 200
         assert "make dashboard" in page.text
-        assert told(gateway)["detail"] == "its pages were not built: `make dashboard`"
+        assert told(gateway)["detail"] == "the pages were not built: run `make dashboard`"
         assert (await http.get("/healthz")).status_code == 200
 
 

@@ -94,7 +94,7 @@ async def test_after_a_freeze_the_gateway_rests_the_robot_and_says_so() -> None:
         scene.gateway.say(do="hang", how="loop 1.5")
         await scene.device.until(lambda fact: fact.get("told") == "STOP")
         ended = await scene.gateway.until(lambda fact: fact.get("status") == "cancelled")
-        assert "the guard has stopped the robot" in ended["error"]["message"]
+        assert "the guard stopped the robot" in ended["error"]["message"]
         await scene.device.until(lambda fact: fact.get("told") == "v 0")
         facts = await scene.guard()
         assert facts["guard"]["stops"] == 1

@@ -219,7 +219,7 @@ async def test_a_pattern_is_read_to_the_budget_and_goes_on_where_it_was_cut(
         assert facts.get("truncated", False) is ("cursor" in facts)
         if "cursor" not in facts:
             break
-        assert "go on with `cursor`" in words(page)
+        assert "continue with `cursor`" in words(page)
         cursor = {"cursor": facts["cursor"]}
     assert found == names
 

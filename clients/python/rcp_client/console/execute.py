@@ -82,7 +82,9 @@ class _Run:
         if not following.done():
             following.cancel()
             named = self._handle.id if self._handle else "it"
-            self._out.aside(f"rcpctl: left; `rcpctl commands` shows what becomes of {named}")
+            self._out.aside(
+                f"rcpctl: stopped waiting; `rcpctl commands` shows the status of {named}"
+            )
             return _INTERRUPTED
         try:
             reply = following.result()
@@ -136,7 +138,7 @@ class _Run:
             self._left.set()
             return
         self.asked = True
-        self._out.aside("\nrcpctl: cancelling; Ctrl-C again leaves without waiting")
+        self._out.aside("\nrcpctl: cancelling; press Ctrl-C again to stop waiting")
         if self._handle is not None:
             self._cancel()
 

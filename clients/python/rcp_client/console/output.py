@@ -12,6 +12,7 @@ from typing import Any
 
 import msgspec
 
+from rcp_client.console.remedies import remedy_of
 from rcp_client.errors import ConnectionLost
 from rcp_protocol.errors import RcpError
 from rcp_protocol.values import Encoding, dump, parse
@@ -120,7 +121,7 @@ class Output:
         if self.asked_json:
             sys.stderr.write(dump({"error": error_body(error)}, Encoding.JSON).decode() + "\n")
             return
-        self.aside(f"rcpctl: {error.message.rstrip('.')}. {error.remedy}")
+        self.aside(f"rcpctl: {error.message.rstrip('.')}. {remedy_of(error)}")
 
     def paint(self, word: str) -> str:
         """Colour a word that names a state."""

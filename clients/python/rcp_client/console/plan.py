@@ -52,7 +52,7 @@ def _checked(out: Output, reply: Reply) -> None:
     ]
     out.table(("STEP", "DO", "PATH", "VALUE"), rows)
     if wanted := reply.body.get("approval"):
-        out.line(f"A person has to approve: {', '.join(wanted)}.")
+        out.line(f"Approval required for: {', '.join(wanted)}.")
 
 
 def _ended(out: Output, reply: Reply) -> None:

@@ -144,7 +144,7 @@ async def _watch(client: Client, out: Output, args: Arguments) -> int:
     )
     async with subscription:
         if not subscription.paths:
-            out.aside("Nothing matches yet; waiting.")
+            out.aside("No matching resource yet; waiting.")
         async for update in subscription:
             show.update(out, update)
     return 0
@@ -199,7 +199,7 @@ async def _approvals(client: Client, out: Output, args: Arguments) -> int:
     elif listed:
         show.approvals(out, listed)
     else:
-        out.aside("Nothing waits for approval.")
+        out.aside("No commands are waiting for approval.")
     return 0
 
 
@@ -250,7 +250,7 @@ async def _lease_hold(client: Client, out: Output, args: Arguments) -> int:
     lease = client.lease(args["scope"], ttl=args["ttl"], take=args["take"], reason=args["reason"])
     async with lease:
         show.lease(out, lease.facts)
-        out.aside("Held until Ctrl-C.")
+        out.aside("Lease held. Press Ctrl-C to release it.")
         await asyncio.Event().wait()
     return 0
 
@@ -260,7 +260,7 @@ async def _codegen(client: Client, out: Output, args: Arguments) -> int:
 
     found = await client.discover(args["pattern"] or "/**")
     if not found:
-        out.aside("rcpctl: there is nothing to write a client for.")
+        out.aside("rcpctl: no resources to generate a client for.")
         return _FAILED
     out.line(generate(args["lang"], found, client.settings.address.url).rstrip("\n"))
     return 0

@@ -184,7 +184,9 @@ def lease(out: Output, facts: dict[str, Any]) -> None:
     if out.json:
         out.document(facts)
     else:
-        out.line(f"{facts['scope']} is {facts['holder']}'s until {facts['expires'][:19]}Z.")
+        out.line(
+            f"{facts['holder']} holds the lease on {facts['scope']} until {facts['expires'][:19]}Z."
+        )
 
 
 def estop(out: Output, state: dict[str, Any]) -> None:
@@ -192,7 +194,7 @@ def estop(out: Output, state: dict[str, Any]) -> None:
     robots: dict[str, dict[str, Any]] = state.get("robots") or {}
     scopes = state.get("scopes") or {}
     if not robots and not scopes:
-        out.line("E-stop released; nothing moves until a new command.")
+        out.line("E-stop reset. Nothing moves until a new command.")
         return
     names = sorted(robots) or sorted(scopes)
     out.line(f"E-stop {out.paint('latched')}: {', '.join(names)}.")

@@ -100,10 +100,8 @@ async def _holds(client: Client, robot: str | None) -> list[ResourceInfo]:
     if not found:
         known = ", ".join(sorted(_name(one) for one in holds))
         raise UnknownPath(
-            f"there is no robot '{robot}' that can hold" if robot else "there is no robot to hold",
-            remedy=f"The robots are: {known}."
-            if known
-            else "List `rcpctl discover '/service/**'`.",
+            f"no robot '{robot}' with a hold service" if robot else "no robot with a hold service",
+            remedy=f"The robots are: {known}." if known else "Run `rcpctl discover '/service/**'`.",
         )
     return found
 

@@ -45,7 +45,7 @@ async def meant(client: Client, path: str, text: str) -> Any:
     schema = resource.schemas.get("value") or resource.schemas.get("input") or {}
     if _takes_text(schema, schema):
         return text.removesuffix("\n")
-    raise click.UsageError(f"{_start(text)} is not JSON{_advice(resource)}")
+    raise click.UsageError(f"{_start(text)} is not valid JSON{_advice(resource)}")
 
 
 def _takes_text(schema: dict[str, Any], root: dict[str, Any]) -> bool:
@@ -67,4 +67,6 @@ def _start(text: str) -> str:
 
 def _advice(resource: ResourceInfo) -> str:
     example = next((e for e in resource.examples if e is not None), None)
-    return "" if example is None else f"; {resource.path} takes, for example, '{compact(example)}'"
+    return (
+        "" if example is None else (f"; {resource.path} accepts, for example, '{compact(example)}'")
+    )

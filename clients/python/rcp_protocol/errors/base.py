@@ -56,7 +56,7 @@ class Cancelled(RcpError):
     code = "cancelled"
     http = 499
     status = "cancelled"
-    default_remedy = "Send it again if it is still wanted."
+    default_remedy = "Send it again if it is still needed."
 
 
 class InternalError(Failed):

@@ -26,7 +26,9 @@ class BadRequest(Refused):
 
     code = "bad_request"
     http = 400
-    default_remedy = "Send one envelope of docs/protocol.md, section 3, in the agreed encoding."
+    default_remedy = (
+        "Send one envelope, as docs/protocol.md describes it, in the negotiated encoding."
+    )
 
 
 class InvalidPath(Refused):
@@ -35,7 +37,7 @@ class InvalidPath(Refused):
     code = "invalid_path"
     http = 400
     default_remedy = (
-        "Write /tenant/<tenant>/<branch>/<name> or /<branch>/<name>; a segment is [A-Za-z0-9_.-]+."
+        "Use /tenant/<tenant>/<branch>/<name> or /<branch>/<name>; a segment is [A-Za-z0-9_.-]+."
     )
 
 
@@ -44,7 +46,7 @@ class UnknownPath(Refused):
 
     code = "unknown_path"
     http = 404
-    default_remedy = "Send `discover` to list the paths there are."
+    default_remedy = "Use `discover` to list the available paths."
 
 
 class UnsupportedOperation(Refused):
@@ -60,14 +62,16 @@ class InvalidValue(Refused):
 
     code = "invalid_value"
     http = 422
-    default_remedy = "Send a value that fits the path's schema; `discover` shows it with examples."
+    default_remedy = (
+        "Send a value that matches the path's schema; `discover` returns it with examples."
+    )
 
 
 class OutOfRange(InvalidValue):
     """The value has the right type and lies outside a bound of the schema."""
 
     code = "out_of_range"
-    default_remedy = "Send a value inside the bounds; `discover` shows them."
+    default_remedy = "Send a value within the bounds; `discover` returns them."
 
 
 class DuplicateRequest(Refused):
@@ -83,7 +87,7 @@ class PayloadTooLarge(Refused):
 
     code = "payload_too_large"
     http = 413
-    default_remedy = "Send less at once; `hello` and the details name the limit."
+    default_remedy = "Send a smaller message; `details` and the reply to `hello` give the limit."
 
 
 class SegmentMissing(Refused):
@@ -117,7 +121,9 @@ class FilterUnsupported(Refused):
 
     code = "filter_unsupported"
     http = 400
-    default_remedy = "Drop the option that the message names, or use it on a path that has it."
+    default_remedy = (
+        "Remove the option that the message names, or use it on a path that supports it."
+    )
 
 
 class NotImplementedByRobot(Refused):
@@ -125,4 +131,4 @@ class NotImplementedByRobot(Refused):
 
     code = "not_implemented"
     http = 501
-    default_remedy = "Use another path or option; this gateway does not have the function."
+    default_remedy = "Use another path or option."

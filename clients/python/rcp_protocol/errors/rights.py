@@ -43,7 +43,7 @@ class ApprovalRequired(Forbidden):
     """A person has to approve this command first."""
 
     code = "approval_required"
-    default_remedy = "Ask a person with the right to approve it."
+    default_remedy = "Ask someone who may approve it."
 
 
 class LeaseRequired(Refused):
@@ -51,7 +51,7 @@ class LeaseRequired(Refused):
 
     code = "lease_required"
     http = 423
-    default_remedy = "Acquire a lease on the sub-tree first."
+    default_remedy = "Acquire a lease on the robot or sub-tree first."
 
 
 class LeaseHeld(Refused):
@@ -60,7 +60,9 @@ class LeaseHeld(Refused):
     code = "lease_held"
     http = 423
     retryable = True
-    default_remedy = "Wait for the holder to release it, or take it over with a higher priority."
+    default_remedy = (
+        "Wait until the holder releases it, or take it over if your priority is higher."
+    )
 
 
 class LeaseLost(Refused):
@@ -68,7 +70,7 @@ class LeaseLost(Refused):
 
     code = "lease_lost"
     http = 423
-    default_remedy = "Acquire the lease again before you command."
+    default_remedy = "Acquire the lease again before you send commands."
 
 
 class RateLimited(Refused):

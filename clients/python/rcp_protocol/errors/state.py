@@ -28,7 +28,8 @@ class EstopActive(Refused):
     code = "estop_active"
     http = 423
     default_remedy = (
-        "Make sure the robot is safe, then have a person with the right reset the e-stop."
+        "Make sure the robot is safe, then ask someone whose role has `reset = true` to reset "
+        "the e-stop."
     )
 
 
@@ -37,7 +38,7 @@ class ModeForbids(Refused):
 
     code = "mode_forbids"
     http = 409
-    default_remedy = "Bring the robot into a mode that allows it."
+    default_remedy = "Switch the robot to a mode that allows it."
 
 
 class PreconditionFailed(Refused):
@@ -45,7 +46,7 @@ class PreconditionFailed(Refused):
 
     code = "precondition_failed"
     http = 409
-    default_remedy = "Bring about the condition that the message names, then send it again."
+    default_remedy = "Make the condition in the message true, then send it again."
 
 
 class StaleCommand(Refused):
@@ -53,7 +54,7 @@ class StaleCommand(Refused):
 
     code = "stale_command"
     http = 409
-    default_remedy = "Send a fresh command with the present time; check that the clocks agree."
+    default_remedy = "Send a new command with the current time; check that the clocks agree."
 
 
 class AlreadyRunning(Refused):
@@ -82,7 +83,7 @@ class Gap(Refused):
 
     code = "gap"
     http = 410
-    default_remedy = "Subscribe afresh; read the present values for what the gap hides."
+    default_remedy = "Subscribe again, and read the current values."
 
 
 class AdapterUnavailable(Refused):
@@ -91,7 +92,9 @@ class AdapterUnavailable(Refused):
     code = "adapter_unavailable"
     http = 503
     retryable = True
-    default_remedy = "Check that the robot is on and reachable; `status` shows each backend."
+    default_remedy = (
+        "Check that the robot is switched on and reachable; /system/status lists the backends."
+    )
 
 
 class DeviceRejected(Failed):
@@ -99,7 +102,7 @@ class DeviceRejected(Failed):
 
     code = "device_rejected"
     http = 502
-    default_remedy = "Remove the cause that the robot names, then send it again."
+    default_remedy = "Fix the cause that the robot reports, then send it again."
 
 
 class DeviceTimeout(Failed, TimeoutError):
@@ -108,7 +111,7 @@ class DeviceTimeout(Failed, TimeoutError):
     code = "device_timeout"
     http = 504
     retryable = True
-    default_remedy = "Check the robot and its link; look at its state before you send it again."
+    default_remedy = "Check the robot and its link; check its state before you send it again."
 
 
 class DeadlineExceeded(Failed, TimeoutError):
@@ -117,7 +120,7 @@ class DeadlineExceeded(Failed, TimeoutError):
     code = "deadline_exceeded"
     http = 504
     retryable = True
-    default_remedy = "Look at the state of the robot, then send it again with a longer `deadline`."
+    default_remedy = "Check the state of the robot, then send it again with a longer `deadline`."
 
 
 class Overrun(Failed):
@@ -125,4 +128,4 @@ class Overrun(Failed):
 
     code = "overrun"
     http = 503
-    default_remedy = "Subscribe again with a lower rate, a deeper queue, or `best_effort`."
+    default_remedy = "Subscribe again with a lower `rate`, a larger `depth`, or `best_effort`."

@@ -37,7 +37,7 @@ async def test_unknown_keys_do_not_make_the_gateway_ask_without_end(
     asked = issuer.asked
     issuer.keys["unlisted"] = Key("unlisted", "ES256")
     for number in range(5):
-        with pytest.raises(Unauthenticated, match="does not list"):
+        with pytest.raises(Unauthenticated, match="does not publish"):
             await who(world, issuer.token("unlisted", n=number))
     assert issuer.asked - asked <= 2  # one fetch is two requests
 
@@ -135,7 +135,7 @@ async def test_a_key_taken_back_ends_what_it_opened_with_the_next_fetch(
         assert (await loser.notice("subscription_ended"))["reason"] == "token_expired"
         assert (await loser.final(None))["error"]["code"] == "token_expired"
         assert (await keeper.ask(type="ping"))["status"] == "completed"
-        with pytest.raises(Unauthenticated, match="does not list"):
+        with pytest.raises(Unauthenticated, match="does not publish"):
             await who(world, old)
 
 

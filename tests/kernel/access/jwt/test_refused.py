@@ -38,13 +38,13 @@ pytestmark = pytest.mark.anyio
         ({"exp": 1_000_000_000}, TokenExpired, "has expired"),
         ({"exp": None}, Unauthenticated, "needs the claims"),
         ({"aud": None}, Unauthenticated, "needs the claims"),
-        ({"aud": "other"}, Unauthenticated, "not for this gateway"),
+        ({"aud": "other"}, Unauthenticated, "for another audience"),
         ({"aud": []}, Unauthenticated, "aud"),
         ({"aud": {"a": 1}}, Unauthenticated, "aud"),
-        ({"iss": "https://elsewhere.example"}, Unauthenticated, "not known here"),
+        ({"iss": "https://elsewhere.example"}, Unauthenticated, "issuer is not configured"),
         ({"iss": None}, Unauthenticated, "malformed"),
-        ({"nbf": 4_000_000_000}, Unauthenticated, "not good yet"),
-        ({"iat": 4_000_000_000}, Unauthenticated, "not good yet"),
+        ({"nbf": 4_000_000_000}, Unauthenticated, "not valid yet"),
+        ({"iat": 4_000_000_000}, Unauthenticated, "not valid yet"),
         ({"exp": "soon"}, Unauthenticated, "malformed"),
         ({"exp": [1]}, Unauthenticated, "malformed"),
         ({"exp": float("inf")}, Unauthenticated, "malformed"),
@@ -68,7 +68,7 @@ async def test_the_clocks_may_differ_by_the_leeway(world: World, issuer: Issuer)
     assert (await who(world, issuer.token(exp=now - 20, nbf=now + 20, iat=now + 20))).name == "ann"
     with pytest.raises(TokenExpired):
         await who(world, issuer.token(exp=now - 31))
-    with pytest.raises(Unauthenticated, match="not good yet"):
+    with pytest.raises(Unauthenticated, match="not valid yet"):
         await who(world, issuer.token(nbf=now + 40))
 
 
@@ -232,12 +232,12 @@ def test_whatever_a_signed_claim_holds_it_is_told_by_an_error_of_the_contract(va
         ('issuer = "http://i"\naudience = "a"\nrole = "viewer"\ndiscovery = true', "https"),
         (
             'issuer = "i"\naudience = "a"\nrole = "viewer"\njwks_url = "http://u:p@127.0.0.1/"',
-            "without user",
+            "without a user name",
         ),
         ('issuer = "https://i"\naudience = []\nrole = "viewer"\ndiscovery = true', "is empty"),
         (
             'issuer = "https://i"\naudience = "a"\nrole = "viewer"\ndiscovery = true\nlifetime = 60',
-            "would lapse between two fetches",
+            "keys expire between two fetches",
         ),
         ('issuer = "https://i"\naudience = "a"\ndiscovery = true', "needs a `role`"),
         ('issuer = "https://i"\naudience = "a"\nrole = "x"\ndiscovery = true', "role 'x'"),
@@ -247,14 +247,14 @@ def test_whatever_a_signed_claim_holds_it_is_told_by_an_error_of_the_contract(va
         ),
         (
             'issuer = "https://i"\naudience = "a"\nrole = "viewer"\ndiscovery = true\nrole_claim = "r"',
-            "go together",
+            "must be used together",
         ),
         (
             'issuer = "https://i"\naudience = "a"\ndiscovery = true\nrole_claim = "r"\nby_claim = { x = { role = "opertor" } }',
             "did you mean 'operator'",
         ),
         ('issuer = "i"\naudience = "a"\nrole = "viewer"\nkeys = "nowhere.pem"', "cannot be read"),
-        ('issuer = "i"\naudience = "a"\nrole = "viewer"\nkeys = "{}"', "holds no public key"),
+        ('issuer = "i"\naudience = "a"\nrole = "viewer"\nkeys = "{}"', "is not a public key"),
     ],
 )
 def test_a_faulty_table_says_what_is_wrong(text: str, said: str) -> None:

@@ -23,7 +23,7 @@ async def test_sessions_of_a_tenant_are_counted_over_all_its_principals() -> Non
             world.client(ANN)
         assert caught.value.details == {"quota": "tenant", "what": "sessions", "limit": 2}
         assert caught.value.retry_after
-        assert "End sessions that are not needed" in caught.value.remedy
+        assert "End sessions that you no longer need" in caught.value.remedy
         for _ in range(5):
             world.client(BOB)
         first.connection.close()
@@ -157,7 +157,7 @@ async def test_reliable_ends_with_overrun_when_too_much_waits() -> None:
         client.connection.outbox.on_flush = flush
         client.connection.outbox.flush()
         told = await client.notice("overrun")
-        assert "2048 bytes" in told["message"]
+        assert "2048 unread bytes" in told["message"]
 
 
 async def test_who_leaves_his_replies_lying_gets_no_more_and_another_goes_on() -> None:

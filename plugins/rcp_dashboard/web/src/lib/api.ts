@@ -13,6 +13,6 @@ export async function ask(what: string, options: RequestInit = {}): Promise<unkn
     throw new RcpError(told.error);
   } catch (error) {
     if (error instanceof RcpError) throw error;
-    throw new RcpError({ code: "internal", message: `something that is not the gateway answered: HTTP ${answer.status}` });
+    throw new RcpError({ code: "internal", message: `unexpected response, not from the gateway: HTTP ${answer.status}` });
   }
 }

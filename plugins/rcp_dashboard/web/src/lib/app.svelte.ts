@@ -280,7 +280,7 @@ class App {
     if (this.token) headers["authorization"] = `Bearer ${this.token}`;
     const body = JSON.stringify({ type: "execute", path: "/system/estop", body: input, deadline: CONFIRM });
     const lost = (): never => {
-      throw new ConnectionLost("the gateway does not answer: nothing may have stopped", "Use the stop on the robot.");
+      throw new ConnectionLost("no response from the gateway: robots may not have stopped", "Use the robot's own emergency stop.");
     };
     const send = (): Promise<Response> => fetch(`${BASE}/rcp/v1/messages`, { method: "POST", headers, body, signal: AbortSignal.timeout(PATIENCE) });
     // The first may have gone into a connection that the browser has kept, and that is dead as well.

@@ -67,8 +67,8 @@ export class Control {
   #lose(notice: Notice | undefined): void {
     this.lease = undefined;
     this.onlost();
-    const message = notice ? `control was lost: ${notice["reason"] ?? notice.message ?? ""} ${notice["by"] ? `(${notice["by"]})` : ""}` : "control was lost with the session";
-    this.error = new RcpError({ code: "lease_lost", message, remedy: "Take control again when it is yours to take." });
+    const message = notice ? `control lost: ${notice["reason"] ?? notice.message ?? ""} ${notice["by"] ? `(${notice["by"]})` : ""}` : "control lost: the session ended";
+    this.error = new RcpError({ code: "lease_lost", message, remedy: "Press Take control to get it back." });
   }
 
   async give(): Promise<void> {

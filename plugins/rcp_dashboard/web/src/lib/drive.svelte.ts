@@ -95,14 +95,14 @@ export class Drive<W> {
     this.#looked = now;
     if (app.client.state !== "open" || !this.#control.held || away()) return this.cut();
     // The gateway has stopped the robot meanwhile, and whether a hand is still there is not known.
-    if (late > SLOW) return this.cut(slow("held_up", "this page stood still for a while", "Drive again when it runs smoothly."));
+    if (late > SLOW) return this.cut(slow("held_up", "this page was unresponsive for a moment", "Drive again when the page responds normally."));
     this.#next();
   }
 
   /** Write what is wanted; one at a time, so that a slow way is not filled up. */
   #next(): void {
     if (this.#since !== undefined) {
-      if (performance.now() - this.#since > SLOW) this.cut(slow("link_slow", "the gateway takes too long to answer", "Drive again when the latency is low."));
+      if (performance.now() - this.#since > SLOW) this.cut(slow("link_slow", "the gateway responds too slowly", "Drive again when the latency is low."));
       return;
     }
     this.#moving = true;

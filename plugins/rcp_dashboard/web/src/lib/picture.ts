@@ -33,9 +33,9 @@ export async function picture(value: any): Promise<Picture> {
   const pixels = new ImageData(width, height);
   const colours = CHANNELS[encoding];
   const measure = MEASURES[encoding];
-  if (!colours && !measure) throw new Error(`its encoding is ${encoding}`);
+  if (!colours && !measure) throw new Error(`unsupported encoding ${encoding}`);
   const step = value.step || width * (colours?.[0] ?? measure![0]);
-  if (data.length < step * height) throw new Error("it is cut short");
+  if (data.length < step * height) throw new Error("the image data is incomplete");
   if (colours) {
     copy(pixels, data, step, colours);
     return { image: await createImageBitmap(pixels) };

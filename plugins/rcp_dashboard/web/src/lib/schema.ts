@@ -72,7 +72,7 @@ export function numberOf(text: string): number | string {
 export function parse(text: string): unknown {
   return (JSON.parse as any)(text, (_: string, value: unknown, context?: { source?: string }) => {
     if (typeof value !== "number" || Math.abs(value) <= Number.MAX_SAFE_INTEGER) return value;
-    if (context?.source === undefined) throw new Error(`This browser may not take ${value} as it is written: put it in quotes.`);
+    if (context?.source === undefined) throw new Error(`This browser cannot represent ${value} exactly: put it in quotes.`);
     return numberOf(context.source);
   });
 }

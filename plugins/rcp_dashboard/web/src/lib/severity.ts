@@ -24,7 +24,7 @@ const HIDDEN = new Set(["what", "principal", "outcome", "latches", "seq", "time"
 
 /** What is said of a robot that moves again although it is stopped. */
 export function alarmText(robot: string, detail: string | undefined): string {
-  return `ALARM: ${robot} moves again under the emergency stop${detail ? `: ${detail}` : ""}`;
+  return `ALARM: ${robot} is moving despite the emergency stop${detail ? `: ${detail}` : ""}`;
 }
 
 function levelOf(source: Source, path: string, body: any): Level {
@@ -49,7 +49,7 @@ function textOf(source: Source, body: any): string {
     const facts = Object.entries(body).filter(([key, value]) => !HIDDEN.has(key) && value !== null);
     return `${body.what} by ${body.principal}: ${body.outcome}  ${brief(Object.fromEntries(facts), 100)}`;
   }
-  return `${body?.active === false ? "over: " : ""}${brief(body?.message ?? body?.text ?? body, 300)}`;
+  return `${body?.active === false ? "cleared: " : ""}${brief(body?.message ?? body?.text ?? body, 300)}`;
 }
 
 export function entry(source: Source, path: string, timestamp: string, seq: number | string, body: any): Entry {

@@ -99,8 +99,8 @@ export function named(names: string[], most = 4): string {
 
 /** What `/system/estop` names a latch of a tenant or of everything, as people do. */
 export function scopeName(key: string): string {
-  if (key === "*") return "every robot, also those that appear later";
-  return key.startsWith("/tenant/") ? `tenant ${key.slice("/tenant/".length)}, also robots that appear later` : key;
+  if (key === "*") return "every robot, including robots added later";
+  return key.startsWith("/tenant/") ? `tenant ${key.slice("/tenant/".length)}, including robots added later` : key;
 }
 
 /** The names of groups of robots that one stop stops together. */

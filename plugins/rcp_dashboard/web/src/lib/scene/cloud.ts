@@ -45,7 +45,7 @@ export function cloudPoints(cloud: any): Points {
   const view = viewOf(data);
   const little = !cloud.is_bigendian;
   const [x, y, z] = [fieldOf(cloud, "x"), fieldOf(cloud, "y"), fieldOf(cloud, "z")];
-  if (!x || !y) throw new Error("it has no x and y");
+  if (!x || !y) throw new Error("it has no fields x and y");
   const rgb = cloud.fields.find((one: any) => one.name === "rgb" || one.name === "rgba");
   const intensity = fieldOf(cloud, "intensity", "i", "reflectivity");
   const step = cloud.point_step;

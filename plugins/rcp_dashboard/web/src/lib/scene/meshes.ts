@@ -37,8 +37,8 @@ export class Meshes {
 
   async #made(uri: string, material: Material): Promise<Object3D> {
     const ending = uri.slice(uri.lastIndexOf(".") + 1).toLowerCase();
-    if (ending === "gltf") throw new Error("a .gltf lies in several files: make it one .glb");
-    if (!["stl", "dae", "obj", "glb"].includes(ending)) throw new Error(`nothing here reads .${ending}`);
+    if (ending === "gltf") throw new Error(".gltf is not supported: convert it to a single .glb");
+    if (!["stl", "dae", "obj", "glb"].includes(ending)) throw new Error(`.${ending} is not supported`);
     const data = await this.#file(uri);
     if (ending === "stl") return new Mesh(new STLLoader().parse(data.slice().buffer), material);
     if (ending === "glb") return this.#glb(data);
@@ -50,7 +50,7 @@ export class Meshes {
     await this.pictures([...text.matchAll(/<image\b[^>]*>[^]*?<init_from>\s*([^<]+?)\s*<\/init_from>/g)].map((found) => join(uri, found[1] as string)));
     // RViz takes the vertices as they are, whichever axis is said to be up.
     const made = new ColladaLoader(this.manager).parse(text.replace(/<up_axis>[^<]*<\/up_axis>/, ""), folder(uri));
-    if (!made) throw new Error("it is no COLLADA");
+    if (!made) throw new Error("it is not a COLLADA file");
     return made.scene;
   }
 
@@ -113,11 +113,11 @@ export class Meshes {
   }
 
   async #got(uri: string): Promise<Uint8Array<ArrayBuffer>> {
-    if (!this.#fetch) throw new Error("there is no service/assets/fetch that you may call");
+    if (!this.#fetch) throw new Error("no service/assets/fetch, or your role may not call it");
     if (this.#busy >= AT_ONCE) await new Promise<void>((resolve) => this.#waiting.push(resolve));
     this.#busy += 1;
     try {
-      if (this.#over) throw new Error("it is not drawn any more");
+      if (this.#over) throw new Error("it is no longer shown");
       return await this.#fetch(uri);
     } finally {
       this.#busy -= 1;

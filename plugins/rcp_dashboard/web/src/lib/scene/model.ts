@@ -25,7 +25,7 @@ export async function modelOf(text: string, fetch: Fetch | undefined, changed: (
 function joined(text: string): Element {
   const read = new DOMParser().parseFromString(text, "text/xml");
   const robot = read.querySelector("robot");
-  if (!robot || read.querySelector("parsererror")) throw new Error("it is no XML of a robot");
+  if (!robot || read.querySelector("parsererror")) throw new Error("it is not a robot description in XML");
   const below = new Set([...robot.querySelectorAll("joint > child")].map((one) => one.getAttribute("link")));
   const [first, ...more] = [...robot.querySelectorAll(":scope > link")].map((one) => one.getAttribute("name")).filter((name) => !below.has(name));
   if (!first) throw new Error("it has no link");

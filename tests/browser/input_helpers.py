@@ -1,12 +1,15 @@
-"""Hands on the dashboard's Teleop page, and what may take them off it unseen."""
+"""Mouse, keyboard, gamepad and touch input on the dashboard, and what may interrupt it unseen."""
 
 from __future__ import annotations
 
-from playwright.async_api import Locator, Page, expect
+from collections.abc import AsyncGenerator
+from contextlib import asynccontextmanager
+
+from playwright.async_api import CDPSession, Locator, Page, expect
 
 from browser.watched import Watched
 
-__all__ = ["UNSEEN", "drives", "push", "shift", "stands", "take", "unsafe"]
+__all__ = ["UNSEEN", "Touch", "drives", "push", "shift", "stands", "take", "touching", "unsafe"]
 
 UNSEEN = """
 window.pads = [];
@@ -107,4 +110,44 @@ async def drives(page: Page, source: str) -> None:
 
 async def stands(page: Page) -> None:
     """Wait until nobody drives."""
-    await expect(deadman(page)).to_contain_text("let go")
+    await expect(deadman(page)).to_contain_text("released")
+
+
+class Touch:
+    """Fingers on the page, each by its number."""
+
+    def __init__(self, session: CDPSession) -> None:
+        self._session = session
+        self._at: dict[int, tuple[float, float]] = {}
+
+    async def down(self, finger: int, x: float, y: float) -> None:
+        """Put one more on the page."""
+        self._at[finger] = x, y
+        await self._tell("touchStart")
+
+    async def move(self, **to: tuple[float, float]) -> None:
+        """Move some at once: `a` is the first, `b` the second."""
+        self._at |= {"ab".index(name): at for name, at in to.items()}
+        await self._tell("touchMove")
+
+    async def up(self, finger: int) -> None:
+        """Lift one."""
+        x, y = self._at.pop(finger)
+        await self._send("touchEnd", [{"x": x, "y": y, "id": finger}])
+
+    async def _tell(self, event: str) -> None:
+        await self._send(event, [{"x": x, "y": y, "id": n} for n, (x, y) in self._at.items()])
+
+    async def _send(self, event: str, points: list[dict[str, float]]) -> None:
+        await self._session.send("Input.dispatchTouchEvent", {"type": event, "touchPoints": points})
+
+
+@asynccontextmanager
+async def touching(page: Page) -> AsyncGenerator[Touch]:
+    """Touch a page while entered."""
+    session = await page.context.new_cdp_session(page)
+    await session.send("Emulation.setTouchEmulationEnabled", {"enabled": True, "maxTouchPoints": 5})
+    try:
+        yield Touch(session)
+    finally:
+        await session.detach()

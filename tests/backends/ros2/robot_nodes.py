@@ -1,6 +1,6 @@
 """The nodes of a robot that follow ROS's conventions: with a lifecycle, diagnostics, logs, frames.
 
-Run as `python crew.py`; prints `ready` when everything is offered, does what each line (JSON, with
+Run as `python robot_nodes.py`; prints `ready` when everything is offered, does what each line (JSON, with
 the name of a method in `do`) says, answers it with one line, and ends with its stdin.
 """
 
@@ -90,7 +90,7 @@ def transforms(*items: tuple[str, str, int, list[float]]) -> bytes:
     return bytes(out)
 
 
-class Crew:
+class RobotNodes:
     """All the nodes, and what they can be told to do."""
 
     def __init__(self) -> None:
@@ -149,30 +149,30 @@ class Crew:
         getattr(self.driver, f"trigger_{transition}")()
 
 
-def serve(crew: object) -> None:
+def serve(robot_nodes: object) -> None:
     """Do what each line of the input says, until it ends."""
     print("ready", flush=True)  # noqa: T201
     for line in sys.stdin:
         order = json.loads(line)
-        answer = getattr(crew, order.pop("do"))(**order)
+        answer = getattr(robot_nodes, order.pop("do"))(**order)
         print(json.dumps(answer), flush=True)  # noqa: T201
 
 
 def main() -> None:
     rclpy.init()
-    crew = Crew()
+    robot_nodes = RobotNodes()
     executor = SingleThreadedExecutor()
-    for node in crew.nodes:
+    for node in robot_nodes.nodes:
         executor.add_node(node)
     spinning = threading.Thread(target=executor.spin, daemon=True)
     spinning.start()
-    serve(crew)
+    serve(robot_nodes)
     executor.shutdown(timeout_sec=1)
     spinning.join(2)
-    for node in crew.nodes:
+    for node in robot_nodes.nodes:
         node.destroy_node()
     rclpy.shutdown()
-    del crew, executor, spinning, node
+    del robot_nodes, executor, spinning, node
     gc.collect()  # the participant leaves the graph with its last reference
     os._exit(0)
 

@@ -1,0 +1,37 @@
+"""What to do next, in the words of `rcpctl`: the gateway's remedies name fields of the wire."""
+
+from __future__ import annotations
+
+from rcp_kernel.errors import BY_CODE, RcpError
+
+__all__ = ["remedy_of"]
+
+_REMEDIES = {
+    "estop_active": "Make sure the robot is safe, then run `rcpctl estop --reset`, or ask someone "
+    "whose role may reset.",
+    "invalid_value": "Run `rcpctl discover PATH` for the schema and examples.",
+    "lease_held": "Wait until the holder releases it, or run `rcpctl lease hold SCOPE --take "
+    "--reason TEXT` if your priority is higher.",
+    "lease_lost": "Run `rcpctl lease hold SCOPE` before you send commands.",
+    "lease_required": "Run `rcpctl lease hold SCOPE` in another terminal first.",
+    "out_of_range": "Run `rcpctl discover PATH` for the bounds.",
+    "token_expired": "Pass a new token with --token or RCP_TOKEN.",
+    "unauthenticated": "Pass a valid key or token with --token or RCP_TOKEN.",
+    "unknown_path": "Run `rcpctl discover` to list the available paths.",
+    "unsupported_operation": "Run `rcpctl discover PATH` for its operations.",
+    "deadline_exceeded": "Check the state of the robot, then try again with a longer --deadline or "
+    "--timeout.",
+}
+
+
+def remedy_of(error: RcpError) -> str:
+    """Return what to do next: the gateway's own advice where that knows more than the code."""
+    approval = (error.details or {}).get("approval")
+    if error.code == "approval_required" and approval:
+        return (
+            f"Once `rcpctl approvals` shows {approval} as approved, run the same command again with "
+            f"--approval {approval}."
+        )
+    kind = BY_CODE.get(error.code)
+    general = kind is not None and error.remedy == kind.default_remedy
+    return _REMEDIES.get(error.code, error.remedy) if general else error.remedy
