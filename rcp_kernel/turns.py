@@ -76,18 +76,36 @@ class Turns:
         :raises QueueFull: too much of the same owner waits already.
         """
         begun = _Begun(copy_context(), work, size)
-        while not self._queues and self._spent <= _TURN:
-            if not self._step(begun):
-                return
-        queue = self._queues.get(owner) or _Queue()
-        if len(queue.places) >= _WAITING or (queue.size and queue.size + size > _BYTES):
+        if self._done_at_once(begun):
+            return
+        queue = self._queues.get(owner)
+        if queue is not None and (
+            len(queue.places) >= _WAITING or (queue.size and queue.size + size > _BYTES)
+        ):
             raise QueueFull(
                 f"{len(queue.places)} requests of yours that take long are waiting already",
                 remedy="Wait for their answers before you send more.",
                 retry_after=1.0,
             )
+        self._append(owner, begun)
+
+    def oblige(self, owner: Hashable, work: Work) -> None:
+        """Do as `run` does, however much waits: for what follows from something that has happened."""
+        begun = _Begun(copy_context(), work, 0)
+        if not self._done_at_once(begun):
+            self._append(owner, begun)
+
+    def _done_at_once(self, begun: _Begun) -> bool:
+        """Do what there is time for now; tell whether that was all."""
+        while not self._queues and self._spent <= _TURN:
+            if not self._step(begun):
+                return True
+        return False
+
+    def _append(self, owner: Hashable, begun: _Begun) -> None:
+        queue = self._queues.get(owner) or _Queue()
         queue.places.append(begun)
-        queue.size += size
+        queue.size += begun.size
         self._queues[owner] = queue
         self._schedule()
 

@@ -213,14 +213,14 @@ def compose(
 
 
 def _base(config: GatewayConfig, loop: asyncio.AbstractEventLoop) -> _Base:
-    registry = Registry()
-    hub = Hub(registry, loop, config.limits.pattern_value)
+    registry, turns = Registry(), Turns(loop)
+    hub = Hub(registry, turns, loop, config.limits.pattern_value)
     conditions = Conditions(hub)
     return _Base(
         settings=Settings(config),
         shutdown=Shutdown(),
         loop=loop,
-        turns=Turns(loop),
+        turns=turns,
         registry=registry,
         hub=hub,
         conditions=conditions,
@@ -480,7 +480,7 @@ def _handlers(
     router.add("cancel", execute.cancel)
     router.add("batch", batch.batch)
     router.add("subscribe", stepped=subscribe.subscribe)
-    router.add("unsubscribe", subscribe.unsubscribe)
+    router.add("unsubscribe", stepped=subscribe.unsubscribe)
     return _Handlers(read, subscribe)
 
 

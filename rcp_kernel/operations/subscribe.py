@@ -36,6 +36,7 @@ from rcp_kernel.streaming.conditional import ConditionalSubscriptions
 from rcp_kernel.streaming.filters import Change, Options, check_fields, parse_where, seconds
 from rcp_kernel.streaming.hub import Hub
 from rcp_kernel.streaming.notices import notice
+from rcp_kernel.streaming.path_subscription import PathSubscription
 from rcp_kernel.streaming.subscription import Subscription
 from rcp_kernel.values import value_type
 from rcp_kernel.wire import Reply, Request, error_body
@@ -173,6 +174,7 @@ class SubscribeHandler:
             patterns,
             options,
             connection.outbox,
+            owner=session.principal.identity,
             may=may,
             end=end,
             view=view,
@@ -216,7 +218,7 @@ class SubscribeHandler:
                     found[entry.path] = entry
                 if not number % _STEP:
                     yield
-        held = sum(len(subscription.feeds) for subscription in session.subscriptions.values())
+        held = sum(len(one.feeds) + len(one.awaited) for one in session.subscriptions.values())
         if held + len(found) > self._settings.limits.paths:
             raise PayloadTooLarge(
                 f"the patterns match {len(found)} paths, and the session has {held} already; its "
@@ -248,20 +250,27 @@ class SubscribeHandler:
             )
         for pattern in subscription.patterns:
             for entry in self._registry.match(pattern):
-                if entry.path not in subscription.feeds and subscription.may(entry):
+                known = entry.path in subscription.feeds or entry.path in subscription.awaited
+                if not known and subscription.may(entry):
                     hub.join(subscription, entry)
 
-    def unsubscribe(self, session: Session, request: Request, answer: Answer) -> Reply:
+    def unsubscribe(
+        self, session: Session, request: Request, answer: Answer
+    ) -> Generator[None, None, Reply]:
         """End a subscription, named by `body.subscription`, by the request's `id`, or by its path.
+
+        It is done in steps; nothing of it is sent after the reply.
 
         :raises UnknownPath: this session has no such subscription.
         """
         body = request.decode_body(_WHICH, "unsubscribe")
         found = self._find(session, request, body.subscription if body is not None else None)
         for subscription in found:
-            del session.subscriptions[subscription.id]
-            self._resume.unsubscribed(session, subscription.id)
-            self._hub.remove(subscription)
+            # It may have come to its end by itself meanwhile.
+            if session.subscriptions.get(subscription.id) is subscription:
+                del session.subscriptions[subscription.id]
+                self._resume.unsubscribed(session, subscription.id)
+                yield from self._hub.remove(subscription)
         return Reply(
             type="unsubscribe",
             id=request.id,
@@ -295,27 +304,28 @@ class SubscribeHandler:
         if session.subscriptions.pop(subscription.id, None) is None:
             return
         self._resume.unsubscribed(session, subscription.id)
-        outbox = subscription.outbox
-        if outbox is not None and error is None:
-            # What was delivered to the queue before the end goes out before the notice of it.
-            for data in _rest(subscription):
-                outbox.put(data)
-        self._hub.remove(subscription)
-        if error is not None:
-            self._hub.dropped["overrun"] += 1
         facts: dict[str, Any] = {"id": subscription.id, "reason": reason}
         if error is not None:
+            self._hub.dropped["overrun"] += 1
             facts |= {"error": error_body(error), "message": error.message}
-        notice(outbox, reason if error is not None else "subscription_ended", **facts)
+
+        def told() -> None:
+            code = reason if error is not None else "subscription_ended"
+            notice(subscription.outbox, code, **facts)
+
+        # What was delivered to the queue before the end goes out before the notice of it.
+        self._hub.end(subscription, _send_rest if error is None else None, told)
 
 
-def _rest(subscription: Subscription) -> list[bytes]:
+def _send_rest(feed: PathSubscription) -> None:
+    """Send what waits of a path: as control messages, so that nothing comes behind the end."""
+    outbox = feed.outbox
+    if outbox is None or not feed.waiting:
+        return
     out: list[bytes] = []
-    outbox = subscription.outbox
-    assert outbox is not None
     # Whole messages, not frames: they are framed with the other control messages.
     framing, outbox.framing = outbox.framing, None
-    for feed in subscription.feeds.values():
-        feed.drain(out, sys.maxsize, None, None)
+    feed.drain(out, sys.maxsize, None, None)
     outbox.framing = framing
-    return out
+    for data in out:
+        outbox.put(data)

@@ -27,6 +27,8 @@ _LONGEST = 86_400.0  # s between updates, however low the rate
 class FilteredPathSubscription(PathSubscription):
     """One path of a subscription that asked for less than every sample."""
 
+    judges = True
+
     __slots__ = ("_armed", "_change", "_due", "_held", "_interval", "_where")
 
     def __init__(self, subscription: Subscription, entry: Entry, outbox: Outbox | None) -> None:
@@ -99,16 +101,16 @@ class FilteredPathSubscription(PathSubscription):
         if self.backlog and self._interval:
             self._due = time.monotonic() + self._interval
 
-    def admit(self, sample: Sample) -> bool:
-        """Tell whether an earlier sample passes; the rate does not hold the past back."""
+    def admit(self, sample: Sample) -> Sample | None:
+        """Return an earlier sample that passes; the rate does not hold the past back."""
         if self._where is not None and not self._passes(sample):
-            return False
+            return None
         if self._change is None:
-            return True
+            return sample
         try:
-            return self._change.passes(sample.value)
+            return sample if self._change.passes(sample.value) else None
         except RcpError:
-            return False
+            return None
 
     def prime(self, sample: Sample) -> None:
         """Let the filters see the present value, without sending it."""
@@ -141,14 +143,10 @@ class VisibilityFilteredSubscription(FilteredPathSubscription):
         if (told := self._told(sample)) is not None:
             super().offer(told)
 
-    def admit(self, sample: Sample) -> bool:
-        """Tell whether something of an earlier sample may be seen, and passes."""
+    def admit(self, sample: Sample) -> Sample | None:
+        """Return what may be seen of an earlier sample, and passes."""
         told = self._told(sample)
-        return told is not None and super().admit(told)
-
-    def replay(self, samples: Iterable[Sample]) -> None:
-        """Queue what may be seen of earlier samples."""
-        super().replay(told for sample in samples if (told := self._told(sample)) is not None)
+        return None if told is None else super().admit(told)
 
     def _told(self, sample: Sample) -> Sample | None:
         return masked(sample, self._shown)
