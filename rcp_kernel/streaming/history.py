@@ -17,13 +17,14 @@ __all__ = ["admitted", "past"]
 _STEP = 16  # samples that are judged at once
 
 
-def past(feed: PathSubscription, history: int | str) -> list[Sample]:
-    """Return the samples that `history` asks for, oldest first: so many, or those of a time."""
+def past(feed: PathSubscription, history: int | str, last: int) -> list[Sample]:
+    """Return the samples that `history` asks for, oldest first, and all after number `last`."""
     ring = list(feed.entry.ring)
     if isinstance(history, int):
-        return ring[-history:] if history else []
+        newer = sum(sample.seq > last for sample in ring)
+        return ring[-history - newer :] if history + newer else []
     since = now() - int(seconds(history) * 1e9)
-    return [sample for sample in ring if sample.received >= since]
+    return [sample for sample in ring if sample.received >= since or sample.seq > last]
 
 
 def admitted(feed: PathSubscription, samples: list[Sample]) -> Generator[None, None, list[Sample]]:

@@ -72,7 +72,7 @@ class Hub:
         They are linked in steps: some of them may be when this returns.
         """
         self.subscriptions.add(subscription)
-        subscription.awaited = dict.fromkeys(entry.path for entry in entries)
+        subscription.awaited = {entry.path: entry.seq for entry in entries}
         duration = subscription.options.duration
         if duration is not None:
             subscription.timer = self.loop.call_later(
@@ -98,10 +98,10 @@ class Hub:
             notice(subscription.outbox, "resource_removed", id=subscription.id, path=path)
             return
         feed = subscription.feed(entry)
-        history = subscription.options.history
+        history, last = subscription.options.history, subscription.awaited[path]
         samples: list[Sample] = []
         if history:
-            samples = yield from admitted(feed, past(feed, history))
+            samples = yield from admitted(feed, past(feed, history, last))
             if path not in subscription.awaited:
                 return
             if self.registry.entries.get(path) is not entry:  # another one by now, or none
@@ -112,15 +112,22 @@ class Hub:
             return
         if history:
             feed.replay(samples)
-        elif entry.latest is not None:
-            self._first(feed, entry.latest)
+        else:
+            self._first(feed, last)
 
-    def _first(self, feed: PathSubscription, sample: Sample) -> None:
-        if not feed.subscription.options.initial:
-            feed.prime(sample)
-        elif (told := feed.admit(sample)) is not None:
-            feed.replay((told,))
-        if self.deadline_monitor.known(feed.entry):
+    def _first(self, feed: PathSubscription, last: int) -> None:
+        """Send the value that was the present one with number `last`, and all that came since."""
+        entry = feed.entry
+        if entry.latest is None:
+            return
+        samples = [entry.latest]
+        if entry.seq != last:
+            samples = [sample for sample in entry.ring if sample.seq >= last]
+        if not feed.subscription.options.initial and samples[0].seq == last:
+            feed.prime(samples.pop(0))
+        if samples:
+            feed.replay([told for one in samples if (told := feed.admit(one)) is not None])
+        if self.deadline_monitor.known(entry):
             self.deadline_monitor.tell(feed)
 
     def remove(
@@ -174,8 +181,8 @@ class Hub:
         feed = subscription.feed(entry)
         self._link(subscription, feed)
         notice(subscription.outbox, "resource_added", id=subscription.id, path=entry.path)
-        if entry.latest is not None and not feed.paused:
-            self._first(feed, entry.latest)
+        if not feed.paused:
+            self._first(feed, entry.seq)
 
     def pause(self, feed: PathSubscription) -> None:
         """Send nothing more of a path for now; what waits is forgotten."""
@@ -197,8 +204,7 @@ class Hub:
             self._keep_for(feed)
             return
         self._relink(feed)
-        if entry.latest is not None:
-            self._first(feed, entry.latest)
+        self._first(feed, entry.seq)
 
     def _keep_for(self, feed: PathSubscription) -> None:
         if not feed.kept:

@@ -80,8 +80,9 @@ class Subscription:
         self.placed = placed
         """Called with each feed that has joined."""
         self.feeds: dict[str, PathSubscription] = {}
-        self.awaited: dict[str, None] = {}
-        """Paths that are still to be linked, in their order."""
+        self.awaited: dict[str, int] = {}
+        """Paths that are still to be linked, in their order, each with the number of its last
+        sample when the client subscribed: what came after that is not missed."""
         self.where: Where | None = parse_where(options.where) if options.where else None
         self.remaining = options.count
         self.timer: Any = None
