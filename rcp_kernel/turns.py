@@ -20,7 +20,7 @@ import structlog
 
 from rcp_kernel.errors import QueueFull
 
-__all__ = ["Turns", "Work", "may_stop"]
+__all__ = ["Turns", "Work", "at_once", "may_stop"]
 
 log = structlog.get_logger("rcp.gateway")
 Result = TypeVar("Result")
@@ -39,6 +39,15 @@ def may_stop(body: bytes) -> bool:
     Such do not queue behind other requests of the same owner.
     """
     return _STOPS.search(body) is not None
+
+
+def at_once(steps: Generator[None, None, Result]) -> Result:
+    """Go through all steps of something where there is no turn to wait for; return its result."""
+    try:
+        while True:
+            next(steps)
+    except StopIteration as end:
+        return end.value
 
 
 class _Begun(NamedTuple):

@@ -473,7 +473,7 @@ def _handlers(
         loop=base.loop,
     )
     batch = BatchHandler(router.handle, inflight, base.turns, base.settings, base.loop)
-    router.add("read", read.read)
+    router.add("read", read.read, stepped=read.read_in_steps)
     router.add("status", read.status)
     router.add("write", write.write, stops=write.stops)
     router.add("execute", execute.execute, stepped=execute.execute_in_steps, stops=execute.stops)

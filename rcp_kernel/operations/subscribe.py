@@ -29,7 +29,8 @@ from rcp_kernel.errors import (
     UnsupportedOperation,
 )
 from rcp_kernel.model import Operation, Pattern
-from rcp_kernel.operations.pages import MOST, cursor_of
+from rcp_kernel.operations.pages import MOST, MOST_BYTES, cursor_of
+from rcp_kernel.operations.parts import is_listing, listed
 from rcp_kernel.operations.views import Filter, View
 from rcp_kernel.registry import Entry
 from rcp_kernel.streaming.conditional import ConditionalSubscriptions
@@ -38,7 +39,8 @@ from rcp_kernel.streaming.hub import Hub
 from rcp_kernel.streaming.notices import notice
 from rcp_kernel.streaming.path_subscription import PathSubscription
 from rcp_kernel.streaming.subscription import Subscription
-from rcp_kernel.values import value_type
+from rcp_kernel.turns import at_once
+from rcp_kernel.values import Encoding, value_type
 from rcp_kernel.wire import Reply, Request, error_body
 
 __all__ = ["SubscribeHandler"]
@@ -160,9 +162,9 @@ class SubscribeHandler:
         def end(subscription: Subscription, reason: str, error: RcpError | None) -> None:
             self._ended(session, subscription, reason, error)
 
-        def view(entry: Entry) -> Callable[[], Any] | None:
+        def view(entry: Entry) -> Callable[[Encoding], Any] | None:
             shown = self._views.get(entry.path)
-            return None if shown is None else partial(shown, session)
+            return None if shown is None else partial(_whole, shown, session)
 
         def visibility_filter(entry: Entry) -> Callable[[Any], Any] | None:
             shown = self._filters.get(entry.path)
@@ -315,6 +317,12 @@ class SubscribeHandler:
 
         # What was delivered to the queue before the end goes out before the notice of it.
         self._hub.end(subscription, _send_rest if error is None else None, told)
+
+
+def _whole(view: Callable[[Session], Any], session: Session, encoding: Encoding) -> Any:
+    """Make the value of a view; of a list as much as fits in one page."""
+    value = view(session)
+    return at_once(listed(value, encoding, MOST_BYTES)) if is_listing(value) else value
 
 
 def _send_rest(feed: PathSubscription) -> None:

@@ -12,8 +12,8 @@ from rcp_kernel.registry import Entry
 from rcp_kernel.streaming.filters import Change
 from rcp_kernel.streaming.path_subscription import PathSubscription
 from rcp_kernel.streaming.samples import Sample, masked, project
-from rcp_kernel.values import dump
-from rcp_kernel.wire import encode_frame
+from rcp_kernel.values import Encoding
+from rcp_kernel.wire import Body, encode_body, encode_frame
 
 if TYPE_CHECKING:
     from rcp_kernel.clients.outbox import Outbox
@@ -162,7 +162,7 @@ class ViewSubscription(PathSubscription):
         subscription: Subscription,
         entry: Entry,
         outbox: Outbox | None,
-        view: Callable[[], Any],
+        view: Callable[[Encoding], Any],
     ) -> None:
         super().__init__(subscription, entry, outbox)
         self._plain = False
@@ -170,7 +170,7 @@ class ViewSubscription(PathSubscription):
 
     def _frame(self, sample: Sample) -> bytes:
         encoding, *_ = self._heads or self._make_heads()
-        facts = {
+        facts: dict[str, Any] = {
             "type": "update",
             "id": self.subscription.id,
             "path": self.entry.path,
@@ -178,9 +178,11 @@ class ViewSubscription(PathSubscription):
             "timestamp": sample.time,
         }
         try:
-            value = self._view()
+            value = self._view(encoding)
+            if isinstance(value, Body) and value.cut:
+                facts["truncated"] = True
             if self.fields is not None:
-                value = project(value, self.fields)
-            return encode_frame(facts, dump(value, encoding), encoding)
+                value = project(value.value if isinstance(value, Body) else value, self.fields)
+            return encode_frame(facts, encode_body(value, encoding), encoding)
         except Exception as error:
             raise to_internal_error(error, path=self.entry.path) from error

@@ -15,6 +15,7 @@ from rcp_kernel.streaming.filtered import (
 )
 from rcp_kernel.streaming.filters import Options, Where, parse_where
 from rcp_kernel.streaming.path_subscription import PathSubscription
+from rcp_kernel.values import Encoding
 
 if TYPE_CHECKING:
     from rcp_kernel.clients.outbox import Outbox
@@ -57,7 +58,7 @@ class Subscription:
         owner: Hashable,
         may: Callable[[Entry], bool],
         end: Callable[[Subscription, str, RcpError | None], None],
-        view: Callable[[Entry], Callable[[], Any] | None],
+        view: Callable[[Entry], Callable[[Encoding], Any] | None],
         visibility_filter: Callable[[Entry], Callable[[Any], Any] | None],
         placed: Callable[[PathSubscription], None],
     ) -> None:
