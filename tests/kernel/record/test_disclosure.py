@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 
 from kernel.world import BOUND, Client, Robot, World, kept_in, settled, world_of
+from rcp_kernel.access.visibility import Visibility
 from rcp_kernel.model import Resource
 from rcp_kernel.record.cli import examined
 from rcp_kernel.spi import Progress
@@ -381,17 +382,17 @@ async def test_a_record_of_one_robot_is_for_those_who_see_something_of_it(world:
 
 
 async def test_a_record_is_judged_once_and_anew_when_the_tree_has_changed(world: World) -> None:
-    shown, sight = world.server.kernel.disclosure.shown, world.server.kernel.visibility
+    shown, judge = world.server.kernel.disclosure.shown, Visibility.names_hidden
     partial, ada = (world.client(token).connection.session for token in (PARTIAL, ADA))
     record = {"seq": 1, "what": "write", "tenant": "alpha", "path": ALPHA, "value": "sensor/later"}
     judged: list[Any] = []
 
     def counted(*facts: Any) -> bool:
         judged.append(facts)
-        return type(sight).names_hidden(sight, *facts)
+        return judge(*facts)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(sight, "names_hidden", counted)
+        patch.setattr(Visibility, "names_hidden", counted)
         for session in (partial, ada, partial, ada):
             assert shown(session, record) is record
         assert len(judged) == 2
