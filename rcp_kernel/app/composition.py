@@ -68,6 +68,7 @@ from rcp_kernel.shutdown import Shutdown
 from rcp_kernel.status import StatusReport
 from rcp_kernel.streaming.conditional import ConditionalSubscriptions
 from rcp_kernel.streaming.hub import Hub
+from rcp_kernel.streaming.links import Links
 from rcp_kernel.system import System
 from rcp_kernel.turns import Turns
 
@@ -84,6 +85,7 @@ class _Base:
     turns: Turns
     registry: Registry
     hub: Hub
+    links: Links
     conditions: Conditions
     visibility: Visibility
     rules: Rules
@@ -214,7 +216,7 @@ def compose(
 
 def _base(config: GatewayConfig, loop: asyncio.AbstractEventLoop) -> _Base:
     registry, turns = Registry(), Turns(loop)
-    hub = Hub(registry, turns, loop, config.limits.pattern_value)
+    hub = Hub(registry, loop, config.limits.pattern_value)
     conditions = Conditions(hub)
     return _Base(
         settings=Settings(config),
@@ -223,6 +225,7 @@ def _base(config: GatewayConfig, loop: asyncio.AbstractEventLoop) -> _Base:
         turns=turns,
         registry=registry,
         hub=hub,
+        links=Links(hub, turns),
         conditions=conditions,
         visibility=Visibility(registry),
         rules=Rules(config.roles, conditions),
@@ -282,7 +285,7 @@ def _clients(
         commands=commands,
         resume=resume,
         audit=records.audit,
-        hub=base.hub,
+        links=base.links,
         outbound=outbound,
         loop=loop,
     )
@@ -432,6 +435,7 @@ def _handlers(
     subscribe = SubscribeHandler(
         requests.resolver,
         base.hub,
+        base.links,
         ConditionalSubscriptions(base.hub),
         clients.quotas,
         clients.resume,
@@ -554,7 +558,7 @@ def _client_api(
         commands=motion.commands,
         resume=clients.resume,
         subscribe=handlers.subscribe.restore,
-        hub=base.hub,
+        links=base.links,
         follower=records.writer.follower,
     )
     connections = ConnectionParts(

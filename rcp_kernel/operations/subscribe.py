@@ -36,6 +36,7 @@ from rcp_kernel.registry import Entry
 from rcp_kernel.streaming.conditional import ConditionalSubscriptions
 from rcp_kernel.streaming.filters import Change, Options, check_fields, parse_where, seconds
 from rcp_kernel.streaming.hub import Hub
+from rcp_kernel.streaming.links import Links
 from rcp_kernel.streaming.notices import notice
 from rcp_kernel.streaming.path_subscription import PathSubscription
 from rcp_kernel.streaming.subscription import Subscription
@@ -63,6 +64,7 @@ class SubscribeHandler:
         self,
         resolver: Resolver,
         hub: Hub,
+        links: Links,
         conditional: ConditionalSubscriptions,
         quotas: QuotaTracker,
         resume: SessionResume,
@@ -74,6 +76,7 @@ class SubscribeHandler:
     ) -> None:
         self._resolver = resolver
         self._hub = hub
+        self._links = links
         self._registry = hub.registry
         self._conditional = conditional
         self._quotas = quotas
@@ -127,7 +130,7 @@ class SubscribeHandler:
             custom=request.custom,
         )
         # Control messages leave before updates, so the client knows the id before it sees one.
-        self._hub.add(subscription, entries)
+        self._links.add(subscription, entries)
         return reply
 
     def _check_room(self, session: Session, id_: str) -> None:
@@ -147,7 +150,7 @@ class SubscribeHandler:
         )
         registry = self._registry
         matched = {e.path: e for p in patterns for e in registry.match(p) if subscription.may(e)}
-        self._hub.add(subscription, list(matched.values()))
+        self._links.add(subscription, list(matched.values()))
 
     def _begin(
         self, session: Session, id_: str, patterns: list[Pattern], options: Options
@@ -272,7 +275,7 @@ class SubscribeHandler:
             if session.subscriptions.get(subscription.id) is subscription:
                 del session.subscriptions[subscription.id]
                 self._resume.unsubscribed(session, subscription.id)
-                yield from self._hub.remove(subscription)
+                yield from self._links.remove(subscription)
         return Reply(
             type="unsubscribe",
             id=request.id,
@@ -316,7 +319,7 @@ class SubscribeHandler:
             notice(subscription.outbox, code, **facts)
 
         # What was delivered to the queue before the end goes out before the notice of it.
-        self._hub.end(subscription, _send_rest if error is None else None, told)
+        self._links.end(subscription, _send_rest if error is None else None, told)
 
 
 def _whole(view: Callable[[Session], Any], session: Session, encoding: Encoding) -> Any:

@@ -1,7 +1,4 @@
-"""The hub keeps subscriptions linked to the tree as both change.
-
-It links feeds to entries, and replays what a client missed.
-"""
+"""The hub links feeds to entries, and keeps them linked as the tree changes."""
 
 from __future__ import annotations
 
@@ -14,10 +11,8 @@ from rcp_kernel.clients.outbox import FlushScheduler, Outbox
 from rcp_kernel.registry import Entry, Listener, Registry
 from rcp_kernel.streaming.deadline_monitor import DeadlineMonitor
 from rcp_kernel.streaming.demand import AbsentListener, DemandTracker, absent_listener
-from rcp_kernel.streaming.history import admitted, past
 from rcp_kernel.streaming.notices import notice
 from rcp_kernel.streaming.path_subscription import PathSubscription
-from rcp_kernel.streaming.samples import Sample
 from rcp_kernel.streaming.shared_fanout import (
     SharedPathSubscription,
     join_fanout,
@@ -26,27 +21,17 @@ from rcp_kernel.streaming.shared_fanout import (
 )
 from rcp_kernel.streaming.subscription import Subscription
 from rcp_kernel.timers import Timers
-from rcp_kernel.turns import Turns, Work
 
 __all__ = ["Hub"]
-
-_STEP = 32  # paths that are linked or let go of at once
-_STREAMS = "streams"  # with an owner: what is done for its subscriptions, beside its requests
-_LONGEST = 86_400.0 * 365  # s: no timer reaches further
 
 
 class Hub:
     """Every subscription of the gateway."""
 
     def __init__(
-        self,
-        registry: Registry,
-        turns: Turns,
-        loop: asyncio.AbstractEventLoop,
-        pattern_value: int,
+        self, registry: Registry, loop: asyncio.AbstractEventLoop, pattern_value: int
     ) -> None:
         self.registry = registry
-        self._turns = turns
         self.loop = loop
         self.pattern_value = pattern_value
         """Longest value, bytes, that is sent whole to a subscription that did not name its path."""
@@ -66,56 +51,7 @@ class Hub:
 
     # -- subscriptions -------------------------------------------------------------------------
 
-    def add(self, subscription: Subscription, entries: list[Entry]) -> None:
-        """Start a subscription on the entries that it matches now; later ones join by themselves.
-
-        They are linked in steps: some of them may be when this returns.
-        """
-        self.subscriptions.add(subscription)
-        subscription.awaited = {entry.path: entry.seq for entry in entries}
-        duration = subscription.options.duration
-        if duration is not None:
-            subscription.timer = self.loop.call_later(
-                min(duration, _LONGEST), subscription.end, subscription, "duration", None
-            )
-        self._begin(subscription, self._link_awaited(subscription))
-
-    def _begin(self, subscription: Subscription, work: Work) -> None:
-        self._turns.oblige((_STREAMS, subscription.owner), work)
-
-    def _link_awaited(self, subscription: Subscription) -> Work:
-        awaited = subscription.awaited
-        for number, path in enumerate(tuple(awaited), 1):
-            if path in awaited:  # until it ends
-                yield from self._link_path(subscription, path)
-                awaited.pop(path, None)
-            if not number % _STEP:
-                yield
-
-    def _link_path(self, subscription: Subscription, path: str) -> Work:
-        entry = self.registry.entries.get(path)
-        if entry is None or not subscription.may(entry):  # since the client was told of it
-            notice(subscription.outbox, "resource_removed", id=subscription.id, path=path)
-            return
-        feed = subscription.feed(entry)
-        history, last = subscription.options.history, subscription.awaited[path]
-        samples: list[Sample] = []
-        if history:
-            samples = yield from admitted(feed, past(feed, history, last))
-            if path not in subscription.awaited:
-                return
-            if self.registry.entries.get(path) is not entry:  # another one by now, or none
-                yield from self._link_path(subscription, path)
-                return
-        self._link(subscription, feed)
-        if feed.paused:
-            return
-        if history:
-            feed.replay(samples)
-        else:
-            self._first(feed, last)
-
-    def _first(self, feed: PathSubscription, last: int) -> None:
+    def first(self, feed: PathSubscription, last: int) -> None:
         """Send the value that was the present one with number `last`, and all that came since."""
         entry = feed.entry
         if entry.latest is None:
@@ -130,48 +66,24 @@ class Hub:
         if self.deadline_monitor.known(entry):
             self.deadline_monitor.tell(feed)
 
-    def remove(
-        self, subscription: Subscription, leaving: Callable[[PathSubscription], None] | None = None
-    ) -> Work:
-        """End a subscription in steps, `leaving` called with each feed before it goes.
-
-        What it has queued is forgotten. Until the last step it may still send.
-        """
-        self.subscriptions.discard(subscription)
-        subscription.awaited.clear()
-        if subscription.timer is not None:
-            subscription.timer.cancel()
-        return self._remove_feeds(subscription, leaving)
-
-    def _remove_feeds(
-        self, subscription: Subscription, leaving: Callable[[PathSubscription], None] | None
-    ) -> Work:
-        feeds = subscription.feeds
-        for number, path in enumerate(tuple(feeds), 1):
-            feed = feeds.pop(path, None)
-            if feed is not None:
-                if leaving is not None:
-                    leaving(feed)
-                self._let_go(feed)
-            if not number % _STEP:
-                yield
-
-    def _let_go(self, feed: PathSubscription) -> None:
-        self._unkeep_for(feed)
+    def let_go(self, feed: PathSubscription) -> None:
+        """Offer a feed nothing more, for good; what it has queued is forgotten."""
+        self.release(feed)
         self.unlink(feed)
         feed.leave()
         self.dropped["conflated"] += feed.skipped
 
-    def _link(self, subscription: Subscription, feed: PathSubscription) -> None:
+    def link(self, subscription: Subscription, feed: PathSubscription) -> None:
+        """Offer a new feed every sample from now on."""
         entry = feed.entry
         feed.sent = entry.seq
         subscription.feeds[entry.path] = feed
         if subscription.outbox is None:
             feed.outbox = None
-            self._keep_for(feed)
+            self.hold(feed)
         else:
             feed.outbox = subscription.outbox
-            self._relink(feed)
+            self.relink(feed)
             if feed.priority != 4:
                 subscription.outbox.prioritised = True
         subscription.placed(feed)
@@ -179,14 +91,14 @@ class Hub:
     def join(self, subscription: Subscription, entry: Entry) -> None:
         """Add an entry to a subscription that stands, and tell its client."""
         feed = subscription.feed(entry)
-        self._link(subscription, feed)
+        self.link(subscription, feed)
         notice(subscription.outbox, "resource_added", id=subscription.id, path=entry.path)
         if not feed.paused:
-            self._first(feed, entry.seq)
+            self.first(feed, entry.seq)
 
     def pause(self, feed: PathSubscription) -> None:
         """Send nothing more of a path for now; what waits is forgotten."""
-        self._unkeep_for(feed)
+        self.release(feed)
         self.unlink(feed)
         feed.leave()
         feed.outbox = feed.subscription.outbox
@@ -201,17 +113,19 @@ class Hub:
         if entry.path not in self.registry.entries:
             return
         if feed.subscription.outbox is None:
-            self._keep_for(feed)
+            self.hold(feed)
             return
-        self._relink(feed)
-        self._first(feed, entry.seq)
+        self.relink(feed)
+        self.first(feed, entry.seq)
 
-    def _keep_for(self, feed: PathSubscription) -> None:
+    def hold(self, feed: PathSubscription) -> None:
+        """Have the history of a feed's path kept while its client is away."""
         if not feed.kept:
             feed.kept = True
             self._keep(feed)
 
-    def _unkeep_for(self, feed: PathSubscription) -> None:
+    def release(self, feed: PathSubscription) -> None:
+        """Have the history kept no more for a feed."""
         if feed.kept:
             feed.kept = False
             self._unkeep(feed)
@@ -221,7 +135,8 @@ class Hub:
         _hold(feed.entry, feed.subscription.options.rate)
         self.demand.retune(feed.entry)
 
-    def _relink(self, feed: PathSubscription) -> None:
+    def relink(self, feed: PathSubscription) -> None:
+        """Offer a feed samples again."""
         entry = feed.entry
         if isinstance(feed, SharedPathSubscription):
             join_fanout(feed, entry)
@@ -286,109 +201,11 @@ class Hub:
             entry.listeners = [known for known in entry.listeners if known is not listener]
             self._left(entry)
 
-    # -- cut and resume ------------------------------------------------------------------------
-
-    def detach(self, subscription: Subscription) -> None:
-        """Stop sending: the connection is gone. The history of its paths goes on being kept."""
-        subscription.outbox = None
-        self._begin(subscription, self._detach_feeds(subscription))
-
-    def _detach_feeds(self, subscription: Subscription) -> Work:
-        for number, feed in enumerate(tuple(subscription.feeds.values()), 1):
-            if subscription.outbox is not None:  # it is back already
-                return
-            self._detach_feed(feed)
-            if not number % _STEP:
-                yield
-
-    def _detach_feed(self, feed: PathSubscription) -> None:
-        if feed.outbox is None:
-            return
-        feed.leave()
-        if feed.entry.path in self.registry.entries and not feed.paused:
-            self._keep_for(feed)  # before the feed goes, so that its source goes on
-        self.unlink(feed)
-
-    def attach(
-        self, subscription: Subscription, outbox: Outbox, missed_from: dict[str, int] | None
-    ) -> None:
-        """Go on sending, what was missed first; `missed_from` is what the client has, by path."""
-        subscription.outbox = outbox
-        self._begin(subscription, self._attach_feeds(subscription, outbox, missed_from or {}))
-
-    def _attach_feeds(
-        self, subscription: Subscription, outbox: Outbox, missed_from: dict[str, int]
-    ) -> Work:
-        for number, (path, feed) in enumerate(tuple(subscription.feeds.items()), 1):
-            if subscription.outbox is not outbox:  # the client has gone again
-                return
-            if feed.outbox is not outbox and subscription.feeds.get(path) is feed:
-                self._detach_feed(feed)  # where the turn for that has not come
-                yield from self._attach_feed(feed, outbox, missed_from.get(path, feed.sent))
-            if not number % _STEP:
-                yield
-
-    def _attach_feed(self, feed: PathSubscription, outbox: Outbox, known: int) -> Work:
-        feed.outbox = outbox
-        if feed.paused:
-            return
-        kept = feed.kept
-        yield from self._replay(feed, known)
-        if feed.outbox is not outbox or feed.paused or feed.kept is not kept:
-            return
-        if feed.entry.path in self.registry.entries:
-            self._relink(feed)
-        self._unkeep_for(feed)
-        if feed.priority != 4:
-            outbox.prioritised = True
-
-    def _replay(self, feed: PathSubscription, known: int) -> Work:
-        ring = feed.entry.ring
-        if feed.entry.seq <= known:
-            return
-        oldest = ring[0].seq if ring else feed.entry.seq + 1
-        if oldest > known + 1:
-            lost = oldest - known - 1
-            self.dropped["gap"] += lost
-            notice(
-                feed.outbox,
-                "gap",
-                id=feed.subscription.id,
-                path=feed.entry.path,
-                lost=lost,
-                first=known + 1,
-                last=oldest - 1,
-                message=f"{lost} samples of {feed.entry.path} are not in the replay buffer any more",
-            )
-        outbox = feed.outbox
-        samples = yield from admitted(feed, [sample for sample in ring if sample.seq > known])
-        if feed.outbox is outbox:
-            feed.replay(samples)
-
-    def forget(self, subscription: Subscription) -> None:
-        """Let go of a subscription whose session has ended."""
-        self._begin(subscription, self.remove(subscription))
-
-    def end(
-        self,
-        subscription: Subscription,
-        leaving: Callable[[PathSubscription], None] | None,
-        told: Callable[[], None],
-    ) -> None:
-        """End a subscription that has come to its end by itself; `told` is called afterwards."""
-        removal = self.remove(subscription, leaving)
-
-        def work() -> Work:
-            yield from removal
-            told()
-
-        self._begin(subscription, work())
-
     def drop(self, feed: PathSubscription) -> None:
         """Take one path out of a subscription."""
         subscription = feed.subscription
         del subscription.feeds[feed.entry.path]
-        self._unkeep_for(feed)
+        self.release(feed)
         self.unlink(feed)
         feed.leave()
 
@@ -418,9 +235,9 @@ class Hub:
                 if known.outbox is None:
                     if returned:
                         known.kept = False  # with the entry that has gone
-                        self._keep_for(known)
+                        self.hold(known)
                 elif known not in path_subscriptions_of(entry):
-                    self._relink(known)
+                    self.relink(known)
                     notice(
                         subscription.outbox, "resource_added", id=subscription.id, path=entry.path
                     )
