@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncGenerator
+from collections.abc import AsyncGenerator, Iterator
 from contextlib import asynccontextmanager
 from functools import partial
 from typing import Any
@@ -36,6 +36,7 @@ from rcp_kernel.spi import Backend, BaseBackend, Progress
 from rcp_kernel.status import StatusReport
 from rcp_kernel.streaming.hub import Hub
 from rcp_kernel.types import Time
+from rcp_kernel.wire import Body
 
 __all__ = ["System"]
 
@@ -233,8 +234,8 @@ class System(BaseBackend):
             if "*" in places or s.tenant in places or s.principal == mine
         ]
 
-    def _list_commands(self, session: Session) -> list[dict[str, Any]]:
-        return [command.plain() for command in self._access.visible(session)]
+    def _list_commands(self, session: Session) -> Iterator[Body | None]:
+        return (command and command.listed for command in self._access.judged(session))
 
     async def execute(self, name: str, value: Any, progress: Progress) -> Any:
         """What is executable here is done before it gets this far."""

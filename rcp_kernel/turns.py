@@ -20,7 +20,7 @@ import structlog
 
 from rcp_kernel.errors import QueueFull
 
-__all__ = ["Turns", "Work", "may_stop"]
+__all__ = ["Turns", "Work", "at_once", "may_stop"]
 
 log = structlog.get_logger("rcp.gateway")
 Result = TypeVar("Result")
@@ -39,6 +39,15 @@ def may_stop(body: bytes) -> bool:
     Such do not queue behind other requests of the same owner.
     """
     return _STOPS.search(body) is not None
+
+
+def at_once(steps: Generator[None, None, Result]) -> Result:
+    """Go through all steps of something where there is no turn to wait for; return its result."""
+    try:
+        while True:
+            next(steps)
+    except StopIteration as end:
+        return end.value
 
 
 class _Begun(NamedTuple):
@@ -76,18 +85,36 @@ class Turns:
         :raises QueueFull: too much of the same owner waits already.
         """
         begun = _Begun(copy_context(), work, size)
-        while not self._queues and self._spent <= _TURN:
-            if not self._step(begun):
-                return
-        queue = self._queues.get(owner) or _Queue()
-        if len(queue.places) >= _WAITING or (queue.size and queue.size + size > _BYTES):
+        if self._done_at_once(begun):
+            return
+        queue = self._queues.get(owner)
+        if queue is not None and (
+            len(queue.places) >= _WAITING or (queue.size and queue.size + size > _BYTES)
+        ):
             raise QueueFull(
                 f"{len(queue.places)} long requests of this client are already waiting",
                 remedy="Wait for their replies before you send more.",
                 retry_after=1.0,
             )
+        self._append(owner, begun)
+
+    def oblige(self, owner: Hashable, work: Work) -> None:
+        """Do as `run` does, however much waits: for what follows from something that has happened."""
+        begun = _Begun(copy_context(), work, 0)
+        if not self._done_at_once(begun):
+            self._append(owner, begun)
+
+    def _done_at_once(self, begun: _Begun) -> bool:
+        """Do what there is time for now; tell whether that was all."""
+        while not self._queues and self._spent <= _TURN:
+            if not self._step(begun):
+                return True
+        return False
+
+    def _append(self, owner: Hashable, begun: _Begun) -> None:
+        queue = self._queues.get(owner) or _Queue()
         queue.places.append(begun)
-        queue.size += size
+        queue.size += begun.size
         self._queues[owner] = queue
         self._schedule()
 

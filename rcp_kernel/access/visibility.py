@@ -100,6 +100,11 @@ class Visibility:
         for name in {unit.name, unit.identity, unit.whole.name}:
             yield self._robots, name
 
+    @property
+    def generation(self) -> int:
+        """Return a number that changes when something may be named that was not there before."""
+        return self._registry.generation
+
     # -- what is named -------------------------------------------------------------------------
 
     def names_hidden(self, rights: Rights, tenant: str | None, names: Iterable[str]) -> bool:

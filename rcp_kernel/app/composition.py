@@ -68,6 +68,7 @@ from rcp_kernel.shutdown import Shutdown
 from rcp_kernel.status import StatusReport
 from rcp_kernel.streaming.conditional import ConditionalSubscriptions
 from rcp_kernel.streaming.hub import Hub
+from rcp_kernel.streaming.links import Links
 from rcp_kernel.system import System
 from rcp_kernel.turns import Turns
 
@@ -84,6 +85,7 @@ class _Base:
     turns: Turns
     registry: Registry
     hub: Hub
+    links: Links
     conditions: Conditions
     visibility: Visibility
     rules: Rules
@@ -211,16 +213,17 @@ def compose(
 
 
 def _base(config: GatewayConfig, loop: asyncio.AbstractEventLoop) -> _Base:
-    registry = Registry()
+    registry, turns = Registry(), Turns(loop)
     hub = Hub(registry, loop, config.limits.pattern_value)
     conditions = Conditions(hub)
     return _Base(
         settings=Settings(config),
         shutdown=Shutdown(),
         loop=loop,
-        turns=Turns(loop),
+        turns=turns,
         registry=registry,
         hub=hub,
+        links=Links(hub, turns),
         conditions=conditions,
         visibility=Visibility(registry),
         rules=Rules(config.roles, conditions),
@@ -280,7 +283,7 @@ def _clients(
         commands=commands,
         resume=resume,
         audit=records.audit,
-        hub=base.hub,
+        links=base.links,
         outbound=outbound,
         loop=loop,
     )
@@ -430,6 +433,7 @@ def _handlers(
     subscribe = SubscribeHandler(
         requests.resolver,
         base.hub,
+        base.links,
         ConditionalSubscriptions(base.hub),
         clients.quotas,
         clients.resume,
@@ -471,14 +475,14 @@ def _handlers(
         loop=base.loop,
     )
     batch = BatchHandler(router.handle, inflight, base.turns, base.settings, base.loop)
-    router.add("read", read.read)
+    router.add("read", read.read, stepped=read.read_in_steps)
     router.add("status", read.status)
     router.add("write", write.write, stops=write.stops)
     router.add("execute", execute.execute, stepped=execute.execute_in_steps, stops=execute.stops)
     router.add("cancel", execute.cancel)
     router.add("batch", batch.batch)
     router.add("subscribe", stepped=subscribe.subscribe)
-    router.add("unsubscribe", subscribe.unsubscribe)
+    router.add("unsubscribe", stepped=subscribe.unsubscribe)
     return _Handlers(read, subscribe)
 
 
@@ -552,7 +556,7 @@ def _client_api(
         commands=motion.commands,
         resume=clients.resume,
         subscribe=handlers.subscribe.restore,
-        hub=base.hub,
+        links=base.links,
         follower=records.writer.follower,
     )
     connections = ConnectionParts(

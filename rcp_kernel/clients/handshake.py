@@ -17,7 +17,7 @@ from rcp_kernel.clock import now
 from rcp_kernel.config.settings import Settings
 from rcp_kernel.errors import Gap, Unauthenticated
 from rcp_kernel.operations.command import CommandTable
-from rcp_kernel.streaming.hub import Hub
+from rcp_kernel.streaming.links import Links
 from rcp_kernel.streaming.notices import notice
 from rcp_kernel.wire import VERSION, failure
 
@@ -40,7 +40,7 @@ class Handshake:
         commands: CommandTable,
         resume: SessionResume,
         subscribe: Subscribe,
-        hub: Hub,
+        links: Links,
         follower: Callable[[Answer], Answer],
     ) -> None:
         self._sessions = sessions
@@ -52,7 +52,7 @@ class Handshake:
         self._stored = resume
         self._subscribe = subscribe
         """Starts a subscription of an earlier run again."""
-        self._hub = hub
+        self._links = links
         self._follower = follower
         """Holds back what a client is told of a command until that is on record."""
 
@@ -222,7 +222,7 @@ class Handshake:
             code, facts = session.news.popleft()
             notice(connection.outbox, code, **facts)
         for subscription in session.subscriptions.values():
-            self._hub.attach(subscription, connection.outbox, have)
+            self._links.attach(subscription, connection.outbox, have)
 
 
 def _proves(text: str, session: Session | StoredSession) -> bool:

@@ -11,6 +11,7 @@ from __future__ import annotations
 import asyncio
 from collections import deque
 from collections.abc import Callable
+from time import perf_counter
 from typing import TYPE_CHECKING, Any, Protocol
 
 import structlog
@@ -26,6 +27,9 @@ __all__ = ["BUDGET", "FlushScheduler", "Framing", "Outbox", "Wrap"]
 
 log = structlog.get_logger("rcp.streams")
 BUDGET = 262_144  # bytes that an outbox gives away at once
+_PATIENCE = 0.001  # s that it collects samples of many paths, before others have their turn
+_TICK = 0.004  # s of one tick: outboxes that are left wait for the next turn of the loop
+_FEW = 32  # paths that are collected between looks at the time
 
 Framing = Callable[[int, bool], bytes]
 """Make the head of a transport's frame, for a message of so many bytes, text or not."""
@@ -76,7 +80,11 @@ class FlushScheduler:
 
     def _tick(self) -> None:
         dirty, self._dirty = self._dirty, []
-        for one in dirty:
+        until = perf_counter() + _TICK
+        for place, one in enumerate(dirty):
+            if place and perf_counter() > until:
+                self._postpone(dirty[place:])
+                return
             one.dirty = False
             flush = one.on_flush
             if flush is not None:
@@ -84,6 +92,12 @@ class FlushScheduler:
                     flush()
                 except Exception:  # one client's trouble must not keep the others waiting
                     log.exception("flush_failed")
+
+    def _postpone(self, left: list[Flushable]) -> None:
+        """Go on in the coming turn of the loop, ahead of what was marked meanwhile."""
+        if not self._dirty:
+            self._loop.call_soon(self._tick)
+        self._dirty[:0] = left
 
 
 class Outbox:
@@ -266,14 +280,15 @@ class Outbox:
             pending.sort(key=_urgency)
         if len(pending) > self.high_water:  # noqa: PLR1730 - a call less for each update
             self.high_water = len(pending)
-        for place, feed in enumerate(pending):
+        until = perf_counter() + _PATIENCE if len(pending) > _FEW else 0.0
+        for place, feed in enumerate(pending, 1):
             budget -= feed.drain(out, budget, wrap, big)
             if feed.queue or feed.backlog:
                 later.append(feed)
             else:
                 feed.marked = False
-            if budget <= 0:
-                later.extend(pending[place + 1 :])
+            if budget <= 0 or (not place % _FEW and perf_counter() > until):
+                later.extend(pending[place:])
                 break
         return out
 

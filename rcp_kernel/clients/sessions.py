@@ -26,7 +26,7 @@ from rcp_kernel.errors import QueueFull, TokenExpired
 from rcp_kernel.operations.command import CommandTable
 from rcp_kernel.record.audit import Audit
 from rcp_kernel.shutdown import Shutdown
-from rcp_kernel.streaming.hub import Hub
+from rcp_kernel.streaming.links import Links
 from rcp_kernel.streaming.notices import notice
 from rcp_kernel.wire import error_body, failure
 
@@ -84,7 +84,7 @@ class Sessions:
         commands: CommandTable,
         resume: SessionResume,
         audit: Audit,
-        hub: Hub,
+        links: Links,
         outbound: Outbound,
         loop: asyncio.AbstractEventLoop,
     ) -> None:
@@ -97,7 +97,7 @@ class Sessions:
         self._commands = commands
         self._resume = resume
         self._audit = audit
-        self._hub = hub
+        self._links = links
         self._outbound = outbound
         self._loop = loop
         self.updates: dict[str, int] = {}
@@ -293,7 +293,7 @@ class Sessions:
             self.drop(session)
             return
         for subscription in session.subscriptions.values():
-            self._hub.detach(subscription)
+            self._links.detach(subscription)
         session.expiry = self._loop.call_later(
             self._settings.limits.session_ttl, self.drop, session
         )
@@ -310,6 +310,6 @@ class Sessions:
         if session.expiry is not None:
             session.expiry.cancel()
         for subscription in session.subscriptions.values():
-            self._hub.forget(subscription)
+            self._links.forget(subscription)
         session.subscriptions.clear()
         session.let_missed_go()

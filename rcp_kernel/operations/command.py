@@ -23,8 +23,8 @@ from rcp_kernel.errors import (
 )
 from rcp_kernel.registry import Entry
 from rcp_kernel.spi import Progress
-from rcp_kernel.values import to_plain
-from rcp_kernel.wire import FINAL, NO_BODY, Reply, Status
+from rcp_kernel.values import ANY, Encoding, to_plain
+from rcp_kernel.wire import FINAL, NO_BODY, Body, Reply, Status
 
 if TYPE_CHECKING:
     from rcp_kernel.clients.session import Session
@@ -32,6 +32,7 @@ if TYPE_CHECKING:
 __all__ = ["Command", "CommandTable", "Record", "Work", "outcome_of", "status_of"]
 
 log = structlog.get_logger("rcp.commands")
+_SHORT = 16_384  # bytes of a command that are kept as they are written
 Follower = Callable[[Reply], None]
 
 
@@ -90,6 +91,31 @@ class Record:
         return out
 
 
+class _Listed(Body):
+    """A command as lists tell of it; what has ended and is short is written once."""
+
+    __slots__ = ("_command", "_written")
+
+    def __init__(self, command: Command) -> None:
+        self._command = command
+        self._written: dict[Encoding, bytes] = {}
+
+    @property
+    def value(self) -> dict[str, Any]:
+        """The command with its history as plain data."""
+        return self._command.plain()
+
+    def encoded(self, encoding: Encoding) -> bytes:
+        """Return it as bytes of the encoding."""
+        data = self._written.get(encoding)
+        if data is None:
+            final = self._command.final
+            data = ANY.encode(self._command.plain(), encoding)
+            if final and len(data) <= _SHORT:
+                self._written[encoding] = data
+        return data
+
+
 @dataclass(slots=True, eq=False)
 class Command:
     """One execute, from request to its one final status."""
@@ -125,6 +151,7 @@ class Command:
     expired: bool = False
     timer: asyncio.TimerHandle | None = None
     """Ends the command at its deadline."""
+    _listed: _Listed | None = None
     _names: frozenset[str] | None = None
     """What is named once it has ended: nothing changes after that."""
 
@@ -191,6 +218,13 @@ class Command:
         if history:
             out["history"] = [record.plain() for record in self.history]
         return out | (self.custom or {})
+
+    @property
+    def listed(self) -> Body:
+        """What `plain` returns, to be written with others."""
+        if self._listed is None:
+            self._listed = _Listed(self)
+        return self._listed
 
     @property
     def progress(self) -> float | None:

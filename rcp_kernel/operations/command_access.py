@@ -43,7 +43,12 @@ class CommandAccess:
 
     def visible(self, session: Session) -> list[Command]:
         """List the commands that a session may see, newest first."""
-        return [command for command in self._commands.every() if self.sees(session, command)]
+        return [command for command in self.judged(session) if command is not None]
+
+    def judged(self, session: Session) -> Iterator[Command | None]:
+        """Go through all commands, newest first; None stands for one that a session may not see."""
+        for command in self._commands.every():
+            yield command if self.sees(session, command) else None
 
     def visited(self, session: Session) -> Iterator[Command | None]:
         """Go through all commands, newest first; None stands for one that a session may not see."""

@@ -76,10 +76,9 @@ class Commands:
         """Return a command by the gateway's id."""
         return self.running.get(id_) or self.finished.get(id_)
 
-    def every(self) -> Iterable[Command]:
-        """Go through all that are known, newest first."""
-        yield from reversed(list(self.running.values()))
-        yield from self.finished.newest_first()
+    def every(self) -> list[Command]:
+        """Return all that are known, newest first."""
+        return [*reversed(self.running.values()), *self.finished.newest_first()]
 
     def remember(self, commands: Iterable[Command]) -> None:
         """Take in finished commands of an earlier run."""

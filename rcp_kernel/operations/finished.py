@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from rcp_kernel.values import Encoding, dump
@@ -32,10 +32,9 @@ class Finished:
         found = self._known.get(id_)
         return None if found is None else found[0]
 
-    def newest_first(self) -> Iterator[Command]:
-        """Go through all of them."""
-        for command, _ in reversed(self._known.values()):
-            yield command
+    def newest_first(self) -> list[Command]:
+        """Return all of them."""
+        return [command for command, _ in reversed(self._known.values())]
 
     def add(self, command: Command) -> None:
         """Remember a command, at the cost of the oldest."""

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Generator, Iterator
+from typing import Any, TypeGuard
 
 from rcp_kernel.clients.session import Session
 from rcp_kernel.values import Encoding, to_plain
 from rcp_kernel.wire import NO_BODY, Body, Request, encode_body, encode_frame
 
-__all__ = ["Parts", "Written", "expected"]
+__all__ = ["Parts", "Written", "expected", "is_listing", "listed"]
 
 
 def expected(session: Session, request: Request) -> Encoding:
@@ -39,7 +40,7 @@ class Written(Body):
 class Parts(Body):
     """A list of objects; those of samples share the bytes that the samples have anyway."""
 
-    __slots__ = ("_encoding", "_made", "_pieces", "size")
+    __slots__ = ("_encoding", "_made", "_pieces", "cut", "size")
 
     def __init__(self, encoding: Encoding) -> None:
         self._encoding = encoding
@@ -47,6 +48,7 @@ class Parts(Body):
         self._pieces: list[bytes] = []
         self.size = 1
         """Bytes of all parts, and of the list itself."""
+        self.cut = False
 
     def __len__(self) -> int:
         return len(self._pieces)
@@ -82,6 +84,24 @@ class Parts(Body):
         if encoding is Encoding.JSON:
             return b"[%b]" % b",".join(pieces)
         return b"".join((_head(len(pieces), encoding), *pieces))
+
+
+def is_listing(value: Any) -> TypeGuard[Iterator[Body | None]]:
+    """Tell whether a value is a list that is still to be written: by `listed`."""
+    return isinstance(value, Iterator)
+
+
+def listed(
+    items: Iterator[Body | None], encoding: Encoding, longest: int
+) -> Generator[None, None, Parts]:
+    """Write a list in steps, as far as there is room; None stands for an item that is left out."""
+    page = Parts(encoding)
+    for item in items:
+        if item is not None and not page.add(None, item, longest if len(page) else None):
+            page.cut = True
+            break
+        yield
+    return page
 
 
 def _piece(fields: dict[str, Any] | None, body: Any, encoding: Encoding) -> bytes:

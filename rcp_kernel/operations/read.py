@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Generator, Iterator, Mapping
 from functools import partial
 from itertools import islice
 from time import perf_counter
@@ -26,21 +26,22 @@ from rcp_kernel.model import Operation, Pattern
 from rcp_kernel.operations.counts import RequestCounts
 from rcp_kernel.operations.inflight import InFlight
 from rcp_kernel.operations.pages import LONGEST, MOST, cursor_of, place_of, room
-from rcp_kernel.operations.parts import Parts, expected
+from rcp_kernel.operations.parts import Parts, expected, is_listing, listed
 from rcp_kernel.operations.pattern_read import PatternRead
 from rcp_kernel.operations.pending import attribute_error
 from rcp_kernel.operations.views import Filter, View
 from rcp_kernel.registry import Entry, Registry
 from rcp_kernel.spi import Backend, has_watch
 from rcp_kernel.streaming.samples import READ_PIECE, Sample, masked, project
-from rcp_kernel.turns import Turns
+from rcp_kernel.turns import Turns, at_once
 from rcp_kernel.values import value_type
-from rcp_kernel.wire import Reply, Request
+from rcp_kernel.wire import Body, Reply, Request
 
 __all__ = ["READ_OPTIONS", "ReadHandler", "ReadOptions"]
 
 _READ = int(Operation.READ)
 _to_json = msgspec.json.Encoder().encode
+_STEP = 16  # samples that are judged at once
 
 
 class ReadOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -158,21 +159,9 @@ class ReadHandler:
         options = request.decode_body(READ_OPTIONS, "read") or ReadOptions()
         if request.path is not None and "*" in request.path:
             return self._read_many(session, request, answer, options)
-        entry = self._resolver.resolve(session, request.path, Operation.READ)
-        if options.cursor is not None:
-            raise FilterUnsupported(
-                "`cursor` needs a pattern, and this is a single path",
-                path=entry.path,
-                remedy="Send the pattern that the cursor belongs to.",
-            )
-        for field in options.fields or ():
-            if not entry.value_type.has_field(field):
-                raise FilterUnsupported(f"{entry.path} has no field '{field}'", path=entry.path)
-        if (view := self._views.get(entry.path)) is not None:
-            return _viewed(request, entry, view(session), options)
-        if (shown := self._filters.get(entry.path)) is not None:
-            sample = _last_shown(entry, partial(shown, session))
-            return _reply(request, entry, sample, options)
+        entry = self._entry(session, request, options)
+        if entry.path in self._views or entry.path in self._filters:
+            return at_once(self._read_own(session, request, entry, options))
         if (sample := _at_hand(entry, options)) is not None:
             return _reply(request, entry, sample, options)
         timeout = self._inflight.deadline(request, entry)
@@ -186,6 +175,44 @@ class ReadHandler:
             entry.path,
         )
         return None
+
+    def _entry(self, session: Session, request: Request, options: ReadOptions) -> Entry:
+        entry = self._resolver.resolve(session, request.path, Operation.READ)
+        if options.cursor is not None:
+            raise FilterUnsupported(
+                "`cursor` needs a pattern, and this is a single path",
+                path=entry.path,
+                remedy="Send the pattern that the cursor belongs to.",
+            )
+        for field in options.fields or ():
+            if not entry.value_type.has_field(field):
+                raise FilterUnsupported(f"{entry.path} has no field '{field}'", path=entry.path)
+        return entry
+
+    def read_in_steps(
+        self, session: Session, request: Request, answer: Answer
+    ) -> Generator[None, None, Reply | None]:
+        """Do as `read` does; what shows each reader its own is looked through in steps."""
+        path = request.path
+        if path not in self._views and path not in self._filters:
+            return self.read(session, request, answer)
+        options = request.decode_body(READ_OPTIONS, "read") or ReadOptions()
+        entry = self._entry(session, request, options)
+        return (yield from self._read_own(session, request, entry, options))
+
+    def _read_own(
+        self, session: Session, request: Request, entry: Entry, options: ReadOptions
+    ) -> Generator[None, None, Reply]:
+        view = self._views.get(entry.path)
+        if view is None:
+            shown = partial(self._filters[entry.path], session)
+            sample = yield from _last_shown(entry, shown)
+            return _reply(request, entry, sample, options)
+        value = view(session)
+        if is_listing(value):
+            longest = room(self._settings.limits.message)
+            value = yield from listed(value, expected(session, request), longest)
+        return _viewed(request, entry, value, options)
 
     async def fetch(self, entry: Entry) -> Sample:
         """Ask the backend for a value; wait for the next sample where it can only publish."""
@@ -267,10 +294,12 @@ def _at_hand(entry: Entry, options: ReadOptions) -> Sample | None:
     return entry.latest if entry.kind == "actuator" else None
 
 
-def _last_shown(entry: Entry, shown: Callable[[Any], Any]) -> Sample:
-    for sample in reversed(entry.ring):
+def _last_shown(entry: Entry, shown: Callable[[Any], Any]) -> Generator[None, None, Sample]:
+    for number, sample in enumerate(reversed(tuple(entry.ring)), 1):
         if (told := masked(sample, shown)) is not None:
             return told
+        if not number % _STEP:
+            yield
     raise AdapterUnavailable(
         f"no event on {entry.path} yet",
         path=entry.path,
@@ -279,13 +308,16 @@ def _last_shown(entry: Entry, shown: Callable[[Any], Any]) -> Sample:
 
 
 def _viewed(request: Request, entry: Entry, value: Any, options: ReadOptions) -> Reply:
-    body = project(value, options.fields) if options.fields else value
+    cut = isinstance(value, Body) and value.cut
+    if options.fields:
+        value = project(value.value if isinstance(value, Body) else value, options.fields)
     moment = iso(now())
     return Reply(
         type=request.type,
         id=request.id,
         path=entry.path,
-        body=body,
+        body=value,
+        truncated=cut,
         source_timestamp=moment,
         state="fresh",
         timestamp=moment,

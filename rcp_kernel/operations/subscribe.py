@@ -29,15 +29,19 @@ from rcp_kernel.errors import (
     UnsupportedOperation,
 )
 from rcp_kernel.model import Operation, Pattern
-from rcp_kernel.operations.pages import MOST, cursor_of
+from rcp_kernel.operations.pages import MOST, MOST_BYTES, cursor_of
+from rcp_kernel.operations.parts import is_listing, listed
 from rcp_kernel.operations.views import Filter, View
 from rcp_kernel.registry import Entry
 from rcp_kernel.streaming.conditional import ConditionalSubscriptions
 from rcp_kernel.streaming.filters import Change, Options, check_fields, parse_where, seconds
 from rcp_kernel.streaming.hub import Hub
+from rcp_kernel.streaming.links import Links
 from rcp_kernel.streaming.notices import notice
+from rcp_kernel.streaming.path_subscription import PathSubscription
 from rcp_kernel.streaming.subscription import Subscription
-from rcp_kernel.values import value_type
+from rcp_kernel.turns import at_once
+from rcp_kernel.values import Encoding, value_type
 from rcp_kernel.wire import Reply, Request, error_body
 
 __all__ = ["SubscribeHandler"]
@@ -60,6 +64,7 @@ class SubscribeHandler:
         self,
         resolver: Resolver,
         hub: Hub,
+        links: Links,
         conditional: ConditionalSubscriptions,
         quotas: QuotaTracker,
         resume: SessionResume,
@@ -71,6 +76,7 @@ class SubscribeHandler:
     ) -> None:
         self._resolver = resolver
         self._hub = hub
+        self._links = links
         self._registry = hub.registry
         self._conditional = conditional
         self._quotas = quotas
@@ -124,7 +130,7 @@ class SubscribeHandler:
             custom=request.custom,
         )
         # Control messages leave before updates, so the client knows the id before it sees one.
-        self._hub.add(subscription, entries)
+        self._links.add(subscription, entries)
         return reply
 
     def _check_room(self, session: Session, id_: str) -> None:
@@ -144,7 +150,7 @@ class SubscribeHandler:
         )
         registry = self._registry
         matched = {e.path: e for p in patterns for e in registry.match(p) if subscription.may(e)}
-        self._hub.add(subscription, list(matched.values()))
+        self._links.add(subscription, list(matched.values()))
 
     def _begin(
         self, session: Session, id_: str, patterns: list[Pattern], options: Options
@@ -159,9 +165,9 @@ class SubscribeHandler:
         def end(subscription: Subscription, reason: str, error: RcpError | None) -> None:
             self._ended(session, subscription, reason, error)
 
-        def view(entry: Entry) -> Callable[[], Any] | None:
+        def view(entry: Entry) -> Callable[[Encoding], Any] | None:
             shown = self._views.get(entry.path)
-            return None if shown is None else partial(shown, session)
+            return None if shown is None else partial(_whole, shown, session)
 
         def visibility_filter(entry: Entry) -> Callable[[Any], Any] | None:
             shown = self._filters.get(entry.path)
@@ -173,6 +179,7 @@ class SubscribeHandler:
             patterns,
             options,
             connection.outbox,
+            owner=session.principal.identity,
             may=may,
             end=end,
             view=view,
@@ -214,7 +221,7 @@ class SubscribeHandler:
                     found[entry.path] = entry
                 if not number % _STEP:
                     yield
-        held = sum(len(subscription.feeds) for subscription in session.subscriptions.values())
+        held = sum(len(one.feeds) + len(one.awaited) for one in session.subscriptions.values())
         if held + len(found) > self._settings.limits.paths:
             raise PayloadTooLarge(
                 f"the patterns match {len(found)} paths and the session already has {held}; its "
@@ -246,20 +253,27 @@ class SubscribeHandler:
             )
         for pattern in subscription.patterns:
             for entry in self._registry.match(pattern):
-                if entry.path not in subscription.feeds and subscription.may(entry):
+                known = entry.path in subscription.feeds or entry.path in subscription.awaited
+                if not known and subscription.may(entry):
                     hub.join(subscription, entry)
 
-    def unsubscribe(self, session: Session, request: Request, answer: Answer) -> Reply:
+    def unsubscribe(
+        self, session: Session, request: Request, answer: Answer
+    ) -> Generator[None, None, Reply]:
         """End a subscription, named by `body.subscription`, by the request's `id`, or by its path.
+
+        It is done in steps; nothing of it is sent after the reply.
 
         :raises UnknownPath: this session has no such subscription.
         """
         body = request.decode_body(_WHICH, "unsubscribe")
         found = self._find(session, request, body.subscription if body is not None else None)
         for subscription in found:
-            del session.subscriptions[subscription.id]
-            self._resume.unsubscribed(session, subscription.id)
-            self._hub.remove(subscription)
+            # It may have come to its end by itself meanwhile.
+            if session.subscriptions.get(subscription.id) is subscription:
+                del session.subscriptions[subscription.id]
+                self._resume.unsubscribed(session, subscription.id)
+                yield from self._links.remove(subscription)
         return Reply(
             type="unsubscribe",
             id=request.id,
@@ -293,27 +307,34 @@ class SubscribeHandler:
         if session.subscriptions.pop(subscription.id, None) is None:
             return
         self._resume.unsubscribed(session, subscription.id)
-        outbox = subscription.outbox
-        if outbox is not None and error is None:
-            # What was delivered to the queue before the end goes out before the notice of it.
-            for data in _rest(subscription):
-                outbox.put(data)
-        self._hub.remove(subscription)
-        if error is not None:
-            self._hub.dropped["overrun"] += 1
         facts: dict[str, Any] = {"id": subscription.id, "reason": reason}
         if error is not None:
+            self._hub.dropped["overrun"] += 1
             facts |= {"error": error_body(error), "message": error.message}
-        notice(outbox, reason if error is not None else "subscription_ended", **facts)
+
+        def told() -> None:
+            code = reason if error is not None else "subscription_ended"
+            notice(subscription.outbox, code, **facts)
+
+        # What was delivered to the queue before the end goes out before the notice of it.
+        self._links.end(subscription, _send_rest if error is None else None, told)
 
 
-def _rest(subscription: Subscription) -> list[bytes]:
+def _whole(view: Callable[[Session], Any], session: Session, encoding: Encoding) -> Any:
+    """Make the value of a view; of a list as much as fits in one page."""
+    value = view(session)
+    return at_once(listed(value, encoding, MOST_BYTES)) if is_listing(value) else value
+
+
+def _send_rest(feed: PathSubscription) -> None:
+    """Send what waits of a path: as control messages, so that nothing comes behind the end."""
+    outbox = feed.outbox
+    if outbox is None or not feed.waiting:
+        return
     out: list[bytes] = []
-    outbox = subscription.outbox
-    assert outbox is not None
     # Whole messages, not frames: they are framed with the other control messages.
     framing, outbox.framing = outbox.framing, None
-    for feed in subscription.feeds.values():
-        feed.drain(out, sys.maxsize, None, None)
+    feed.drain(out, sys.maxsize, None, None)
     outbox.framing = framing
-    return out
+    for data in out:
+        outbox.put(data)

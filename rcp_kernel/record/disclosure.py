@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections import OrderedDict
-from typing import Any
+from typing import Any, NamedTuple
+from weakref import WeakKeyDictionary
 
 from rcp_kernel._plain import is_list, is_map
 from rcp_kernel.access.acl import Rights, Rules
@@ -19,9 +20,15 @@ __all__ = ["PATH", "Disclosure"]
 PATH = "/system/audit"
 _LOOK = Operation.READ | Operation.SUBSCRIBE
 _KNOWN = 2000  # records whose names are remembered
+_KEPT = 20_000  # verdicts: of twenty sets of rights about all records at hand
 _PLAN = frozenset(("name", "steps", "symbolic", "lines"))  # what the body of a plan may have
 _ROBOTS = ("robots", "latches")
 _WHOLE = 2  # slashes of the key of a tenant
+
+
+class _Verdict(NamedTuple):
+    record: dict[str, Any]
+    told: dict[str, Any] | None
 
 
 class Disclosure:
@@ -33,12 +40,19 @@ class Disclosure:
         self._reach: dict[Grants, tuple[str, ...]] = {}
         self._reached: object = None
         self._names: OrderedDict[Any, frozenset[str]] = OrderedDict()
+        self._verdicts = _Verdicts()
 
     def shown(self, session: Session, record: dict[str, Any]) -> dict[str, Any] | None:
         """Return a record as a session may see it; None if it may not at all."""
-        if not self.concerns(session, record) or not self._sees(session.rights, record):
+        if not self.concerns(session, record):
             return None
-        return self._masked(session.rights, record)
+        rights, generation = session.rights, self._visibility.generation
+        try:
+            return self._verdicts.find(rights, generation, record)
+        except KeyError:
+            told = self._masked(rights, record) if self._sees(rights, record) else None
+            self._verdicts.keep(rights, generation, record, told)
+            return told
 
     def concerns(self, session: Session, record: dict[str, Any]) -> bool:
         """Tell whether a session may see the audit of all tenants that a record is of."""
@@ -107,6 +121,42 @@ class Disclosure:
                 if Rights(((tenant, held),), roles).mask(PATH) & _LOOK
             )
         return reach
+
+
+class _Verdicts:
+    """What was found to be shown of records: to each set of rights, as long as the tree stays.
+
+    The same records are looked through again and again: by each read, and for each subscriber.
+    """
+
+    def __init__(self) -> None:
+        self._kept: WeakKeyDictionary[Rights, dict[int, _Verdict]] = WeakKeyDictionary()
+        self._generation = 0
+        self._count = 0
+
+    def find(
+        self, rights: Rights, generation: int, record: dict[str, Any]
+    ) -> dict[str, Any] | None:
+        """Return what is shown of a record.
+
+        :raises KeyError: it is not known.
+        """
+        if generation != self._generation:
+            raise KeyError(generation)
+        verdict = self._kept[rights][id(record)]
+        if verdict.record is not record:
+            raise KeyError(id(record))
+        return verdict.told
+
+    def keep(
+        self, rights: Rights, generation: int, record: dict[str, Any], told: dict[str, Any] | None
+    ) -> None:
+        """Keep what is shown of a record; too many, and all are forgotten."""
+        if generation != self._generation or self._count >= _KEPT:
+            self._kept.clear()
+            self._generation, self._count = generation, 0
+        self._count += 1
+        self._kept.setdefault(rights, {})[id(record)] = _Verdict(record, told)
 
 
 def _telling(record: dict[str, Any]) -> dict[str, Any]:

@@ -12,8 +12,8 @@ from rcp_kernel.registry import Entry
 from rcp_kernel.streaming.filters import Change
 from rcp_kernel.streaming.path_subscription import PathSubscription
 from rcp_kernel.streaming.samples import Sample, masked, project
-from rcp_kernel.values import dump
-from rcp_kernel.wire import encode_frame
+from rcp_kernel.values import Encoding
+from rcp_kernel.wire import Body, encode_body, encode_frame
 
 if TYPE_CHECKING:
     from rcp_kernel.clients.outbox import Outbox
@@ -26,6 +26,8 @@ _LONGEST = 86_400.0  # s between updates, however low the rate
 
 class FilteredPathSubscription(PathSubscription):
     """One path of a subscription that asked for less than every sample."""
+
+    judges = True
 
     __slots__ = ("_armed", "_change", "_due", "_held", "_interval", "_where")
 
@@ -99,16 +101,16 @@ class FilteredPathSubscription(PathSubscription):
         if self.backlog and self._interval:
             self._due = time.monotonic() + self._interval
 
-    def admit(self, sample: Sample) -> bool:
-        """Tell whether an earlier sample passes; the rate does not hold the past back."""
+    def admit(self, sample: Sample) -> Sample | None:
+        """Return an earlier sample that passes; the rate does not hold the past back."""
         if self._where is not None and not self._passes(sample):
-            return False
+            return None
         if self._change is None:
-            return True
+            return sample
         try:
-            return self._change.passes(sample.value)
+            return sample if self._change.passes(sample.value) else None
         except RcpError:
-            return False
+            return None
 
     def prime(self, sample: Sample) -> None:
         """Let the filters see the present value, without sending it."""
@@ -141,14 +143,10 @@ class VisibilityFilteredSubscription(FilteredPathSubscription):
         if (told := self._told(sample)) is not None:
             super().offer(told)
 
-    def admit(self, sample: Sample) -> bool:
-        """Tell whether something of an earlier sample may be seen, and passes."""
+    def admit(self, sample: Sample) -> Sample | None:
+        """Return what may be seen of an earlier sample, and passes."""
         told = self._told(sample)
-        return told is not None and super().admit(told)
-
-    def replay(self, samples: Iterable[Sample]) -> None:
-        """Queue what may be seen of earlier samples."""
-        super().replay(told for sample in samples if (told := self._told(sample)) is not None)
+        return None if told is None else super().admit(told)
 
     def _told(self, sample: Sample) -> Sample | None:
         return masked(sample, self._shown)
@@ -164,7 +162,7 @@ class ViewSubscription(PathSubscription):
         subscription: Subscription,
         entry: Entry,
         outbox: Outbox | None,
-        view: Callable[[], Any],
+        view: Callable[[Encoding], Any],
     ) -> None:
         super().__init__(subscription, entry, outbox)
         self._plain = False
@@ -172,7 +170,7 @@ class ViewSubscription(PathSubscription):
 
     def _frame(self, sample: Sample) -> bytes:
         encoding, *_ = self._heads or self._make_heads()
-        facts = {
+        facts: dict[str, Any] = {
             "type": "update",
             "id": self.subscription.id,
             "path": self.entry.path,
@@ -180,9 +178,11 @@ class ViewSubscription(PathSubscription):
             "timestamp": sample.time,
         }
         try:
-            value = self._view()
+            value = self._view(encoding)
+            if isinstance(value, Body) and value.cut:
+                facts["truncated"] = True
             if self.fields is not None:
-                value = project(value, self.fields)
-            return encode_frame(facts, dump(value, encoding), encoding)
+                value = project(value.value if isinstance(value, Body) else value, self.fields)
+            return encode_frame(facts, encode_body(value, encoding), encoding)
         except Exception as error:
             raise to_internal_error(error, path=self.entry.path) from error

@@ -1,7 +1,4 @@
-"""The hub keeps subscriptions linked to the tree as both change.
-
-It links feeds to entries, and replays what a client missed.
-"""
+"""The hub links feeds to entries, and keeps them linked as the tree changes."""
 
 from __future__ import annotations
 
@@ -16,7 +13,6 @@ from rcp_kernel.streaming.deadline_monitor import DeadlineMonitor
 from rcp_kernel.streaming.demand import AbsentListener, DemandTracker, absent_listener
 from rcp_kernel.streaming.notices import notice
 from rcp_kernel.streaming.path_subscription import PathSubscription
-from rcp_kernel.streaming.samples import Sample
 from rcp_kernel.streaming.shared_fanout import (
     SharedPathSubscription,
     join_fanout,
@@ -27,8 +23,6 @@ from rcp_kernel.streaming.subscription import Subscription
 from rcp_kernel.timers import Timers
 
 __all__ = ["Hub"]
-
-_LONGEST = 86_400.0 * 365  # s: no timer reaches further
 
 
 class Hub:
@@ -57,65 +51,54 @@ class Hub:
 
     # -- subscriptions -------------------------------------------------------------------------
 
-    def add(self, subscription: Subscription, entries: list[Entry]) -> None:
-        """Start a subscription on the entries that it matches now; later ones join by themselves."""
-        self.subscriptions.add(subscription)
-        options = subscription.options
-        for entry in entries:
-            feed = self._link(subscription, entry)
-            if feed.paused:
-                continue
-            if options.history:
-                feed.replay(subscription.past(feed, options.history))
-            elif entry.latest is not None:
-                self._first(feed, entry.latest)
-        if options.duration is not None:
-            subscription.timer = self.loop.call_later(
-                min(options.duration, _LONGEST), subscription.end, subscription, "duration", None
-            )
-
-    def _first(self, feed: PathSubscription, sample: Sample) -> None:
-        if not feed.subscription.options.initial:
-            feed.prime(sample)
-        elif feed.admit(sample):
-            feed.replay((sample,))
-        if self.deadline_monitor.known(feed.entry):
+    def first(self, feed: PathSubscription, last: int) -> None:
+        """Send the value that was the present one with number `last`, and all that came since."""
+        entry = feed.entry
+        if entry.latest is None:
+            return
+        samples = [entry.latest]
+        if entry.seq != last:
+            samples = [sample for sample in entry.ring if sample.seq >= last]
+        if not feed.subscription.options.initial and samples[0].seq == last:
+            feed.prime(samples.pop(0))
+        if samples:
+            feed.replay([told for one in samples if (told := feed.admit(one)) is not None])
+        if self.deadline_monitor.known(entry):
             self.deadline_monitor.tell(feed)
 
-    def remove(self, subscription: Subscription) -> None:
-        """End a subscription; what it has queued is forgotten."""
-        self.subscriptions.discard(subscription)
-        if subscription.timer is not None:
-            subscription.timer.cancel()
-        for feed in subscription.feeds.values():
-            self.unlink(feed)
-            feed.leave()
-            self.dropped["conflated"] += feed.skipped
-        subscription.feeds.clear()
+    def let_go(self, feed: PathSubscription) -> None:
+        """Offer a feed nothing more, for good; what it has queued is forgotten."""
+        self.release(feed)
+        self.unlink(feed)
+        feed.leave()
+        self.dropped["conflated"] += feed.skipped
 
-    def _link(self, subscription: Subscription, entry: Entry) -> PathSubscription:
-        feed = subscription.feed(entry)
+    def link(self, subscription: Subscription, feed: PathSubscription) -> None:
+        """Offer a new feed every sample from now on."""
+        entry = feed.entry
+        feed.sent = entry.seq
         subscription.feeds[entry.path] = feed
         if subscription.outbox is None:
-            self._keep(feed)
+            feed.outbox = None
+            self.hold(feed)
         else:
-            self._relink(feed)
+            feed.outbox = subscription.outbox
+            self.relink(feed)
             if feed.priority != 4:
                 subscription.outbox.prioritised = True
         subscription.placed(feed)
-        return feed
 
     def join(self, subscription: Subscription, entry: Entry) -> None:
         """Add an entry to a subscription that stands, and tell its client."""
-        feed = self._link(subscription, entry)
+        feed = subscription.feed(entry)
+        self.link(subscription, feed)
         notice(subscription.outbox, "resource_added", id=subscription.id, path=entry.path)
-        if entry.latest is not None and not feed.paused:
-            self._first(feed, entry.latest)
+        if not feed.paused:
+            self.first(feed, entry.seq)
 
     def pause(self, feed: PathSubscription) -> None:
         """Send nothing more of a path for now; what waits is forgotten."""
-        if feed.subscription.outbox is None:
-            self._unkeep(feed)
+        self.release(feed)
         self.unlink(feed)
         feed.leave()
         feed.outbox = feed.subscription.outbox
@@ -126,21 +109,34 @@ class Hub:
         entry = feed.entry
         feed.paused = False
         feed.sent = entry.seq
+        feed.outbox = feed.subscription.outbox
         if entry.path not in self.registry.entries:
             return
         if feed.subscription.outbox is None:
-            self._keep(feed)
+            self.hold(feed)
             return
-        self._relink(feed)
-        if entry.latest is not None:
-            self._first(feed, entry.latest)
+        self.relink(feed)
+        self.first(feed, entry.seq)
+
+    def hold(self, feed: PathSubscription) -> None:
+        """Have the history of a feed's path kept while its client is away."""
+        if not feed.kept:
+            feed.kept = True
+            self._keep(feed)
+
+    def release(self, feed: PathSubscription) -> None:
+        """Have the history kept no more for a feed."""
+        if feed.kept:
+            feed.kept = False
+            self._unkeep(feed)
 
     def _keep(self, feed: PathSubscription) -> None:
         """Have the history of a path kept for a client that is away."""
         _hold(feed.entry, feed.subscription.options.rate)
         self.demand.retune(feed.entry)
 
-    def _relink(self, feed: PathSubscription) -> None:
+    def relink(self, feed: PathSubscription) -> None:
+        """Offer a feed samples again."""
         entry = feed.entry
         if isinstance(feed, SharedPathSubscription):
             join_fanout(feed, entry)
@@ -205,67 +201,11 @@ class Hub:
             entry.listeners = [known for known in entry.listeners if known is not listener]
             self._left(entry)
 
-    # -- cut and resume ------------------------------------------------------------------------
-
-    def detach(self, subscription: Subscription) -> None:
-        """Stop sending: the connection is gone. The history of its paths goes on being kept."""
-        subscription.outbox = None
-        for path, feed in subscription.feeds.items():
-            feed.leave()
-            if path in self.registry.entries and not feed.paused:
-                self._keep(feed)  # before the feed goes, so that its source goes on
-            self.unlink(feed)
-
-    def attach(
-        self, subscription: Subscription, outbox: Outbox, missed_from: dict[str, int] | None
-    ) -> None:
-        """Go on sending, what was missed first; `missed_from` is what the client has, by path."""
-        subscription.outbox = outbox
-        for path, feed in subscription.feeds.items():
-            feed.outbox = outbox
-            if feed.paused:
-                continue
-            known = feed.sent if missed_from is None else missed_from.get(path, feed.sent)
-            self._replay(feed, known)
-            if path in self.registry.entries:
-                self._relink(feed)
-            self._unkeep(feed)
-            if feed.priority != 4:
-                outbox.prioritised = True
-
-    def _replay(self, feed: PathSubscription, known: int) -> None:
-        ring = feed.entry.ring
-        if feed.entry.seq <= known:
-            return
-        oldest = ring[0].seq if ring else feed.entry.seq + 1
-        if oldest > known + 1:
-            lost = oldest - known - 1
-            self.dropped["gap"] += lost
-            notice(
-                feed.outbox,
-                "gap",
-                id=feed.subscription.id,
-                path=feed.entry.path,
-                lost=lost,
-                first=known + 1,
-                last=oldest - 1,
-                message=f"{lost} samples of {feed.entry.path} are no longer in the replay buffer",
-            )
-        feed.replay([s for s in ring if s.seq > known and feed.admit(s)])
-
-    def forget(self, subscription: Subscription) -> None:
-        """Let go of a detached subscription whose session has expired."""
-        if subscription.outbox is None:
-            for feed in subscription.feeds.values():
-                self._unkeep(feed)
-        self.remove(subscription)
-
     def drop(self, feed: PathSubscription) -> None:
         """Take one path out of a subscription."""
         subscription = feed.subscription
         del subscription.feeds[feed.entry.path]
-        if subscription.outbox is None:
-            self._unkeep(feed)
+        self.release(feed)
         self.unlink(feed)
         feed.leave()
 
@@ -292,15 +232,16 @@ class Hub:
                 known.entry = entry
                 if known.paused:
                     continue
-                if subscription.outbox is None:
+                if known.outbox is None:
                     if returned:
-                        self._keep(known)
+                        known.kept = False  # with the entry that has gone
+                        self.hold(known)
                 elif known not in path_subscriptions_of(entry):
-                    self._relink(known)
+                    self.relink(known)
                     notice(
                         subscription.outbox, "resource_added", id=subscription.id, path=entry.path
                     )
-            elif subscription.wants(entry):
+            elif entry.path not in subscription.awaited and subscription.wants(entry):
                 self.join(subscription, entry)
         if entry.listeners:
             if entry.deadline is not None:

@@ -41,6 +41,9 @@ _shares: WeakValueDictionary[Any, _Share] = WeakValueDictionary()
 class PathSubscription:
     """One path of one subscription, without filters."""
 
+    judges = False
+    """Whether `admit` may keep a sample back, or a part of it."""
+
     __slots__ = (
         "_heads",
         "_lifespan",
@@ -51,6 +54,7 @@ class PathSubscription:
         "entry",
         "fields",
         "heard",
+        "kept",
         "longest",
         "marked",
         "missed",
@@ -94,6 +98,8 @@ class PathSubscription:
         self.marked = False
         self.paused = False
         """The rules do not allow it at present."""
+        self.kept = False
+        """The history of its path is kept for a client that is away."""
         self.fields = NATIVE if self.native else options.fields
         self.longest = subscription.longest(entry)
         """Longest value that is sent whole, bytes, to a client that does not take long messages;
@@ -152,9 +158,9 @@ class PathSubscription:
         if self.backlog and not self.marked:
             self.mark()
 
-    def admit(self, sample: Sample) -> bool:
-        """Tell whether an earlier sample passes the filters, for history and resume."""
-        return True
+    def admit(self, sample: Sample) -> Sample | None:
+        """Return what passes the filters of an earlier sample, for history and resume."""
+        return sample
 
     def prime(self, sample: Sample) -> None:
         """Take the present value as known, without sending it."""

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
 from typing import TYPE_CHECKING, Any
 
-from rcp_kernel.clock import now
 from rcp_kernel.errors import Overrun, RcpError
 from rcp_kernel.model import Pattern
 from rcp_kernel.registry import Entry
@@ -14,9 +13,9 @@ from rcp_kernel.streaming.filtered import (
     ViewSubscription,
     VisibilityFilteredSubscription,
 )
-from rcp_kernel.streaming.filters import Options, Where, parse_where, seconds
+from rcp_kernel.streaming.filters import Options, Where, parse_where
 from rcp_kernel.streaming.path_subscription import PathSubscription
-from rcp_kernel.streaming.samples import Sample
+from rcp_kernel.values import Encoding
 
 if TYPE_CHECKING:
     from rcp_kernel.clients.outbox import Outbox
@@ -30,6 +29,7 @@ class Subscription:
 
     __slots__ = (
         "_named",
+        "awaited",
         "end",
         "feeds",
         "hub",
@@ -37,6 +37,7 @@ class Subscription:
         "may",
         "options",
         "outbox",
+        "owner",
         "patterns",
         "placed",
         "remaining",
@@ -54,9 +55,10 @@ class Subscription:
         options: Options,
         outbox: Outbox | None,
         *,
+        owner: Hashable,
         may: Callable[[Entry], bool],
         end: Callable[[Subscription, str, RcpError | None], None],
-        view: Callable[[Entry], Callable[[], Any] | None],
+        view: Callable[[Entry], Callable[[Encoding], Any] | None],
         visibility_filter: Callable[[Entry], Callable[[Any], Any] | None],
         placed: Callable[[PathSubscription], None],
     ) -> None:
@@ -66,6 +68,8 @@ class Subscription:
         self._named = frozenset(pattern.text for pattern in patterns if pattern.literal)
         self.options = options
         self.outbox = outbox
+        self.owner = owner
+        """In whose turns its paths are linked."""
         self.may = may
         """Whether the principal may subscribe to an entry."""
         self.end = end
@@ -77,6 +81,9 @@ class Subscription:
         self.placed = placed
         """Called with each feed that has joined."""
         self.feeds: dict[str, PathSubscription] = {}
+        self.awaited: dict[str, int] = {}
+        """Paths that are still to be linked, in their order, each with the number of its last
+        sample when the client subscribed: what came after that is not missed."""
         self.where: Where | None = parse_where(options.where) if options.where else None
         self.remaining = options.count
         self.timer: Any = None
@@ -117,16 +124,5 @@ class Subscription:
             path=feed.entry.path,
             details={"depth": feed.depth, "last_seq": feed.sent},
         )
+        self.hub.unlink(feed)  # of this path no sample may follow after a gap
         self.hub.soon(self.end, self, "overrun", error)
-        for other in self.feeds.values():
-            self.hub.unlink(other)
-
-    def past(self, feed: PathSubscription, history: int | str) -> list[Sample]:
-        """Collect the samples that `history` asks for, oldest first."""
-        ring = list(feed.entry.ring)
-        if isinstance(history, int):
-            ring = ring[-history:] if history else []
-        else:
-            since = now() - int(seconds(history) * 1e9)
-            ring = [sample for sample in ring if sample.received >= since]
-        return [sample for sample in ring if feed.admit(sample)]

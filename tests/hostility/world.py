@@ -1,6 +1,7 @@
 """The gateway under attack, in a process of its own: prints its address, serves until it is killed.
 
-A robot `main` with whatever is dear to serve, and a robot `spare` that is stopped meanwhile.
+A robot `main` with whatever is dear to serve, a robot `spare` that is stopped meanwhile, and in a
+tenant of its own a robot `wide` with as many resources as one session may subscribe to.
 Run: python world.py FOLDER
 """
 
@@ -26,6 +27,7 @@ from rcp_kernel.spi import BackendKind, BaseBackend, Host, Progress
 from rcp_kernel.types import Point, PoseStamped, Quaternion, Twist
 
 MAP = 5_000_000  # bytes
+WIDE = 20_000  # resources
 TEXTS, LONG = 1000, 16_000  # values of a pattern, and characters of each
 JOINTS = 50  # elements of a value in conditions
 POSES = 50.0  # Hz
@@ -38,6 +40,11 @@ store = {{ path = "{folder}/store.db" }}
 port = 0
 [plugins.mcp]
 [plugins.a2a]
+[tenants.alpha]
+[tenants.beta]
+[anonymous]
+role = "viewer"
+tenants = ["alpha"]
 [roles.asking]
 allow = [{{ operations = ["*"], paths = ["/**"] }},
          {{ operations = ["*"], paths = ["/system/plans", "/system/approvals"] }}]
@@ -45,11 +52,17 @@ approve = ["/action/ask"]
 [[keys]]
 name = "operator"
 role = ["operator", "asking"]
+tenants = ["alpha"]
 key = "operator-of-the-attack"
 [[keys]]
 name = "auditor"
 role = "admin"
 key = "auditor-of-the-attack"
+[[keys]]
+name = "surveyor"
+role = "viewer"
+tenants = ["beta"]
+key = "surveyor-of-the-attack"
 [[keys]]
 name = "guard"
 role = "admin"
@@ -155,17 +168,28 @@ async def _spare(_config: NoOptions, host: Host) -> AsyncGenerator[Robot]:
     yield Robot(host)
 
 
+@asynccontextmanager
+async def _wide(_config: NoOptions, host: Host) -> AsyncGenerator[BaseBackend]:
+    for number in range(WIDE):
+        name = f"sensor/level-{number:05}"
+        host.declare(Resource(name=name, description="A level.", value=float, live=True))
+        host.publish(name, 0.5)
+    yield BaseBackend()
+
+
 async def _serve(folder: Path) -> None:
     configure("error")
     bare = prepare(parse(CONFIG.format(folder=folder), "attacked"), "attacked")
     backends = (
         BackendConfig(use="main", name="main", tenant="alpha"),
         BackendConfig(use="spare", name="spare", tenant="alpha", robot="spare"),
+        BackendConfig(use="wide", name="wide", tenant="beta"),
     )
     config = msgspec.structs.replace(bare.config, backends=backends)
     bare.plugins.backends["main"] = BackendKind("main", NoOptions, _open)
     bare.plugins.backends["spare"] = BackendKind("spare", NoOptions, _spare)
-    options = (NoOptions(), NoOptions())
+    bare.plugins.backends["wide"] = BackendKind("wide", NoOptions, _wide)
+    options = (NoOptions(), NoOptions(), NoOptions())
     made = Prepared(config, bare.plugins, options, bare.transports, bare.adapters)
     async with running(made) as server:
         loop = asyncio.get_running_loop()

@@ -104,6 +104,8 @@ class Body:
     """A reply's body that knows its own encodings: a sample's value, encoded once for all."""
 
     __slots__ = ()
+    cut = False
+    """Whether it is not all there is to tell: `truncated`."""
 
     @property
     def value(self) -> Any:

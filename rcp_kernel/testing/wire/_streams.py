@@ -233,6 +233,25 @@ class Streams(Wire):
         assert await bodies(client, other, 1) == [5.0]
         assert not [m for m in client.inbox if m["type"] == "update"]
 
+    @proves("stream.in-order")
+    async def test_what_is_said_in_one_breath_of_a_subscription_happens_in_that_order(
+        self, world: World
+    ) -> None:
+        client = await world.client()
+        for _ in range(5):
+            await client.send(type="subscribe", id="s", path="/**", body={"history": 100})
+            await client.send(type="unsubscribe", id="s")
+        await client.send(type="subscribe", id="s", path=LEVEL, body={"initial": False})
+        replies = [await client.final("s") for _ in range(11)]
+        told = [(reply["type"], reply["status"]) for reply in replies]
+        pair = [("subscribe", "completed"), ("unsubscribe", "completed")]
+        assert told == pair * 5 + pair[:1]
+        client.inbox = [m for m in client.inbox if m["type"] != "update"]
+        world.publish("sensor/level", 6.0)
+        update = await client.update("s")
+        assert (update["path"], update["body"]) == (LEVEL, 6.0)
+        assert not [m for m in client.inbox if m["type"] == "update"]
+
     @proves("stream.which")
     async def test_a_subscription_is_ended_by_any_of_its_names(self, world: World) -> None:
         client = await world.client()

@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 
 from kernel.world import BOUND, Client, Robot, World, kept_in, settled, world_of
+from rcp_kernel.access.visibility import Visibility
 from rcp_kernel.model import Resource
 from rcp_kernel.record.cli import examined
 from rcp_kernel.spi import Progress
@@ -368,3 +369,62 @@ async def test_old_records_of_whole_plans_are_for_those_who_see_everything(tmp_p
         assert str(SECRET) not in json.dumps(await heard(world, ada))
         assert json.dumps(await heard(world, root)).count(str(SECRET)) == 2
     assert examined(path).findings == []
+
+
+async def test_a_record_of_one_robot_is_for_those_who_see_something_of_it(world: World) -> None:
+    shown = world.server.kernel.disclosure.shown
+    partial, ada = (world.client(token).connection.session for token in (PARTIAL, ADA))
+    record = {"what": "stop", "tenant": "alpha", "path": "/system/estop", "outcome": "at_rest"}
+    for seq, (robot, seen) in enumerate({"robot": True, "dark": False, "gone": False}.items()):
+        told = {**record, "seq": seq, "robot": robot}
+        assert shown(ada, told) == told
+        assert shown(partial, told) == (told if seen else None)
+
+
+async def test_a_record_is_judged_once_and_anew_when_the_tree_has_changed(world: World) -> None:
+    shown, judge = world.server.kernel.disclosure.shown, Visibility.names_hidden
+    partial, ada = (world.client(token).connection.session for token in (PARTIAL, ADA))
+    record = {"seq": 1, "what": "write", "tenant": "alpha", "path": ALPHA, "value": "sensor/later"}
+    judged: list[Any] = []
+
+    def counted(*facts: Any) -> bool:
+        judged.append(facts)
+        return judge(*facts)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Visibility, "names_hidden", counted)
+        for session in (partial, ada, partial, ada):
+            assert shown(session, record) is record
+        assert len(judged) == 2
+        dark = world.robots[-1].host
+        dark.declare(Resource(name="sensor/later", description="Hidden.", value=int))
+        assert [shown(session, record) for session in (partial, ada)] == [None, record]
+        dark.withdraw("sensor/later")
+        assert shown(partial, record) is record
+        assert shown(partial, {**record, "seq": 2, "value": "service/secret"}) is None
+
+
+async def test_looking_through_the_whole_record_takes_many_turns(world: World) -> None:
+    gateway, client = world.server.kernel, world.client(PARTIAL)
+    entry = gateway.registry.entries["/system/audit"]
+    many = " ".join(f"sensor/n{n}" for n in range(300))
+    for seq in range(10_000, 11_000):
+        value = {"seq": seq, "what": "write", "tenant": "alpha", "path": ALPHA}
+        entry.publish({**value, "value": f"service/secret {many}"}, None)
+    for envelope in (
+        {"type": "read", "path": entry.path},
+        {"type": "subscribe", "path": entry.path, "body": {"history": 1000}},
+    ):
+        assert await turns_until_idle(client, envelope) > 10
+        gateway.registry.generation += 1  # nothing is known of what may be seen any more
+
+
+async def turns_until_idle(client: Client, envelope: dict[str, Any]) -> int:
+    """Return how many turns of the loop a request takes, with all that follows from it."""
+    turns, done = 0, asyncio.ensure_future(client.final(client.send(**envelope)))
+    held = client.connection.session.subscriptions
+    async with asyncio.timeout(BOUND):
+        while not done.done() or any(subscription.awaited for subscription in held.values()):
+            turns += 1
+            await asyncio.sleep(0)
+    return turns
