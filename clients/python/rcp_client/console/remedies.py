@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from rcp_kernel.errors import BY_CODE, RcpError
+from rcp_protocol.errors import BY_CODE, RcpError
 
 __all__ = ["remedy_of"]
 
