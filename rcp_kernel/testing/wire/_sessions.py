@@ -143,7 +143,7 @@ class Sessions(Wire):
         client = await world.client()
         reply = await client.request("hello", body={"session": "s-never-was"})
         assert (reply["status"], reply["error"]["code"]) == ("rejected", "gap")
-        assert "subscribe afresh" in reply["error"]["remedy"]
+        assert "subscribe again" in reply["error"]["remedy"]
         assert (await client.request("ping"))["status"] == "completed"
 
     @proves("session.stolen")
