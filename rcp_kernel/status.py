@@ -378,7 +378,7 @@ class StatusReport:
 
 
 def _conflated(subscriptions: Iterable[Subscription]) -> int:
-    return sum(feed.skipped for sub in subscriptions for feed in sub.feeds.values())
+    return sum(subscription.skipped for subscription in subscriptions)
 
 
 def _part(facts: dict[str, Any]) -> dict[str, Any]:

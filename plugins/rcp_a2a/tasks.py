@@ -47,6 +47,8 @@ class Tasks(InMemoryTaskStore):
         self._most = config.tasks
         self._size = config.tasks_size
         self._retention = int(config.retention * _S)
+        self._sizes: dict[str, dict[str, int]] = {}
+        """Bytes of each task by its owner: to weigh all of them takes too long for every save."""
         self.forgotten: list[Callable[[str], None]] = []
         """Told the id of each task that is let go of."""
 
@@ -62,6 +64,7 @@ class Tasks(InMemoryTaskStore):
                 continue
             owner = row["owner"]
             self._owners.setdefault(owner, {})[task.id] = task
+            self._weigh(owner, task)
             if task.status.state not in ENDED:
                 _cut_off(task)
                 self._keep(owner, task)
@@ -80,13 +83,18 @@ class Tasks(InMemoryTaskStore):
     async def delete(self, task_id: str, context: ServerCallContext) -> None:
         """Let go of a task."""
         await super().delete(task_id, context)
-        self._forget(task_id)
+        self._forget(owner_of(context), task_id)
+
+    def _weigh(self, owner: str, task: Task) -> None:
+        self._sizes.setdefault(owner, {})[task.id] = task.ByteSize()
 
     def _keep(self, owner: str, task: Task) -> None:
+        self._weigh(owner, task)
         if self._shelf.keeps:
             self._shelf.put(task.id, {"owner": owner, "task": task.SerializeToString()})
 
-    def _forget(self, task_id: str) -> None:
+    def _forget(self, owner: str, task_id: str) -> None:
+        self._sizes.get(owner, {}).pop(task_id, None)
         self._shelf.put(task_id, None)
         for told in self.forgotten:
             told(task_id)
@@ -98,13 +106,13 @@ class Tasks(InMemoryTaskStore):
         ended.sort(key=_when)
         latest = now() - self._retention
         surplus = len(known) - self._most
-        beyond = sum(task.ByteSize() for task in known.values()) - self._size
+        beyond = sum(self._sizes.get(owner, {}).values()) - self._size
         for place, task in enumerate(ended):
             if place >= surplus and beyond <= 0 and _when(task) >= latest:
                 break
-            beyond -= task.ByteSize()
+            beyond -= self._sizes[owner][task.id]
             del known[task.id]
-            self._forget(task.id)
+            self._forget(owner, task.id)
 
 
 def _when(task: Task) -> int:

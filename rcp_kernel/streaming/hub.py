@@ -71,7 +71,6 @@ class Hub:
         self.release(feed)
         self.unlink(feed)
         feed.leave()
-        self.dropped["conflated"] += feed.skipped
 
     def link(self, subscription: Subscription, feed: PathSubscription) -> None:
         """Offer a new feed every sample from now on."""

@@ -89,6 +89,8 @@ class Links:
         What it has queued is forgotten. Until the last step it may still send.
         """
         self._hub.subscriptions.discard(subscription)
+        self._hub.dropped["conflated"] += subscription.skipped
+        subscription.skipped = 0
         subscription.awaited.clear()
         if subscription.timer is not None:
             subscription.timer.cancel()

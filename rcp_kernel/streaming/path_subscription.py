@@ -67,7 +67,6 @@ class PathSubscription:
         "reliable",
         "sent",
         "share",
-        "skipped",
         "subscription",
     )
 
@@ -87,8 +86,6 @@ class PathSubscription:
         """Whether the client knows the name of the native type, if it wants native bytes."""
         self.dropped = 0
         """Samples skipped since the last update that went out."""
-        self.skipped = 0
-        """Samples skipped ever."""
         self.sent = entry.seq
         """Number of the last sample that the client has, or has no claim to: what came before it
         subscribed is not missed."""
@@ -124,7 +121,7 @@ class PathSubscription:
                 return
             queue.popleft()
             self.dropped += 1
-            self.skipped += 1
+            self.subscription.skipped += 1
         queue.append(sample)
         if not self.marked:
             self.mark()
@@ -139,7 +136,7 @@ class PathSubscription:
             while len(self.queue) > 1:
                 self.queue.popleft()
             self.dropped += old
-            self.skipped += old
+            self.subscription.skipped += old
 
     def mark(self) -> None:
         """Have the outbox collect this feed in the coming tick."""
@@ -183,7 +180,7 @@ class PathSubscription:
             if self._lifespan is not None and now() - sample.received > self._lifespan * 1e9:
                 queue.popleft()
                 self.dropped += 1
-                self.skipped += 1
+                self.subscription.skipped += 1
                 continue
             try:
                 data = self._frame(sample)

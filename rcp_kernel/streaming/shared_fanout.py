@@ -222,7 +222,7 @@ class SharedPathSubscription(PathSubscription):
         if lost > 0:
             self.place += lost
             self.dropped += lost
-            self.skipped += lost
+            self.subscription.skipped += lost
         framing = outbox.framing
         plain = framing is not None and wrap is None and big is None and self.named
         if framing is not None and plain and not (self.dropped or self.backlog or self.queue):
@@ -246,7 +246,7 @@ class SharedPathSubscription(PathSubscription):
         while len(self.queue) > self.depth:
             self.queue.popleft()
             self.dropped += 1
-            self.skipped += 1
+            self.subscription.skipped += 1
 
     def conflate(self) -> None:
         """Let go of all that waits but the newest."""

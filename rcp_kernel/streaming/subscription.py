@@ -41,6 +41,7 @@ class Subscription:
         "patterns",
         "placed",
         "remaining",
+        "skipped",
         "timer",
         "view",
         "visibility_filter",
@@ -86,6 +87,8 @@ class Subscription:
         sample when the client subscribed: what came after that is not missed."""
         self.where: Where | None = parse_where(options.where) if options.where else None
         self.remaining = options.count
+        self.skipped = 0
+        """Samples of all its paths that were skipped."""
         self.timer: Any = None
 
     def wants(self, entry: Entry) -> bool:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import time
+from collections.abc import Generator
 from contextvars import ContextVar
 
 import pytest
@@ -131,3 +132,23 @@ async def test_work_keeps_the_context_of_whoever_sent_it() -> None:
     who.reset(token)
     await until_there_are(seen, 1)
     assert seen == ["somebody"]
+
+
+async def test_work_that_somebody_waits_for_goes_in_steps_too() -> None:
+    turns, done = Turns(asyncio.get_running_loop()), list[str]()
+
+    def work() -> Generator[None, None, int]:
+        yield from busy(done, "dear", steps=60)
+        return len(done)
+
+    result = asyncio.create_task(turns.finish("one", work()))
+    assert await until_there_are(done, 1) >= 15
+    assert await result == 1
+
+
+async def test_one_place_is_given_in_a_turn_and_each_owner_has_its_share() -> None:
+    turns, given = Turns(asyncio.get_running_loop()), list[str]()
+    for owner in ("much", "much", "much", "little"):
+        turns.place(owner).add_done_callback(lambda _, name=owner: given.append(name))
+    assert await until_there_are(given, 4) >= 4
+    assert given.index("little") == 1

@@ -244,6 +244,16 @@ async def test_a_body_beyond_the_limit_is_refused(client: httpx.AsyncClient) -> 
     assert answer.status_code == 413
 
 
+async def test_a_body_of_too_many_values_is_refused_and_the_remedy_is_text(
+    client: httpx.AsyncClient,
+) -> None:
+    answer = await client.post("/a2a/message:send", json=data([1] * 5000))
+    assert (answer.status_code, "as text" in answer.text) == (413, True)
+    lines = "\n".join(['execute /action/nowhere {"a": [1, 2, 3]}'] * 100)
+    answer = await client.post("/a2a/message:send", json=text(lines))
+    assert (answer.status_code, "PAYLOAD_TOO_LARGE" in answer.text) == (200, False)
+
+
 async def test_a_client_of_the_version_before_is_served(gateway: Site) -> None:
     part = {"kind": "text", "text": NOWHERE}
     message = {"kind": "message", "messageId": "m", "role": "user", "parts": [part]}
