@@ -10,9 +10,10 @@ from __future__ import annotations
 import asyncio
 import re
 from collections import deque
-from collections.abc import Generator, Hashable
+from collections.abc import Callable, Generator, Hashable
 from contextlib import contextmanager
 from contextvars import Context, copy_context
+from functools import partial
 from time import thread_time
 from typing import NamedTuple, TypeVar
 
@@ -28,6 +29,9 @@ Work = Generator[None]
 """Something dear, which yields where it may be interrupted: after a millisecond, better sooner."""
 
 _TURN = 0.002  # s in one turn of the loop, after which the next step waits for the next turn
+_LONG = 0.005  # s of one step that cannot be interrupted, after which nothing dear runs for a while
+_REST = 3.0  # times as long as that step: what follows from it, and an e-stop, have the loop
+_START = _TURN / 16  # s that it takes to begin something whose cost comes in a later turn
 _WAITING = 1024  # works of one owner that have not ended: more than one batch makes
 _BYTES = 32 * 1024 * 1024  # of the requests that they are for
 _STOPS = re.compile(rb"estop|hold|cancel")
@@ -69,13 +73,32 @@ class _Queue:
 
 
 class Turns:
-    """Shares the time of each turn out, in steps: one of each owner after the other."""
+    """Shares the time of each turn out, in steps: one of each owner after the other.
+
+    Beside what is dear there are calls, which are short: they have turns of their own, so that the
+    ordinary requests of an owner do not wait for the dear ones of the same owner.
+    """
 
     def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
         self._loop = loop
         self._spent = 0.0
+        self._resting = 0.0
+        """Until when nothing dear runs, by the loop's clock."""
         self._scheduled = False
         self._queues: dict[Hashable, _Queue] = {}
+        self._calls: dict[Hashable, deque[Callable[[], None]]] = {}
+
+    @property
+    def over(self) -> bool:
+        """Whether the time of this turn is used up."""
+        return self._spent > _TURN
+
+    @property
+    def _free(self) -> bool:
+        """Whether something dear may run at once."""
+        if self._queues or self._spent > _TURN:
+            return False
+        return not self._resting or self._loop.time() >= self._resting
 
     def run(self, owner: Hashable, work: Work, size: int = 0) -> None:
         """Do work: at once as far as there is time, the rest in the coming turns.
@@ -106,7 +129,7 @@ class Turns:
 
     def _done_at_once(self, begun: _Begun) -> bool:
         """Do what there is time for now; tell whether that was all."""
-        while not self._queues and self._spent <= _TURN:
+        while self._free:
             if not self._step(begun):
                 return True
         return False
@@ -118,9 +141,28 @@ class Turns:
         self._queues[owner] = queue
         self._schedule()
 
+    def call(self, owner: Hashable, function: Callable[[], None]) -> None:
+        """Call what takes less than a millisecond, in a coming turn that has time for it."""
+        calls = self._calls.get(owner)
+        if calls is None:
+            calls = self._calls[owner] = deque()
+        calls.append(function)
+        self._schedule()
+
+    def begin(self, owner: Hashable, start: Callable[[], None]) -> None:
+        """Begin something whose cost comes later: now if there is time, and in its owner's order."""
+        if self._spent > _TURN or self._calls.get(owner):
+            self.call(owner, partial(self._begin, start))
+        else:
+            self._begin(start)
+
+    def _begin(self, start: Callable[[], None]) -> None:
+        self.add(_START)
+        start()
+
     async def wait(self, owner: Hashable) -> None:
         """Wait for a turn in which there is time left; say with `spending` what is used of it."""
-        if self._spent > _TURN or self._queues:
+        if not self._free:
             await self.place(owner)
 
     async def finish(self, owner: Hashable, work: Generator[None, None, Result]) -> Result:
@@ -162,17 +204,39 @@ class Turns:
     def _turn(self) -> None:
         self._spent = 0.0
         self._scheduled = False
-        while self._queues and self._spent <= _TURN:
-            owner, queue = next(iter(self._queues.items()))
-            self._serve(queue)
-            # It stays where it is meanwhile: a step may have more work done for the same owner.
-            del self._queues[owner]
-            if queue.places:  # behind all others
-                self._queues[owner] = queue
-        if self._spent or self._queues:
+        while self._calls or (self._queues and not self._rests()):
+            if self._calls:
+                self._serve_calls()
+            if self._queues and self._spent <= _TURN and not self._rests():
+                self._serve_dear()
+            if self._spent > _TURN:
+                break
+        if self._spent or self._calls or (self._queues and not self._resting):
             self._schedule()
 
-    def _serve(self, queue: _Queue) -> None:
+    def _rests(self) -> bool:
+        """Tell whether nothing dear runs for a while; somebody looks again at its end."""
+        if self._resting and self._loop.time() >= self._resting:
+            self._resting = 0.0
+        return self._resting > 0.0
+
+    def _serve_calls(self) -> None:
+        owner, calls = next(iter(self._calls.items()))
+        function = calls.popleft()
+        began = thread_time()
+        try:
+            function()
+        except Exception:
+            log.exception("call_failed")
+        finally:
+            self.add(thread_time() - began)
+            # It stays where it is meanwhile, so that what it begins keeps its order.
+            del self._calls[owner]
+            if calls:  # behind all others
+                self._calls[owner] = calls
+
+    def _serve_dear(self) -> None:
+        owner, queue = next(iter(self._queues.items()))
         first = queue.places.popleft()
         if isinstance(first, _Begun):
             if self._step(first):
@@ -183,6 +247,10 @@ class Turns:
             first.set_result(None)
             # What it takes is not known before the next turn: nothing more in this one.
             self._spent = 2 * _TURN
+        # It stays where it is meanwhile: a step may have more work done for the same owner.
+        del self._queues[owner]
+        if queue.places:  # behind all others
+            self._queues[owner] = queue
 
     def _step(self, begun: _Begun) -> bool:
         """Do one step; tell whether there are more."""
@@ -197,4 +265,12 @@ class Turns:
         else:
             return True
         finally:
-            self.add(thread_time() - began)
+            took = thread_time() - began
+            self.add(took)
+            if took > _LONG:
+                self._rest(_REST * took)
+
+    def _rest(self, seconds: float) -> None:
+        """Let nothing dear run for a while."""
+        self._resting = self._loop.time() + seconds
+        self._loop.call_at(self._resting, self._schedule)

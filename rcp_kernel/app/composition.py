@@ -311,7 +311,7 @@ def _requests(
     interceptors: Sequence[Callable[[Handler], Handler]],
 ) -> _Requests:
     resolver = Resolver(base.registry)
-    inflight = InFlight(base.settings, base.counts, base.loop)
+    inflight = InFlight(base.settings, base.counts, base.turns, base.loop)
     admission = Admission(
         resolver,
         clients.leases,
@@ -323,7 +323,7 @@ def _requests(
     keys = Keys(records.store, base.loop)
     keys.load(motion.commands.find)
     return _Requests(
-        RequestRouter(base.turns, base.counts, records.writer, interceptors),
+        RequestRouter(base.settings, base.turns, base.counts, records.writer, interceptors),
         resolver,
         inflight,
         Approvals(base.settings, base.visibility, records.audit, inflight.place, base.loop),
@@ -571,6 +571,7 @@ def _client_api(
         outbound=clients.outbound,
         settings=base.settings,
         scheduler=base.hub.flush_scheduler,
+        turns=base.turns,
         loop=base.loop,
     )
     parts = ClientApiParts(

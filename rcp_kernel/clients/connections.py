@@ -25,6 +25,8 @@ from rcp_kernel.errors import QueueFull, RcpError
 from rcp_kernel.operations.counts import RequestCounts
 from rcp_kernel.operations.pending import to_internal_error
 from rcp_kernel.record.audit_writer import AuditWriter
+from rcp_kernel.structure import LONG, check_structure
+from rcp_kernel.turns import Turns, Work
 from rcp_kernel.values import Encoding, value_type
 from rcp_kernel.wire import (
     NO_BODY,
@@ -62,6 +64,7 @@ class ConnectionParts:
     outbound: Outbound
     settings: Settings
     scheduler: FlushScheduler
+    turns: Turns
     loop: asyncio.AbstractEventLoop
 
 
@@ -115,7 +118,7 @@ class Connection:
         self.released: Callable[[deque[bytes]], None] = self._receive_all
         """Takes what came while `hello` waited; a transport that takes turns sets its own."""
         self._held: deque[bytes] | None = None
-        """Messages since a `hello` that is not answered yet."""
+        """Messages since a `hello` or a long message that is not handled yet."""
         self._identifying: asyncio.Task[None] | None = None
         self._splices = encoding is Encoding.JSON and parts.quick
         session.connection = self
@@ -128,7 +131,7 @@ class Connection:
 
     @property
     def holds(self) -> bool:
-        """Whether a `hello` is not answered yet, and everything else waits for it."""
+        """Whether a `hello` or a long message is not handled yet, and everything else waits."""
         return self._held is not None
 
     def receive(self, data: bytes) -> None:
@@ -148,15 +151,54 @@ class Connection:
 
     def _take(self, data: bytes) -> None:
         try:
-            if len(data) > self._settings.limits.unproved:
-                check_size(data, self.limit)
-                self.session.check_pace()
+            if len(data) > LONG:
+                self._take_long(data)
+                return
             request = decode_request(data, self.encoding)
         except RcpError as error:
-            type_, id_ = peek_header(data, self.encoding)
-            self._parts.counts.count(self.session.transport, type_, error.code)
-            self.send(failure(error, type_, id_))
+            self._refuse(data, error)
             return
+        self._carry_out(request)
+
+    def _take_long(self, data: bytes) -> None:
+        """Have a message handled when its turn has come, and before all that come after it."""
+        check_size(data, self.limit)
+        if len(data) > self._settings.limits.unproved:
+            self.session.check_pace()
+        held = self._held = deque()
+        work = self._unfold(data, held)
+        try:
+            self._parts.turns.run(self.session.principal.identity, work, len(data))
+        except RcpError:
+            self._held = None
+            raise
+
+    def _unfold(self, data: bytes, held: deque[bytes]) -> Work:
+        """Handle a long message in steps: count what is in it, decode the envelope, then the rest."""
+        try:
+            yield from check_structure(data, self.encoding, self._settings.limits.values)
+            request = decode_request(data, self.encoding)
+            yield
+            if not self.closed:
+                self._held = None  # a `hello` may begin to hold messages by itself
+                self._carry_out(request)
+        except RcpError as error:
+            self._refuse(data, error)
+        except Exception as error:
+            self.stumbled(data, error)
+        if self._held is held:
+            self._held = None
+        if self._held is None:
+            self.released(held)
+        else:
+            self._held.extend(held)
+
+    def _refuse(self, data: bytes, error: RcpError) -> None:
+        type_, id_ = peek_header(data, self.encoding)
+        self._parts.counts.count(self.session.transport, type_, error.code)
+        self.send(failure(error, type_, id_))
+
+    def _carry_out(self, request: Request) -> None:
         if request.type == "hello":
             self._hello(request)
             return
@@ -275,7 +317,7 @@ class Connection:
             return
         type_, id_ = peek_header(data, self.encoding)
         self._parts.counts.count(self.session.transport, type_, QueueFull.code)
-        self.send(failure(QueueFull("`hello` is not answered yet"), type_, id_))
+        self.send(failure(QueueFull("an earlier message is not handled yet"), type_, id_))
 
     def close(self) -> None:
         """Tell the gateway that the client is gone."""

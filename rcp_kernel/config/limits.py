@@ -19,6 +19,8 @@ class Limits(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     """Longest message or request body, after reassembly."""
     unproved: Annotated[int, Meta(ge=20_480)] = 64 * 1024
     """Longest of a client who has proved nothing, unless `anonymous` may write or execute."""
+    values: Annotated[int, Meta(ge=65_536)] = 1024 * 1024
+    """In one message: a text counts for 3 of them, a list or map for 9, all fourfold in CBOR."""
     queue_bytes: Annotated[int, Meta(ge=131_072)] = 16 * 1024 * 1024
     """That may wait for one client that takes slower than it is sent."""
     queue_bytes_total: Annotated[int, Meta(ge=1024 * 1024)] = 256 * 1024 * 1024

@@ -119,8 +119,9 @@ class ExecuteHandler:
     def execute_in_steps(
         self, session: Session, request: Request, answer: Answer
     ) -> Generator[None, None, Reply | None]:
-        """Start a plan, whose conditions are read one at a time first."""
-        yield from self._plans.read_conditions(session, request)
+        """Start a command; the conditions of a plan are read one at a time first."""
+        if request.path == PLANS:
+            yield from self._plans.read_conditions(session, request)
         return self.execute(session, request, answer)
 
     def execute(self, session: Session, request: Request, answer: Answer) -> Reply | None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import secrets
 from collections.abc import Callable
+from functools import partial
 from time import perf_counter
 from typing import Any
 
@@ -12,8 +13,9 @@ from rcp_kernel.clients.session import Answer, Session
 from rcp_kernel.config.settings import Settings
 from rcp_kernel.errors import DuplicateRequest, QueueFull, RcpError
 from rcp_kernel.operations.counts import RequestCounts
-from rcp_kernel.operations.pending import Pace, Pending, to_internal_error
+from rcp_kernel.operations.pending import Pending, to_internal_error
 from rcp_kernel.registry import Entry
+from rcp_kernel.turns import Turns
 from rcp_kernel.wire import Reply, Request, failure
 
 __all__ = ["InFlight"]
@@ -23,12 +25,16 @@ class InFlight:
     """Keeps the places, and answers when the work is done."""
 
     def __init__(
-        self, settings: Settings, counts: RequestCounts, loop: asyncio.AbstractEventLoop
+        self,
+        settings: Settings,
+        counts: RequestCounts,
+        turns: Turns,
+        loop: asyncio.AbstractEventLoop,
     ) -> None:
         self._settings = settings
         self._counts = counts
+        self._turns = turns
         self._loop = loop
-        self._pace = Pace(loop)
 
     def later(
         self,
@@ -69,8 +75,8 @@ class InFlight:
             self._counts.conclude(session, reply, started)
             answer(reply)
 
-        pace = None if urgent else self._pace
-        session.inflight[key] = Pending(self._loop, work, timeout, settle, path, pace)
+        begin = None if urgent else partial(self._turns.begin, session.principal.identity)
+        session.inflight[key] = Pending(self._loop, work, timeout, settle, path, begin)
 
     def claim(self, session: Session, request: Request) -> str:
         """Reserve a place among the session's unanswered requests.

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import secrets
-from collections import deque
 from collections.abc import Callable, Coroutine
 from typing import Any
 
@@ -18,10 +17,9 @@ from rcp_kernel.errors import (
     RcpError,
 )
 
-__all__ = ["Pace", "Pending", "attribute_error", "to_internal_error"]
+__all__ = ["Pending", "attribute_error", "to_internal_error"]
 
 log = structlog.get_logger("rcp.gateway")
-_TURN = 16  # requests that begin in one turn of the loop
 
 Settle = Callable[[Any, RcpError | None], None]
 
@@ -45,37 +43,11 @@ def attribute_error(error: Exception, origin: str, path: str) -> RcpError:
     return told
 
 
-class Pace:
-    """Begins only so much in one turn of the loop, so that a flood never holds up an e-stop."""
-
-    __slots__ = ("_left", "_loop", "_waiting")
-
-    def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
-        self._loop = loop
-        self._left = _TURN
-        self._waiting: deque[Callable[[], None]] = deque()
-
-    def begin(self, start: Callable[[], None]) -> None:
-        """Call `start` now, or in one of the coming turns: in order."""
-        if self._left == _TURN:
-            self._loop.call_soon(self._turn)
-        if self._left and not self._waiting:
-            self._left -= 1
-            start()
-        else:
-            self._waiting.append(start)
-
-    def _turn(self) -> None:
-        waiting = self._waiting
-        self._left = _TURN - min(_TURN, len(waiting))
-        for _ in range(_TURN - self._left):
-            waiting.popleft()()
-        if self._left < _TURN:
-            self._loop.call_soon(self._turn)
-
-
 class Pending:
-    """One coroutine with a deadline; `settle(result, error)` is called exactly once."""
+    """One coroutine with a deadline; `settle(result, error)` is called exactly once.
+
+    `begin` calls what it is given as soon as there is time for it; None: there is in any case.
+    """
 
     __slots__ = ("_loop", "_settle", "_task", "_timeout", "_timer", "_work", "path")
 
@@ -86,7 +58,7 @@ class Pending:
         timeout: float,
         settle: Settle,
         path: str | None,
-        pace: Pace | None = None,
+        begin: Callable[[Callable[[], None]], None] | None = None,
     ) -> None:
         self.path = path
         self._loop = loop
@@ -95,10 +67,10 @@ class Pending:
         self._settle: Settle | None = settle
         self._task: asyncio.Task[Any] | None = None
         self._timer = loop.call_later(timeout, self._expire)
-        if pace is None:
+        if begin is None:
             self._start()
         else:
-            pace.begin(self._start)
+            begin(self._start)
 
     def _start(self) -> None:
         if self._settle is None:

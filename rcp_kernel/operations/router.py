@@ -12,6 +12,7 @@ from time import perf_counter
 from rcp_kernel.access.token_bucket import is_exempt
 from rcp_kernel.clients.session import Answer, Handler, Session
 from rcp_kernel.clock import iso, now
+from rcp_kernel.config.settings import Settings
 from rcp_kernel.errors import RcpError, UnsupportedOperation
 from rcp_kernel.model import Pattern
 from rcp_kernel.operations.counts import RequestCounts
@@ -19,6 +20,7 @@ from rcp_kernel.operations.interceptors import intercepted
 from rcp_kernel.operations.pending import to_internal_error
 from rcp_kernel.plans.model import PATH as PLANS
 from rcp_kernel.record.audit_writer import ACTS, DENIALS, AuditWriter
+from rcp_kernel.structure import LONG, check_structure
 from rcp_kernel.turns import Turns
 from rcp_kernel.wire import Reply, Request, failure
 
@@ -39,11 +41,13 @@ class RequestRouter:
 
     def __init__(
         self,
+        settings: Settings,
         turns: Turns,
         counts: RequestCounts,
         audit_writer: AuditWriter,
         interceptors: Sequence[Callable[[Handler], Handler]],
     ) -> None:
+        self._settings = settings
         self._turns = turns
         self._counts = counts
         self._audit_writer = audit_writer
@@ -86,7 +90,7 @@ class RequestRouter:
                 and not self._stops(session, request)
             ):
                 raise meter.refusal(started)
-            if _dear(request) and not self._stops(session, request):
+            if _dear(session, request) and not self._stops(session, request):
                 work = self._slowly(session, request, answer, started)
                 self._turns.run(session.principal.identity, work, len(bytes(request.body)))
                 return
@@ -102,6 +106,9 @@ class RequestRouter:
     ) -> Generator[None]:
         """Handle a request that takes long, when its turn has come."""
         try:
+            if len(request.body) > LONG and session.connection is None:
+                limit = self._settings.limits.values
+                yield from check_structure(bytes(request.body), request.encoding, limit)
             stepped = self._stepped.get(request.type)
             if stepped is not None:
                 reply = yield from stepped(session, request, answer)
@@ -159,9 +166,11 @@ def _full(path: str | None, tenant: str | None) -> str | None:
         return path
 
 
-def _dear(request: Request) -> bool:
+def _dear(session: Session, request: Request) -> bool:
     """Tell whether a request takes longer than a fraction of a millisecond, of all that it is."""
     path = request.path
+    if len(request.body) > LONG and session.connection is None:
+        return True  # a connection has waited with a long message until it was its turn
     match request.type:
         case "discover" | "batch" | "subscribe" | "unsubscribe":
             return True

@@ -26,11 +26,11 @@ from rcp_kernel.registry import Entry
 from rcp_kernel.safety.fence import permitted
 from rcp_kernel.spi import Backend
 from rcp_kernel.streaming.samples import Sample
+from rcp_kernel.structure import LONG
 from rcp_kernel.wire import Reply, Request
 
 __all__ = ["WriteHandler", "dry_run_reply"]
 
-_SAFE = 65_536  # bytes: a longer value is not compared with the one that brings to rest
 _UNCHANGED = (Refused, DeviceRejected)
 """Errors by which a backend says that its robot goes on as before."""
 
@@ -101,7 +101,7 @@ class WriteHandler:
 
     def stops(self, session: Session, request: Request) -> bool:
         """Tell whether a request brings an actuator to rest, which no rate may keep it from."""
-        if request.type != "write" or len(bytes(request.body)) > _SAFE:
+        if request.type != "write" or len(request.body) > LONG:
             return False
         try:
             entry = self._resolver.resolve(session, request.path, Operation.WRITE)

@@ -85,6 +85,8 @@ async def _watched(url: str, seconds: float) -> Worst:
         preexec_fn=_beside,
     )
     said, _ = await watcher.communicate()
+    if watcher.returncode:
+        raise AssertionError("a client beside the attackers was refused, or waited too long")
     return Worst(*json.loads(said))
 
 

@@ -6,6 +6,7 @@ import asyncio
 import time
 from collections.abc import Generator
 from contextvars import ContextVar
+from functools import partial
 
 import pytest
 
@@ -152,3 +153,36 @@ async def test_one_place_is_given_in_a_turn_and_each_owner_has_its_share() -> No
         turns.place(owner).add_done_callback(lambda _, name=owner: given.append(name))
     assert await until_there_are(given, 4) >= 4
     assert given.index("little") == 1
+
+
+async def test_what_begins_keeps_its_order_and_little_begins_in_one_turn() -> None:
+    turns, done = Turns(asyncio.get_running_loop()), list[str]()
+    for number in range(100):
+        turns.begin("one", partial(done.append, f"{number}"))
+    assert 0 < len(done) < 50
+    turns.begin("two", partial(done.append, "other"))
+    assert await until_there_are(done, 101) >= 3
+    assert [name for name in done if name != "other"] == [f"{number}" for number in range(100)]
+    assert done.index("other") < 50
+
+
+async def test_ordinary_requests_do_not_wait_for_what_is_dear_of_the_same_owner() -> None:
+    turns, done = Turns(asyncio.get_running_loop()), list[str]()
+    turns.run("one", busy(done, "dear", steps=100))
+    turns.call("one", partial(done.append, "ordinary"))
+    await until_there_are(done, 2)
+    assert done == ["ordinary", "dear"]
+
+
+async def test_after_a_long_step_nothing_dear_runs_for_a_while_and_everything_else_does() -> None:
+    loop = asyncio.get_running_loop()
+    turns, done = Turns(loop), list[str]()
+    began = loop.time()
+    turns.run("one", busy(done, "long", steps=1, seconds=0.02))
+    turns.run("two", busy(done, "dear", steps=1, seconds=0.0))
+    turns.call("two", partial(done.append, "ordinary"))
+    await until_there_are(done, 1)
+    assert done == ["ordinary"]
+    await until_there_are(done, 3)
+    assert loop.time() - began >= 0.06
+    await asyncio.wait_for(turns.wait("two"), BOUND)

@@ -17,7 +17,7 @@ from rcp_asgi.tls import Tls
 __all__ = ["Acceptor"]
 
 log = structlog.get_logger("rcp.asgi")
-_AT_ONCE = 64  # connections taken before others have their turn
+_AT_ONCE = 8  # connections taken in one turn of the loop: each costs a handshake in the next ones
 _PAUSE = 1.0  # s without taking any, when the process has no file descriptors left
 _TELL = 1.0  # s between log lines about handshakes that failed
 

@@ -33,8 +33,12 @@ _PATIENCE = 10.0  # s for a client to prove itself in `hello`
 _POLICY = 1008
 _INTERNAL = 1011
 _TRY_LATER = 1013
+_UNTAKEN = "too many unread bytes"
+_LAST = 32  # times what one turn has room for, before a connection is closed: 8 MiB of replies
 _SEGMENT = b"segment"  # only a message with this word in it can be one
 _TURN = 0.0005  # s of the loop's time for what one client sent at once; then others have theirs
+_LEAST = 0.0002  # s that each has even so when the time of all is used up: an e-stop takes less
+_SHORT = 4096  # bytes of a message that is taken even then
 _LOOK_EVERY = 32  # replies between looks whether the client takes them
 
 
@@ -55,6 +59,7 @@ class WsClient:
         "_plain",
         "_receive",
         "_socket",
+        "_turns",
         "connection",
         "gone",
     )
@@ -71,6 +76,7 @@ class WsClient:
         self._config = config
         self._socket = socket
         self._encoding = encoding
+        self._turns = client_api.turns
         self._limit = 0
         principal, tenant = who
         self.connection = client_api.connect(
@@ -86,8 +92,8 @@ class WsClient:
             self._patience = client_api.loop.call_later(_PATIENCE, self._turn_away)
         self._look_at = min(_LOOK_EVERY, config.backlog)
         self._gate = ReadGate(
-            client_api.loop,
             socket,
+            wait=self._wait,
             handle=self._take,
             settle=self.settled,
             full=self._full,
@@ -121,6 +127,9 @@ class WsClient:
         """Take a message of the client."""
         if self._gate.paused:
             self._gate.keep(data)
+        elif len(data) > _SHORT and self._turns.over:
+            self._gate.keep(data)
+            self._gate.end_turn()
         else:
             self._take(data)
 
@@ -143,11 +152,24 @@ class WsClient:
         if len(outbox.control) >= self._look_at or outbox.waiting > SHARE:
             self.flush()
             self._gate.review()
-        if perf_counter() - self._began > _TURN:
+        if len(data) > _SHORT and self.connection.holds:
+            self._gate.review()
+        if perf_counter() - self._began > (_LEAST if self._turns.over else _TURN):
             self._gate.end_turn()
 
+    def _wait(self, go_on: Callable[[], None]) -> None:
+        if not self._gate.paused:  # else it has had its turn, which is counted
+            self._turns.add(perf_counter() - self._began)
+        self._turns.call(self.connection.session.principal.identity, go_on)
+
     def _full(self) -> bool:
-        """Tell whether the client does not take what it asked for; a flush follows if so."""
+        """Tell whether the client is to be read from no more, until somebody calls `review`.
+
+        Either it does not take what it asked for, and a flush follows, or a message of it is not
+        handled yet, and `released` follows.
+        """
+        if self.connection.holds:
+            return True
         outbox = self._outbox
         sends = outbox.control or self._outgoing.busy or not self._socket.writable
         return bool(sends) and (len(outbox.control) >= self._config.backlog or outbox.crowded)
@@ -175,8 +197,19 @@ class WsClient:
         self.connection.receive(data)
 
     def _cut_off(self) -> None:
-        """Close a client that does not take what waits for it, so that there is room for others."""
-        self._close(_TRY_LATER, "too many unread bytes")
+        """Close a client that does not take what waits for it, so that there is room for others.
+
+        It may never see why, as the close frame comes after what it leaves unread.
+        """
+        session = self.connection.session
+        log.warning(
+            "websocket_cut",
+            session=session.id[:8],
+            principal=session.principal.name,
+            code=_TRY_LATER,
+            reason=_UNTAKEN,
+        )
+        self._close(_TRY_LATER, _UNTAKEN)
 
     def _turn_away(self) -> None:
         self._close(_POLICY, "not authenticated")
@@ -275,10 +308,21 @@ class WsClient:
     def _flush(self) -> None:
         socket, outbox = self._socket, self._outbox
         if self.connection.expelled:
-            self._gate.close()
+            self._flush_last()
+            return
         if not socket.writable:
             outbox.hand(socket.buffered)
             return
+        self._send_some()
+        if socket.writable:
+            outbox.hand(0)
+            outbox.again()
+        else:
+            outbox.hand(socket.buffered)
+
+    def _send_some(self) -> None:
+        """Send as much as one turn has room for."""
+        socket, outbox = self._socket, self._outbox
         if self._outgoing.size is not None:
             self._flush_cut(self._outgoing, self._outgoing.size)
         elif not self._plain:
@@ -286,13 +330,16 @@ class WsClient:
                 socket.write(messages)
         elif parts := outbox.collect():
             socket.write_frames(parts)
-        if socket.writable:
-            outbox.hand(0)
-            outbox.again()
-        else:
-            outbox.hand(socket.buffered)
-        if self.connection.expelled:
-            self._close(_POLICY, "the session has ended or moved to another connection")
+
+    def _flush_last(self) -> None:
+        """Send what is due, as the end comes after it, and the reason may be the last of it."""
+        self._gate.close()
+        outbox = self._outbox
+        for _ in range(_LAST):
+            self._send_some()
+            if not (outbox.control or outbox.feedback or self._outgoing.busy):
+                break
+        self._close(_POLICY, "the session has ended or moved to another connection")
 
     def _flush_cut(self, outgoing: Outgoing, size: int) -> None:
         busy = outgoing.busy

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 from collections import deque
 from collections.abc import Callable
 
@@ -26,26 +25,27 @@ class ReadGate:
         "_full",
         "_handle",
         "_kept",
-        "_loop",
         "_reviewing",
         "_settle",
         "_socket",
         "_turn_over",
+        "_wait",
         "paused",
     )
 
     def __init__(
         self,
-        loop: asyncio.AbstractEventLoop,
         socket: NativeSocket,
         *,
+        wait: Callable[[Callable[[], None]], None],
         handle: Callable[[bytes], None],
         settle: Callable[[], None],
         full: Callable[[], bool],
         failed: Callable[[Exception], None],
     ) -> None:
-        self._loop = loop
         self._socket = socket
+        self._wait = wait
+        """Calls back when the client has a turn again."""
         self._handle = handle
         self._settle = settle
         """Called after the last of some messages that were handled together."""
@@ -71,10 +71,10 @@ class ReadGate:
             self.review()
 
     def end_turn(self) -> None:
-        """Let others have theirs, and go on in the coming turn of the loop."""
+        """Let others have theirs, and go on when it comes to this client again."""
         if not self._turn_over:
             self._turn_over = True
-            self._loop.call_soon(self._begin_turn)
+            self._wait(self._begin_turn)
             self.review()
 
     def _begin_turn(self) -> None:

@@ -20,10 +20,17 @@ from rcp_protocol.types import NONFINITE
 __all__ = ["SAFE_INTEGER", "Beyond", "Node", "Shape", "children", "facts_of", "unescaped"]
 
 SAFE_INTEGER = 2**53 - 1
+_REALS = frozenset((int, float))
+_NEVER_ODD = frozenset((str, bool, type(None), bytes))
+_USUAL = _REALS | _NEVER_ODD
 _NAMES = {"NaN": math.nan, "Infinity": math.inf, "-Infinity": -math.inf}
 
 Node = Callable[[Any, str], Any]
 """Rebuild a builtin value found at a JSON Pointer; `ValueError(pointer, why)` if it is not legal."""
+
+
+Quick = Callable[[set[type], Any], bool]
+"""Tell of a list of numbers, by the types in it first, that none of them is odd."""
 
 
 class Beyond(ValueError):
@@ -36,6 +43,7 @@ class Shape:
     def __init__(self, type_: Any) -> None:
         self._out: dict[type, Node] = {}
         self._in: dict[type, Node] = {}
+        self._quick: dict[Node, Quick] = {}
         self._fields: dict[type, dict[str, mi.Type]] = {}
         self.has_float = False
         self.has_wide_int = False
@@ -75,7 +83,8 @@ class Shape:
         match info:
             case mi.FloatType():
                 self.has_float = True
-                return _float_node(free=bool(extra.get(NONFINITE)), outward=outward)
+                free = bool(extra.get(NONFINITE))
+                return self._noted(_float_node(free=free, outward=outward))
             case mi.IntType():
                 return self._int_node(info, extra, outward=outward)
             case mi.BytesType() | mi.ByteArrayType() | mi.MemoryViewType():
@@ -86,7 +95,8 @@ class Shape:
                 if outward and _is_free_float(info.item_type):
                     self.has_float = True
                     return _float_list_node
-                return _list_node(self._node(info.item_type, memo, outward=outward))
+                item = self._node(info.item_type, memo, outward=outward)
+                return _list_node(item, self._quick.get(item))
             case mi.TupleType():
                 return _tuple_node([self._node(t, memo, outward=outward) for t in info.item_types])
             case mi.NamedTupleType():
@@ -111,10 +121,16 @@ class Shape:
             return _same
         self.has_wide_int = True
         if not outward:  # its own bounds are checked by msgspec, which knows what to say
-            return _int_node(-(2**63), extra.get("maximum", 2**63 - 1), outward=False)
+            top = extra.get("maximum", 2**63 - 1)
+            return self._noted(_int_node(-(2**63), top, outward=False))
         top = extra.get("maximum", high if high is not None else 2**63 - 1)
         bottom = extra.get("minimum", low if low is not None else -(2**63))
-        return _int_node(bottom, top, outward=True)
+        return self._noted(_int_node(bottom, top, outward=True))
+
+    def _noted(self, made: tuple[Node, Quick]) -> Node:
+        node, quick = made
+        self._quick[node] = quick
+        return node
 
     def _struct_node(self, info: Any, memo: dict[type, Node], *, outward: bool) -> Node:
         fields: dict[str, Node] = {}
@@ -208,6 +224,23 @@ def facts_of(info: mi.Type) -> dict[str, Any]:
     return getattr(info, "extra_json_schema", None) or {}
 
 
+def _are_finite(numbers: Any) -> bool:
+    try:
+        return all(map(math.isfinite, numbers))
+    except OverflowError:  # an integer beyond all floats
+        return False
+
+
+def _are_usual(kinds: set[type], value: Any) -> bool:
+    """Tell whether all of a list are values that JSON carries as they are."""
+    if _NEVER_ODD.issuperset(kinds):
+        return True
+    if not _USUAL.issuperset(kinds):
+        return False
+    numbers = value if _REALS.issuperset(kinds) else [v for v in value if type(v) in _REALS]
+    return _are_finite(numbers) and min(numbers) >= -SAFE_INTEGER and max(numbers) <= SAFE_INTEGER
+
+
 def _spelled(value: float) -> str:
     return "NaN" if math.isnan(value) else ("Infinity" if value > 0 else "-Infinity")
 
@@ -216,7 +249,7 @@ def _same(value: Any, _pointer: str) -> Any:
     return value
 
 
-def _float_node(*, free: bool, outward: bool) -> Node:
+def _float_node(*, free: bool, outward: bool) -> tuple[Node, Quick]:
     def out(value: Any, pointer: str) -> Any:
         if isinstance(value, float) and not math.isfinite(value):
             if not free:
@@ -231,7 +264,10 @@ def _float_node(*, free: bool, outward: bool) -> Node:
             raise ValueError(pointer, "is not a finite number")
         return value
 
-    return out if outward else into
+    def quick(kinds: set[type], value: Any) -> bool:
+        return _REALS.issuperset(kinds) and _are_finite(value)
+
+    return (out if outward else into), quick
 
 
 def _float_list_node(value: Any, _pointer: str) -> Any:
@@ -241,7 +277,7 @@ def _float_list_node(value: Any, _pointer: str) -> Any:
     return value
 
 
-def _int_node(bottom: int, top: int, *, outward: bool) -> Node:
+def _int_node(bottom: int, top: int, *, outward: bool) -> tuple[Node, Quick]:
     def checked(value: int, pointer: str) -> int:
         if not bottom <= value <= top:
             bound = f"<= {top}" if value > top else f">= {bottom}"
@@ -261,15 +297,23 @@ def _int_node(bottom: int, top: int, *, outward: bool) -> Node:
             return checked(value, pointer)
         return value
 
-    return out if outward else into
+    low = max(bottom, -SAFE_INTEGER) if outward else bottom
+    high = min(top, SAFE_INTEGER) if outward else top
+
+    def quick(kinds: set[type], value: Any) -> bool:
+        return kinds == {int} and low <= min(value) and max(value) <= high
+
+    return (out if outward else into), quick
 
 
-def _list_node(item: Node) -> Node:
+def _list_node(item: Node, quick: Quick | None) -> Node:
     if item is _same:
         return _same
 
     def node(value: Any, pointer: str) -> Any:
         if is_sequence(value):
+            if quick is not None and quick(set(map(type, value)), value):
+                return value
             return [item(v, f"{pointer}/{i}") for i, v in enumerate(value)]
         return value
 
@@ -323,18 +367,36 @@ def _first_of(nodes: list[Node]) -> Node:
 
 
 def _any_node(value: Any, pointer: str) -> Any:
-    match value:
-        case float() if not math.isfinite(value):
-            return _spelled(value)
-        case bool():
+    kind: type = type(value)  # pyright: ignore[reportUnknownVariableType] - of any type
+    if kind in _NEVER_ODD:
+        return value
+    if kind in _REALS:
+        return _number(value)
+    if is_sequence(value):
+        return _any_list(value, pointer)
+    if is_map(value):
+        if _are_usual(set(map(type, value.values())), value.values()):
             return value
-        case int() if abs(value) > SAFE_INTEGER:
-            return str(value)
-        case msgspec.Struct():
-            return _any_node(msgspec.to_builtins(value), pointer)
-        case _ if is_map(value):
-            return {k: _any_node(v, pointer) for k, v in value.items()}
-        case _ if is_sequence(value):
-            return [_any_node(v, pointer) for v in value]
-        case _:
-            return value
+        return {k: _any_node(v, pointer) for k, v in value.items()}
+    if isinstance(value, msgspec.Struct):
+        return _any_node(msgspec.to_builtins(value), pointer)
+    return value
+
+
+def _any_list(value: Any, pointer: str) -> Any:
+    """Write a list; of a million numbers, a call for each would take too long."""
+    kinds = set(map(type, value))
+    if _are_usual(kinds, value):
+        return value
+    low, high = -SAFE_INTEGER, SAFE_INTEGER
+    if kinds == {int}:
+        return [v if low <= v <= high else str(v) for v in value]
+    if _USUAL.issuperset(kinds):
+        return [v if type(v) in _NEVER_ODD or low <= v <= high else _number(v) for v in value]
+    return [_any_node(v, pointer) for v in value]
+
+
+def _number(value: float) -> Any:
+    if isinstance(value, float):
+        return value if math.isfinite(value) else _spelled(value)
+    return value if -SAFE_INTEGER <= value <= SAFE_INTEGER else str(value)
