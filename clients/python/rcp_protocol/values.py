@@ -332,6 +332,7 @@ def _type_name(type_: Any) -> str:
 
 
 _SPELLED = {"enum": ["NaN", "Infinity", "-Infinity"]}
+_BASE64 = "^([A-Za-z0-9+/]{4})*([A-Za-z0-9+/]{2}==|[A-Za-z0-9+/]{3}=)?$"
 _DIGITS = {"type": "string", "pattern": "^-?[0-9]{1,20}$"}
 
 
@@ -346,6 +347,8 @@ def _published(node: Any) -> Any:
         for key, item in node.items()
         if key != NONFINITE
     }
+    if node.get("contentEncoding") == "base64":
+        out["pattern"] = _BASE64
     kept = {key: out.pop(key) for key in ("unit", "description", "default") if key in out}
     if node.get("type") == "number" and node.get(NONFINITE):
         return {**kept, "anyOf": [out, _SPELLED]}

@@ -132,7 +132,7 @@ async def test_commands_that_were_accepted_are_not_sent_again_to_the_session_tha
         Proxy(gateway.port) as proxy,
         connect(proxy, on_notice=heard) as client,
     ):
-        running = [await client.start("/action/go", {"x": float(x)}) for x in range(4)]
+        running = [await client.start("/action/go", {"x": x}) for x in (0.0, 1.0, 2.0, 3.0)]
         for cut in (1, 2):
             proxy.cut()
             await heard.until("reconnected", cut)
