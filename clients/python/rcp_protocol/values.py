@@ -333,7 +333,6 @@ def _type_name(type_: Any) -> str:
 
 _SPELLED = {"enum": ["NaN", "Infinity", "-Infinity"]}
 _BASE64 = "^([A-Za-z0-9+/]{4})*([A-Za-z0-9+/]{2}==|[A-Za-z0-9+/]{3}=)?$"
-_DIGITS = {"type": "string", "pattern": "^-?[0-9]{1,20}$"}
 
 
 def _published(node: Any) -> Any:
@@ -353,7 +352,7 @@ def _published(node: Any) -> Any:
     if node.get("type") == "number" and node.get(NONFINITE):
         return {**kept, "anyOf": [out, _SPELLED]}
     if node.get("type") == "integer" and _is_wide(node):
-        return {**kept, "anyOf": [_narrowed(out), _DIGITS]}
+        return {**kept, "anyOf": [_narrowed(out), _digits(node)]}
     return {**out, **kept}
 
 
@@ -366,6 +365,14 @@ def _narrowed(node: dict[str, Any]) -> dict[str, Any]:
             out.pop("exclusiveM" + side, None)
             out["m" + side] = limit
     return out
+
+
+def _digits(node: dict[str, Any]) -> dict[str, Any]:
+    """Return the schema of a wide integer's text: sign and length are as near as a pattern comes to its bounds."""
+    low = node.get("minimum", node.get("exclusiveMinimum", -(2**63)))
+    high = node.get("maximum", node.get("exclusiveMaximum", 2**63 - 1))
+    sign, longest = "-?" if low < 0 else "", len(str(max(abs(low), abs(high))))
+    return {"type": "string", "pattern": f"^{sign}[0-9]{{1,{longest}}}$"}
 
 
 def _is_wide(node: dict[str, Any]) -> bool:
