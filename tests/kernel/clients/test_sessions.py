@@ -90,7 +90,7 @@ async def test_what_was_told_to_a_peer_that_was_gone_already_is_told_on_return(
     world.robot.release.set()
     await client.ask(type="execute", id="x", path="/action/go", body=1)
     client.connection.close()
-    session = world.server.gateway.sessions.known[facts["session"]]
+    session = world.server.kernel.sessions.known[facts["session"]]
     assert session.cut is not None
     session.cut += int(3 * facts["heartbeat"] * 1e9)
     client = world.client()
