@@ -7,6 +7,7 @@ from pathlib import Path
 import msgspec
 import structlog
 
+from rcp_kernel.access.key_strength import log_weak_keys
 from rcp_kernel.app.server import Prepared, Server, prepare, retire, start_backend
 from rcp_kernel.config.file import load
 from rcp_kernel.errors import StartupError
@@ -39,6 +40,7 @@ async def reload(server: Server, path: Path) -> None:
         log.exception("reload_failed", reason="a plugin or the gateway has a bug")
         server.kernel.audit.note("reload", principal=None, outcome="failed")
         return
+    log_weak_keys(fresh.keys, str(path))
     for part in _FIXED:
         if getattr(running, part) != getattr(fresh, part):
             log.warning("reload_needs_restart", part=part)

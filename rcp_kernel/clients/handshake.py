@@ -23,7 +23,8 @@ from rcp_kernel.wire import VERSION, failure
 
 __all__ = ["Handshake"]
 
-_RECENT = 30_000_000_000  # ns: final replies sent this shortly before a cut are said again
+_RECENT = 30.0  # s: final replies sent this shortly before a cut are said again
+_UNHEARD = 4  # heartbeats, before which a peer that is gone is noticed: what was sent it is lost
 
 
 class Handshake:
@@ -206,9 +207,10 @@ class Handshake:
         cut, session.cut = session.cut or now(), None
         said = {reply.command for reply, _ in session.missed if reply.final}
         tell = self._follower(session.deliver)
+        recent = cut - int(1e9 * max(_RECENT, _UNHEARD * self._settings.limits.heartbeat))
         for command in session.commands.values():
             ended = command.finished
-            if command.id not in said and (ended is None or ended > cut - _RECENT):
+            if command.id not in said and (ended is None or ended > recent):
                 tell(command.reply())
         if session.overflowed:
             lost = session.overflowed

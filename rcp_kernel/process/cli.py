@@ -90,6 +90,7 @@ def serve(config: Path) -> None:
 def check(config: Path) -> None:
     """Report every error of a configuration without opening a robot or a socket."""
     from rcp_kernel.access.identities import store_file
+    from rcp_kernel.access.key_strength import weak_keys
     from rcp_kernel.app.server import prepare
 
     try:
@@ -104,6 +105,12 @@ def check(config: Path) -> None:
         )
     _warn_of_damage(store_file(prepared.config))
     found = prepared.config
+    for name in weak_keys(found.keys):
+        click.echo(
+            f"warning: key '{name}' is easy to guess: put the output of `openssl rand -hex 32` in its "
+            f"place, or a token: `rcpd token create {name} --config {config} --role ROLE`",
+            err=True,
+        )
     robots = ", ".join(f"{b.name} ({b.use}, tenant {b.tenant})" for b in found.backends) or "none"
     click.echo(f"{config}: good")
     click.echo(f"  backends      {robots}")
@@ -200,6 +207,7 @@ def _fail(text: str) -> NoReturn:
 
 
 def _run(config: GatewayConfig, source: str, path: Path | None, demo: Demo | None) -> None:
+    from rcp_kernel.access.key_strength import log_weak_keys
     from rcp_kernel.app.server import prepare
     from rcp_kernel.process.containment import end_in_time, run_contained
     from rcp_kernel.process.log import configure
@@ -211,6 +219,7 @@ def _run(config: GatewayConfig, source: str, path: Path | None, demo: Demo | Non
         prepared = prepare(config, source)
     except StartupError as error:
         _fail(str(error))
+    log_weak_keys(config.keys, source)
     with asyncio.Runner(loop_factory=_loop_factory()) as runner:
         try:
             code = run_contained(runner, _serve(prepared, recent, path, demo))

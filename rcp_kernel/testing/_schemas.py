@@ -93,10 +93,10 @@ def _span(node: Schema) -> list[float]:
 
 
 def _texts(node: Schema) -> list[Any]:
-    if "pattern" in node:
-        return list(node.get("examples", ()))
     if node.get("contentEncoding") == "base64":
         return ["", "AAEC"]
+    if "pattern" in node:
+        return list(node.get("examples", ()))
     return ["a" * node.get("minLength", 0), "b" * min(max(node.get("minLength", 1), 1), 8)]
 
 

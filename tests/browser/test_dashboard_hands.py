@@ -10,6 +10,7 @@ import httpx
 import pytest
 from playwright.async_api import Browser, Page, expect
 
+from browser.driving import KEYS, PAD, STICK, Hand, set_going
 from browser.input_helpers import UNSEEN, drives, push, shift, stands, take, unsafe
 from browser.robots import STILL, speed, until
 from browser.watched import Watched, signed_in
@@ -41,7 +42,6 @@ priority = 10
 )
 ODOMETRY = "/tenant/alpha/sensor/odometry"
 CMD_VEL = "/tenant/alpha/actuator/cmd_vel"
-TURN = "hold([-1, 0, 0, 0], true)"  # on its place: there is a wall somewhere
 
 
 @pytest.fixture(scope="module")
@@ -76,9 +76,9 @@ async def tab(browser: Browser, url: str) -> AsyncGenerator[Watched]:
         yield found
 
 
-async def moves(robot: httpx.AsyncClient) -> None:
-    """Wait until the rover moves."""
-    await until(robot, ODOMETRY, lambda found: speed(found) > 0.05)
+async def moves(page: Page, hand: Hand, robot: httpx.AsyncClient) -> None:
+    """Have the rover move."""
+    await set_going(page, hand, robot, ODOMETRY)
 
 
 async def rests(robot: httpx.AsyncClient) -> None:
@@ -96,8 +96,7 @@ async def test_a_gamepad_drives_nothing_while_nobody_is_at_the_page_nor_before_a
     tab: Watched, robot: httpx.AsyncClient
 ) -> None:
     page = await take(tab, "rover")
-    await page.evaluate(TURN)
-    await moves(robot)
+    await moves(page, PAD, robot)
     await page.evaluate("leave()")
     await stands(page)
     await rests(robot)
@@ -106,8 +105,7 @@ async def test_a_gamepad_drives_nothing_while_nobody_is_at_the_page_nor_before_a
     await rests(robot)
     await page.evaluate("hold([-1, 0, 0, 0], false)")
     await expect(page.get_by_test_id("spent")).to_have_count(0)
-    await page.evaluate(TURN)
-    await moves(robot)
+    await moves(page, PAD, robot)
     await page.evaluate("""
         const dialog = document.createElement("dialog");
         document.body.append(dialog);
@@ -126,9 +124,7 @@ async def test_keys_that_drive_change_no_limit_and_none_drives_that_was_let_go_u
     limit = page.get_by_role("slider", name="Speed limit")
     before = await limit.input_value()
     await limit.focus()
-    await page.keyboard.down("Shift")
-    await page.keyboard.down("ArrowLeft")
-    await moves(robot)
+    await moves(page, KEYS, robot)
     await page.keyboard.down("ArrowLeft")  # it repeats
     await page.keyboard.press("PageDown")
     await page.keyboard.up("Shift")
@@ -215,8 +211,7 @@ async def test_a_drive_that_failed_goes_on_by_a_new_press_alone(
     tab: Watched, robot: httpx.AsyncClient
 ) -> None:
     page = await take(tab, "rover")
-    await push(page)
-    await moves(robot)
+    await moves(page, STICK, robot)
     await page.evaluate("""hang('"write"')""")
     await expect(page.locator("[data-code=link_slow]")).to_be_visible()
     await page.evaluate("goOn()")
@@ -229,8 +224,7 @@ async def test_a_drive_that_failed_goes_on_by_a_new_press_alone(
     await page.evaluate("pads = []")
     await page.mouse.up()
     await expect(page.get_by_test_id("spent")).to_have_count(0)
-    await push(page)
-    await moves(robot)
+    await moves(page, STICK, robot)
     await page.evaluate(
         "{ const end = performance.now() + 1500; while (performance.now() < end); }"
     )
@@ -282,8 +276,7 @@ async def test_control_that_was_taken_over_and_comes_back_moves_nothing_before_a
 ) -> None:
     async with person(browser, url, "lena") as lena, person(browser, url, "otto") as otto:
         page = await take(lena, "rover")
-        await push(page)
-        await moves(robot)
+        await moves(page, STICK, robot)
         await otto.open("teleop?robot=rover")
         await otto.page.get_by_role("button", name="Take control").click()
         await otto.page.get_by_label("Reason for taking over").fill("the hall is full")
@@ -296,8 +289,7 @@ async def test_control_that_was_taken_over_and_comes_back_moves_nothing_before_a
         await shift(page)
         await stands(page)
         await page.mouse.up()
-        await push(page)
-        await moves(robot)
+        await moves(page, STICK, robot)
         await page.get_by_role("button", name="Log out").press("Enter")
         await rests(robot)
 
@@ -307,8 +299,7 @@ async def test_what_is_held_through_an_emergency_stop_or_for_another_robot_moves
 ) -> None:
     async with person(browser, url, "ada") as tab:
         page = await take(tab, "rover")
-        await page.evaluate(TURN)
-        await moves(robot)
+        await moves(page, PAD, robot)
         await page.keyboard.press("F9")
         await expect(page.get_by_test_id("estop-active")).to_be_visible()
         await stands(page)
@@ -319,8 +310,7 @@ async def test_what_is_held_through_an_emergency_stop_or_for_another_robot_moves
         await stands(page)
         await page.evaluate("hold([0, 0, 0, 0], false)")
         await expect(page.get_by_test_id("spent")).to_have_count(0)
-        await page.evaluate(TURN)
-        await moves(robot)
+        await moves(page, PAD, robot)
         await page.get_by_role("combobox", name="Robot").select_option("other")
         await rests(robot)
         await take(tab, "other")
@@ -336,8 +326,7 @@ async def test_an_emergency_stop_passes_by_a_connection_that_hangs(
     tab: Watched, robot: httpx.AsyncClient
 ) -> None:
     page = await take(tab, "rover")
-    await push(page)
-    await moves(robot)
+    await moves(page, STICK, robot)
     await page.evaluate("hang('')")
     await rests(robot)
     stops: list[str] = []

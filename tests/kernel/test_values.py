@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from typing import Annotated, Any
 
 import jsonschema
@@ -156,6 +157,57 @@ def test_text_is_not_taken_for_a_number() -> None:
 def test_what_is_not_of_the_encoding_is_a_bad_request(data: bytes, encoding: Encoding) -> None:
     with pytest.raises(BadRequest):
         value_type(types.Pose).decode(data, encoding)
+
+
+@pytest.mark.parametrize(
+    "type_", [int, types.Int64, types.UInt64, Annotated[int, Meta(ge=0, le=99)]]
+)
+@pytest.mark.parametrize("text", ["54.0", "5.4e1", "540e-1"])
+def test_an_integer_may_be_written_as_json_schema_allows(type_: Any, text: str) -> None:
+    type_ = value_type(type_)
+    jsonschema.validate(json.loads(text), type_.schema)
+    for data in (msgspec.json.encode(54), text.encode()):
+        value = type_.decode(data, Encoding.JSON)
+        assert (value, type(value)) == (54, int)
+    value = type_.decode(msgspec.msgpack.encode(54.0), Encoding.MSGPACK)
+    assert (value, type(value)) == (54, int)
+    with pytest.raises(InvalidValue):
+        type_.decode(b"54.5", Encoding.JSON)
+    with pytest.raises(OutOfRange):
+        type_.decode(b"1e300", Encoding.JSON)
+
+
+def test_integers_inside_a_value_may_be_written_so_too() -> None:
+    small = Annotated[int, Meta(ge=0, le=255)]
+    for type_ in (list[small], list[int], tuple[small, small, small] | None):
+        assert list(value_type(type_).decode(b"[1, 2.0, 3]", Encoding.JSON)) == [1, 2, 3]
+        with pytest.raises(InvalidValue) as refused:
+            value_type(type_).decode(b"[1, 2.5, 3]", Encoding.JSON)
+        assert refused.value.details == {"pointer": "/1"}
+    assert value_type(Any).decode(b"2.0", Encoding.JSON) == 2.0
+    assert value_type(int | str).decode(b'"2.0"', Encoding.JSON) == "2.0"
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf])
+def test_a_number_that_may_be_whole_is_finite_too(value: float) -> None:
+    with pytest.raises(InvalidValue):
+        value_type(int | float).decode(msgspec.msgpack.encode(value), Encoding.MSGPACK)
+
+
+@given(st.text("QUJD=-_+/ \n", max_size=9))
+def test_the_schema_of_bytes_tells_which_texts_they_are(text: str) -> None:
+    type_ = value_type(dict[str, bytes])
+    document = {"data": text}
+    published = type_.schema["additionalProperties"]
+    # As in ECMA-262, where `$` is the end and not the line's.
+    fits = re.search(published["pattern"].replace("$", r"\Z"), text) is not None
+    assert published["contentEncoding"] == "base64"
+    try:
+        type_.decode(msgspec.json.encode(document), Encoding.JSON)
+    except InvalidValue:
+        assert not fits
+    else:
+        assert fits
 
 
 def test_a_published_value_that_does_not_fit_is_found() -> None:

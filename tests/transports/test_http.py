@@ -525,8 +525,16 @@ async def test_what_cannot_be_written_says_so_with_a_body_and_without(
         async with httpx.AsyncClient(base_url=http.base_url) as anyone:
             refused = await anyone.put(f"{CONTEXT}/param/limit", content=content)
         assert (refused.status_code, error(refused)) == (403, "forbidden")
-    empty = await http.put(f"{CONTEXT}/param/limit")
-    assert (empty.status_code, error(empty)) == (400, "bad_request")
+    for blank in (b"", b" \n"):
+        empty = await http.put(f"{CONTEXT}/param/limit", content=blank)
+        assert (empty.status_code, error(empty)) == (400, "bad_request")
+
+
+async def test_a_body_of_whitespace_is_no_json(http: httpx.AsyncClient) -> None:
+    """Nor is it no body: who sends one meant to say something."""
+    blank = await http.post(f"{CONTEXT}/action/go", content=b" \n")
+    assert (blank.status_code, error(blank)) == (400, "bad_request")
+    assert "whitespace" in blank.json()["error"]["message"]
 
 
 @pytest.mark.parametrize(

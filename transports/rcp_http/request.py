@@ -250,6 +250,9 @@ class HttpRequest:
             request.body, request.encoding = Raw(msgspec.msgpack.encode(plain)), Encoding.MSGPACK
         elif data:
             trimmed = data.strip() if encoding is Encoding.JSON else data
+            if not trimmed:
+                remedy = "Send a JSON value, or a request without a body."
+                raise BadRequest("a body of whitespace alone is not JSON", remedy=remedy)
             request.body, request.encoding = Raw(trimmed), encoding
 
 

@@ -34,6 +34,7 @@ class Call:
         "loop",
         "repeat",
         "sent",
+        "session",
         "started",
     )
 
@@ -49,6 +50,8 @@ class Call:
         """Every id it was sent under; replies to any of them are its own."""
         self.command: str | None = None
         """The gateway's id of the command it started."""
+        self.session: str | None = None
+        """The session that tells of the command, once it is accepted."""
         self.sent: int | None = None
         """When it first went out, ns since the epoch."""
         self.started = time.monotonic()

@@ -275,8 +275,10 @@ class Channel:
         self._go(call, self._link, **facts)
 
     def calls_of_before(self) -> list[Call]:
-        """List the calls that were not sent on the present connection."""
-        return [call for call in self.calls.every() if call.link is not self._link]
+        """List the calls that were not sent on the present connection, and that nothing answers."""
+        before = [call for call in self.calls.every() if call.link is not self._link]
+        # Of a command that it has accepted, the session tells whatever becomes of it.
+        return [c for c in before if c.command is None or c.session != self.session]
 
     def _go(self, call: Call, link: Link | None, **facts: Any) -> None:
         """Send a call under an id of its own, or the one it always has."""
@@ -284,6 +286,8 @@ class Channel:
         self.calls.name(call, id_)
         call.sent = call.sent or now()
         call.link = link
+        if call.command is None:
+            call.session = self.session
         if link is not None:
             link.send({**call.envelope, "id": id_, **facts})
 

@@ -61,6 +61,10 @@ class Update(msgspec.Struct, kw_only=True, omit_defaults=True):
     body: Any = None
     dropped: int = 0
     """Samples of this path that were skipped since the last update, for want of speed."""
+    truncated: bool = False
+    """The value is too long to be sent for a pattern: `body` is None. Read the path, or subscribe to it by name."""
+    size: int | None = None
+    """Bytes that a truncated value has in the connection's encoding."""
     native_type: str | None = None
     """Name of the backend's own type, in the first update of a native subscription."""
 

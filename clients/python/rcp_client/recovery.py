@@ -1,5 +1,7 @@
 """What becomes of requests and subscriptions that a cut has left in the air.
 
+Of commands that were accepted a session taken back tells by itself; the others may have been lost on the way.
+
 A session taken back means that the gateway still knows every idempotency key, be it from its
 store, so that what is sent again happens once. A new session on the same gateway does too. A gateway that was started
 anew does not: there a command's fate is looked up, and nothing is tried again.

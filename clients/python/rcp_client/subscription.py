@@ -210,7 +210,7 @@ class Subscription:
             raise self._error
 
     def _typed(self, item: Update | Notice) -> Update | Notice:
-        if self._type is not None and isinstance(item, Update):
+        if self._type is not None and isinstance(item, Update) and not item.truncated:
             item.body = self._type.convert(item.body)
         return item
 
@@ -241,6 +241,8 @@ class Subscription:
                 body=message.body,
                 dropped=message.dropped + self._skipped.pop(path, 0),
                 native_type=message.native_type,
+                truncated=message.truncated,
+                size=message.size,
             )
         )
         self._wake.set()

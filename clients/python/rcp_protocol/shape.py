@@ -96,6 +96,8 @@ class Shape:
                     self.has_float = True
                     return _float_list_node
                 item = self._node(info.item_type, memo, outward=outward)
+                if item is _whole:
+                    return _whole_list_node
                 return _list_node(item, self._quick.get(item))
             case mi.TupleType():
                 return _tuple_node([self._node(t, memo, outward=outward) for t in info.item_types])
@@ -118,7 +120,7 @@ class Shape:
         low = info.ge if info.ge is not None else info.gt
         high = info.le if info.le is not None else info.lt
         if low is not None and high is not None and low >= -SAFE_INTEGER and high <= SAFE_INTEGER:
-            return _same
+            return _same if outward else _whole
         self.has_wide_int = True
         if not outward:  # its own bounds are checked by msgspec, which knows what to say
             top = extra.get("maximum", 2**63 - 1)
@@ -148,8 +150,11 @@ class Shape:
         return node
 
     def _union_node(self, info: mi.UnionType, memo: dict[type, Node], *, outward: bool) -> Node:
-        nodes = [self._node(option, memo, outward=outward) for option in info.types]
-        live = [node for node in nodes if node is not _same]
+        nodes = [(option, self._node(option, memo, outward=outward)) for option in info.types]
+        # A number may be of either type: what one forbids, another must not let through unseen.
+        number = _chain([node for option, node in nodes if _is_number(option)])
+        others = [node for option, node in nodes if not _is_number(option)]
+        live = [node for node in (number, *others) if node is not _same]
         if not live:
             return _same
         node = live[0] if len(live) == 1 else _first_of(live)
@@ -199,6 +204,10 @@ def _bare(info: mi.Type) -> mi.Type:
     while isinstance(info, mi.Metadata):
         info = info.type
     return info
+
+
+def _is_number(info: mi.Type) -> bool:
+    return isinstance(_bare(info), (mi.IntType, mi.FloatType))
 
 
 def _unless_text(node: Node) -> Node:
@@ -293,6 +302,8 @@ def _int_node(bottom: int, top: int, *, outward: bool) -> tuple[Node, Quick]:
     def into(value: Any, pointer: str) -> Any:
         if isinstance(value, str) and len(value) <= 21 and value.lstrip("-").isdecimal():
             value = int(value) if value.isascii() else value
+        elif isinstance(value, float):
+            value = _whole(value, pointer)
         if isinstance(value, int) and not isinstance(value, bool):
             return checked(value, pointer)
         return value
@@ -304,6 +315,34 @@ def _int_node(bottom: int, top: int, *, outward: bool) -> tuple[Node, Quick]:
         return kinds == {int} and low <= min(value) and max(value) <= high
 
     return (out if outward else into), quick
+
+
+def _whole(value: Any, _pointer: str) -> Any:
+    """Take 54.0 for 54, as JSON Schema does."""
+    if isinstance(value, float) and value.is_integer():
+        return int(value)
+    return value
+
+
+def _whole_list_node(value: Any, pointer: str) -> Any:
+    """Look at a list of small integers only where it has another: they may be millions."""
+    if is_sequence(value) and float in set(map(type, value)):
+        return [_whole(v, pointer) for v in value]
+    return value
+
+
+def _chain(nodes: list[Node]) -> Node:
+    """Apply one after the other."""
+    live = [node for node in nodes if node is not _same]
+    if len(live) < 2:
+        return live[0] if live else _same
+
+    def node(value: Any, pointer: str) -> Any:
+        for each in live:
+            value = each(value, pointer)
+        return value
+
+    return node
 
 
 def _list_node(item: Node, quick: Quick | None) -> Node:

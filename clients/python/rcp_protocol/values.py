@@ -19,8 +19,8 @@ from rcp_protocol.base64_strings import lifted
 from rcp_protocol.depth import is_deep, is_deep_json
 from rcp_protocol.errors import BadRequest, InvalidValue, OutOfRange, PluginError
 from rcp_protocol.plain import is_list, is_map
-from rcp_protocol.shape import SAFE_INTEGER, Beyond, Shape, unescaped
-from rcp_protocol.types import NONFINITE
+from rcp_protocol.published_schema import published
+from rcp_protocol.shape import Beyond, Shape, unescaped
 
 __all__ = ["ANY", "DEPTH", "Encoding", "ValueType", "dump", "sound", "to_plain", "value_type"]
 
@@ -95,7 +95,7 @@ class ValueType:
     def schema(self) -> dict[str, Any]:
         """The JSON Schema (2020-12), self-contained, with units and `$id`."""
         if self._schema is None:
-            bare = _published(msgspec.json.schema(self.type))
+            bare = published(msgspec.json.schema(self.type))
             digest = hashlib.sha256(msgspec.json.encode(bare, order="sorted")).hexdigest()[:12]
             self._schema_id = f"{_type_name(self.type)}.{digest}"
             self._schema = {"$id": f"rcp:schema:{self._schema_id}", **bare}
@@ -330,46 +330,6 @@ def _type_name(type_: Any) -> str:
     while hasattr(type_, "__metadata__"):
         type_ = type_.__origin__
     return re.sub(r"[^A-Za-z0-9_]+", "_", getattr(type_, "__name__", str(type_))).strip("_")
-
-
-_SPELLED = {"enum": ["NaN", "Infinity", "-Infinity"]}
-_DIGITS = {"type": "string", "pattern": "^-?[0-9]{1,20}$"}
-
-
-def _published(node: Any) -> Any:
-    """Write out in the schema what the wire allows: spelled non-finite and long integers."""
-    if is_list(node):
-        return [_published(item) for item in node]
-    if not is_map(node):
-        return node
-    out = {
-        key: item if key in ("default", "examples", "enum", "const") else _published(item)
-        for key, item in node.items()
-        if key != NONFINITE
-    }
-    kept = {key: out.pop(key) for key in ("unit", "description", "default") if key in out}
-    if node.get("type") == "number" and node.get(NONFINITE):
-        return {**kept, "anyOf": [out, _SPELLED]}
-    if node.get("type") == "integer" and _is_wide(node):
-        return {**kept, "anyOf": [_narrowed(out), _DIGITS]}
-    return {**out, **kept}
-
-
-def _narrowed(node: dict[str, Any]) -> dict[str, Any]:
-    """Bound the numbers of a wide integer by what JSON carries as such; the rest are texts."""
-    out = dict(node)
-    for side, limit in (("inimum", -SAFE_INTEGER), ("aximum", SAFE_INTEGER)):
-        own = out.get("m" + side, out.get("exclusiveM" + side))
-        if own is None or abs(own) > SAFE_INTEGER:
-            out.pop("exclusiveM" + side, None)
-            out["m" + side] = limit
-    return out
-
-
-def _is_wide(node: dict[str, Any]) -> bool:
-    low = node.get("minimum", node.get("exclusiveMinimum"))
-    high = node.get("maximum", node.get("exclusiveMaximum"))
-    return low is None or high is None or low < -SAFE_INTEGER or high > SAFE_INTEGER
 
 
 @lru_cache(maxsize=4096)

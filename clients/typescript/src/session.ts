@@ -27,11 +27,13 @@ interface Waiting {
   lose: (why: string) => void;
   /** Whether it was sent over a connection that was cut since. */
   cut: boolean;
+  /** Whether the gateway has answered: what becomes of it is told for as long as the session lasts. */
+  answered: boolean;
 }
 
 const DEADLINE = 10; // s, the gateway's own default
 const GRACE = 2; // s beyond a deadline before the answer is given up here
-const SETTLE = 3000; // ms after a resume within which what was missed has come
+const SETTLE = 3000; // ms after a resume until what has no answer counts as lost on the way
 const SILENCE = 6000; // ms without any answer after which a connection is dead
 const OPENING = 10_000; // ms that a connection may take to stand, the greeting included
 const REFUSALS = new Set(["unauthenticated", "token_expired", "forbidden", "version_unsupported"]);
@@ -53,6 +55,7 @@ export class Session {
   #link: Link | undefined;
   #backoff = new Backoff();
   #retry: ReturnType<typeof setTimeout> | undefined;
+  #settling: ReturnType<typeof setTimeout> | undefined;
   #pinging: ReturnType<typeof setInterval> | undefined;
   #waiting = new Map<string, Waiting>();
   /** Subscriptions that are wanted no more, which the gateway has not been told yet. */
@@ -86,6 +89,7 @@ export class Session {
   close(): void {
     clearTimeout(this.#retry);
     clearTimeout(this.#opening);
+    clearTimeout(this.#settling);
     clearInterval(this.#pinging);
     for (const subscription of this.subscriptions.values()) subscription.rest();
     this.#to("closed");
@@ -146,6 +150,7 @@ export class Session {
           reject(new ConnectionLost(why));
         },
         cut: false,
+        answered: false,
       });
     });
   }
@@ -157,6 +162,7 @@ export class Session {
       take: (reply) => command.take(reply),
       lose: (why) => command.lose(why),
       cut: false,
+      answered: false,
     });
   }
 
@@ -210,7 +216,7 @@ export class Session {
     const sent = Date.now();
     const reply = await new Promise<Reply>((resolve) => {
       const id = this.newId("hello");
-      this.#waiting.set(id, { take: (told) => (resolve(told), true), lose: () => undefined, cut: false });
+      this.#waiting.set(id, { take: (told) => (resolve(told), true), lose: () => undefined, cut: false, answered: false });
       link.send({ type: "hello", id, body });
     });
     if (link !== this.#link) return;
@@ -228,7 +234,7 @@ export class Session {
 
   /** The session stands with what it had; mend what was asked while there was no connection. */
   #resume(): void {
-    setTimeout(() => this.#giveUpCut(), SETTLE);
+    this.#settling = setTimeout(() => this.#giveUpCut(), SETTLE);
     for (const id of this.#orphans) void this.unsubscribe(id);
     for (const subscription of this.subscriptions.values())
       if (!subscription.made) this.subscribe(subscription).catch(() => undefined);
@@ -263,6 +269,7 @@ export class Session {
   #lost(why: string): void {
     this.#link = undefined;
     clearTimeout(this.#opening);
+    clearTimeout(this.#settling); // what this cut has left waits for the next resume
     clearInterval(this.#pinging);
     this.#pinging = this.#pinged = undefined;
     if (this.state === "closed" || this.state === "refused") return;
@@ -293,6 +300,7 @@ export class Session {
       },
       lose: () => undefined,
       cut: false,
+      answered: false,
     });
     link.send({ type: "ping", id });
   }
@@ -311,6 +319,7 @@ export class Session {
   #reply(reply: Reply): void {
     const waiting = reply.id === undefined ? undefined : this.#waiting.get(reply.id);
     if (waiting !== undefined) {
+      waiting.answered = true;
       if (waiting.take(reply)) this.#waiting.delete(reply.id as string);
     } else if (reply.type === "hello" && reply.error?.code === "token_expired") {
       this.problem = new RcpError(reply.error);
@@ -398,9 +407,10 @@ export class Session {
     return seen;
   }
 
+  /** Give up what never had an answer; a command that was accepted is told of however long it runs. */
   #giveUpCut(): void {
     for (const [id, waiting] of this.#waiting)
-      if (waiting.cut) this.#lose(id, "the connection was cut before the answer came");
+      if (waiting.cut && !waiting.answered) this.#lose(id, "the connection was cut before the answer came");
   }
 
   #lose(id: string, why: string): void {

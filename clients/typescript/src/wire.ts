@@ -77,6 +77,10 @@ export interface Update<T = any> {
   body: T;
   /** Samples that were skipped since the last update of this path. */
   dropped?: number;
+  /** The value is too long to be sent for a pattern: there is no `body`. `read` its path, or subscribe to it by name. */
+  truncated?: true;
+  /** With `truncated`: the bytes that the value has in this encoding. */
+  size?: number;
 }
 
 /** What nobody asked for. Codes that are not known are to be ignored. */

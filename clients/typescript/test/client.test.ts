@@ -176,6 +176,41 @@ test("a command runs on through a cut and its end is told", async () => {
   assert.ok((await command.result).pose);
 });
 
+/** Cut the connection, and wait until the session is back, without a timer of anybody. */
+async function cutAndReturn(client: Client): Promise<void> {
+  const back = new Promise<void>((resolve) => {
+    const stop = client.onChange(() => client.state === "open" && (stop(), resolve()));
+  });
+  client.session.cut();
+  client.session.hurry();
+  await back;
+}
+
+test("a command that was accepted is told of however long it runs after a cut", async (t) => {
+  const client = await connected();
+  const command = client.execute("/action/move_to", { position: { x: 5, y: 0 }, speed: 0.1 });
+  await command.accepted;
+  t.mock.timers.enable({ apis: ["setTimeout"] });
+  await cutAndReturn(client);
+  t.mock.timers.tick(60_000);
+  t.mock.timers.reset();
+  await command.cancel();
+  assert.equal((await refusal(command.result)).code, "cancelled");
+});
+
+test("what a second cut leaves without an answer is given the whole time after it", async (t) => {
+  const client = await connected();
+  t.mock.timers.enable({ apis: ["setTimeout"] });
+  await cutAndReturn(client);
+  t.mock.timers.tick(2999);
+  let lost = false;
+  client.read("/sensor/pose").catch(() => (lost = true)); // its answer goes to the connection that is cut
+  await cutAndReturn(client);
+  t.mock.timers.tick(1);
+  await new Promise((resolve) => setImmediate(resolve));
+  assert.equal(lost, false);
+});
+
 test("watching yields until the loop is left, and a refusal ends it", async () => {
   const client = await connected();
   let count = 0;

@@ -81,6 +81,23 @@ async def test_a_command_that_ended_while_the_client_was_away_is_told_on_return(
     assert (await client.final("x"))["status"] == "completed"
 
 
+async def test_what_was_told_to_a_peer_that_was_gone_already_is_told_on_return(
+    world: World,
+) -> None:
+    """As when a cable is pulled: the gateway notices by three heartbeats without an answer."""
+    client = world.client()
+    facts = await greeted(client)
+    world.robot.release.set()
+    await client.ask(type="execute", id="x", path="/action/go", body=1)
+    client.connection.close()
+    session = world.server.kernel.sessions.known[facts["session"]]
+    assert session.cut is not None
+    session.cut += int(3 * facts["heartbeat"] * 1e9)
+    client = world.client()
+    await greeted(client, session=facts["session"])
+    assert (await client.final("x"))["status"] == "completed"
+
+
 async def test_nobody_else_comes_back_to_a_session(world: World) -> None:
     client = world.client()
     session = (await greeted(client))["session"]

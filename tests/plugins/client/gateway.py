@@ -30,6 +30,7 @@ port = {port}
 grace = 0.1
 [limits]
 session_ttl = {session_ttl}
+in_flight = {in_flight}
 [[backends]]
 use = "robot"
 name = "robot"
@@ -150,11 +151,19 @@ class Robot(BaseBackend):
 class Gateway:
     """The gateway, over its several lives."""
 
-    def __init__(self, *, session_ttl: float = 60.0, more: str = "", http: bool = False) -> None:
+    def __init__(
+        self,
+        *,
+        session_ttl: float = 60.0,
+        in_flight: int = 4096,
+        more: str = "",
+        http: bool = False,
+    ) -> None:
         self.port = 0
         self.robots: dict[str, Robot] = {}
         without = "" if http else "http = false\nsse = false"
-        self._options = {"session_ttl": session_ttl, "more": more, "without": without}
+        limits = {"session_ttl": session_ttl, "in_flight": in_flight}
+        self._options = {**limits, "more": more, "without": without}
         self._stack = AsyncExitStack()
         self.opens = asyncio.Event()
         """Lets the robots come up."""

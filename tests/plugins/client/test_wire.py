@@ -132,6 +132,18 @@ async def test_an_update_that_comes_twice_is_given_once() -> None:
         assert subscription.duplicates == 2
 
 
+async def test_a_value_too_long_for_a_pattern_is_told_by_its_length() -> None:
+    async with watched(type=int) as (gateway, subscription, asked, _):
+        cut = update(asked, 4, truncated=True, size=5_333_421)
+        del cut["body"]
+        await gateway.send(cut)
+        await gateway.send(update(asked, 5))
+        updates = aiter(subscription)
+        told, whole = await anext(updates), await anext(updates)
+        assert (told.truncated, told.size, told.body) == (True, 5_333_421, None)
+        assert (whole.truncated, whole.size, whole.body) == (False, None, 5)
+
+
 async def test_a_number_left_out_of_a_reliable_subscription_is_a_gap() -> None:
     async with watched(reliable=True) as (gateway, subscription, asked, heard):
         for seq in (4, 5, 9):

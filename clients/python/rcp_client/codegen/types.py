@@ -113,7 +113,7 @@ class Types:
         found: list[Shape] = []
         for option in options:
             spelled = set(option.get("enum", ())) == _ODD_FLOATS
-            digits = option.get("pattern", "").startswith("^-?[0-9]")
+            digits = option.get("pattern", "").startswith(("^-?[0-9]{1,", "^[0-9]{1,"))
             if spelled or digits:  # JSON's way of writing a number that it has no form for
                 continue
             shape = self._shape(option, defs, inward=inward)

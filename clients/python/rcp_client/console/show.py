@@ -117,8 +117,10 @@ def update(out: Output, found: Update) -> None:
         return
     skipped = f"  ({found.dropped} skipped)" if found.dropped else ""
     moment = found.timestamp[11:23]
-    out.line(f"{out.dim(moment)} {found.path} {out.dim(f'#{found.seq}')} "
-             f"{compact(found.body)}{out.dim(skipped)}")  # fmt: skip
+    value = compact(found.body)
+    if found.truncated:
+        value = out.dim(f"<{found.size} bytes: rcpctl read {found.path}>")
+    out.line(f"{out.dim(moment)} {found.path} {out.dim(f'#{found.seq}')} {value}{out.dim(skipped)}")
 
 
 def status(out: Output, report: dict[str, Any]) -> None:
