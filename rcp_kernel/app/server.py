@@ -21,7 +21,8 @@ from rcp_kernel.motion.retry import retry_until_confirmed
 from rcp_kernel.plugins import Missing, Plugins
 from rcp_kernel.process.log import Recent
 from rcp_kernel.process.supervisor import BackendSupervisor
-from rcp_kernel.record.store import DiskStore, Store
+from rcp_kernel.record.disk_store import DiskStore
+from rcp_kernel.record.store import Store
 from rcp_kernel.status import StatusReport, gateway_version
 
 __all__ = [

@@ -238,6 +238,14 @@ async def settled(store: Store) -> None:
         await done.wait()
 
 
+async def until_trouble(store: Store) -> str:
+    """Wait until a store cannot write; return why."""
+    async with asyncio.timeout(BOUND):
+        while store.trouble is None:  # noqa: ASYNC110 - the store tells nobody
+            await asyncio.sleep(0.005)
+    return store.trouble
+
+
 def prepared(
     config: GatewayConfig, robots: list[Robot], make: Callable[[Host], Robot] = Robot
 ) -> Prepared:

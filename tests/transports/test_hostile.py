@@ -15,25 +15,9 @@ import pytest
 
 from hostility.cases import CASES, Case
 from hostility.scene import Worst, attacked, served
-from serving import serving
+from serving import ROVER, serving
 
 pytestmark = pytest.mark.anyio
-CONFIG = """
-[transports.asgi]
-port = 0
-[[backends]]
-use = "sim"
-name = "rover"
-tenant = "alpha"
-[[keys]]
-name = "operator"
-role = "operator"
-key = "operator-operator"
-[[keys]]
-name = "admin"
-role = "admin"
-key = "admin-admin-admin"
-"""
 COLD = "sensor.joint_states.position"
 IN_TIME = 0.7  # s until an e-stop is answered, on a machine that is busy otherwise
 
@@ -80,7 +64,7 @@ asyncio.run(main(*sys.argv[1:]))
 async def test_an_estop_is_answered_while_a_hundred_dear_plans_are_sent(
     tmp_path: Path, plan: dict[str, Any], status: int
 ) -> None:
-    with serving(tmp_path / "rcp.toml", CONFIG) as url:
+    with serving(tmp_path / "rcp.toml", ROVER) as url:
         async with httpx.AsyncClient(base_url=url, timeout=30, headers=_as("admin")) as safe:
             await safe.get("/rcp/v1/context/system/status")
             hostile = await asyncio.create_subprocess_exec(

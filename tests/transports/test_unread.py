@@ -15,30 +15,12 @@ import httpx
 import psutil
 import pytest
 
-from serving import serving
+from serving import ROVER, serving
 from transports.raw import TEXT, Raw, frame, handshake
 from transports.robot import BOUND
 
 MAP = "/tenant/alpha/sensor/map"  # 5.3 MB in JSON
 MB = 1024 * 1024
-CONFIG = """
-[transports.asgi]
-port = 0
-[[backends]]
-use = "sim"
-name = "rover"
-tenant = "alpha"
-[[keys]]
-name = "operator"
-role = "operator"
-key = "operator-operator"
-[[keys]]
-name = "admin"
-role = "admin"
-key = "admin-admin-admin"
-[limits]
-{limits}
-"""
 
 
 class Gateway:
@@ -98,7 +80,7 @@ async def gateway(tmp_path: Path, limits: str) -> AsyncGenerator[Gateway]:
 
 
 def _serving(folder: Path, limits: str) -> Generator[str]:
-    with serving(folder / "rcp.toml", CONFIG.format(limits=limits)) as url:
+    with serving(folder / "rcp.toml", f"{ROVER}[limits]\n{limits}\n") as url:
         yield url
 
 

@@ -17,7 +17,7 @@ from rcp_kernel.access.tokens import TokenFile
 from rcp_kernel.errors import ConfigError
 from rcp_kernel.process.log import configure
 from rcp_kernel.process.modes import check_store_modes
-from rcp_kernel.record.store import DiskStore
+from rcp_kernel.record.disk_store import DiskStore
 
 pytestmark = [
     pytest.mark.anyio,

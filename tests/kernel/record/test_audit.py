@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 from click.testing import CliRunner
 
-from kernel.world import Client, World, kept_in, settled, world_of
+from kernel.world import Client, World, kept_in, settled, until_trouble, world_of
 from rcp_kernel.record.cli import audit
 from rcp_kernel.record.denial_throttle import DenialThrottle
 from rcp_kernel.record.examination import examined
@@ -380,21 +380,16 @@ async def test_the_oldest_records_go_while_the_store_is_too_large(tmp_path: Path
     assert verdict.head[0] > 2000
 
 
-async def test_a_store_that_cannot_be_written_makes_the_gateway_degraded(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_a_store_that_cannot_be_written_makes_the_gateway_degraded(tmp_path: Path) -> None:
     async with world_of(kept_in(tmp_path / "store.db")) as world:
         store = world.server.kernel.store
         admin = world.client("admin-admin-admin")
         assert (await admin.ask(type="status"))["body"]["state"] == "ok"
         await settled(store)  # the login of the admin too
-        failed = asyncio.Event()
-        told = store._failed  # pyright: ignore[reportAttributeAccessIssue]
-        monkeypatch.setattr(store, "_failed", lambda reason: (told(reason), failed.set()))
         with closing(sqlite3.connect(tmp_path / "store.db")) as other:
             other.execute("BEGIN IMMEDIATE")
             world.server.kernel.audit.note("login", principal=None)
-            await asyncio.wait_for(failed.wait(), 5)
+            await until_trouble(store)
             status = (await admin.ask(type="status"))["body"]
             assert status["state"] == "degraded"
             assert status["record"]["state"] == "degraded"

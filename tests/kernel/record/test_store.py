@@ -11,10 +11,11 @@ from pathlib import Path
 
 import pytest
 
-from kernel.world import BOUND, kept_in, settled, world_of
+from kernel.world import BOUND, kept_in, settled, until_trouble, world_of
 from rcp_kernel.errors import ConfigError
+from rcp_kernel.record.disk_store import DiskStore
 from rcp_kernel.record.file import opened
-from rcp_kernel.record.store import DiskStore, Store
+from rcp_kernel.record.store import Store
 
 pytestmark = pytest.mark.anyio
 
@@ -58,17 +59,7 @@ async def test_settled_calls_back_in_order_and_at_once_when_nothing_waits(store:
     assert said == [0, 1, 2, 3]
 
 
-async def test_a_locked_store_is_retried_and_loses_nothing(
-    store: DiskStore, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    failed = asyncio.Event()
-    told = store._failed
-
-    def tell(reason: str) -> None:
-        told(reason)
-        failed.set()
-
-    monkeypatch.setattr(store, "_failed", tell)
+async def test_a_locked_store_is_retried_and_loses_nothing(store: DiskStore) -> None:
     store.put("things", "a", 1)
     await settled(store)
     async with asyncio.timeout(BOUND):
@@ -76,8 +67,7 @@ async def test_a_locked_store_is_retried_and_loses_nothing(
             other.execute("BEGIN IMMEDIATE")
             store.put("things", "b", 2)
             store.append((1, b"hash", b"record"))
-            await failed.wait()
-            assert store.trouble is not None
+            await until_trouble(store)
             assert store.waiting == 1
             other.rollback()
         await settled(store)
@@ -169,24 +159,19 @@ async def test_without_a_path_nothing_is_kept_and_everything_is_settled() -> Non
 
 
 async def test_a_full_disk_is_waited_out(store: DiskStore, monkeypatch: pytest.MonkeyPatch) -> None:
-    failed = asyncio.Event()
-    told = store._failed
-    monkeypatch.setattr(store, "_failed", lambda reason: (told(reason), failed.set()))
-    connect, limited = store._connect, True
+    limited = True
 
-    def small() -> sqlite3.Connection:
-        base = connect()
+    def small(path: Path) -> sqlite3.Connection:
+        base = opened(path)
         base.execute("PRAGMA max_page_count = 20" if limited else "PRAGMA max_page_count = 9999")
         return base
 
-    monkeypatch.setattr(store, "_connect", small)
+    monkeypatch.setattr("rcp_kernel.record.disk_store.opened", small)
     store.put("things", "a", 1)
     async with asyncio.timeout(BOUND):
         for number in range(40):
             store.append((number + 1, b"hash", b"x" * 4096))
-        await failed.wait()
-        assert store.trouble is not None
-        assert "full" in store.trouble
+        assert "full" in await until_trouble(store)
         limited = False  # somebody made room
         await settled(store)
     assert store.trouble is None

@@ -22,7 +22,7 @@ from rcp_kernel.access.identity import Principal
 from rcp_kernel.clients.session import Session
 from rcp_kernel.clock import now
 from rcp_kernel.record.plugin_store import PluginStore
-from rcp_kernel.record.store import DiskStore
+from rcp_kernel.record.disk_store import DiskStore
 
 pytestmark = pytest.mark.anyio
 NOWHERE = "execute /service/nowhere"
