@@ -1,4 +1,4 @@
-# `make demo` and `make test` are all it takes: they make .venv by themselves, once.
+# `make demo` and `make test` create .venv on their first run.
 
 PYTHON ?=
 PORT ?= 8080
@@ -17,15 +17,15 @@ NEEDS := Makefile pyproject.toml $(CLIENT)/pyproject.toml constraints.txt $(PAGE
 .PHONY: help demo test dashboard lint format bench constraints picture clean
 
 help:
-	@echo "make demo [PORT=8080]   serve simulated robots and say where to look"
-	@echo "make test [ARGS=...]    run the tests; ARGS goes to pytest"
-	@echo "make dashboard          build the dashboard's pages, where that failed before"
+	@echo "make demo [PORT=8080]   serve simulated robots"
+	@echo "make test [ARGS=...]    run the full test suite; ARGS is passed to pytest"
+	@echo "make dashboard          build the dashboard's pages, if that failed before"
 	@echo "make lint               ruff, pyright, import-linter"
-	@echo "make format             have ruff lay the code out"
-	@echo "make bench              measure; prints tables"
-	@echo "make constraints        write constraints.txt from what is installed"
-	@echo "make picture            draw docs/demo.svg from a demo that runs"
-	@echo "make clean              remove .venv and what tools left behind"
+	@echo "make format             format the code with ruff"
+	@echo "make bench              run the benchmarks and print tables"
+	@echo "make constraints        write constraints.txt from the installed versions"
+	@echo "make picture            record docs/demo.svg from a running demo"
+	@echo "make clean              remove .venv and all generated files"
 
 demo: $(DEMO)
 	@exec $(BIN)/rcpd demo --port $(PORT)
@@ -68,33 +68,33 @@ $(MADE):
 		then found=$$python; break; fi; \
 	done; \
 	if [ -z "$$found" ]; then \
-		echo "This needs Python 3.11 or newer; python3 here is" \
+		echo "Python 3.11 or newer is required; python3 here is" \
 			"$$(python3 --version 2>/dev/null || echo 'not installed')." >&2; \
-		echo "Install one and name it: make PYTHON=/path/to/python3.11 <target>" >&2; \
+		echo "Install it and run: make PYTHON=/path/to/python3.11 <target>" >&2; \
 		exit 1; \
 	fi; \
-	echo "Making .venv with $$($$found --version)"; \
+	echo "Creating .venv with $$($$found --version)"; \
 	$$found -m venv .venv || { \
-		echo "Python's venv module does not work here; on Debian: apt install python3-venv" >&2; \
+		echo "Python's venv module does not work. On Debian: apt install python3-venv" >&2; \
 		exit 1; }
 	@$(BIN)/python -m pip --version >/dev/null 2>&1 || $(BIN)/python -m ensurepip >/dev/null
 	@touch $@
 
-define told
+define report_missing_pages
 test -f plugins/rcp_dashboard/static/index.html || \
-	echo "The dashboard's pages could not be built (npm has to reach its registry):" \
-		"all else works. \`make dashboard\` tries again and says more."
+	echo "The dashboard's pages could not be built (npm cannot reach its registry);" \
+		"everything else works. \`make dashboard\` retries with full output."
 endef
 
-# What was installed for the tests serves the demo too.
+# The tests' dependencies include those of the demo.
 $(DEMO): $(NEEDS) | $(MADE)
-	@echo "Installing what the demo needs"
+	@echo "Installing the demo's dependencies"
 	@$(PIP) -c constraints.txt -e $(CLIENT) -e '.[a2a,can,dashboard,mavlink,mcp]'
-	@$(told)
+	@$(report_missing_pages)
 	@touch $@
 
 $(TEST): $(NEEDS) | $(MADE)
-	@echo "Installing what the tests need (some hundred MB, once)"
+	@echo "Installing the test dependencies (several hundred MB, once)"
 	@$(PIP) -c constraints.txt -e $(CLIENT) -e '.[test]'
-	@$(told)
+	@$(report_missing_pages)
 	@touch $(DEMO) $@

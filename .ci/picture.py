@@ -45,7 +45,7 @@ class Terminal:
         os.close(slave)
         self.text = ""
 
-    def read(self, until: str | None, patience: float = 30.0) -> str:
+    def read(self, until: str | None, patience: float = 60.0) -> str:
         """Read until a word, or to the end."""
         end = time.monotonic() + patience
         while until is None or until not in self.text:
@@ -85,7 +85,7 @@ def main() -> None:
                 _show(console, command, Terminal(command, environment).read(None))
         finally:
             demo.process.send_signal(signal.SIGTERM)
-            demo.process.wait(15)
+            demo.process.wait(60)
     svg = console.export_svg(title="rcp-gateway", theme=SVG_EXPORT_THEME)
     # No font is fetched from anywhere: the reader's own monospaced one will do.
     svg = re.sub(r"@font-face \{.*?\}\s*", "", svg, flags=re.DOTALL)

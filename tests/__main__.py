@@ -1,7 +1,7 @@
 """Run the tests as `make test` does: `python tests [arguments of pytest]`.
 
 What can runs side by side in several processes, a file's functions or a class in one of them; then,
-alone, what is marked `calm`. A single test, or what is asked for with `-n0`, runs as ever.
+alone, what is marked `serial`. A single test, or what is asked for with `-n0`, runs as ever.
 
 What failed is run again, alone, and told at the very end with its reason; see `verdict`.
 """
@@ -44,11 +44,11 @@ def main(arguments: list[str]) -> int:
         return run(*arguments)
     with tempfile.TemporaryDirectory() as folder:
         listed = Path(folder) / "failures"
-        spread = run(*_SPREAD, "-m", "not calm", *arguments, listed=listed)
+        spread = run(*_SPREAD, "-m", "not serial", *arguments, listed=listed)
         if spread not in (0, 1, _NONE):
             return spread
-        calm = run("-m", "calm", *arguments, listed=listed)
-        result = spread if calm == _NONE else calm if spread == _NONE else max(spread, calm)
+        serial = run("-m", "serial", *arguments, listed=listed)
+        result = spread if serial == _NONE else serial if spread == _NONE else max(spread, serial)
         return tell(read(listed), passes_alone) if result == 1 else result
 
 

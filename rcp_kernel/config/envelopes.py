@@ -30,50 +30,50 @@ class Bound(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     """What one field may hold."""
 
     min: float | None = None
-    """The least, in the field's unit."""
+    """Minimum, in the field's unit."""
     max: float | None = None
     """The most."""
     allow: tuple[bool | int | float | str, ...] = ()
-    """The only values there are, instead of the other two."""
+    """The only allowed values, instead of `min` and `max`."""
     optional: bool = False
-    """Whether the field may be left empty, so that the robot chooses."""
+    """Whether the field may be empty, so that the robot chooses."""
 
 
 class Fence(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Areas in a plane; their edges belong to them."""
 
     inside: dict[str, _Corners] = {}
-    """By name: the point must lie in one of these."""
+    """Areas by name: the point must be in one of them."""
     outside: dict[str, _Corners] = {}
-    """By name: and in none of these."""
+    """Areas by name: the point must be in none of them."""
     point: tuple[str, str] = ("position.x", "position.y")
-    """The two fields that say where."""
+    """The two fields with the position."""
     of: str | None = None
-    """The robot's own sensor that has them (`sensor/pose`); without it they are the command's."""
+    """The sensor with the robot's position (`sensor/pose`); default: the command's own fields."""
     max_age: Annotated[float, Meta(gt=0)] = 1.0
-    """Seconds after which that sensor's word counts as unknown."""
+    """Seconds after which the sensor's value counts as unknown."""
 
 
 class EnvelopeConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Limits of commands, for some paths and roles."""
 
     name: Annotated[str, Meta(min_length=1, max_length=100)]
-    """Told to the client."""
+    """Shown to clients."""
     paths: Annotated[tuple[str, ...], Meta(min_length=1)]
-    """Patterns; without `/tenant/` in front they count in every tenant."""
+    """Patterns; without `/tenant/` they apply in every tenant."""
     roles: tuple[str, ...] = ()
-    """Whose commands: of those who hold one of these roles there. None: everybody's."""
+    """Applies to principals with one of these roles in the tenant. Empty: to everyone."""
     bounds: dict[str, Bound] = {}
     """By field."""
     rate: dict[str, Annotated[float, Meta(gt=0)]] = {}
-    """The most that a field may change in a second, by field."""
+    """Maximum change per second, by field."""
     fence: Fence | None = None
     when: str | None = None
-    """A condition on what the robot says of itself."""
+    """A condition on the robot's state."""
     modes: tuple[str, ...] = ()
-    """What `sensor/mode` must say, one of these."""
+    """Allowed values of `sensor/mode`."""
     reason: Annotated[str, Meta(max_length=500)] | None = None
-    """Told to the client."""
+    """Shown to clients."""
 
 
 def patterns(paths: Iterable[str]) -> list[Pattern]:

@@ -69,18 +69,18 @@ class TenantConfig(Table, frozen=True):
 
     description: str = ""
     quota: Quota | None = None
-    """What all its principals may have together."""
+    """Quota of all its principals together."""
 
 
 class BackendConfig(Table, frozen=True):
     """One robot (or several) behind one plugin; further keys belong to the plugin."""
 
     use: str
-    """The plugin's word: `sim`, `ros2`, …"""
+    """Name of the plugin: `sim`, `ros2`, …"""
     name: _Name
     tenant: _Name
     robot: _Name | None = None
-    """Puts the robot one level deeper: `/tenant/<tenant>/sensor/<robot>/…`."""
+    """Adds the robot's name to its paths: `/tenant/<tenant>/sensor/<robot>/…`."""
     options: dict[str, Any] = {}
     """The keys that the plugin's own type decodes."""
 
@@ -102,11 +102,11 @@ class AuditConfig(Table, frozen=True):
     """How much of the record is kept."""
 
     keep_days: Annotated[float, Meta(gt=0)] | None = 365.0
-    """Records older than that are deleted."""
+    """Older records are deleted."""
     keep_mb: Annotated[float, Meta(ge=1)] | None = 1024.0
-    """The oldest are deleted while the store is larger than that."""
+    """The oldest records are deleted while the store is larger."""
     denials: Annotated[int, Meta(ge=1)] = 10
-    """Refusals of one principal in a second that have a record each; more are counted in one."""
+    """Refusals per second and principal with a record each; further ones are summed up."""
 
 
 class GatewayConfig(Table, frozen=True):

@@ -40,7 +40,7 @@ class Granting(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
     role: str | tuple[str, ...] | None = None
     tenants: tuple[str, ...] = ("*",)
     roles: dict[str, str | tuple[str, ...]] = {}
-    """By tenant, instead of the other two: `{ alpha = "operator", beta = "viewer" }`."""
+    """By tenant, instead of `role` and `tenants`: `{ alpha = "operator", beta = "viewer" }`."""
 
     @property
     def grants(self) -> Grants:
@@ -61,7 +61,7 @@ class KeyConfig(Granting, frozen=True, kw_only=True):
     key: Annotated[str, Meta(min_length=16)] | None = None
     sha256: Annotated[str, Meta(pattern="^[0-9a-f]{64}$")] | None = None
     expires: str | None = None
-    """A day or time of ISO 8601, UTC unless it says otherwise."""
+    """A date or ISO 8601 time, UTC by default."""
 
 
 class CertificateConfig(Granting, frozen=True, kw_only=True):
@@ -73,40 +73,40 @@ class CertificateConfig(Granting, frozen=True, kw_only=True):
     san: Annotated[str, Meta(pattern="^(DNS|URI|email):.+$")] | None = None
     """A subject alternative name; `*` is any text without `.` (DNS), `/` (URI), `@` (email)."""
     issuer: Annotated[str, Meta(min_length=1)] | None = None
-    """RFC 4514 text; where several CAs sign."""
+    """RFC 4514 text, if there are several CAs."""
 
 
 class JwtConfig(Granting, frozen=True, kw_only=True):
     """An issuer of JSON Web Tokens, where its keys are, and what its claims give; times in seconds."""
 
     issuer: Annotated[str, Meta(min_length=1)]
-    """The exact text of `iss`."""
+    """Exact value of `iss`."""
     audience: Annotated[str, Meta(min_length=1)] | tuple[str, ...]
-    """One of them has to be in `aud`."""
+    """One of them must be in `aud`."""
     algorithms: Annotated[tuple[Algorithm, ...], Meta(min_length=1)] = ("RS256", "ES256", "EdDSA")
     keys: str | tuple[str, ...] = ()
     """Public keys: PEM, JWK or JWKS, each as a text or as the path of a file."""
     jwks_url: str | None = None
     discovery: bool = False
-    """Ask the issuer for its keys: OpenID Connect Discovery."""
+    """Find the issuer's keys by OpenID Connect Discovery."""
     refresh: Annotated[float, Meta(ge=1)] = 300.0
-    """Between fetches; a key that the issuer took back counts until the next one."""
+    """Between fetches; a key that the issuer withdrew stays valid until the next one."""
     lifetime: Annotated[float, Meta(ge=1)] = 86_400.0
-    """How long keys that were fetched last prove anything, and with them what they signed."""
+    """How long fetched keys, and tokens signed with them, stay valid without a new fetch."""
     leeway: Annotated[float, Meta(ge=0, le=600)] = 30.0
-    """That the clocks may differ."""
+    """Tolerated difference between the clocks."""
     max_age: Annotated[float, Meta(gt=0)] | None = None
-    """Longest since `iat`, whatever `exp` says."""
+    """Maximum time since `iat`, whatever `exp` is."""
     name_claim: str = "sub"
-    """The principal's name; dots reach into objects, as in the two below."""
+    """Claim with the principal's name; dots reach into objects, as in the two below."""
     prefix: str = ""
-    """Goes before the name, so that two issuers name nobody alike."""
+    """Prefix of the name, to keep the users of two issuers apart."""
     role_claim: str | None = None
-    """A text or a list of them, looked up in `by_claim`."""
+    """Claim with a string or list of strings, looked up in `by_claim`."""
     by_claim: dict[str, Granting] = {}
-    """What each value of `role_claim` gives, beside what the table itself does."""
+    """Roles for each value of `role_claim`, in addition to those of the table."""
     tenant_claim: str | None = None
-    """A tenant or a list of them: the roles hold only there."""
+    """Claim with a tenant or list of tenants: the roles apply only there."""
 
 
 class Anonymous(Granting, frozen=True):

@@ -25,7 +25,7 @@ class Rule(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     operations: tuple[OperationName, ...]
     paths: tuple[str, ...]
     when: str | None = None
-    """A condition: an `allow` counts only while it holds, a `deny` unless it certainly does not."""
+    """A condition: an `allow` applies only while true, a `deny` unless certainly false."""
 
     @property
     def mask(self) -> Operation:
@@ -47,15 +47,15 @@ class Role(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """May stop the robots of all its tenants at once; without it an e-stop that names no scope
     stops those of the session's own tenant."""
     priority: Annotated[int, Meta(ge=0, le=100)] = 50
-    """Who takes a lease from whom: a person (50) beats an agent (10)."""
+    """A higher priority takes over leases from a lower one: a person (50) from an agent (10)."""
     quota: Quota | None = None
-    """What each principal with this role may have."""
+    """Quota of each principal with this role."""
     approve: tuple[str, ...] = ()
-    """Paths that this role commands only when a person has approved it."""
+    """Paths on which commands of this role require approval."""
     may_approve: bool = False
-    """May decide on what others ask for."""
+    """May decide on the approval requests of others."""
     approve_own: bool = False
-    """The person at the client of an adapter may approve what the principal itself asks for."""
+    """The person at an adapter's client may approve the principal's own requests."""
 
 
 _LOOK: tuple[OperationName, ...] = ("discover", "read", "subscribe")

@@ -18,22 +18,22 @@ class Safety(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     """Control of robots; times in seconds."""
 
     lease_required: tuple[str, ...] = ()
-    """Patterns of paths that are commanded only under a lease."""
+    """Patterns of paths that accept commands only under a lease."""
     lease_ttl: Annotated[float, Meta(gt=0)] = 10.0
-    """How long a lease lasts whose `acquire` or `renew` does not say."""
+    """Default duration of a lease."""
     lease_ttl_max: Annotated[float, Meta(gt=0)] = 300.0
-    """Longest that may be asked for."""
+    """Maximum duration of a lease."""
     approval_ttl: Annotated[float, Meta(gt=0, le=86_400)] = 300.0
-    """How long what wants a person's approval can be approved and sent."""
+    """How long a command can be approved and then sent."""
     guard: bool = True
-    """Whether a process of its own stops the robots when the gateway's event loop stands still."""
+    """Whether the guard process stops the robots when the gateway's event loop is blocked."""
     guard_after: Annotated[float, Meta(ge=0.1, le=10)] = 0.5
-    """How long the loop may stand still while something may move."""
+    """How long the event loop may be blocked while something may move."""
     guard_bound: Annotated[float, Meta(ge=1, le=3600)] = 10.0
-    """How long the guard goes on sending stops at most."""
+    """Maximum time for which the guard sends stops."""
     groups: dict[str, tuple[str, ...]] = {}
-    """Robots that one e-stop stops together: scopes (`/tenant/alpha`, `/tenant/alpha/r1`) by the
-    group's name."""
+    """Scopes (`/tenant/alpha`, `/tenant/alpha/r1`) that one e-stop stops together, by group
+    name."""
 
 
 def check_groups(

@@ -171,36 +171,36 @@ class Demo:
         url = self.url(server)
         beside = Path(sys.argv[0]).with_name("rcpctl")
         rcpctl = "rcpctl" if shutil.which("rcpctl") or not beside.exists() else beside
-        where = "simulated rovers of the tenants alpha and beta"
+        where = "simulated rovers in the tenants alpha and beta"
         fly = "  To add a drone: pip install 'rcp-gateway[mavlink]'"
         if self._drone:
-            where += ", a drone of gamma"
+            where += ", a drone in gamma"
             does = f"  {rcpctl} --url {url} execute /tenant/gamma/action"
             fly = f"{does}/arm\n{does}/takeoff\n{does}/land"
         look = "  To add CAN motors: pip install 'rcp-gateway[can]'"
         if self._head:
-            where += ", a head on two motors of delta"
+            where += ", a head with two motors in delta"
             does = f"  {rcpctl} --url {url} execute /tenant/delta"
             goal = """'{"positions": {"pan": 1, "tilt": 0.5}}'"""
             look = f"{does}/service/head/enable\n{does}/action/head/move_joints {goal}"
-        a2a = f"{url}/a2a               for agents that speak A2A"
+        a2a = f"{url}/a2a               A2A, for other agents"
         if not self._a2a:
-            a2a = "Agents are served over A2A after: pip install 'rcp-gateway[a2a]'"
-        mcp = f"{url}/mcp               for models: tools and resources over MCP"
+            a2a = "To add A2A: pip install 'rcp-gateway[a2a]'"
+        mcp = f"{url}/mcp               MCP, for AI models"
         if not self._mcp:
-            mcp = "Models are served over MCP after: pip install 'rcp-gateway[mcp]'"
+            mcp = "To add MCP: pip install 'rcp-gateway[mcp]'"
         return f"""\
 RCP gateway demo: {where}
-  {url}/                  the dashboard: open it in a browser
-  {url}/rcp/v1/discovery  everything there is
-  {url}/metrics           for Prometheus
+  {url}/                  dashboard (open in a browser)
+  {url}/rcp/v1/discovery  all resources
+  {url}/metrics           Prometheus metrics
   {a2a}
   {mcp}
 
   operator key  {self._operator}   (reads, writes, commands)
-  admin key     {self._admin}   (and resets an e-stop)
-  Without one you may look, not move: the dashboard takes one where it says "Log in"; rcpctl
-  finds the first one by itself, for this user.
+  admin key     {self._admin}   (as operator; also resets an e-stop)
+  Without a key you can read but not move anything. Enter one under "Log in" on the dashboard;
+  rcpctl finds the operator key by itself.
 
 Try:
   {rcpctl} --url {url} read /tenant/alpha/sensor/pose
@@ -210,4 +210,4 @@ Try:
   curl {url}/rcp/v1/context/tenant/alpha/sensor/pose
   curl -X PUT -H "Authorization: Bearer {self._operator}" -d 0.8 {url}/rcp/v1/context/tenant/alpha/param/speed_limit
   curl -N "{url}/rcp/v1/events?path=/tenant/*/sensor/pose&rate=2"
-Ready. Ctrl-C stops it."""
+Ready. Press Ctrl-C to stop."""

@@ -15,7 +15,7 @@ from rcp_kernel.config.file import parse
 from rcp_kernel.process.log import configure
 from rcp_kernel.testing import serve
 
-pytestmark = [pytest.mark.anyio, pytest.mark.calm]
+pytestmark = [pytest.mark.anyio, pytest.mark.serial]
 expect.set_options(timeout=60_000)  # ms
 PEOPLE = {"ada": "admin", "otto": "operator", "lena": "learner"}
 GATEWAY = """

@@ -16,7 +16,7 @@ from browser.worlds import KEY, live, world
 from rcp_kernel.model import Resource
 from rcp_kernel.types import Point, PoseStamped
 
-pytestmark = [pytest.mark.anyio, pytest.mark.calm]
+pytestmark = [pytest.mark.anyio, pytest.mark.serial]
 expect.set_options(timeout=60_000)  # ms
 ROBOTS = 300
 PATHS = 5000

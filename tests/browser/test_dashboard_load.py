@@ -12,7 +12,7 @@ import pytest
 
 from browser.watched import require_pages
 
-pytestmark = pytest.mark.calm
+pytestmark = pytest.mark.serial
 SCRIPT = Path(__file__).parents[2] / "benchmarks" / "dashboard.py"
 
 

@@ -15,7 +15,7 @@ from browser.movers import Movers, key_of, movers, person
 from browser.robots import until
 from browser.test_dashboard_access import AXE, violations
 
-pytestmark = [pytest.mark.anyio, pytest.mark.calm]
+pytestmark = [pytest.mark.anyio, pytest.mark.serial]
 expect.set_options(timeout=60_000)  # ms
 TOUCH = 43.5  # px: 44, as browsers round
 MANY = 200

@@ -61,7 +61,7 @@ async def latched(world: World) -> Any:
     return estop["robots"].get("robot", {}).get("reason")
 
 
-@pytest.mark.calm
+@pytest.mark.serial
 async def test_a_backup_under_load_is_whole_and_holds_nobody_up(tmp_path: Path) -> None:
     path, file = tmp_path / "store.db", tmp_path / "backup.db"
     async with world_of(kept_in(path)) as world:

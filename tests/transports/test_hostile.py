@@ -59,7 +59,7 @@ asyncio.run(main(*sys.argv[1:]))
 """
 
 
-@pytest.mark.calm
+@pytest.mark.serial
 @pytest.mark.parametrize(("plan", "status"), DEAR)
 async def test_an_estop_is_answered_while_a_hundred_dear_plans_are_sent(
     tmp_path: Path, plan: dict[str, Any], status: int
@@ -106,7 +106,7 @@ def besieged(tmp_path_factory: pytest.TempPathFactory) -> Generator[tuple[str, W
         yield url, asyncio.run(attacked(url, None, seconds=SHORT))
 
 
-@pytest.mark.calm
+@pytest.mark.serial
 @pytest.mark.parametrize("case", [case for case in CASES if not case.gap], ids=lambda c: c.name)
 async def test_ten_who_send_the_dearest_requests_hold_nobody_else_up(
     besieged: tuple[str, Worst], case: Case

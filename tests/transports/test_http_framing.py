@@ -243,7 +243,7 @@ async def test_a_wish_for_another_protocol_is_passed_over(gateway: Site) -> None
         assert data.count(b'"type":"write"') == 1
 
 
-@pytest.mark.calm
+@pytest.mark.serial
 async def test_thousands_of_requests_in_one_read_take_turns(
     gateway: Site, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -71,7 +71,7 @@ async def test_an_emcy_of_durand_is_a_fault_that_can_be_cleared() -> None:
         assert drive.state in ("off", "ready")
 
 
-@pytest.mark.calm  # it gives up whatever takes more than half a second
+@pytest.mark.serial  # it gives up whatever takes more than half a second
 async def test_the_driver_of_odrive_can_drives_our_twin() -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")

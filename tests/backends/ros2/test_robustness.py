@@ -141,7 +141,7 @@ def _subscribed(ros: Any) -> set[str]:
     return {subscription.topic_name for subscription in ros.node.subscriptions}
 
 
-@pytest.mark.calm
+@pytest.mark.serial
 async def test_five_hundred_topics_come_without_a_stall_and_are_not_subscribed_to(
     fleet_domain: int, graph: Fleet
 ) -> None:
@@ -158,7 +158,7 @@ async def test_five_hundred_topics_come_without_a_stall_and_are_not_subscribed_t
     assert max(late) < 0.5  # below 0.1 s on two cores
 
 
-@pytest.mark.calm
+@pytest.mark.serial
 async def test_a_burst_arrives_in_order_and_leaves_the_event_loop_alone(
     fleet_domain: int, graph: Fleet
 ) -> None:

@@ -132,7 +132,7 @@ def longest_turn() -> Generator[list[float]]:
         gc.enable()
 
 
-@pytest.mark.calm
+@pytest.mark.serial
 async def test_no_turn_of_the_loop_is_long_whatever_becomes_of_20_000_paths() -> None:
     async with many(Most) as world:
         client = Counting(world.server.client_api, "operator-operator")

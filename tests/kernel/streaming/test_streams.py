@@ -231,7 +231,7 @@ async def test_an_option_that_makes_no_sense_is_refused(
     assert (reply["status"], reply["error"]["code"]) == ("rejected", code)
 
 
-@pytest.mark.calm
+@pytest.mark.serial
 async def test_updates_of_a_rate_never_come_in_pairs(world: World) -> None:
     client = world.client()
     id_ = await subscribed(client, rate=25)

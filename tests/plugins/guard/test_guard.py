@@ -13,7 +13,7 @@ import pytest
 
 from plugins.guard.bench import AFTER, SOON, WITHIN, Bench, bench, by_udp, child, gone, lives
 
-pytestmark = [pytest.mark.anyio, pytest.mark.calm]
+pytestmark = [pytest.mark.anyio, pytest.mark.serial]
 FREEZES = ("SIGSTOP", "SIGKILL", "loop", "gil", "regex")
 
 

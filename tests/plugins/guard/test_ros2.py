@@ -11,7 +11,7 @@ import pytest
 
 from plugins.guard.bench import WITHIN, Bench, bench, until
 
-pytestmark = [pytest.mark.anyio, pytest.mark.calm]
+pytestmark = [pytest.mark.anyio, pytest.mark.serial]
 if importlib.util.find_spec("rclpy") is None:
     pytest.skip("rclpy is not installed", allow_module_level=True)
 HEADER = "00010000"  # CDR, little-endian

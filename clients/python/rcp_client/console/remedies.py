@@ -34,4 +34,5 @@ def remedy_of(error: RcpError) -> str:
         )
     kind = BY_CODE.get(error.code)
     general = kind is not None and error.remedy == kind.default_remedy
-    return _REMEDIES.get(error.code, error.remedy) if general else error.remedy
+    remedy = _REMEDIES.get(error.code, error.remedy) if general else error.remedy
+    return remedy.replace("PATH", error.path or "PATH")

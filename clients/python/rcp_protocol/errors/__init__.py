@@ -1,4 +1,4 @@
-"""The error tree: one class a code of the wire contract, each with the way out.
+"""The error tree: one class per error code, each with a remedy.
 
     RcpError
     ├── Refused                     nothing was changed; the reply's status is `rejected`

@@ -1,4 +1,4 @@
-"""Where every error begins: what it carries, and which status its reply has."""
+"""The base of all errors: what they carry, and the status of the reply."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ __all__ = ["Cancelled", "Failed", "InternalError", "RcpError", "Refused"]
 class RcpError(Exception):
     """Base of every error a client may see.
 
-    `remedy` says what to do next, for a person or a model; each class has one of its own, and a
-    raiser that knows better passes a better one.
+    `remedy` says what to do next, for people and models. Each class has a default; a caller with
+    more context passes its own.
     """
 
     code: ClassVar[str] = "internal"
@@ -47,7 +47,7 @@ class Refused(RcpError):
 
 
 class Failed(RcpError):
-    """Tried, and not brought to a good end."""
+    """Attempted, but not completed."""
 
 
 class Cancelled(RcpError):

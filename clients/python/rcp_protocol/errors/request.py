@@ -1,4 +1,4 @@
-"""A request that cannot be carried out as it stands: its form, its path, its value, its size."""
+"""Request errors: malformed, unknown path, invalid value, too large."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class BadRequest(Refused):
 
 
 class InvalidPath(Refused):
-    """The text is not a path or pattern of the tree."""
+    """Not a valid path or pattern."""
 
     code = "invalid_path"
     http = 400
@@ -42,7 +42,7 @@ class InvalidPath(Refused):
 
 
 class UnknownPath(Refused):
-    """No such resource, or one that this principal may not discover."""
+    """The resource does not exist, or the principal may not discover it."""
 
     code = "unknown_path"
     http = 404
@@ -50,7 +50,7 @@ class UnknownPath(Refused):
 
 
 class UnsupportedOperation(Refused):
-    """The resource exists and does not offer this operation."""
+    """The resource does not offer this operation."""
 
     code = "unsupported_operation"
     http = 405
@@ -58,7 +58,7 @@ class UnsupportedOperation(Refused):
 
 
 class InvalidValue(Refused):
-    """The value does not fit the path's schema; `details.pointer` names the field."""
+    """The value does not match the path's schema; `details.pointer` names the field."""
 
     code = "invalid_value"
     http = 422
@@ -68,14 +68,14 @@ class InvalidValue(Refused):
 
 
 class OutOfRange(InvalidValue):
-    """The value has the right type and lies outside a bound of the schema."""
+    """The value has the right type but is out of bounds."""
 
     code = "out_of_range"
     default_remedy = "Send a value within the bounds; `discover` returns them."
 
 
 class DuplicateRequest(Refused):
-    """An id or idempotency key is in use with another body."""
+    """The id or idempotency key is in use for a different request."""
 
     code = "duplicate_request"
     http = 409
@@ -83,7 +83,7 @@ class DuplicateRequest(Refused):
 
 
 class PayloadTooLarge(Refused):
-    """The message is longer than the limit."""
+    """The message exceeds the size limit."""
 
     code = "payload_too_large"
     http = 413
@@ -109,7 +109,7 @@ class SegmentCorrupt(Refused):
 
 
 class VersionUnsupported(Refused):
-    """The envelope asks for a protocol version that the gateway does not speak."""
+    """The gateway does not support the requested protocol version."""
 
     code = "version_unsupported"
     http = 400

@@ -1,4 +1,4 @@
-"""Who asks may not: nobody proved to be anybody, no right, no lease, or too much of it."""
+"""Access errors: no credentials, no right, no lease, or too many requests."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ __all__ = [
 
 
 class Unauthenticated(Refused):
-    """No proof of identity, or one that is not known."""
+    """No credentials, or unknown ones."""
 
     code = "unauthenticated"
     http = 401
@@ -25,14 +25,14 @@ class Unauthenticated(Refused):
 
 
 class TokenExpired(Unauthenticated):
-    """The proof was good and is not any more."""
+    """The credentials were valid but have expired."""
 
     code = "token_expired"
     default_remedy = "Get a new token and connect again."
 
 
 class Forbidden(Refused):
-    """The principal may see the resource, and may not do this with it."""
+    """The principal may see the resource but not use this operation."""
 
     code = "forbidden"
     http = 403
@@ -40,14 +40,14 @@ class Forbidden(Refused):
 
 
 class ApprovalRequired(Forbidden):
-    """A person has to approve this command first."""
+    """The command requires approval."""
 
     code = "approval_required"
     default_remedy = "Ask someone who may approve it."
 
 
 class LeaseRequired(Refused):
-    """The path is commanded only under a lease."""
+    """The path accepts commands only under a lease."""
 
     code = "lease_required"
     http = 423
@@ -55,7 +55,7 @@ class LeaseRequired(Refused):
 
 
 class LeaseHeld(Refused):
-    """Somebody else holds the lease."""
+    """Another client holds the lease."""
 
     code = "lease_held"
     http = 423
@@ -66,7 +66,7 @@ class LeaseHeld(Refused):
 
 
 class LeaseLost(Refused):
-    """The lease lapsed or was taken over."""
+    """The lease expired or was taken over."""
 
     code = "lease_lost"
     http = 423
@@ -74,7 +74,7 @@ class LeaseLost(Refused):
 
 
 class RateLimited(Refused):
-    """Too many requests; `retry_after` says when to come back."""
+    """Too many requests; wait `retry_after` seconds."""
 
     code = "rate_limited"
     http = 429

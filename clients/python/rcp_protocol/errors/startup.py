@@ -1,4 +1,4 @@
-"""What stops a plugin, or the gateway, from coming up; never on the wire."""
+"""Errors that stop a plugin or the gateway from starting; never on the wire."""
 
 from __future__ import annotations
 
@@ -6,15 +6,15 @@ __all__ = ["ConfigError", "NotReady", "PluginError", "StartupError"]
 
 
 class StartupError(Exception):
-    """Base of what stops a plugin, or the gateway, from coming up."""
+    """Base of errors that stop a plugin or the gateway from starting."""
 
 
 class ConfigError(StartupError):
-    """The configuration is wrong: only a change of it helps, so nothing is retried."""
+    """The configuration is wrong and must change, so nothing is retried."""
 
 
 class NotReady(StartupError):
-    """The robot is not there yet: the supervisor tries again with backoff."""
+    """The robot is not available yet: the supervisor retries with backoff."""
 
 
 class PluginError(StartupError):

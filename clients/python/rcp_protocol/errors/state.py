@@ -1,4 +1,4 @@
-"""Not now: the robot, a command or the gateway is in no state for it."""
+"""State errors: the robot, a command or the gateway cannot do this now."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class ModeForbids(Refused):
 
 
 class PreconditionFailed(Refused):
-    """A condition on other resources does not hold, or cannot be known."""
+    """A condition on other resources is false or unknown."""
 
     code = "precondition_failed"
     http = 409
@@ -58,7 +58,7 @@ class StaleCommand(Refused):
 
 
 class AlreadyRunning(Refused):
-    """The action is running, and its policy is `reject`."""
+    """The action is already running and its policy is `reject`."""
 
     code = "already_running"
     http = 409
@@ -67,7 +67,7 @@ class AlreadyRunning(Refused):
 
 
 class QueueFull(Refused):
-    """A bounded queue has no room; `retry_after` says when to look again."""
+    """A bounded queue is full; retry after `retry_after` seconds."""
 
     code = "queue_full"
     http = 503
@@ -79,7 +79,7 @@ class QueueFull(Refused):
 
 
 class Gap(Refused):
-    """What was missed is not in the replay buffer any more."""
+    """The missed data is no longer in the replay buffer."""
 
     code = "gap"
     http = 410
@@ -115,7 +115,7 @@ class DeviceTimeout(Failed, TimeoutError):
 
 
 class DeadlineExceeded(Failed, TimeoutError):
-    """The request's deadline passed before the answer was there."""
+    """The deadline passed before the reply was ready."""
 
     code = "deadline_exceeded"
     http = 504
@@ -124,7 +124,7 @@ class DeadlineExceeded(Failed, TimeoutError):
 
 
 class Overrun(Failed):
-    """A reliable subscription fell further behind than its queue is deep."""
+    """A reliable subscription fell behind further than its queue allows."""
 
     code = "overrun"
     http = 503
