@@ -26,7 +26,7 @@ from rcp_kernel.clients.outbound import Outbound
 from rcp_kernel.clients.resume import SessionResume
 from rcp_kernel.clients.session import Handler, Session
 from rcp_kernel.clients.sessions import Sessions
-from rcp_kernel.config.file import GatewayConfig
+from rcp_kernel.config.file import BackendConfig, GatewayConfig
 from rcp_kernel.config.settings import Settings
 from rcp_kernel.motion.estop import Estop
 from rcp_kernel.motion.fence_guard import FenceGuard
@@ -521,7 +521,9 @@ def _plans(
     )
 
 
-def _supervise(base: _Base, records: _Records, motion: _Motion) -> Callable[..., BackendSupervisor]:
+def _supervise(
+    base: _Base, records: _Records, motion: _Motion
+) -> Callable[[BackendConfig], BackendSupervisor]:
     return partial(
         BackendSupervisor,
         registry=base.registry,

@@ -14,7 +14,7 @@ from rcp_kernel.client_api import ClientApi
 from rcp_kernel.clients.outbound import Outbound
 from rcp_kernel.clients.resume import SessionResume
 from rcp_kernel.clients.sessions import Sessions
-from rcp_kernel.config.file import GatewayConfig
+from rcp_kernel.config.file import BackendConfig, GatewayConfig
 from rcp_kernel.config.settings import Settings
 from rcp_kernel.motion.leases import Leases
 from rcp_kernel.motion.motion_limits import MotionLimits
@@ -71,7 +71,7 @@ class Kernel:
     status: StatusReport
     system: System
     supervisors: list[BackendSupervisor]
-    supervise: Callable[..., BackendSupervisor]
+    supervise: Callable[[BackendConfig], BackendSupervisor]
     """Makes the supervisor of a backend from its table of the configuration."""
     client_api: ClientApi
 

@@ -28,8 +28,7 @@ async def test_a_command_arms_before_it_runs_and_rest_disarms(world: World) -> N
     client = world.client()
     assert (await report(client))["guard"]["armed"] is False
     client.send(type="execute", path="/action/go", body=1)
-    assert world.server.status.guard is not None
-    assert world.server.status.guard._armed == {"robot"}  # before the loop has turned
+    assert world.server.kernel.guard._arming.armed == {"robot"}  # before the loop has turned
     await world.robot.started.get()
     world.robot.release.set()
     await until_armed(client, armed=False)

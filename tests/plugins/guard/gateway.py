@@ -182,12 +182,11 @@ class Client:
 
     def _tell_guard(self) -> None:
         status = self._server.status
-        assert status.guard is not None
         report = status.plain()
         text = _finished(status.exposition(self._connection.session.rights)).decode()
         tell(
             guard=report["guard"],
-            pid=status.guard._process.pid,
+            pid=self._server.kernel.guard._process.pid,
             warnings=[record["message"] for record in report["warnings"]],
             metrics=re.findall(r"^(rcp_(?:guard|event).*) (\S+)$", text, re.MULTILINE),
         )
