@@ -21,8 +21,8 @@ from rcp_kernel.access.acl import Rights
 from rcp_kernel.access.identity import Principal
 from rcp_kernel.clients.session import Session
 from rcp_kernel.clock import now
-from rcp_kernel.record.plugin_store import PluginStore
 from rcp_kernel.record.disk_store import DiskStore
+from rcp_kernel.record.plugin_store import PluginStore
 
 pytestmark = pytest.mark.anyio
 NOWHERE = "execute /service/nowhere"
