@@ -139,18 +139,19 @@ _REFUSED = _waits(f"{_CELL}.all(x, {_CELL}.all(y, {_CELL}.all(z, {{n}} < 0)))", 
 _OPERATOR: tuple[Who, ...] = ("operator",)
 _AUDITOR: tuple[Who, ...] = ("auditor",)
 _SURVEYOR: tuple[Who, ...] = ("surveyor",)
-_ODD: list[Any] = [  # as much as `[limits] values` lets through, and some that it refuses
+_DEEP: list[Any] = [  # as much as `[limits] values` lets through, and some that it refuses
     [json.loads("[" * 60 + "]" * 60)] * 1900,
+    [{"a": 1}] * 60_000,
+    ["\\", '"', ",[{"] * 50_000,
+    "QUFB" * 1_600_000,
+    [[]] * 3_000_000,
+]
+_ODD: list[Any] = [
     [None] * 1_000_000,
     [2**60] * 100_000,
     [1.5, 2**60] * 90_000,
     [0.1234567890123456] * 800_000,
     [[None]] * 100_000,
-    [{"a": 1}] * 80_000,
-    ["a"] * 250_000,
-    ["\\", '"', ",[{"] * 50_000,
-    "QUFB" * 1_600_000,
-    [[]] * 3_000_000,
 ]
 
 CASES = (
@@ -211,11 +212,11 @@ CASES = (
     Case("SSE connects", "connect", _get("/rcp/v1/events?path=/**")),
     Case("segments", "ws", _segments, at_once=32),
     Case("deep and odd bodies", "ws", lambda n: {
-        "type": "write", "id": f"o{n}", "path": "/param/any", "body": _ODD[n % len(_ODD)]},
+        "type": "write", "id": f"o{n}", "path": "/param/any", "body": _DEEP[n % len(_DEEP)]},
          _OPERATOR, 1),
-    Case("odd bodies over HTTP", "http", lambda n: (
-        "PUT", "/rcp/v1/context/param/any", _ODD[n % len(_ODD)], {}), _OPERATOR, 1),
+    Case("deep and odd bodies over HTTP", "http", lambda n: (
+        "PUT", "/rcp/v1/context/param/any", _DEEP[n % len(_DEEP)], {}), _OPERATOR, 1),
     Case("odd inputs", "ws", lambda n: {
         "type": "execute", "id": f"o{n}", "path": "/service/echo", "body": _ODD[n % len(_ODD)]},
-         _OPERATOR, 1),
+         _OPERATOR, 1, gap="a result is written four times: 160 ms for 800,000 long fractions"),
 )  # fmt: skip
