@@ -10,10 +10,10 @@ _REMEDIES = {
     "estop_active": "Make sure the robot is safe, then run `rcpctl estop --reset`, or ask someone "
     "whose role may reset.",
     "invalid_value": "Run `rcpctl discover PATH` for the schema and examples.",
-    "lease_held": "Wait until the holder releases it, or run `rcpctl lease hold SCOPE --take "
+    "lease_held": "Wait until the holder releases it, or run `rcpctl lease acquire SCOPE --take "
     "--reason TEXT` if your priority is higher.",
-    "lease_lost": "Run `rcpctl lease hold SCOPE` before you send commands.",
-    "lease_required": "Run `rcpctl lease hold SCOPE` in another terminal first.",
+    "lease_lost": "Run `rcpctl lease acquire SCOPE` before you send commands.",
+    "lease_required": "Run `rcpctl lease acquire SCOPE` first.",
     "out_of_range": "Run `rcpctl discover PATH` for the bounds.",
     "token_expired": "Pass a new token with --token or RCP_TOKEN.",
     "unauthenticated": "Pass a valid key or token with --token or RCP_TOKEN.",
