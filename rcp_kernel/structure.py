@@ -37,9 +37,9 @@ def check_structure(data: bytes, encoding: Encoding, limit: int) -> Work:
         case Encoding.JSON:
             counting = _json(data)
         case Encoding.MSGPACK:
-            counting = _tokens(data, _MSGPACK)
+            counting = _tokens(data, _MSGPACK, _MSGPACK_NESTS)
         case Encoding.CBOR:
-            counting, times = _tokens(data, _CBOR_TOKENS), _CBOR
+            counting, times = _tokens(data, _CBOR_TOKENS, _CBOR_NESTS), _CBOR
     count = 1
     for some in counting:
         count += some * times
@@ -78,10 +78,15 @@ Token = tuple[int, int, int]
 """What a token counts, the bytes that follow its first one, and how many tell of yet more."""
 
 
-def _tokens(data: bytes, kinds: list[Token]) -> Generator[int]:
-    """Count the tokens of an encoding in which the first byte of each tells what it is."""
+def _tokens(data: bytes, kinds: list[Token], nests: bytes) -> Generator[int]:
+    """Count the tokens of an encoding in which the first byte of each tells what it is.
+
+    It ends where nothing but lists in lists follows: no decoder goes that deep, or past it.
+    """
     place, end = 0, len(data)
     while place < end:
+        if len(run := data[place : place + _TOKENS]) == _TOKENS and not run.translate(None, nests):
+            return
         count = 0
         for _ in range(_TOKENS):
             if place >= end:
@@ -135,5 +140,8 @@ def _cbor_token(lead: int) -> Token:
             return 1, width, 0
 
 
+_MSGPACK_NESTS = bytes((*range(0x81, 0x90), *range(0x91, 0xA0)))
+"""First bytes of lists and maps that are not empty, and that tell their size themselves."""
+_CBOR_NESTS = bytes((*range(0x81, 0x98), *range(0xA1, 0xB8)))
 _MSGPACK = [_msgpack_token(lead) for lead in range(256)]
 _CBOR_TOKENS = [_cbor_token(lead) for lead in range(256)]

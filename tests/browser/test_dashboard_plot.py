@@ -125,7 +125,7 @@ async def test_the_height_is_fixed_and_kept_in_the_address(tab: Watched) -> None
     await page.get_by_label("Minimum").fill("5")
     await page.get_by_label("Maximum").fill("3")
     await page.get_by_role("button", name="Set").click()
-    await expect(page.get_by_role("alert")).to_contain_text("the least first")
+    await expect(page.get_by_role("alert")).to_contain_text("the smaller one first")
     await page.get_by_label("Maximum").fill("15")
     await page.get_by_role("button", name="Set").click()
     await expect(page.get_by_role("button", name="5 … 15")).to_be_visible()

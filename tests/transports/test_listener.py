@@ -20,7 +20,7 @@ POSE = "/rcp/v1/context/tenant/alpha/sensor/pose"
 
 @pytest.mark.parametrize("host", ["0.0.0.0", "::", "192.0.2.1", "robot.example"])
 async def test_strangers_and_other_machines_do_not_go_together(host: str) -> None:
-    with pytest.raises(ConfigError, match="open to others"):
+    with pytest.raises(ConfigError, match="reachable from other machines"):
         async with site(asgi=f'host = "{host}"'):
             pass
 

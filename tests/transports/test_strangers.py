@@ -124,7 +124,7 @@ async def test_a_long_message_over_the_quota_is_refused_before_it_is_decoded() -
 @pytest.mark.parametrize("name", ["k", "x-k"])
 def test_an_envelope_of_many_fields_is_refused_by_its_length(encoding: Encoding, name: str) -> None:
     fields = {"type": "read", "id": "a"} | {f"{name}{number}": 1 for number in range(20_000)}
-    with pytest.raises(PayloadTooLarge, match="beside its body"):
+    with pytest.raises(PayloadTooLarge, match="besides its body"):
         decode_request(dump(fields, encoding), encoding)
     with pytest.raises(BadRequest, match="unknown field 'k0'"):
         decode_request(dump({"type": "write", "k0": 1, "body": LONG}, encoding), encoding)

@@ -107,7 +107,7 @@ def test_what_is_wrong_with_it_is_told(tmp_path: Path, text: str, told: str) -> 
 
 
 def test_a_file_that_is_not_there_and_a_name_that_is_none_are_told(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="not found"):
+    with pytest.raises(ConfigError, match="there is no file"):
         dialect(str(tmp_path / "gone.xml"))
     with pytest.raises(ConfigError, match="pymavlink has no 'gone'"):
         dialect("gone")

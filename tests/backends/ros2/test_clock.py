@@ -71,15 +71,22 @@ async def test_a_jump_back_is_told_and_what_moved_is_forgotten(
 
     robot_nodes.tell("fix", by="arm", parent="base_link", child="camera", place=here)
     await repeated(robot, drive, lambda: pair in robot.resources)
+
+    async def is_fixed() -> bool:
+        with suppress(InvalidValue):
+            await robot.execute("service/lookup_transform", fix)
+            return True
+        return False
+
+    fix = {"target": "base_link", "source": "camera"}
+    await robot.until_async(is_fixed, bool)  # a transform of its own topic, in its own time
     robot_nodes.tell("tick", time=2 * S)
     jump = await robot.first(JUMP)
     assert (jump.before, jump.after) == (50.0, 2.0)
     lookup = {"target": "odom", "source": "base_link"}
     with pytest.raises(InvalidValue):
         await robot.execute("service/lookup_transform", lookup | {"time": 50.0})
-    fixed = await robot.execute(
-        "service/lookup_transform", {"target": "base_link", "source": "camera"}
-    )
+    fixed = await robot.execute("service/lookup_transform", fix)
     assert fixed.transform.translation.x == 1.0
 
 

@@ -145,5 +145,5 @@ def test_a_key_that_cannot_be_read_is_told_with_its_place(given: str) -> None:
 
 
 def test_a_key_of_another_kind_is_refused() -> None:
-    with pytest.raises(ConfigError, match="of another kind"):
+    with pytest.raises(ConfigError, match="unsupported type"):
         CardKey(pem(ec.generate_private_key(ec.SECP384R1())))

@@ -7,6 +7,7 @@ import json
 import os
 import subprocess
 import time
+from itertools import takewhile
 from pathlib import Path
 
 import pytest
@@ -285,20 +286,19 @@ def test_the_demo_leaves_its_key_for_the_same_user() -> None:
     with subprocess.Popen(
         [BIN / "rcpd", "demo", "--port", "0"], stdout=subprocess.PIPE, text=True
     ) as demo:
-        assert demo.stdout is not None
-        for line in demo.stdout:
-            if "the dashboard" in line and "://" in line:
-                where = line.split()[0].rstrip("/")
-            if line.startswith("Ready."):
-                break
-        for path in ("/tenant/alpha/param/speed_limit", "/tenant/beta/param/speed_limit"):
-            done = subprocess.run(
-                [BIN / "rcpctl", "--url", where, "write", path, "0.5"],
-                capture_output=True,
-                text=True,
-                timeout=BOUND,
-                check=False,
-            )
-            assert document(done)["body"] == 0.5
-        demo.terminate()
-        demo.communicate(timeout=BOUND)
+        try:
+            assert demo.stdout is not None
+            banner = list(takewhile(lambda line: not line.startswith("Ready."), demo.stdout))
+            where = next(line.split()[0].rstrip("/") for line in banner if "dashboard" in line)
+            for path in ("/tenant/alpha/param/speed_limit", "/tenant/beta/param/speed_limit"):
+                done = subprocess.run(
+                    [BIN / "rcpctl", "--url", where, "write", path, "0.5"],
+                    capture_output=True,
+                    text=True,
+                    timeout=BOUND,
+                    check=False,
+                )
+                assert document(done)["body"] == 0.5
+        finally:
+            demo.terminate()
+            demo.communicate(timeout=BOUND)

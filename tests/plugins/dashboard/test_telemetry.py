@@ -156,8 +156,8 @@ async def test_who_proves_nothing_gets_nothing_where_that_is_so(static: Any) -> 
 @pytest.mark.parametrize(
     ("query", "word"),
     [
-        ({}, "no resource"),
-        ({"path": "/tenant/*/sensor/pose"}, "no resource"),
+        ({}, "`path` is missing"),
+        ({"path": "/tenant/*/sensor/pose"}, "`path` is missing"),
         ({"path": POSE, "field": "position.x", "points": "3"}, "points"),
         ({"path": POSE, "field": "position.x", "points": "4.5"}, "points"),
         ({"path": POSE, "field": "position.x", "window": "nan"}, "window"),
