@@ -273,4 +273,13 @@ class Turns:
     def _rest(self, seconds: float) -> None:
         """Let nothing dear run for a while."""
         self._resting = self._loop.time() + seconds
-        self._loop.call_at(self._resting, self._schedule)
+        self._loop.call_at(self._resting, self._end_rest, self._resting)
+
+    def _end_rest(self, until: float) -> None:
+        """Have the queues served again, unless another rest has begun meanwhile.
+
+        The clock is not asked: uvloop calls up to a millisecond early.
+        """
+        if self._resting == until:
+            self._resting = 0.0
+        self._schedule()

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Generator
+from collections.abc import Callable, Generator
 from contextvars import ContextVar
 from functools import partial
 
 import pytest
+import uvloop
 
 from kernel.world import BOUND
 from rcp_kernel.errors import QueueFull
@@ -186,3 +187,28 @@ async def test_after_a_long_step_nothing_dear_runs_for_a_while_and_everything_el
     await until_there_are(done, 3)
     assert loop.time() - began >= 0.06
     await asyncio.wait_for(turns.wait("two"), BOUND)
+
+
+@pytest.mark.parametrize("new_loop", [asyncio.new_event_loop, uvloop.new_event_loop])
+def test_what_waits_for_the_end_of_a_rest_goes_on_then_whatever_the_loop_makes_of_the_time(
+    new_loop: Callable[[], asyncio.AbstractEventLoop],
+) -> None:
+    """uvloop counts in whole milliseconds and may call before the time that it was given."""
+
+    async def alone() -> None:
+        loop = asyncio.get_running_loop()
+        turns = Turns(loop)
+        for number in range(20):
+            ended = loop.create_future()
+            turns.run("one", busy_then(ended, 0.0052 + number * 0.00007))
+            async with asyncio.timeout(BOUND):
+                await ended
+
+    with asyncio.Runner(loop_factory=new_loop) as runner:
+        runner.run(alone())
+
+
+def busy_then(ended: asyncio.Future[None], seconds: float) -> Work:
+    """Use the processor for one long step, and end in the next."""
+    yield from busy([], "long", steps=1, seconds=seconds)
+    ended.set_result(None)
