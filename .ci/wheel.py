@@ -19,7 +19,7 @@ _FOLDERS = {
 def expected(distribution: str) -> set[str]:
     """List the packages of a distribution."""
     folders = [ROOT / name for name in _FOLDERS[distribution]]
-    return {path.parent.name for folder in folders for path in folder.glob("rcp_*/__init__.py")}
+    return {path.parent.name for folder in folders for path in folder.glob("rcp*/__init__.py")}
 
 
 def check(wheel: Path) -> str | None:

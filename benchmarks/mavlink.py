@@ -183,7 +183,7 @@ key = "{KEY}"
 @asynccontextmanager
 async def _collecting(loop):
     """Collect garbage as `rcpd serve` does."""
-    from rcp_kernel.process.garbage import collected_at_rest
+    from rcpd.garbage import collected_at_rest
 
     with collected_at_rest(loop, lambda: False):
         yield

@@ -162,7 +162,7 @@ async def soak(url: str, rcpd: psutil.Process) -> list[float]:
 def served(home: Path) -> tuple[subprocess.Popen[str], str]:
     config = home / "rcp.toml"
     config.write_text(CONFIG.format(store=home / "store.sqlite"))
-    start = "from rcp_kernel.process.cli import main; main()"  # with whatever PYTHONPATH says
+    start = "from rcpd.cli import main; main()"  # with whatever PYTHONPATH says
     rcpd = [sys.executable, "-c", start, "serve", str(config)]
     process = subprocess.Popen(rcpd, stderr=subprocess.PIPE, text=True)
     assert process.stderr

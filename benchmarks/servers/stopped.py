@@ -16,10 +16,10 @@ import uvloop
 from rcp_kernel.app.server import Prepared, prepare, running
 from rcp_kernel.config.file import BackendConfig, parse
 from rcp_kernel.model import Resource
-from rcp_kernel.process.garbage import collected_at_rest
 from rcp_kernel.process.log import configure
 from rcp_kernel.spi import BackendKind, BaseBackend
 from rcp_kernel.types import Twist
+from rcpd.garbage import collected_at_rest
 
 ACTIONS = 20
 RATE = 50  # samples a second of each sensor

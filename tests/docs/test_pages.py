@@ -9,7 +9,7 @@ import pytest
 from click.testing import CliRunner
 
 from docs.pages import DOCS, ROOT
-from rcp_kernel.process.cli import main
+from rcpd.cli import main
 
 PAGES = sorted([*ROOT.glob("*.md"), *DOCS.rglob("*.md")])
 DECISIONS = sorted((DOCS / "decisions").glob("0*.md"))

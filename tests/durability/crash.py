@@ -28,11 +28,11 @@ from rcp_kernel.config.file import parse
 from rcp_kernel.model import Resource
 from rcp_kernel.process.log import Recent, configure
 from rcp_kernel.record.damage import find_damage
-from rcp_kernel.record.examination import examined
 from rcp_kernel.record.file import open_read_only
 from rcp_kernel.record.latch_file import LatchFile
 from rcp_kernel.spi import BackendKind, BaseBackend, Host, Progress
 from rcp_kernel.values import Encoding
+from rcpd.examination import examined
 
 CONFIG = """
 [transports]

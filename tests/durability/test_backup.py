@@ -15,10 +15,10 @@ from click.testing import CliRunner
 
 from durability.process import ADMIN, BOUND, RCPD
 from kernel.world import World, kept_in, settled, world_of
-from rcp_kernel.process.cli import main
 from rcp_kernel.record.chain import parse_head
-from rcp_kernel.record.examination import examined
 from rcp_kernel.record.file import head_beside, open_read_only
+from rcpd.cli import main
+from rcpd.examination import examined
 
 pytestmark = pytest.mark.anyio
 LIMIT = "/tenant/alpha/param/limit"

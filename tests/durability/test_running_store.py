@@ -16,10 +16,10 @@ from click.testing import CliRunner, Result
 
 from durability.process import ADMIN, BOUND, Served, until
 from kernel.world import kept_in, settled, world_of
-from rcp_kernel.process.cli import main
 from rcp_kernel.record.damage import find_damage
 from rcp_kernel.record.file import beside
 from rcp_kernel.record.latch_file import LatchFile
+from rcpd.cli import main
 
 DRIVE = "/tenant/alpha/actuator/cmd_vel"
 

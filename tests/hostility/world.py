@@ -21,10 +21,10 @@ import uvloop
 from rcp_kernel.app.server import Prepared, prepare, running
 from rcp_kernel.config.file import BackendConfig, parse
 from rcp_kernel.model import Resource
-from rcp_kernel.process.garbage import collected_at_rest
 from rcp_kernel.process.log import configure
 from rcp_kernel.spi import BackendKind, BaseBackend, Host, Progress
 from rcp_kernel.types import Point, PoseStamped, Quaternion, Twist
+from rcpd.garbage import collected_at_rest
 
 MAP = 5_000_000  # bytes
 WIDE = 20_000  # resources

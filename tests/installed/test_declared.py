@@ -39,7 +39,7 @@ MESSAGES = re.compile(
 
 def packages() -> Iterator[Path]:
     for folder in (".", "clients/python", "transports", "plugins", "backends"):
-        for found in sorted((ROOT / folder).glob("rcp_*/__init__.py")):
+        for found in sorted((ROOT / folder).glob("rcp*/__init__.py")):
             yield found.parent
 
 

@@ -15,8 +15,8 @@ from click.testing import CliRunner
 from durability.process import ADMIN, Served, until
 from rcp_kernel.access.key_strength import entropy, weak_keys
 from rcp_kernel.config.file import parse
-from rcp_kernel.process.cli import main
-from rcp_kernel.process.demo import Demo
+from rcpd.cli import main
+from rcpd.demo import Demo
 
 ENOUGH = 64
 CONFIG = """

@@ -18,10 +18,10 @@ from typing import Any, NoReturn
 from kernel.world import CONFIG, Client, NoOptions, Robot, prepared
 from rcp_kernel.app.server import running
 from rcp_kernel.config.file import parse
-from rcp_kernel.process.cli import _loop_factory
 from rcp_kernel.process.containment import end_in_time, run_contained
 from rcp_kernel.process.log import configure
 from rcp_kernel.spi import BackendKind, Host, Progress
+from rcpd.serve import loop_factory
 
 EXITS = {"exit": SystemExit(3), "interrupt": KeyboardInterrupt()}
 WHERE, WHAT = ([*sys.argv[1:], "", ""])[:2]
@@ -135,6 +135,6 @@ async def main() -> None:
 
 if __name__ == "__main__":
     configure("warning", "json")
-    with asyncio.Runner(loop_factory=_loop_factory()) as runner:
+    with asyncio.Runner(loop_factory=loop_factory()) as runner:
         run_contained(runner, main())
         end_in_time()

@@ -12,12 +12,12 @@ from click.testing import CliRunner
 from structlog.testing import capture_logs
 
 from kernel.world import settled
-from rcp_kernel.access.cli import token
 from rcp_kernel.access.tokens import TokenFile
 from rcp_kernel.errors import ConfigError
 from rcp_kernel.process.log import configure
 from rcp_kernel.process.modes import check_store_modes
 from rcp_kernel.record.disk_store import DiskStore
+from rcpd.tokens import token
 
 pytestmark = [
     pytest.mark.anyio,

@@ -13,9 +13,9 @@ import pytest
 from click.testing import CliRunner
 
 from kernel.world import Client, World, kept_in, settled, until_trouble, world_of
-from rcp_kernel.record.cli import audit
 from rcp_kernel.record.denial_throttle import DenialThrottle
-from rcp_kernel.record.examination import examined
+from rcpd.audit import audit
+from rcpd.examination import examined
 
 pytestmark = pytest.mark.anyio
 LIMIT = "/tenant/alpha/param/limit"

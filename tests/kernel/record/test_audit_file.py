@@ -18,9 +18,9 @@ from hypothesis import strategies as st
 from kernel.world import kept_in, settled, world_of
 from rcp_kernel.errors import ConfigError
 from rcp_kernel.record.chain import Row
-from rcp_kernel.record.cli import audit
-from rcp_kernel.record.examination import examined
 from rcp_kernel.record.file import ROWS, open_read_only
+from rcpd.audit import audit
+from rcpd.examination import examined
 
 LIMIT = "/tenant/alpha/param/limit"
 

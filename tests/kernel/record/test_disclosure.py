@@ -13,8 +13,8 @@ import pytest
 from kernel.world import BOUND, Client, Robot, World, kept_in, settled, world_of
 from rcp_kernel.access.visibility import Visibility
 from rcp_kernel.model import Resource
-from rcp_kernel.record.cli import examined
 from rcp_kernel.spi import Progress
+from rcpd.examination import examined
 
 pytestmark = pytest.mark.anyio
 SECRET = 271.828

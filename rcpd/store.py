@@ -10,11 +10,12 @@ import click
 
 from rcp_kernel.errors import ConfigError
 from rcp_kernel.record.chain import written
-from rcp_kernel.record.cli import config_argument, fail, path_of, store_option
-from rcp_kernel.record.examination import examined
+from rcpd.examination import examined
+from rcpd.exits import FAILED, fail
+from rcpd.options import config_argument, path_of, store_option
 
 if TYPE_CHECKING:
-    from rcp_kernel.record.repair import Repaired
+    from rcpd.repair import Repaired
 
 __all__ = ["store"]
 
@@ -29,9 +30,9 @@ def store() -> None:
 @store_option
 def check(config: Path, store: Path | None) -> None:
     """Check every page and record, also while the gateway runs; exit code 1 if damaged."""
-    from rcp_kernel.record.backup import check_whole
     from rcp_kernel.record.damage import find_damage
     from rcp_kernel.record.file import store_errors
+    from rcpd.backup import check_whole
 
     path = store or path_of(config)
     try:
@@ -46,7 +47,7 @@ def check(config: Path, store: Path | None) -> None:
         click.echo(f"record {seq}: {what}")
     click.echo(f"{path}: ok; {verdict.count} records; head {written(verdict.head)}")
     if verdict.findings:
-        sys.exit(1)
+        sys.exit(FAILED)
 
 
 @store.command()
@@ -55,7 +56,7 @@ def check(config: Path, store: Path | None) -> None:
 @store_option
 def backup(file: Path, config: Path, store: Path | None) -> None:
     """Copy the store to FILE, also while the gateway runs, and print the head of its audit log."""
-    from rcp_kernel.record.backup import make_backup
+    from rcpd.backup import make_backup
 
     try:
         verdict = make_backup(store or path_of(config), file)
@@ -73,7 +74,7 @@ def repair(config: Path, store: Path | None) -> None:
     The old files are kept in a folder beside it. Missing records stay missing, and the chain
     records their number. The next start latches every robot until someone resets the e-stop.
     """
-    from rcp_kernel.record.repair import repair
+    from rcpd.repair import repair
 
     path = store or path_of(config)
     try:
@@ -96,7 +97,7 @@ def restore(backup: Path, config: Path, store: Path | None) -> None:
     Later records are added as far as they are readable. The old files are kept in a folder beside
     it. The next start latches every robot until someone resets the e-stop.
     """
-    from rcp_kernel.record.repair import restore
+    from rcpd.repair import restore
 
     path = store or path_of(config)
     try:

@@ -28,7 +28,7 @@ from rcp_kernel.record.file import (
 )
 from rcp_kernel.record.interim import SUFFIXES, stamp
 from rcp_kernel.record.latch_file import GATEWAY, LATCHES, latch_row, latches_beside
-from rcp_kernel.record.recovery import readable_kept, readable_records, readable_tokens
+from rcpd.recovery import readable_kept, readable_records, readable_tokens
 
 __all__ = ["Repaired", "repair", "restore"]
 

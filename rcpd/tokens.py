@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import re
-import sys
 from collections.abc import Generator
 from contextlib import closing, contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from rcp_kernel.errors import ConfigError
+from rcpd.exits import fail
 
 if TYPE_CHECKING:
     from rcp_kernel.access.identity import Grants
@@ -74,7 +74,7 @@ def create(
     from rcp_kernel.config.role import BUILTIN_ROLES
 
     if not re.fullmatch(_NAME, name):
-        _fail("NAME must be 1 to 64 characters: letters, digits and . _ @ -")
+        fail("NAME must be 1 to 64 characters: letters, digits and . _ @ -")
     given = _granted(roles, tenants, grants)
     try:
         end = None if expires is None else _end(expires)
@@ -84,7 +84,7 @@ def create(
         with _opened(path) as table:
             made, key = table.create(name, given, end)
     except (ConfigError, ValueError) as error:
-        _fail(str(error))
+        fail(str(error))
     click.echo(f"{_line(made)}\nThe key (shown only once):", err=True)
     click.echo(key)
 
@@ -112,11 +112,11 @@ def revoke(named: str, *, config: Path | None, store: Path | None) -> None:
             gone = table.revoke(named)
             left = [t for t in table.every() if t.revoked is None]
     except ConfigError as error:
-        _fail(str(error))
+        fail(str(error))
     if not gone:
         near = difflib.get_close_matches(named, [w for t in left for w in (t.name, t.id)], n=1)
         advice = f"; did you mean '{near[0]}'?" if near else "; `rcpd token list` lists the keys"
-        _fail(f"no valid key is named '{named[:64]}'{advice}")
+        fail(f"no valid key is named '{named[:64]}'{advice}")
     for one in gone:
         click.echo(f"revoked {one.id} {one.name}")
 
@@ -149,7 +149,7 @@ def _read(config: Path | None, store: Path | None) -> list[Token]:
         with _opened(path) as table:
             return table.every()
     except ConfigError as error:
-        _fail(str(error))
+        fail(str(error))
 
 
 def _found(config: Path | None, store: Path | None) -> tuple[Path, GatewayConfig | None]:
@@ -178,14 +178,14 @@ def _granted(roles: tuple[str, ...], tenants: tuple[str, ...], grants: tuple[str
     from rcp_kernel.access.identity import granted
 
     if bool(roles) == bool(grants) or (tenants and grants):
-        _fail("give --role (and --tenant), or --grant TENANT=ROLE")
+        fail("give --role (and --tenant), or --grant TENANT=ROLE")
     if roles:
         return granted(tenants or ("*",), roles)
     found: dict[str, list[str]] = {}
     for grant in grants:
         tenant, _, role = grant.partition("=")
         if not tenant or not role:
-            _fail(f"--grant {grant[:64]}: write TENANT=ROLE")
+            fail(f"--grant {grant[:64]}: write TENANT=ROLE")
         found.setdefault(tenant, []).append(role)
     return tuple((tenant, tuple(held)) for tenant, held in found.items())
 
@@ -210,8 +210,3 @@ def _line(one: Token) -> str:
         f"{one.id}  {one.name:<20} {one.state:<8} {grants:<30} "
         f"created {iso(one.created)[:19]}Z  expires {end}"
     )
-
-
-def _fail(text: str) -> NoReturn:
-    click.echo(f"rcpd: {text}", err=True)
-    sys.exit(1)

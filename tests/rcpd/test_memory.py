@@ -9,7 +9,7 @@ import pytest
 
 SCRIPT = """
 import resource
-from rcp_kernel.process.memory import keep_freed_memory
+from rcpd.memory import keep_freed_memory
 keep_freed_memory()
 bytes(4_000_000)
 before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt

@@ -12,11 +12,11 @@ import pytest
 from click.testing import CliRunner
 
 from rcp_kernel.errors import ConfigError
-from rcp_kernel.process.cli import main
-from rcp_kernel.process.scaffold import write_backend
+from rcpd.cli import main
+from rcpd.scaffold import write_backend
 
 BOUND = 120  # s
-RCPD = "from rcp_kernel.process.cli import main; main()"
+RCPD = "from rcpd.cli import main; main()"
 
 
 def run(*command: str, cwd: Path, path: Path | None = None) -> str:

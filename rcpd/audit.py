@@ -5,21 +5,20 @@ from __future__ import annotations
 import sys
 from contextlib import closing
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
 
 import click
 
 from rcp_kernel.clock import parse_time
-from rcp_kernel.config.file import load
 from rcp_kernel.errors import BadRequest, ConfigError
 from rcp_kernel.record.audit import decoded
 from rcp_kernel.record.chain import Head, parse_head, written
-from rcp_kernel.record.examination import examined, rows_of
 from rcp_kernel.record.file import FAULTS, open_read_only
+from rcpd.examination import examined, rows_of
+from rcpd.exits import FAILED, fail
+from rcpd.options import config_argument, path_of, store_option
 
-__all__ = ["audit", "config_argument", "fail", "path_of", "store_option"]
-
-_FAILED = 1
+__all__ = ["audit"]
 
 
 def _head(text: str) -> Head:
@@ -39,12 +38,6 @@ def _moment(text: str) -> int:
 @click.group()
 def audit() -> None:
     """Verify or export the audit log of a gateway, also while it runs."""
-
-
-config_argument = click.argument("config", type=click.Path(path_type=Path), default="rcp.toml")
-store_option = click.option(
-    "--store", type=click.Path(path_type=Path), help="Database file, instead of a configuration."
-)
 
 
 @audit.command("verify")
@@ -74,7 +67,7 @@ def verify_command(config: Path, store: Path | None, heads: tuple[Head, ...]) ->
     last = verdict.head[0]
     click.echo(f"{verdict.count} records, {verdict.first} to {last}; head {written(verdict.head)}")
     if verdict.findings:
-        sys.exit(_FAILED)
+        sys.exit(FAILED)
 
 
 @audit.command()
@@ -142,20 +135,3 @@ def _wanted(
     except BadRequest:
         return True
     return (since is None or moment >= since) and (until is None or moment < until)
-
-
-def path_of(config: Path) -> Path:
-    """Return the store of a configuration; end the command if there is none."""
-    try:
-        path = load(config).store.path
-    except ConfigError as error:
-        fail(str(error))
-    if path is None:
-        fail(f"{config} has no [store] path: nothing is kept")
-    return Path(path).expanduser()
-
-
-def fail(text: str) -> NoReturn:
-    """End the command with a sentence."""
-    click.echo(f"rcpd: {text}", err=True)
-    sys.exit(_FAILED)

@@ -55,7 +55,7 @@ def _camel(word: str) -> str:
 
 
 def _filled(template: str, facts: dict[str, str]) -> str:
-    source = files("rcp_kernel.process").joinpath("templates", template + ".in")
+    source = files("rcpd").joinpath("templates", template + ".in")
     text = source.read_text(encoding="utf-8")
     for mark, fact in facts.items():
         text = text.replace(mark, fact)

@@ -2,34 +2,23 @@
 
 from __future__ import annotations
 
-import asyncio
-import signal
 import sqlite3
 import sys
-from collections.abc import Callable
 from contextlib import suppress
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
-from typing import TYPE_CHECKING, NoReturn
 
 import click
 
-from rcp_kernel.access.cli import token
 from rcp_kernel.config.file import GatewayConfig, load, parse
 from rcp_kernel.errors import ConfigError, StartupError
-from rcp_kernel.record.cli import audit
 from rcp_kernel.record.damage import find_damage
-from rcp_kernel.record.store_cli import store
-
-if TYPE_CHECKING:
-    from rcp_kernel.app.server import Prepared, Server
-    from rcp_kernel.process.demo import Demo
-    from rcp_kernel.process.log import Recent
+from rcpd.audit import audit
+from rcpd.exits import FAILED, fail
+from rcpd.store import store
+from rcpd.tokens import token
 
 __all__ = ["main"]
-
-_FAILED = 1
-_RECORD_LOST = 3
 
 
 class _Commands(click.Group):
@@ -66,11 +55,12 @@ main.add_command(token)
 @click.option("--verbose", is_flag=True, help="Log at level info, not only warnings.")
 def demo(*, port: int, verbose: bool) -> None:
     """Serve simulated robots on loopback, without hardware or configuration."""
-    from rcp_kernel.process.demo import Demo
+    from rcpd.demo import Demo
+    from rcpd.serve import run
 
     made = Demo(port)
     config = parse(made.config("info" if verbose else "warning"), "demo")
-    _run(config, "demo", None, made)
+    run(config, "demo", None, made)
 
 
 @main.command()
@@ -82,7 +72,9 @@ def serve(config: Path) -> None:
     listeners need a restart. SIGTERM or Ctrl-C stops the robots and the gateway. Exit code: 0, 1
     if the gateway cannot start, 3 if the last audit records could not be written.
     """
-    _run(_loaded(config), str(config), config, None)
+    from rcpd.serve import run
+
+    run(_loaded(config), str(config), config, None)
 
 
 @main.command()
@@ -96,7 +88,7 @@ def check(config: Path) -> None:
     try:
         prepared = prepare(load(config), str(config))
     except StartupError as error:
-        _fail(str(error))
+        fail(str(error))
     for missing in prepared.plugins.missing:
         click.echo(
             f"warning: {missing.group} '{missing.name}' cannot be imported: {missing.reason}; "
@@ -123,7 +115,7 @@ def check(config: Path) -> None:
     strangers = sorted({role for _, roles in found.anonymous.grants for role in roles})
     click.echo(f"  anonymous     {', '.join(strangers) or 'refused'}")
     if prepared.plugins.missing:
-        sys.exit(_FAILED)
+        sys.exit(FAILED)
 
 
 @main.command()
@@ -160,12 +152,12 @@ def new() -> None:
 )
 def new_backend(name: str, into: Path) -> None:
     """Generate a backend plugin with its own distribution that passes the public test suite."""
-    from rcp_kernel.process.scaffold import write_backend
+    from rcpd.scaffold import write_backend
 
     try:
         made = write_backend(name, into)
     except StartupError as error:
-        _fail(str(error))
+        fail(str(error))
     click.echo(f"Wrote {made}. Next:")
     click.echo(f"  pip install -e {made}[test]")
     click.echo(f"  pytest {made}")
@@ -198,98 +190,4 @@ def _loaded(path: Path) -> GatewayConfig:
     try:
         return load(path)
     except ConfigError as error:
-        _fail(str(error))
-
-
-def _fail(text: str) -> NoReturn:
-    click.echo(f"rcpd: {text}", err=True)
-    sys.exit(_FAILED)
-
-
-def _run(config: GatewayConfig, source: str, path: Path | None, demo: Demo | None) -> None:
-    from rcp_kernel.access.key_strength import log_weak_keys
-    from rcp_kernel.app.server import prepare
-    from rcp_kernel.process.containment import end_in_time, run_contained
-    from rcp_kernel.process.log import configure
-    from rcp_kernel.process.memory import keep_freed_memory
-
-    keep_freed_memory()
-    recent = configure(config.log.level, config.log.format)
-    try:
-        prepared = prepare(config, source)
-    except StartupError as error:
-        _fail(str(error))
-    log_weak_keys(config.keys, source)
-    with asyncio.Runner(loop_factory=_loop_factory()) as runner:
-        try:
-            code = run_contained(runner, _serve(prepared, recent, path, demo))
-            end_in_time(code)
-        except StartupError as error:
-            _fail(str(error))
-        except OSError as error:
-            _fail(f"cannot start: {error.strerror or error}")
-    sys.exit(code)
-
-
-def _loop_factory() -> Callable[[], asyncio.AbstractEventLoop] | None:
-    try:
-        import uvloop
-    except ImportError:  # Windows has none
-        return None
-    return uvloop.new_event_loop
-
-
-async def _serve(prepared: Prepared, recent: Recent, path: Path | None, demo: Demo | None) -> int:
-    """Serve until told to stop; return the exit code."""
-    from rcp_kernel.app.server import running
-    from rcp_kernel.process.notify import notifying
-
-    loop = asyncio.get_running_loop()
-    stop = asyncio.Event()
-    with notifying(loop) as notifier:
-
-        def ask(name: str) -> None:
-            if stop.is_set():
-                click.echo("rcpd: stopped immediately", err=True)
-                signal.raise_signal(signal.SIGKILL)
-            click.echo(f"rcpd: {name}: stopping the robots", err=True)
-            notifier.send("STOPPING=1")
-            stop.set()
-
-        for number in (signal.SIGINT, signal.SIGTERM):
-            loop.add_signal_handler(number, ask, number.name)
-        async with running(prepared, recent) as server:
-            notifier.send("READY=1")
-            await _serve_until(stop, server, path, demo)
-    if not server.kernel.store.lost:
-        return 0
-    click.echo("rcpd: cannot write the store: the last audit records are lost", err=True)
-    return _RECORD_LOST
-
-
-async def _serve_until(
-    stop: asyncio.Event, server: Server, path: Path | None, demo: Demo | None
-) -> None:
-    from rcp_kernel.app.reload import reload
-    from rcp_kernel.process.garbage import collected_at_rest
-
-    loop = asyncio.get_running_loop()
-    tasks: set[asyncio.Task[None]] = set()
-    if path is not None:
-
-        def again() -> None:
-            task = loop.create_task(reload(server, path), name="reload")
-            tasks.add(task)
-            task.add_done_callback(tasks.discard)
-
-        loop.add_signal_handler(signal.SIGHUP, again)
-    with collected_at_rest(loop, lambda: server.kernel.moving):
-        if demo is not None:
-            with demo.credentials(server):
-                click.echo(demo.banner(server))
-                await stop.wait()
-        else:
-            for facts in server.status.transports:
-                if "url" in facts:
-                    click.echo(f"rcpd: serving on {facts['url']}", err=True)
-            await stop.wait()
+        fail(str(error))

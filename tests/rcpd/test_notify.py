@@ -16,7 +16,7 @@ from pathlib import Path
 
 import pytest
 
-from rcp_kernel.process.notify import notifying
+from rcpd.notify import notifying
 
 pytestmark = pytest.mark.anyio
 CONFIG = """
@@ -57,7 +57,7 @@ def test_a_gateway_says_that_it_is_ready_turns_and_stops(address: str, tmp_path:
     (tmp_path / "rcp.toml").write_text(CONFIG)
     environment = {**os.environ, "NOTIFY_SOCKET": address, "WATCHDOG_USEC": "200000"}
     environment.pop("WATCHDOG_PID", None)
-    run = "from rcp_kernel.process.cli import main; main()"
+    run = "from rcpd.cli import main; main()"
     command = [sys.executable, "-c", run, "serve", str(tmp_path / "rcp.toml")]
     with manager(address) as heard:
         process = subprocess.Popen(command, env=environment, stderr=subprocess.PIPE)

@@ -1,0 +1,108 @@
+"""The process of a gateway: its event loop, its signals, its exit code."""
+
+from __future__ import annotations
+
+import asyncio
+import signal
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import click
+
+from rcp_kernel.access.key_strength import log_weak_keys
+from rcp_kernel.app.reload import reload
+from rcp_kernel.app.server import Prepared, Server, prepare, running
+from rcp_kernel.config.file import GatewayConfig
+from rcp_kernel.errors import StartupError
+from rcp_kernel.process.containment import end_in_time, run_contained
+from rcp_kernel.process.log import Recent, configure
+from rcpd.demo import Demo
+from rcpd.exits import RECORD_LOST, fail
+from rcpd.garbage import collected_at_rest
+from rcpd.memory import keep_freed_memory
+from rcpd.notify import notifying
+
+__all__ = ["loop_factory", "run"]
+
+
+def run(config: GatewayConfig, source: str, path: Path | None, demo: Demo | None) -> None:
+    """Serve a configuration until told to stop, then end the process with its exit code.
+
+    `path` is the file that SIGHUP reads again; `source` names the configuration in messages.
+    """
+    keep_freed_memory()
+    recent = configure(config.log.level, config.log.format)
+    try:
+        prepared = prepare(config, source)
+    except StartupError as error:
+        fail(str(error))
+    log_weak_keys(config.keys, source)
+    with asyncio.Runner(loop_factory=loop_factory()) as runner:
+        try:
+            code = run_contained(runner, _serve(prepared, recent, path, demo))
+            end_in_time(code)
+        except StartupError as error:
+            fail(str(error))
+        except OSError as error:
+            fail(f"cannot start: {error.strerror or error}")
+    sys.exit(code)
+
+
+def loop_factory() -> Callable[[], asyncio.AbstractEventLoop] | None:
+    """Return uvloop's, where there is one; None is asyncio's own."""
+    try:
+        import uvloop
+    except ImportError:  # Windows has none
+        return None
+    return uvloop.new_event_loop
+
+
+async def _serve(prepared: Prepared, recent: Recent, path: Path | None, demo: Demo | None) -> int:
+    """Serve until told to stop; return the exit code."""
+    loop = asyncio.get_running_loop()
+    stop = asyncio.Event()
+    with notifying(loop) as notifier:
+
+        def ask(name: str) -> None:
+            if stop.is_set():
+                click.echo("rcpd: stopped immediately", err=True)
+                signal.raise_signal(signal.SIGKILL)
+            click.echo(f"rcpd: {name}: stopping the robots", err=True)
+            notifier.send("STOPPING=1")
+            stop.set()
+
+        for number in (signal.SIGINT, signal.SIGTERM):
+            loop.add_signal_handler(number, ask, number.name)
+        async with running(prepared, recent) as server:
+            notifier.send("READY=1")
+            await _serve_until(stop, server, path, demo)
+    if not server.kernel.store.lost:
+        return 0
+    click.echo("rcpd: cannot write the store: the last audit records are lost", err=True)
+    return RECORD_LOST
+
+
+async def _serve_until(
+    stop: asyncio.Event, server: Server, path: Path | None, demo: Demo | None
+) -> None:
+    loop = asyncio.get_running_loop()
+    tasks: set[asyncio.Task[None]] = set()
+    if path is not None:
+
+        def again() -> None:
+            task = loop.create_task(reload(server, path), name="reload")
+            tasks.add(task)
+            task.add_done_callback(tasks.discard)
+
+        loop.add_signal_handler(signal.SIGHUP, again)
+    with collected_at_rest(loop, lambda: server.kernel.moving):
+        if demo is not None:
+            with demo.credentials(server):
+                click.echo(demo.banner(server))
+                await stop.wait()
+        else:
+            for facts in server.status.transports:
+                if "url" in facts:
+                    click.echo(f"rcpd: serving on {facts['url']}", err=True)
+            await stop.wait()
