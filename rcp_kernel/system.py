@@ -14,13 +14,13 @@ from rcp_kernel.access.approvals import ApprovalRequest, Approvals, ApprovalStat
 from rcp_kernel.access.quotas import QuotaTracker
 from rcp_kernel.clients.session import Session
 from rcp_kernel.clients.sessions import Sessions
+from rcp_kernel.entry import StopGroup
 from rcp_kernel.errors import RcpError, UnknownPath
 from rcp_kernel.model import Operation, Resource
 from rcp_kernel.motion.estop import LONGEST_WAIT, Estop, EstopRequest, EstopState
 from rcp_kernel.motion.latches import Latches
 from rcp_kernel.motion.lease_service import LeaseRequest, LeaseService, LeaseState
 from rcp_kernel.motion.leases import Leases
-from rcp_kernel.motion.stop_group import StopGroup
 from rcp_kernel.operations.command_access import CommandAccess
 from rcp_kernel.operations.execute import Service
 from rcp_kernel.operations.views import Filter, View

@@ -18,11 +18,11 @@ from rcp_kernel.access.identities import Identities
 from rcp_kernel.clients.session import Session
 from rcp_kernel.clock import now
 from rcp_kernel.config.settings import Settings
+from rcp_kernel.entry import StopGroup
 from rcp_kernel.errors import DeviceTimeout, Forbidden, UnknownPath
 from rcp_kernel.motion.latches import GATEWAY, Latches, tenant_key
 from rcp_kernel.motion.safety import Deadman
 from rcp_kernel.motion.scope import Scope
-from rcp_kernel.motion.stop_group import StopGroup
 from rcp_kernel.operations.command import CommandTable
 from rcp_kernel.registry import Owner
 from rcp_kernel.safety.stop import Stop, StopController

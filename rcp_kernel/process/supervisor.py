@@ -19,10 +19,10 @@ import structlog
 
 from rcp_kernel.clock import iso, now
 from rcp_kernel.config.file import BackendConfig
+from rcp_kernel.entry import StopGroup
 from rcp_kernel.errors import AdapterUnavailable, ConfigError, NotReady, PluginError, RcpError
 from rcp_kernel.model import Resource, full_path
 from rcp_kernel.motion.latches import Latch, Latches
-from rcp_kernel.motion.stop_group import StopGroup
 from rcp_kernel.operations.command import Command
 from rcp_kernel.operations.commands import Commands
 from rcp_kernel.process.containment import ContainedBackend, contained

@@ -26,8 +26,8 @@ from rcp_kernel.registry import Entry
 from rcp_kernel.wire import NO_BODY, Reply, Request, failure
 
 if TYPE_CHECKING:
+    from rcp_kernel.entry import StopGroup
     from rcp_kernel.motion.estop import EstopRequest
-    from rcp_kernel.motion.stop_group import StopGroup
     from rcp_kernel.operations.command import Command
     from rcp_kernel.operations.commands import CommandObserver
 

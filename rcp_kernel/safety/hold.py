@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 
+from rcp_kernel.entry import StopGroup
 from rcp_kernel.errors import DeviceTimeout
 from rcp_kernel.model import Resource
-from rcp_kernel.motion.stop_group import StopGroup
 from rcp_kernel.safety.fence import unfenced
 from rcp_kernel.spi import MotionState, Progress
 from rcp_kernel.wire import NO_BODY

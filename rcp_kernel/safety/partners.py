@@ -6,8 +6,8 @@ import asyncio
 
 import structlog
 
+from rcp_kernel.entry import StopGroup
 from rcp_kernel.motion.retry import retry_until_confirmed
-from rcp_kernel.motion.stop_group import StopGroup
 from rcp_kernel.registry import Entry, Registry
 
 __all__ = ["Partners"]

@@ -18,9 +18,9 @@ from typing import Any, Literal, Protocol
 import structlog
 
 from rcp_kernel.clock import iso, now
+from rcp_kernel.entry import StopGroup
 from rcp_kernel.errors import AdapterUnavailable, DeviceTimeout, RcpError
 from rcp_kernel.motion.retry import retry_until_confirmed
-from rcp_kernel.motion.stop_group import StopGroup
 from rcp_kernel.safety.fence import unfenced
 from rcp_kernel.spi import MotionState
 

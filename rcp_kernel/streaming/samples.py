@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 import msgspec
 
@@ -11,11 +11,8 @@ from rcp_kernel._plain import is_index, is_map, is_sequence
 from rcp_kernel.clock import iso
 from rcp_kernel.errors import DeviceRejected, Overrun, RcpError
 from rcp_kernel.spi import Native
-from rcp_kernel.values import ANY, Encoding, to_plain, value_type
+from rcp_kernel.values import ANY, Encoding, ValueType, to_plain, value_type
 from rcp_kernel.wire import Body, encode_frame
-
-if TYPE_CHECKING:
-    from rcp_kernel.registry import Entry
 
 __all__ = ["NATIVE", "READ_PIECE", "Sample", "getter", "masked", "project"]
 
@@ -27,6 +24,38 @@ READ_PIECE = object()
 _BYTES = value_type(bytes)
 _natives: dict[type, bool] = {}
 """Whether values of a type are `Native`: asking the protocol itself takes 8 µs."""
+
+
+class Publisher(Protocol):
+    """The backend that published a sample."""
+
+    @property
+    def name(self) -> str:
+        """The backend's name in the configuration."""
+        ...
+
+    def fault(self, detail: str) -> None:
+        """Note a fault of the backend's own making."""
+        ...
+
+
+class Source(Protocol):
+    """The resource that a sample is of."""
+
+    @property
+    def path(self) -> str:
+        """Its place in the tree."""
+        ...
+
+    @property
+    def value_type(self) -> ValueType:
+        """What checks and encodes its values."""
+        ...
+
+    @property
+    def owner(self) -> Publisher:
+        """Who answers for its values."""
+        ...
 
 
 class Sample(Body):
@@ -48,7 +77,7 @@ class Sample(Body):
         "timestamp",
     )
 
-    def __init__(self, entry: Entry, value: Any, timestamp: int, received: int, seq: int) -> None:
+    def __init__(self, entry: Source, value: Any, timestamp: int, received: int, seq: int) -> None:
         self.entry = entry
         self.timestamp = timestamp
         """Source time, ns since the epoch."""
