@@ -15,7 +15,6 @@ from rcp_kernel.values import Encoding
 from rcp_kernel.wire import Reply, Request
 
 if TYPE_CHECKING:
-    from rcp_kernel.streaming.path_subscription import PathSubscription as KernelFeed
     from rcp_kernel.streaming.samples import Sample
 
 __all__ = ["ResourceFeed"]
@@ -46,9 +45,9 @@ class ResourceFeed:
         connection.outbox.again()
         self._news.set()
 
-    def _take(self, data: bytes, feed: KernelFeed | None, sample: Sample | None) -> bytes:
-        if feed is not None and sample is not None:
-            self._updates.append((feed.entry.path, data))
+    def _take(self, data: bytes, sample: Sample | None) -> bytes:
+        if sample is not None:
+            self._updates.append((sample.entry.path, data))
         return b""
 
     async def subscribe(self, paths: Sequence[str], **options: Any) -> Reply:

@@ -10,13 +10,10 @@ import asyncio
 from collections.abc import Callable, Collection, Container
 from typing import TYPE_CHECKING
 
-from rcp_kernel.errors import RcpError
-
 if TYPE_CHECKING:
     from rcp_kernel.clients.outbound import Outbound
     from rcp_kernel.clients.outbox import Outbox
     from rcp_kernel.clients.session import Session
-    from rcp_kernel.streaming.path_subscription import PathSubscription
 
 __all__ = ["Relief", "shed", "waiting_bytes"]
 
@@ -29,20 +26,7 @@ def waiting_bytes(session: Session) -> int:
     if session.connection is None:
         return session.missed_bytes
     pending = session.connection.outbox.pending
-    return session.waiting_bytes + sum(_weight(feed) for feed in pending)
-
-
-def _weight(feed: PathSubscription) -> int:
-    latest, waiting = feed.entry.latest, feed.waiting
-    if latest is None or not waiting:
-        return 0
-    tails = latest.tails
-    if tails:
-        return waiting * max(map(len, tails.values()))
-    try:
-        return waiting * latest.weight()
-    except RcpError:
-        return 0
+    return session.waiting_bytes + sum(feed.weight() for feed in pending)
 
 
 def shed(session: Session, reason: str) -> int:
@@ -61,12 +45,7 @@ def shed(session: Session, reason: str) -> int:
 
 def _conflate(outbox: Outbox, known: Container[str], reason: str) -> None:
     for feed in list(outbox.pending):
-        if not feed.reliable:
-            feed.conflate()
-        elif feed.waiting > 1 and feed.subscription.id in known:
-            feed.subscription.overrun(feed, reason)
-            for other in feed.subscription.feeds.values():
-                other.conflate()
+        feed.shed(known, reason)
 
 
 class Relief:
@@ -98,7 +77,7 @@ class Relief:
         for session in sessions:
             connection = session.connection
             if connection is not None and connection.outbox.pending:
-                size = sum(_weight(feed) for feed in connection.outbox.pending if feed.depth > 1)
+                size = sum(feed.weight() for feed in connection.outbox.pending if feed.depth > 1)
                 if size:
                     held.append((size, session))
         total = sum(size for size, _ in held)

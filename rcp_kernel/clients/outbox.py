@@ -10,20 +10,17 @@ from __future__ import annotations
 
 import asyncio
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Container
 from time import perf_counter
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any, Protocol
 
 import structlog
 
 from rcp_kernel.clients.outbound import SHARE, Backlog
+from rcp_kernel.streaming.samples import Sample
 from rcp_kernel.values import Encoding
 
-if TYPE_CHECKING:
-    from rcp_kernel.streaming.path_subscription import PathSubscription
-    from rcp_kernel.streaming.samples import Sample
-
-__all__ = ["BUDGET", "FlushScheduler", "Framing", "Outbox", "Wrap"]
+__all__ = ["BUDGET", "FlushScheduler", "Framing", "Outbox", "PendingPath", "Wrap"]
 
 log = structlog.get_logger("rcp.streams")
 BUDGET = 262_144  # bytes that an outbox gives away at once
@@ -34,8 +31,43 @@ _FEW = 32  # paths that are collected between looks at the time
 Framing = Callable[[int, bool], bytes]
 """Make the head of a transport's frame, for a message of so many bytes, text or not."""
 
-Wrap = Callable[[bytes, "PathSubscription | None", "Sample | None"], bytes]
-"""Frame one message for its transport: an update with its feed and sample, or a control message."""
+Wrap = Callable[[bytes, Sample | None], bytes]
+"""Frame one message for its transport: an update with its sample, or a control message."""
+
+
+class PendingPath(Protocol):
+    """A path of a subscription, with updates that wait to be collected."""
+
+    marked: bool
+    queue: deque[Sample]
+    backlog: deque[Sample] | None
+
+    @property
+    def priority(self) -> int:
+        """The higher, the sooner it is collected."""
+        ...
+
+    @property
+    def depth(self) -> int:
+        """How many samples may wait."""
+        ...
+
+    @property
+    def waiting(self) -> int:
+        """How many samples wait."""
+        ...
+
+    def drain(self, out: list[bytes], budget: int, wrap: Wrap | None, big: int | None) -> int:
+        """Move queued samples to `out` as framed updates; return how many bytes that were."""
+        ...
+
+    def weight(self) -> int:
+        """Estimate how many bytes wait."""
+        ...
+
+    def shed(self, known: Container[str], reason: str) -> None:
+        """Conflate, or end a reliable subscription whose id is `known`, for a reason."""
+        ...
 
 
 class Flushable(Protocol):
@@ -162,7 +194,7 @@ class Outbox:
         """Bytes that the transport has given away and the client has not taken."""
         self.feedback: dict[str, Callable[[], bytes]] = {}
         """The newest feedback of each running command, by command id."""
-        self.pending: list[PathSubscription] = []
+        self.pending: list[PendingPath] = []
         """Feeds with queued samples."""
         self.prioritised = False
         self.updates = 0
@@ -265,7 +297,7 @@ class Outbox:
         if self.backlog.size:
             self.weigh()
         if out and wrap is not None:
-            out = [wrap(data, None, None) for data in out]
+            out = [wrap(data, None) for data in out]
         elif out and self.framing is not None:
             text = self.text
             out = [self.framing(len(data), text) + data for data in out]
@@ -274,7 +306,7 @@ class Outbox:
             return out
         if big is None and self.backlog.full:
             big = SHARE  # long updates wait, and conflate, until others have taken theirs
-        later: list[PathSubscription] = []
+        later: list[PendingPath] = []
         self.pending = later
         if self.prioritised:
             pending.sort(key=_urgency)
@@ -312,7 +344,7 @@ class Outbox:
             out.append(data)
 
 
-def _urgency(feed: PathSubscription) -> int:
+def _urgency(feed: PendingPath) -> int:
     return -feed.priority
 
 

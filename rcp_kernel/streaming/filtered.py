@@ -4,20 +4,17 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from rcp_kernel.clients.outbox import Outbox
 from rcp_kernel.errors import RcpError
 from rcp_kernel.operations.pending import to_internal_error
 from rcp_kernel.registry import Entry
 from rcp_kernel.streaming.filters import Change
-from rcp_kernel.streaming.path_subscription import PathSubscription
+from rcp_kernel.streaming.path_subscription import PathSubscription, Subscriber
 from rcp_kernel.streaming.samples import Sample, masked, project
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import Body, encode_body, encode_frame
-
-if TYPE_CHECKING:
-    from rcp_kernel.clients.outbox import Outbox
-    from rcp_kernel.streaming.subscription import Subscription
 
 __all__ = ["FilteredPathSubscription", "ViewSubscription", "VisibilityFilteredSubscription"]
 
@@ -31,7 +28,7 @@ class FilteredPathSubscription(PathSubscription):
 
     __slots__ = ("_armed", "_change", "_due", "_held", "_interval", "_where")
 
-    def __init__(self, subscription: Subscription, entry: Entry, outbox: Outbox | None) -> None:
+    def __init__(self, subscription: Subscriber, entry: Entry, outbox: Outbox | None) -> None:
         super().__init__(subscription, entry, outbox)
         options = subscription.options
         self._where = subscription.where.fresh() if subscription.where else None
@@ -60,7 +57,7 @@ class FilteredPathSubscription(PathSubscription):
     def _arm(self, wait: float) -> None:
         if not self._armed:
             self._armed = True
-            self.subscription.hub.later(wait, self._release)
+            self.subscription.later(wait, self._release)
 
     def _release(self) -> None:
         self._armed = False
@@ -129,7 +126,7 @@ class VisibilityFilteredSubscription(FilteredPathSubscription):
 
     def __init__(
         self,
-        subscription: Subscription,
+        subscription: Subscriber,
         entry: Entry,
         outbox: Outbox | None,
         shown: Callable[[Any], Any],
@@ -159,7 +156,7 @@ class ViewSubscription(PathSubscription):
 
     def __init__(
         self,
-        subscription: Subscription,
+        subscription: Subscriber,
         entry: Entry,
         outbox: Outbox | None,
         view: Callable[[Encoding], Any],

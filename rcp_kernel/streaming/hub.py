@@ -7,10 +7,11 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-from rcp_kernel.clients.outbox import FlushScheduler, Outbox
+from rcp_kernel.clients.outbox import FlushScheduler
 from rcp_kernel.registry import Entry, Listener, Registry
 from rcp_kernel.streaming.deadline_monitor import DeadlineMonitor
 from rcp_kernel.streaming.demand import AbsentListener, DemandTracker, absent_listener
+from rcp_kernel.streaming.feeds import new_path_subscription
 from rcp_kernel.streaming.notices import notice
 from rcp_kernel.streaming.path_subscription import PathSubscription
 from rcp_kernel.streaming.shared_fanout import (
@@ -89,7 +90,7 @@ class Hub:
 
     def join(self, subscription: Subscription, entry: Entry) -> None:
         """Add an entry to a subscription that stands, and tell its client."""
-        feed = subscription.feed(entry)
+        feed = new_path_subscription(subscription, entry)
         self.link(subscription, feed)
         notice(subscription.outbox, "resource_added", id=subscription.id, path=entry.path)
         if not feed.paused:
@@ -138,7 +139,7 @@ class Hub:
         """Offer a feed samples again."""
         entry = feed.entry
         if isinstance(feed, SharedPathSubscription):
-            join_fanout(feed, entry)
+            join_fanout(feed, entry, self.flush_scheduler)
         else:
             entry.listeners.append(feed)
         if len(entry.listeners) == 1:
@@ -170,16 +171,6 @@ class Hub:
         # A new list: the old one may be the one that a sample is being offered to right now.
         entry.listeners = [listener for listener in entry.listeners if listener is not feed]
         return True
-
-    @staticmethod
-    def plain_feed(
-        subscription: Subscription, entry: Entry, outbox: Outbox | None
-    ) -> PathSubscription:
-        """Make the feed of a subscription that wants every sample as it comes."""
-        options = subscription.options
-        alone = options.qos.reliability == "reliable" or (outbox is not None and outbox.alone)
-        kind = PathSubscription if alone or options.count is not None else SharedPathSubscription
-        return kind(subscription, entry, outbox)
 
     @staticmethod
     def keep(entry: Entry) -> None:

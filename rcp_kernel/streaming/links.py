@@ -10,6 +10,7 @@ from collections.abc import Callable
 
 from rcp_kernel.clients.outbox import Outbox
 from rcp_kernel.registry import Entry
+from rcp_kernel.streaming.feeds import new_path_subscription
 from rcp_kernel.streaming.history import admitted, past
 from rcp_kernel.streaming.hub import Hub
 from rcp_kernel.streaming.notices import notice
@@ -63,7 +64,7 @@ class Links:
         if entry is None or not subscription.may(entry):  # since the client was told of it
             notice(subscription.outbox, "resource_removed", id=subscription.id, path=path)
             return
-        feed = subscription.feed(entry)
+        feed = new_path_subscription(subscription, entry)
         history, last = subscription.options.history, subscription.awaited[path]
         samples: list[Sample] = []
         if history:

@@ -6,26 +6,23 @@ The plain feed, which every 50 Hz pose rides on, does a list access and a deque 
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Container, Iterable
+from typing import Any, Protocol
 from weakref import WeakValueDictionary
 
+from rcp_kernel.clients.outbox import Framing, Outbox, Wrap
 from rcp_kernel.clock import now
-from rcp_kernel.errors import Overrun, RcpError
+from rcp_kernel.errors import RcpError
 from rcp_kernel.registry import Entry
+from rcp_kernel.streaming.filters import Options, Where
+from rcp_kernel.streaming.frames import first_native, shortened, spliced
 from rcp_kernel.streaming.samples import NATIVE, Sample
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import encode_frame
 
-if TYPE_CHECKING:
-    from rcp_kernel.clients.outbox import Framing, Outbox, Wrap
-    from rcp_kernel.streaming.subscription import Subscription
+__all__ = ["SHARED", "PathSubscription", "Subscriber"]
 
-__all__ = ["SHARED", "PathSubscription"]
-
-_CBOR_MAP = 0xA0
 SHARED = 16_384  # bytes; a longer update is not copied into a frame that its receivers share
-_MSGPACK_MAP = 0x80
 
 
 class _Share:
@@ -36,6 +33,54 @@ class _Share:
 
 _shares: WeakValueDictionary[Any, _Share] = WeakValueDictionary()
 """By what makes the bytes; each is gone with the last of its feeds."""
+
+
+class Subscriber(Protocol):
+    """The subscription that a path belongs to, as far as the path needs it."""
+
+    remaining: int | None
+    skipped: int
+
+    @property
+    def id(self) -> str:
+        """What its updates name it by."""
+        ...
+
+    @property
+    def options(self) -> Options:
+        """What the client wants of its paths."""
+        ...
+
+    @property
+    def where(self) -> Where | None:
+        """The condition that its samples must meet."""
+        ...
+
+    @property
+    def outbox(self) -> Outbox | None:
+        """Where its updates go; None while its client is away."""
+        ...
+
+    @property
+    def feeds(self) -> dict[str, PathSubscription]:
+        """Its paths."""
+        ...
+
+    def later(self, seconds: float, function: Callable[[], None]) -> None:
+        """Call a function in so many seconds."""
+        ...
+
+    def longest(self, entry: Entry) -> int | None:
+        """Return the longest value of an entry that is sent whole; None: every one is."""
+        ...
+
+    def delivered(self) -> bool:
+        """Count one update; tell whether it was the last of a limited number."""
+        ...
+
+    def overrun(self, feed: PathSubscription, why: str | None = None) -> None:
+        """End the subscription: nothing of this path may be skipped, and something has to be."""
+        ...
 
 
 class PathSubscription:
@@ -70,7 +115,7 @@ class PathSubscription:
         "subscription",
     )
 
-    def __init__(self, subscription: Subscription, entry: Entry, outbox: Outbox | None) -> None:
+    def __init__(self, subscription: Subscriber, entry: Entry, outbox: Outbox | None) -> None:
         options = subscription.options
         self.subscription = subscription
         self.entry = entry
@@ -138,6 +183,28 @@ class PathSubscription:
             self.dropped += old
             self.subscription.skipped += old
 
+    def weight(self) -> int:
+        """Estimate how many bytes wait."""
+        latest, waiting = self.entry.latest, self.waiting
+        if latest is None or not waiting:
+            return 0
+        tails = latest.tails
+        if tails:
+            return waiting * max(map(len, tails.values()))
+        try:
+            return waiting * latest.weight()
+        except RcpError:
+            return 0
+
+    def shed(self, known: Container[str], reason: str) -> None:
+        """Conflate, or end a reliable subscription whose id is `known`, for a reason."""
+        if not self.reliable:
+            self.conflate()
+        elif self.waiting > 1 and self.subscription.id in known:
+            self.subscription.overrun(self, reason)
+            for other in self.subscription.feeds.values():
+                other.conflate()
+
     def mark(self) -> None:
         """Have the outbox collect this feed in the coming tick."""
         outbox = self.outbox
@@ -196,7 +263,7 @@ class PathSubscription:
             outbox = self.outbox
             assert outbox is not None
             if wrap is not None:
-                data = wrap(data, self, sample)
+                data = wrap(data, sample)
             elif outbox.framing is not None:
                 data = outbox.framing(len(data), data[:1] == b"{") + data
             out.append(data)
@@ -229,7 +296,7 @@ class PathSubscription:
             self.dropped = 0
             self.sent = sample.seq
             size += len(data)
-            out.append(data if wrap is None else wrap(data, self, sample))
+            out.append(data if wrap is None else wrap(data, sample))
             outbox.updates += 1
         return size
 
@@ -271,7 +338,7 @@ class PathSubscription:
         start = framing(len(head) + len(tail), text) + head
         if len(tail) > SHARED:
             if self._is_too_long(tail):
-                data = self._shortened(sample, encoding)
+                data = shortened(self.subscription.id, sample, 0, self.fields, encoding)
                 return framing(len(data), text) + data
             out.append(start)
             return tail
@@ -282,9 +349,13 @@ class PathSubscription:
         encoding, head, head_dropped = self._heads or self._make_heads()
         tail = sample.tail(encoding, self.fields)
         if len(tail) > SHARED and self._is_too_long(tail):
-            return self._shortened(sample, encoding)
+            return shortened(self.subscription.id, sample, self.dropped, self.fields, encoding)
         if not self.named:
-            return self._first_native_frame(sample, encoding)
+            data = first_native(
+                self.subscription.id, sample, self.dropped, self.entry.resource.native, encoding
+            )
+            self.named = True
+            return data
         if not self.dropped:
             return head + tail
         return (
@@ -301,21 +372,6 @@ class PathSubscription:
         limit = self.longest
         return limit is not None and len(tail) > limit and not (outbox and outbox.takes_long)
 
-    def _shortened(self, sample: Sample, encoding: Encoding) -> bytes:
-        """Return an update that has, in place of the value, its length."""
-        facts: dict[str, Any] = {
-            "type": "update",
-            "id": self.subscription.id,
-            "path": self.entry.path,
-            "seq": sample.seq,
-            "timestamp": sample.time,
-            "truncated": True,
-            "size": sample.length(encoding, self.fields),
-        }
-        if self.dropped:
-            facts["dropped"] = self.dropped
-        return encode_frame(facts, b"", encoding)
-
     def _make_heads(self) -> tuple[Encoding, bytes, bytes]:
         assert self.outbox is not None
         encoding = self.subscription.options.splice or self.outbox.encoding
@@ -324,33 +380,8 @@ class PathSubscription:
             facts["encoding"] = "native"
         head = encode_frame(facts, b"", encoding)
         self.share = _shares.setdefault((head, self.fields, self.outbox.framing), _Share())
-        if encoding is Encoding.JSON:
-            head = head[:-1] + b","
-            self._heads = encoding, head, head
-            return self._heads
-        base = _CBOR_MAP if encoding is Encoding.CBOR else _MSGPACK_MAP
-        rest = head[1:]
-        count = base + len(facts) + 3  # with number, time and body
-        self._heads = encoding, bytes((count,)) + rest, bytes((count + 1,)) + rest
+        self._heads = encoding, *spliced(head, len(facts), encoding)
         return self._heads
-
-    def _first_native_frame(self, sample: Sample, encoding: Encoding) -> bytes:
-        if sample.native is None:
-            raise Overrun("the sample has no native form")
-        self.named = True
-        facts: dict[str, Any] = {
-            "type": "update",
-            "id": self.subscription.id,
-            "path": self.entry.path,
-            "seq": sample.seq,
-            "timestamp": sample.time,
-            "encoding": "native",
-            "native_type": self.entry.resource.native,
-        }
-        if self.dropped:
-            facts["dropped"] = self.dropped
-        facts["body"] = bytes(sample.native.data)
-        return encode_frame(facts, b"", encoding)
 
     def leave(self) -> None:
         """Forget what waits; the connection is gone."""

@@ -9,18 +9,14 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from rcp_kernel.clients.outbox import BUDGET
+from rcp_kernel.clients.outbox import BUDGET, FlushScheduler, Framing, Outbox, Wrap
+from rcp_kernel.entry import Entry
 from rcp_kernel.errors import RcpError
-from rcp_kernel.streaming.path_subscription import SHARED, PathSubscription
+from rcp_kernel.streaming.path_subscription import SHARED, PathSubscription, Subscriber
+from rcp_kernel.streaming.samples import Sample
 from rcp_kernel.values import Encoding
-
-if TYPE_CHECKING:
-    from rcp_kernel.clients.outbox import FlushScheduler, Framing, Outbox, Wrap
-    from rcp_kernel.registry import Entry
-    from rcp_kernel.streaming.samples import Sample
-    from rcp_kernel.streaming.subscription import Subscription
 
 __all__ = [
     "SharedFanout",
@@ -200,7 +196,7 @@ class SharedPathSubscription(PathSubscription):
 
     __slots__ = ("fanout", "place")
 
-    def __init__(self, subscription: Subscription, entry: Entry, outbox: Outbox | None) -> None:
+    def __init__(self, subscription: Subscriber, entry: Entry, outbox: Outbox | None) -> None:
         super().__init__(subscription, entry, outbox)
         self.fanout: SharedFanout | None = None
         self.place = 0
@@ -261,14 +257,14 @@ class SharedPathSubscription(PathSubscription):
             self.place = self.fanout.end
 
 
-def join_fanout(feed: SharedPathSubscription, entry: Entry) -> None:
+def join_fanout(feed: SharedPathSubscription, entry: Entry, scheduler: FlushScheduler) -> None:
     """Have a feed sing with its like among an entry's listeners, from the next sample on."""
     for listener in entry.listeners:
         if isinstance(listener, SharedFanout) and listener.depth == feed.depth:
             fanout = listener
             break
     else:
-        fanout = SharedFanout(feed.depth, feed.subscription.hub.flush_scheduler)
+        fanout = SharedFanout(feed.depth, scheduler)
         entry.listeners.append(fanout)
     feed.fanout = fanout
     feed.place = fanout.end

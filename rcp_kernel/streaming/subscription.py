@@ -3,36 +3,49 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
+from rcp_kernel.clients.outbox import Outbox
 from rcp_kernel.errors import Overrun, RcpError
 from rcp_kernel.model import Pattern
 from rcp_kernel.registry import Entry
-from rcp_kernel.streaming.filtered import (
-    FilteredPathSubscription,
-    ViewSubscription,
-    VisibilityFilteredSubscription,
-)
 from rcp_kernel.streaming.filters import Options, Where, parse_where
 from rcp_kernel.streaming.path_subscription import PathSubscription
 from rcp_kernel.values import Encoding
 
-if TYPE_CHECKING:
-    from rcp_kernel.clients.outbox import Outbox
-    from rcp_kernel.streaming.hub import Hub
-
 __all__ = ["Subscription"]
+
+
+class Delivery(Protocol):
+    """What a subscription needs of whoever links its paths."""
+
+    def later(self, seconds: float, function: Callable[[], None], /) -> None:
+        """Call a function in so many seconds."""
+        ...
+
+    @property
+    def pattern_value(self) -> int:
+        """Longest value, bytes, that is sent whole to a subscription that did not name its path."""
+        ...
+
+    def soon(self, function: Callable[..., object], *args: Any) -> None:
+        """Call a function in the coming loop turn."""
+        ...
+
+    def unlink(self, feed: PathSubscription) -> None:
+        """Offer a feed nothing more."""
+        ...
 
 
 class Subscription:
     """A standing request of one session for samples of one or more paths."""
 
     __slots__ = (
+        "_delivery",
         "_named",
         "awaited",
         "end",
         "feeds",
-        "hub",
         "id",
         "may",
         "options",
@@ -50,7 +63,7 @@ class Subscription:
 
     def __init__(
         self,
-        hub: Hub,
+        delivery: Delivery,
         id_: str,
         patterns: list[Pattern],
         options: Options,
@@ -63,7 +76,7 @@ class Subscription:
         visibility_filter: Callable[[Entry], Callable[[Any], Any] | None],
         placed: Callable[[PathSubscription], None],
     ) -> None:
-        self.hub = hub
+        self._delivery = delivery
         self.id = id_
         self.patterns = patterns
         self._named = frozenset(pattern.text for pattern in patterns if pattern.literal)
@@ -97,18 +110,11 @@ class Subscription:
 
     def longest(self, entry: Entry) -> int | None:
         """Return the longest value of an entry that is sent whole; None: every one is."""
-        return None if entry.path in self._named else self.hub.pattern_value
+        return None if entry.path in self._named else self._delivery.pattern_value
 
-    def feed(self, entry: Entry) -> PathSubscription:
-        """Make the feed of an entry."""
-        view = self.view(entry)
-        if view is not None:
-            return ViewSubscription(self, entry, self.outbox, view)
-        if (shown := self.visibility_filter(entry)) is not None:
-            return VisibilityFilteredSubscription(self, entry, self.outbox, shown)
-        if not self.options.plain:
-            return FilteredPathSubscription(self, entry, self.outbox)
-        return self.hub.plain_feed(self, entry, self.outbox)
+    def later(self, seconds: float, function: Callable[[], None]) -> None:
+        """Call a function in so many seconds."""
+        self._delivery.later(seconds, function)
 
     def delivered(self) -> bool:
         """Count one update; tell whether it was the last of a limited number."""
@@ -116,7 +122,7 @@ class Subscription:
         self.remaining -= 1
         if self.remaining > 0:
             return False
-        self.hub.soon(self.end, self, "count", None)
+        self._delivery.soon(self.end, self, "count", None)
         return True
 
     def overrun(self, feed: PathSubscription, why: str | None = None) -> None:
@@ -127,5 +133,5 @@ class Subscription:
             path=feed.entry.path,
             details={"depth": feed.depth, "last_seq": feed.sent},
         )
-        self.hub.unlink(feed)  # of this path no sample may follow after a gap
-        self.hub.soon(self.end, self, "overrun", error)
+        self._delivery.unlink(feed)  # of this path no sample may follow after a gap
+        self._delivery.soon(self.end, self, "overrun", error)

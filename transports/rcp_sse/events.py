@@ -15,7 +15,6 @@ from rcp_kernel.clients.hello import Hello
 from rcp_kernel.clients.outbox import Wrap
 from rcp_kernel.clock import iso, now
 from rcp_kernel.errors import Gap, RcpError
-from rcp_kernel.streaming.path_subscription import PathSubscription
 from rcp_kernel.streaming.samples import Sample
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import Reply, Request, encode_frame
@@ -160,9 +159,9 @@ def _wrapper(journal: Journal, session: str, told: Callable[[], None]) -> Wrap:
     note = journal.note
     update = b"id: " + session.encode() + b":%d\nevent: update\ndata: %b\n\n"
 
-    def wrap(data: bytes, feed: PathSubscription | None, sample: Sample | None) -> bytes:
-        if feed is not None and sample is not None:
-            return update % (note(feed.entry.path, sample.seq), data)
+    def wrap(data: bytes, sample: Sample | None) -> bytes:
+        if sample is not None:
+            return update % (note(sample.entry.path, sample.seq), data)
         told()  # a subscription that ends says so
         return event(b"notice" if data.startswith(_NOTICE) else b"reply", data)
 
