@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import faulthandler
+import logging
 import os
 import signal
 from collections import Counter
 from collections.abc import Generator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import psutil
 import pytest
+import structlog
 from _pytest.faulthandler import fault_handler_stderr_fd_key
 from hypothesis import settings
 
@@ -35,6 +38,31 @@ settings.load_profile("untimed")
 
 # Where the tests are started in the background, Ctrl-C is ignored, and would be by all they start.
 signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+@pytest.fixture(autouse=True, scope="module")
+def logging_of_a_file() -> Generator[None]:
+    """Let no file's gateways set the log level of another's."""
+    with _own_logging():
+        yield
+
+
+@pytest.fixture(autouse=True)
+def logging_of_a_test() -> Generator[None]:
+    """Let no test's gateway set the log level of another's."""
+    with _own_logging():
+        yield
+
+
+@contextmanager
+def _own_logging() -> Generator[None]:
+    known, root = structlog.get_config(), logging.getLogger()
+    level, handlers = root.level, list(root.handlers)
+    yield
+    structlog.configure(**known)
+    root.setLevel(level)
+    for handler in [one for one in root.handlers if one not in handlers]:
+        root.removeHandler(handler)
 
 
 @pytest.fixture
