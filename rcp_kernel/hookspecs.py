@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from rcp_kernel.client_kinds import AdapterKind, TransportKind
     from rcp_kernel.clients.session import Handler
     from rcp_kernel.config.file import GatewayConfig
+    from rcp_kernel.features import FeatureKind
     from rcp_kernel.spi import BackendKind
 
 __all__ = ["PROJECT", "hookimpl"]
@@ -58,6 +59,18 @@ def rcp_adapters() -> Iterable[AdapterKind]:  # pyright: ignore[reportReturnType
         @hookimpl
         def rcp_adapters():
             return [AdapterKind("mcp", McpConfig, open_mcp)]
+    """
+
+
+@hookspec
+def rcp_features() -> Iterable[FeatureKind]:  # pyright: ignore[reportReturnType]
+    """Offer what the gateway itself can do, used by `[features.<name>]`.
+
+    Example::
+
+        @hookimpl
+        def rcp_features():
+            return [FeatureKind("maintenance", MaintenanceConfig, make_maintenance)]
     """
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncGenerator, Iterator
+from collections.abc import AsyncGenerator, Iterator, Sequence
 from contextlib import asynccontextmanager
 from functools import partial
 from typing import Any
@@ -15,6 +15,8 @@ from rcp_kernel.access.quotas import QuotaTracker
 from rcp_kernel.clients.session import Session
 from rcp_kernel.clients.sessions import Sessions
 from rcp_kernel.errors import RcpError, UnknownPath
+from rcp_kernel.features import Filter, Service, SystemResource, View
+from rcp_kernel.features.resource import ViewChanges
 from rcp_kernel.model import Operation, Resource
 from rcp_kernel.motion.estop import LONGEST_WAIT, Estop, EstopRequest, EstopState
 from rcp_kernel.motion.latches import Latches
@@ -22,8 +24,6 @@ from rcp_kernel.motion.lease_service import LeaseRequest, LeaseService, LeaseSta
 from rcp_kernel.motion.leases import Leases
 from rcp_kernel.motion.stop_group import StopGroup
 from rcp_kernel.operations.command_access import CommandAccess
-from rcp_kernel.operations.execute import Service
-from rcp_kernel.operations.views import Filter, View
 from rcp_kernel.plans.examples import EXAMPLES
 from rcp_kernel.plans.model import Plan, PlanResult, PlanState, StepState
 from rcp_kernel.plans.resource import PlanList
@@ -86,6 +86,8 @@ class System(BaseBackend):
         registry: Registry,
         hub: Hub,
         recent: Recent,
+        features: Sequence[SystemResource],
+        changes: ViewChanges,
         loop: asyncio.AbstractEventLoop,
     ) -> None:
         self._status = status
@@ -121,6 +123,9 @@ class System(BaseBackend):
             "/system/approvals": approvals.request,
         }
         """What else of the gateway's own branch can be executed, by path."""
+        for one in features:
+            self._add(one)
+        changes.on_change.append(self._changed)
         self._open_audit(self.entries[PATH])
         hub.keep(self.entries[_LOG])
         latches.on_change.append(self._estop_changed)
@@ -140,6 +145,22 @@ class System(BaseBackend):
     def _place(self, resource: Resource) -> Entry:
         path = "/system/" + resource.name.partition("/")[2]
         return self._registry.place(Entry(path, resource, self, None, None))
+
+    def _add(self, own: SystemResource) -> None:
+        """Put a feature's resource into the tree."""
+        entry = self.entries[own.path] = self._place(own.resource)
+        if own.shows is not None:
+            self.filters[own.path] = own.shows
+            self._hub.keep(entry)
+        if own.execute is not None:
+            self.services[own.path] = own.execute
+        if own.view is not None:
+            self.views[own.path] = own.view
+            self._changed(own.path)
+
+    def _changed(self, path: str) -> None:
+        """Say that a feature's view has changed."""
+        self.entries[path].publish([], None)
 
     def _publish(self, name: str, value: Any) -> None:
         """Say that a view has changed."""

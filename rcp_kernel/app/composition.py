@@ -18,6 +18,8 @@ from rcp_kernel.access.identities import Authenticator, Identities
 from rcp_kernel.access.quotas import QuotaTracker
 from rcp_kernel.access.resolver import Resolver
 from rcp_kernel.access.visibility import Visibility
+from rcp_kernel.app.feature_host import GatewayFeatureHost
+from rcp_kernel.app.features import ActiveFeature, Features, make
 from rcp_kernel.app.kernel import Kernel
 from rcp_kernel.client_api import ClientApi, ClientApiParts
 from rcp_kernel.clients.connections import ConnectionParts
@@ -28,6 +30,7 @@ from rcp_kernel.clients.session import Handler, Session
 from rcp_kernel.clients.sessions import Sessions
 from rcp_kernel.config.file import BackendConfig, GatewayConfig
 from rcp_kernel.config.settings import Settings
+from rcp_kernel.features.resource import ViewChanges
 from rcp_kernel.motion.estop import Estop
 from rcp_kernel.motion.fence_guard import FenceGuard
 from rcp_kernel.motion.latches import Latches
@@ -90,6 +93,8 @@ class _Base:
     visibility: Visibility
     rules: Rules
     counts: RequestCounts
+    inflight: InFlight
+    changes: ViewChanges
     supervisors: list[BackendSupervisor]
 
 
@@ -135,7 +140,6 @@ class _Requests:
 
     router: RequestRouter
     resolver: Resolver
-    inflight: InFlight
     approvals: Approvals
     admission: Admission
     keys: Keys
@@ -169,14 +173,16 @@ def compose(
     recent: Recent,
     authenticator: Authenticator | None = None,
     interceptors: Sequence[Callable[[Handler], Handler]] = (),
+    features: Sequence[ActiveFeature] = (),
 ) -> Kernel:
     """Build a gateway that serves nobody yet and has no backends."""
     base = _base(config, loop)
     records = _records(base, store)
+    made = _features(base, records, features)
     motion = _motion(base, records)
     clients = _clients(base, records, motion, authenticator)
     requests = _requests(base, records, motion, clients, interceptors)
-    system = _system(base, records, motion, clients, requests, recent)
+    system = _system(base, records, motion, clients, requests, recent, made)
     handlers = _handlers(base, records, motion, clients, requests, system)
     return Kernel(
         settings=base.settings,
@@ -206,6 +212,7 @@ def compose(
         guard=system.guard,
         status=system.status,
         system=system.branch,
+        features=made,
         supervisors=base.supervisors,
         supervise=_supervise(base, records, motion),
         client_api=_client_api(base, records, motion, clients, requests, system, handlers),
@@ -216,8 +223,9 @@ def _base(config: GatewayConfig, loop: asyncio.AbstractEventLoop) -> _Base:
     registry, turns = Registry(), Turns(loop)
     hub = Hub(registry, loop, config.limits.pattern_value)
     conditions = Conditions(hub)
+    settings, counts = Settings(config), RequestCounts()
     return _Base(
-        settings=Settings(config),
+        settings=settings,
         shutdown=Shutdown(),
         loop=loop,
         turns=turns,
@@ -227,7 +235,9 @@ def _base(config: GatewayConfig, loop: asyncio.AbstractEventLoop) -> _Base:
         conditions=conditions,
         visibility=Visibility(registry),
         rules=Rules(config.roles, conditions),
-        counts=RequestCounts(),
+        counts=counts,
+        inflight=InFlight(settings, counts, turns, loop),
+        changes=ViewChanges(),
         supervisors=[],
     )
 
@@ -236,6 +246,19 @@ def _records(base: _Base, store: Store) -> _Records:
     audit = Audit(store, base.loop, base.settings.config.audit)
     writer = AuditWriter(audit, store, base.settings, base.loop)
     return _Records(store, audit, writer, History(store))
+
+
+def _features(base: _Base, records: _Records, active: Sequence[ActiveFeature]) -> Features:
+    host = partial(
+        GatewayFeatureHost,
+        changes=base.changes,
+        store=records.store,
+        audit=records.audit,
+        visibility=base.visibility,
+        place=base.inflight.place,
+        loop=base.loop,
+    )
+    return make(active, host)
 
 
 def _motion(base: _Base, records: _Records) -> _Motion:
@@ -311,7 +334,6 @@ def _requests(
     interceptors: Sequence[Callable[[Handler], Handler]],
 ) -> _Requests:
     resolver = Resolver(base.registry)
-    inflight = InFlight(base.settings, base.counts, base.turns, base.loop)
     admission = Admission(
         resolver,
         clients.leases,
@@ -325,8 +347,7 @@ def _requests(
     return _Requests(
         RequestRouter(base.settings, base.turns, base.counts, records.writer, interceptors),
         resolver,
-        inflight,
-        Approvals(base.settings, base.visibility, records.audit, inflight.place, base.loop),
+        Approvals(base.settings, base.visibility, records.audit, base.inflight.place, base.loop),
         admission,
         keys,
     )
@@ -339,6 +360,7 @@ def _system(
     clients: _Clients,
     requests: _Requests,
     recent: Recent,
+    features: Features,
 ) -> _System:
     estop = Estop(
         base.supervisors,
@@ -405,6 +427,8 @@ def _system(
         registry=base.registry,
         hub=base.hub,
         recent=recent,
+        features=features.resources,
+        changes=base.changes,
         loop=base.loop,
     )
     return _System(estop, guard, status, plans, disclosure, branch)
@@ -419,7 +443,7 @@ def _handlers(
     system: _System,
 ) -> _Handlers:
     """Make the handlers, and have the router send them their requests."""
-    router, inflight = requests.router, requests.inflight
+    router, inflight = requests.router, base.inflight
     read = ReadHandler(
         base.registry,
         requests.resolver,

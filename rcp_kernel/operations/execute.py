@@ -19,6 +19,7 @@ from rcp_kernel.clients.session import Answer, OwnCommand, Session
 from rcp_kernel.clock import iso, now
 from rcp_kernel.config.settings import Settings
 from rcp_kernel.errors import RcpError
+from rcp_kernel.features import Service
 from rcp_kernel.model import Kind, Operation
 from rcp_kernel.motion.motion_limits import MotionLimits
 from rcp_kernel.motion.safety import Deadman
@@ -40,17 +41,9 @@ from rcp_kernel.safety.partners import Partners
 from rcp_kernel.values import value_type
 from rcp_kernel.wire import Reply, Request
 
-__all__ = ["EstopLane", "ExecuteHandler", "Service"]
+__all__ = ["EstopLane", "ExecuteHandler"]
 
 _SERVICE_TIMEOUT = 10.0  # s for a service that declares none
-
-
-class Service(Protocol):
-    """Something that the gateway itself does, in no time."""
-
-    def __call__(self, session: Session, value: Any, /, *, dry_run: bool) -> Any:
-        """Do it, or for a dry run only check whether it could be done."""
-        ...
 
 
 class EstopLane(Protocol):
