@@ -113,7 +113,7 @@ class Plugins:
         self._load("backends", {backend.use for backend in config.backends})
         self._load("transports", set(config.transports))
         self._load("plugins", set(config.plugins))
-        self._load("features", set(config.active_features))
+        self._load_features(config)
         _collect(self.backends, self._offers("rcp_backends"), "backend")
         _collect(self.transports, self._offers("rcp_transports"), "transport")
         _collect(self.adapters, self._offers("rcp_adapters"), "adapter")
@@ -121,37 +121,40 @@ class Plugins:
         self._check_needs("backends", self.backends)
         for name in self._check_needs("plugins", self.adapters):
             del self.adapters[name]
-        self._check_needs("features", self.features)
+        for name in self._check_needs("features", self.features):
+            del self.features[name]
         self._check_features()
         hook = self._manager.hook
         try:
-            self.interceptors = [
-                wrap for found in hook.rcp_interceptors(config=config) for wrap in found
-            ]
             self.authenticator: Any = hook.rcp_authenticator(config=config)
         except (StartupError, MemoryError):
             raise
         except (Exception, SystemExit, KeyboardInterrupt) as error:
             # What it would have kept out must not come in because it is broken.
             raise PluginError(
-                f"a plugin's rcp_interceptors or rcp_authenticator raised {error!r}; starting "
-                "without "
-                "it could admit requests that it must refuse"
+                f"a plugin's rcp_authenticator raised {error!r}; starting without it could admit "
+                "requests that it must refuse"
             ) from error
 
+    def _load_features(self, config: GatewayConfig) -> None:
+        """Load the features, but none that is built in, neither installed nor used."""
+        wanted = set(config.active_features)
+        self._load("features", wanted & (installed("features").keys() | config.used_features))
+
     def _check_features(self) -> None:
-        """Make sure that every feature of the configuration is there.
+        """Make sure that every feature is there that the configuration uses.
 
         :raises PluginError: one is not.
         """
-        for one in self.missing:
-            if one.group == "features":
-                raise PluginError(
-                    f"the feature '{one.name}' cannot be loaded: {one.reason}; {one.remedy}, or take "
-                    f"it out with `{one.name} = false` in [features]"
-                )
+        used, points = self.config.used_features, installed("features")
+        lost = {one.name: one for one in self.missing if one.group == "features"}
         for name in self.config.active_features:
-            if name not in self.features:
+            if name in lost and name in used:
+                one = lost[name]
+                raise PluginError(
+                    f"the feature '{name}' cannot be loaded: {one.reason}; try: {one.remedy}"
+                )
+            if name in points and name not in self.features and name not in lost:
                 raise PluginError(
                     f"the entry point '{name}' of rcp.features offers no feature '{name}'; its "
                     "`rcp_features` must return a FeatureKind of this name"

@@ -10,7 +10,6 @@ from typing import Any
 
 import msgspec
 
-from rcp_kernel.access.approvals import ApprovalRequest, Approvals, ApprovalState
 from rcp_kernel.access.quotas import QuotaTracker
 from rcp_kernel.clients.session import Session
 from rcp_kernel.clients.sessions import Sessions
@@ -75,7 +74,6 @@ class System(BaseBackend):
         lease_service: LeaseService,
         leases: Leases,
         plans: PlanList,
-        approvals: Approvals,
         access: CommandAccess,
         sessions: Sessions,
         quotas: QuotaTracker,
@@ -112,7 +110,6 @@ class System(BaseBackend):
             "/system/estop": lambda session: msgspec.to_builtins(estop.state(session)),
             "/system/leases": lease_service.view,
             "/system/plans": plans.view,
-            "/system/approvals": approvals.view,
         }
         """Resources whose value depends on who asks, by path."""
         self.filters: dict[str, Filter] = {PATH: disclosure.shown, _LOG: self._shown}
@@ -120,7 +117,6 @@ class System(BaseBackend):
         path, what returns None for a sample that is hidden."""
         self.services: dict[str, Service] = {
             "/system/leases": lease_service.request,
-            "/system/approvals": approvals.request,
         }
         """What else of the gateway's own branch can be executed, by path."""
         for one in features:
@@ -131,7 +127,7 @@ class System(BaseBackend):
         latches.on_change.append(self._estop_changed)
         stops.on_change(self._estop_changed)
         self._publish("estop", estop.everything())
-        for name, part in (("leases", leases), ("plans", plans), ("approvals", approvals)):
+        for name, part in (("leases", leases), ("plans", plans)):
             changed = partial(self._publish, name, [])
             part.on_change.append(changed)
             changed()
@@ -330,16 +326,6 @@ def _resources() -> list[Resource]:
             operations=_LOOK | Operation.EXECUTE,
             policy="parallel",
             examples=EXAMPLES,
-            history=1,
-        ),
-        Resource(
-            name="service/approvals",
-            description="Commands that a person has to approve first: list, approve, reject.",
-            value=list[ApprovalState],
-            input=ApprovalRequest,
-            output=ApprovalState,
-            operations=_LOOK | Operation.EXECUTE,
-            examples=({"id": "a-0123456789abcdef", "decision": "approve", "reason": "I see it"},),
             history=1,
         ),
     ]

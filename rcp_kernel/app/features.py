@@ -42,7 +42,9 @@ def active(
     """
     found: list[ActiveFeature] = []
     for name, raw in config.active_features.items():
-        kind = kinds[name]
+        kind = kinds.get(name)
+        if kind is None:  # built in, not installed, and not used
+            continue
         table = _table(kind, raw, config, source)
         if kind.check is not None:
             try:
@@ -63,7 +65,7 @@ def _table(
             f"{source}: [features.{kind.name}] takes no keys; write `{kind.name} = true` or `false` "
             "in [features]"
         )
-    return kind.table(config)
+    return decode_table(kind.table(config), kind.config, f"{source}: ")
 
 
 class Features:

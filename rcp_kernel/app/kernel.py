@@ -20,6 +20,7 @@ from rcp_kernel.config.settings import Settings
 from rcp_kernel.motion.leases import Leases
 from rcp_kernel.motion.motion_limits import MotionLimits
 from rcp_kernel.motion.safety import Deadman
+from rcp_kernel.operations.admission import Admission
 from rcp_kernel.operations.commands import Commands
 from rcp_kernel.operations.counts import RequestCounts
 from rcp_kernel.process.guard import GuardLink
@@ -72,6 +73,7 @@ class Kernel:
     status: StatusReport
     system: System
     features: Features
+    admission: Admission
     supervisors: list[BackendSupervisor]
     supervise: Callable[[BackendConfig], BackendSupervisor]
     """Makes the supervisor of a backend from its table of the configuration."""
@@ -95,6 +97,7 @@ class Kernel:
         self.retention.config = config.audit
         self.motion_limits.configure(config.envelopes)
         self.features.reconfigure(features)
+        self.admission.configure()
         self.sessions.review()
 
     async def close(self) -> None:

@@ -135,7 +135,6 @@ async def running(prepared: Prepared, recent: Recent | None = None) -> AsyncGene
             store=store,
             recent=recent,
             authenticator=plugins.authenticator,
-            interceptors=plugins.interceptors,
             features=prepared.features,
         )
         client_api, status = kernel.client_api, kernel.status

@@ -139,6 +139,14 @@ class GatewayConfig(Table, frozen=True):
         return active_features(self.features)
 
     @property
+    def used_features(self) -> frozenset[str]:
+        """The features without which this configuration would not do what it says."""
+        used = set(self.features) & set(self.active_features)
+        if any(role.approve for role in self.roles.values()):
+            used.add("approvals")
+        return frozenset(used)
+
+    @property
     def closed(self) -> bool:
         """Whether strangers may do nothing: they have no role, or only such that allow nothing."""
         return not self._allows(self.anonymous)
@@ -361,3 +369,8 @@ def _check(config: GatewayConfig, source: str) -> None:
     check_roles(config.roles, source)
     check_envelopes(config.envelopes, source, roles, config.tenant_names)
     check_plans(config.plans, source)
+    off = sorted(name for name in config.used_features if config.features.get(name) is False)
+    if off:
+        raise ConfigError(
+            f"{source}: [features] {off[0]} = false, but the configuration uses this feature"
+        )

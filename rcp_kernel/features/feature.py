@@ -59,7 +59,8 @@ class FeatureKind(msgspec.Struct, frozen=True):
     needs: tuple[str, ...] = ()
     """As of `BackendKind`; a feature that lacks one is an error at the start."""
     table: Callable[[GatewayConfig], Any] | None = None
-    """Takes its table from elsewhere in the configuration, for features whose keys are there."""
+    """Takes its table from elsewhere in the configuration, for features whose keys are there: a value
+    of the type `config`, or what is decoded by it."""
     check: Callable[[Any, GatewayConfig], None] | None = None
     """Raise `ConfigError` for what this table and the rest of the configuration must not say
     together; asked by `rcpd check` too."""

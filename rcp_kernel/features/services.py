@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Generic, TypeVar
+from typing import Generic, Protocol, TypeVar
 
-__all__ = ["ServiceKey"]
+__all__ = ["ServiceKey", "ServiceLookup"]
 
 T = TypeVar("T")
 
@@ -19,3 +19,11 @@ class ServiceKey(Generic[T]):
     """
 
     name: str
+
+
+class ServiceLookup(Protocol):
+    """Finds what features offer."""
+
+    def service(self, key: ServiceKey[T]) -> T | None:
+        """Return the service of a key; None where no feature offers it."""
+        ...
