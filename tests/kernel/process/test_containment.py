@@ -15,7 +15,6 @@ from types import ModuleType
 import pytest
 
 from rcp_kernel.config.file import parse
-from rcp_kernel.errors import PluginError
 from rcp_kernel.hookspecs import hookimpl
 from rcp_kernel.plugins import Plugins
 
@@ -114,24 +113,6 @@ def test_a_plugin_whose_import_or_hook_would_end_the_process_is_missing(
     }
     assert "mcp" in plugins.adapters
     assert "asgi" in plugins.transports
-
-
-def test_a_plugin_that_guards_and_cannot_be_asked_stops_the_start(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    real = importlib.import_module
-
-    @hookimpl
-    def rcp_interceptors() -> object:
-        raise SystemExit
-
-    def load(name: str) -> ModuleType:
-        guard = _plugin(name, rcp_interceptors=rcp_interceptors)
-        return guard if name == "rcp_a2a" else real(name)
-
-    monkeypatch.setattr(importlib, "import_module", load)
-    with pytest.raises(PluginError, match="admit requests that it must refuse"):
-        Plugins(parse("[plugins.a2a]", "test"))
 
 
 @pytest.mark.skipif(importlib.util.find_spec("rclpy") is None, reason="needs ROS 2")
