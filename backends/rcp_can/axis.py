@@ -167,15 +167,15 @@ class Axis(AxisState):
     def _reset(self) -> None:
         used = self.wanted_on or self.mode is not None or self.stopping
         if self.wanted_on or self.mode is not None:
-            self.fault("reset", "the drive has started anew while it was in use", lasting=False)
+            self.fault("reset", "the drive rebooted while in use", lasting=False)
         self.wanted_on = False
-        self.forget(AdapterUnavailable(f"motor '{self.name}': the drive has started anew"))
+        self.forget(AdapterUnavailable(f"motor '{self.name}': the drive rebooted"))
         if used:  # one that has only left its operational state may still run
             self.stop()
         self._configure()
 
     def _doubled(self) -> None:
-        text = f"two drives answer to node {self.drive.node}"
+        text = f"two drives respond to node {self.drive.node}"
         self.fault("duplicate_node", text)
         if self.in_use:
             self.forget(ModeForbids(f"motor '{self.name}': {text}"))
@@ -186,7 +186,7 @@ class Axis(AxisState):
         why = "; ".join(f.text for f in self.status.faults) or "it switched itself off"
         if not self.status.faults and not self.stopping:
             self.fault("switched_off", "the drive has switched itself off", lasting=False)
-        self.forget(ModeForbids(f"motor '{self.name}' is not enabled any more: {why}"))
+        self.forget(ModeForbids(f"motor '{self.name}' is no longer enabled: {why}"))
 
     # What is asked of it
 
@@ -343,7 +343,7 @@ class Axis(AxisState):
 
     def _thaw(self, gap: float) -> None:
         """Stop after the gateway itself stood still: the world has gone on meanwhile."""
-        text = f"the gateway stood still for {gap:.1f} s"
+        text = f"the gateway did not run for {gap:.1f} s"
         self.fault("gateway_stalled", text, lasting=False)
         self.forget(AdapterUnavailable(f"motor '{self.name}': {text}, and it was stopped"))
         self.stop()
@@ -404,7 +404,7 @@ class Axis(AxisState):
 
     def _stall(self) -> None:
         """Drop a set-point that does not leave: the ramp would be far ahead when it does."""
-        text = f"its set-points have not left for {STALLED:g} s: the bus takes no frames"
+        text = f"its set-points could not be sent for {STALLED:g} s: the bus accepts no frames"
         self.fault("not_sent", text, lasting=False)
         self.forget(QueueFull(f"motor '{self.name}': {text}"))
         self.stop()

@@ -57,7 +57,7 @@ class CanBackend(BaseBackend):
         found = part.resources()
         for resource in found:
             if resource.name in self._owner:
-                raise ConfigError(f"{resource.name} would stand for two things: rename one")
+                raise ConfigError(f"{resource.name} is defined twice: rename one")
             self._owner[resource.name] = part
         self._parts.append(part)
         self._host.declare(*found)
@@ -118,8 +118,8 @@ class CanBackend(BaseBackend):
         try:
             await self.hold(robot)
         except AdapterUnavailable as error:
-            return f"held what can be reached ({error.message}); set-points forgotten"
-        return "held at rest; set-points forgotten"
+            return f"held the reachable motors ({error.message}); set-points discarded"
+        return "held at rest; set-points discarded"
 
     def watchdogs(self) -> Sequence[Watchdog]:
         """List what stops each motor when the gateway falls silent, as known now."""

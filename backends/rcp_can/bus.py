@@ -258,7 +258,7 @@ class Bus:
         if tx is not None:
             self._counters = tx, rx
         if state == "bus_off":
-            self._reason = "the controller has gone off the bus"
+            self._reason = "the controller is bus-off"
             self._turn("bus_off", self._reason)
             self._lost.set()
         elif state is not None and self._wire is not None and state != self.state:
@@ -293,7 +293,10 @@ class Bus:
     def _tell_losses(self, now: m.Statistics, before: m.Statistics) -> None:
         refused, expired = now.refused - before.refused, now.expired - before.expired
         losses = {
-            "receive": (now.dropped - before.dropped, "not read: the gateway was too slow"),
+            "receive": (
+                now.dropped - before.dropped,
+                "not received in time: the gateway was too slow",
+            ),
             "send": (refused + expired, "not sent in time: the bus or the gateway was too slow"),
         }
         for queue, (lost, text) in losses.items():

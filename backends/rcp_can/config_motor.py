@@ -60,11 +60,11 @@ class MotorConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
         if self.profile not in HOUSE and ":" not in self.profile:
             known = ", ".join(HOUSE)
             raise ValueError(
-                f"`profile`: no {self.profile!r}; there are {known}, and <module>:<NAME>"
+                f"`profile`: unknown {self.profile!r}; use one of {known}, or <module>:<NAME>"
             )
         if self.watchdog is True:
             raise ValueError("`watchdog` is a time in s, or false")
         if self.watchdog and self.watchdog * self.rate < _FED:
-            raise ValueError(f"`watchdog` is shorter than {_FED} periods of `rate`, which feed it")
+            raise ValueError(f"`watchdog` is shorter than {_FED} periods of `rate`, which reset it")
         if self.position is not None and self.position[0] >= self.position[1]:
-            raise ValueError("`position` is [lowest, highest], and the lowest is less")
+            raise ValueError("`position` is [lowest, highest], with lowest < highest")

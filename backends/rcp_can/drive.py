@@ -227,8 +227,8 @@ class Drive(ABC):
                 raise DeviceRejected("; ".join(fault.text for fault in new))
             if loop.time() >= end:
                 raise DeviceTimeout(
-                    f"node {self.node} was not {what} within {seconds:g} s",
-                    remedy="See its sensor/…/state and event/…/fault; clear its faults.",
+                    f"node {self.node}: not {what} within {seconds:g} s",
+                    remedy="Check sensor/…/state and event/…/fault of the motor; clear its faults.",
                 )
 
 

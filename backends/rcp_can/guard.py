@@ -57,7 +57,7 @@ def check_feedback(axis: AxisState) -> None:
     if axis.blind is not None:
         raise DeviceTimeout(
             f"motor '{axis.name}': feedback lost: {axis.blind.text}",
-            remedy=f"See sensor/{axis.name}/motion; does the drive still send what was configured?",
+            remedy=f"Check sensor/{axis.name}/motion, and that the drive still sends the configured messages.",
         )
 
 
@@ -95,8 +95,8 @@ def check_link(axis: AxisState) -> None:
         raise AdapterUnavailable(f"CAN bus '{axis.bus.name}' is {axis.bus.state}")
     if not axis.online:
         raise AdapterUnavailable(
-            f"motor '{axis.name}' (node {axis.drive.node}) is silent",
-            remedy="Check its supply, its cable and its node id.",
+            f"motor '{axis.name}' (node {axis.drive.node}) does not respond",
+            remedy="Check its power supply, cable and node id.",
         )
 
 
@@ -108,13 +108,13 @@ def check_bus(axis: AxisState) -> None:
     """
     if axis.bus.lag > STALLED:
         raise QueueFull(
-            f"CAN bus '{axis.bus.name}' takes no frames: one has waited for {axis.bus.lag:.1f} s",
+            f"CAN bus '{axis.bus.name}' accepts no frames: one has been waiting for {axis.bus.lag:.1f} s",
             remedy=f"See sensor/can/{axis.bus.name}/state and …/statistics.",
         )
     if axis.faults.own("duplicate_node") is not None:
         raise ModeForbids(
-            f"motor '{axis.name}': two drives answer to node {axis.drive.node}",
-            remedy=f"Give one of them another id, then execute service/{axis.name}/clear_faults.",
+            f"motor '{axis.name}': two drives respond to node {axis.drive.node}",
+            remedy=f"Change the id of one of them, then execute service/{axis.name}/clear_faults.",
         )
 
 

@@ -42,8 +42,8 @@ class JointGroupPart(Part):
         for axis in axes:
             if "position" not in axis.drive.modes:
                 raise ConfigError(
-                    f"joint_groups.{name}.joints: '{axis.name}' ({axis.config.profile}) takes no "
-                    "positions; leave it out"
+                    f"joint_groups.{name}.joints: '{axis.name}' ({axis.config.profile}) has no "
+                    "position control; remove it"
                 )
         self._name, self._config, self._axes, self._host = name, config, tuple(axes), host
         self._types = joint_types(self._axes)
@@ -70,7 +70,7 @@ class JointGroupPart(Part):
             ),
             Resource(
                 name=f"actuator/{name}/joints",
-                description="Where the joints go; one that is not named stays where it is.",
+                description="Target positions; a joint that is not listed keeps its position.",
                 value=types.targets,
                 examples=(middle, {}),
                 max_age=1.0,
@@ -80,7 +80,7 @@ class JointGroupPart(Part):
             ),
             Resource(
                 name=f"action/{name}/move_joints",
-                description="Move joints together in a straight line; done when every drive says so.",
+                description="Move the joints together along a straight line in joint space; completes when every drive reports that it is done.",
                 input=types.move,
                 output=types.moved,
                 feedback=types.feedback,
@@ -129,7 +129,9 @@ class JointGroupPart(Part):
             check_link(axis)
             check_feedback(axis)
         if (value := self._value()) is None:
-            raise AdapterUnavailable(f"not every joint of '{self._name}' has told its position yet")
+            raise AdapterUnavailable(
+                f"not every joint of '{self._name}' has reported its position yet"
+            )
         return value
 
     async def write(self, name: str, value: Any) -> None:
@@ -168,7 +170,8 @@ class JointGroupPart(Part):
     def _check(self, axis: Axis) -> None:
         if axis.owner is not None:
             raise ModeForbids(
-                f"motor '{axis.name}' is driven by {axis.owner}", remedy="Cancel that first."
+                f"motor '{axis.name}' is driven by {axis.owner}",
+                remedy="Cancel that command first.",
             )
         check(axis)
 
@@ -195,7 +198,7 @@ class JointGroupPart(Part):
     async def _move(self, move: Any, name: str, progress: Progress) -> Any:
         targets = self._targets(move.positions)
         if not targets:
-            raise InvalidValue("no joint is to be moved", details={"pointer": "/positions"})
+            raise InvalidValue("no joint to move", details={"pointer": "/positions"})
         for axis in targets:
             self._check(axis)
         legs = {axis: self._leg(axis, goal, move.speed) for axis, goal in targets.items()}
@@ -260,9 +263,9 @@ class JointGroupPart(Part):
 
 
 _SERVICES = {
-    "enable": "switch the power stages on, at rest.",
+    "enable": "switch the power stages on, without moving.",
     "disable": "switch the power stages off.",
-    "clear_faults": "acknowledge the faults; they stay switched off.",
+    "clear_faults": "clear the faults; the power stages stay off.",
 }
 
 

@@ -51,7 +51,8 @@ class MotorPart(Part):
         if axis.owner is not None:
             if value != 0.0 or mode == "position":
                 raise ModeForbids(
-                    f"motor '{axis.name}' is driven by {axis.owner}", remedy="Cancel that first."
+                    f"motor '{axis.name}' is driven by {axis.owner}",
+                    remedy="Cancel that command first.",
                 )
             axis.forget(ModeForbids("a zero set-point ended the move"))
         if value == 0.0 and mode != "position":
@@ -256,7 +257,7 @@ async def drive_to(axis: Axis, move: m.Move, progress: Progress) -> None:
             return
         if now - began > 2 * patience:
             raise DeviceRejected(
-                f"motor '{axis.name}' came no nearer to its goal than {left:g} rad"
+                f"motor '{axis.name}' did not come closer than {left:g} rad to its goal"
             )
 
 

@@ -120,7 +120,7 @@ async def heard(axes: Iterable[Axis], grace: float, health: Health) -> None:
         axis.show()
         axis.show_health()
         if not axis.met:
-            health.say(axis.name, f"motor '{axis.name}' (node {axis.drive.node}) is silent")
+            health.say(axis.name, f"motor '{axis.name}' (node {axis.drive.node}) does not respond")
 
 
 @contextmanager

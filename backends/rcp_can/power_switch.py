@@ -66,7 +66,7 @@ async def _stays_on(axis: Axis) -> None:
         if since >= _STAYS and status.counts["enabled"] - words >= _WORDS:
             return
         if since > _OBSERVED:
-            raise DeviceTimeout(f"motor '{axis.name}' does not confirm that it stays enabled")
+            raise DeviceTimeout(f"motor '{axis.name}' did not confirm that it stays enabled")
 
 
 async def _withdraw(axis: Axis) -> None:

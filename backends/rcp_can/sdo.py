@@ -25,8 +25,8 @@ ABORTS = {
     0x05040001: "command specifier not valid or unknown",
     0x05040005: "out of memory",
     0x06010000: "unsupported access",
-    0x06010001: "it can only be written",
-    0x06010002: "it can only be read",
+    0x06010001: "it is write-only",
+    0x06010002: "it is read-only",
     0x06020000: "the object does not exist",
     0x06040041: "the object cannot be mapped to the PDO",
     0x06040042: "the PDO would be longer than 8 bytes",
@@ -88,7 +88,7 @@ class Sdo:
         :raises ValueError: it is too short.
         """
         if len(message.data) < 8:
-            raise ValueError("an SDO answer has 8 bytes")
+            raise ValueError("an SDO response has 8 bytes")
         data, now = bytes(message.data), time.monotonic()
         again = data[:4] == self._last[0][:4] and now - self._last[1] < _TIMEOUT
         if again and data[1:4] != self._asked:
@@ -150,8 +150,8 @@ class Sdo:
     def _expect(self, answer: bytes, command: int, index: int, sub: int) -> None:
         if answer[0] & 0xE0 != command or struct.unpack_from("<HB", answer, 1) != (index, sub):
             raise DeviceRejected(
-                f"node {self._node} answered 0x{index:04X}:{sub:02X} with something else",
-                remedy="Is another master on this bus, or another node with this id?",
+                f"node {self._node} sent a response to 0x{index:04X}:{sub:02X} that does not match",
+                remedy="Check for another master on this bus, or another node with this id.",
             )
 
     async def _abort(self, index: int, sub: int, code: int) -> None:
@@ -171,7 +171,7 @@ class Sdo:
                     0x600 + self._node, struct.pack("<BHBI", 0x80, index, sub, _TIMED_OUT)
                 )
                 raise DeviceTimeout(
-                    f"node {self._node} did not answer for 0x{index:04X}:{sub:02X}"
+                    f"node {self._node} did not respond for 0x{index:04X}:{sub:02X}"
                 ) from None
             raise AdapterUnavailable(f"CAN bus '{self._bus.name}' is {self._bus.state}") from None
         finally:

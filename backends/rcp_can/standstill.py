@@ -25,7 +25,7 @@ def motion_of(axis: Axis) -> MotionState:
     """Report whether one motor is at rest."""
     energised = axis.status.energised if axis.online else None
     if not axis.met:
-        return MotionState(None, f"motor '{axis.name}' has not been heard since the start", None)
+        return MotionState(None, f"motor '{axis.name}' has sent no message since the start", None)
     if not axis.bus.up:
         return MotionState(None, f"CAN bus '{axis.bus.name}' is {axis.bus.state}", None)
     if not axis.online:

@@ -101,7 +101,7 @@ class Wire:
         elif len(self._outbox) >= self._limit:
             raise QueueFull(
                 f"{self._limit} frames are already waiting: the bus accepts none",
-                remedy="See sensor/can/<bus>/state; is another node there to acknowledge?",
+                remedy="Check sensor/can/<bus>/state, and that another node acknowledges frames.",
             )
         else:
             self._outbox.append((message, expires, now, sender))
@@ -127,7 +127,7 @@ class Wire:
             try:
                 message = recv(_RECV)
             except Exception as error:
-                self._tell(f"reading failed: {error}")
+                self._tell(f"receiving failed: {error}")
                 return
             if message is None or self._is_echo(message):
                 continue

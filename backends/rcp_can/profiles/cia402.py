@@ -246,8 +246,8 @@ class Cia402Drive(Drive):
         except DeviceTimeout:
             missing = ", ".join(sorted(due - self._told.keys()))
             raise DeviceTimeout(
-                f"node {self.node} accepted its PDOs, and {missing} did not arrive",
-                remedy="Take the PDOs that it has: map_pdos = false, with its EDS.",
+                f"node {self.node} accepted its PDO mapping, but {missing} did not arrive",
+                remedy="Use the drive's own PDO mapping: map_pdos = false, with its EDS.",
             ) from None
         self.status.beat = time.monotonic()
         self._configured = True
@@ -471,7 +471,7 @@ def _control_request(control: int) -> bytes:
 
 PROFILE = Profile(
     "cia402",
-    "Drives of CiA 402 on CANopen.",
+    "CiA 402 drives on CANopen.",
     Cia402Options,
     Cia402Drive,
     "rcp_can.sim.cia402:Cia402Twin",

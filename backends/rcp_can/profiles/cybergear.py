@@ -158,11 +158,11 @@ class CyberGearDrive(ImpedanceDrive):
 
         try:
             await self.until(
-                told, "telling its canTimeout", again=ask, seconds=_ANSWERS, faults=False
+                told, "reporting its canTimeout", again=ask, seconds=_ANSWERS, faults=False
             )
         except DeviceTimeout:
             self.protection = Protection(
-                "canTimeout (0x7028) was not taken: older firmware has none"
+                "canTimeout (0x7028) was not accepted: older firmware has none"
             )
             return
         if seconds := self._parameters[_CAN_TIMEOUT] / _TICKS:
@@ -202,7 +202,7 @@ class CyberGearDrive(ImpedanceDrive):
         )
 
     async def set_zero(self) -> None:
-        """Make the present position zero."""
+        """Set the current position as zero."""
         self._say(_ZERO, b"\1" + bytes(7))
         await self.until(lambda: abs(self.status.position or 0.0) < 0.05, "at zero")
 

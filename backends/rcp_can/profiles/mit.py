@@ -92,7 +92,7 @@ class MitOptions(Gains, frozen=True, forbid_unknown_fields=True, kw_only=True):
     def __post_init__(self) -> None:
         if self.ranges is None and self.model not in MODELS:
             raise ValueError(
-                f"no model {self.model!r}; give its ranges, or one of {', '.join(MODELS)}"
+                f"unknown model {self.model!r}; set `ranges`, or use one of {', '.join(MODELS)}"
             )
 
     @property
@@ -115,7 +115,7 @@ class MitDrive(ImpedanceDrive):
         self._command, self._reply = command_codec(self.span), reply_codec(self.span, *self.extra)
         self._on = False
         self._answers = 0
-        self.protection = Protection("no watchdog: it keeps to its last set-point")
+        self.protection = Protection("no watchdog: it keeps its last set-point")
 
     def routes(self) -> tuple[Route, ...]:
         """Take the answers of all drives that answer to one id; the first byte says whose it is."""
@@ -212,7 +212,7 @@ class MitDrive(ImpedanceDrive):
     clearing = _DISABLE
 
     async def set_zero(self) -> None:
-        """Make the present position zero."""
+        """Set the current position as zero."""
         self._special(_ZERO)
         await self.until(lambda: abs(self.status.position or 0.0) < 0.05, "at zero")
 
@@ -314,7 +314,7 @@ class DamiaoDrive(MitDrive):
         self._register = command, register
         await self.until(
             lambda: self._register is None,
-            "answering for its registers",
+            "responding with its registers",
             again=lambda: self._access(command, register, value),
             faults=False,
         )

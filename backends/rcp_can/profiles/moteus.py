@@ -32,7 +32,7 @@ _STILL = {"command_position": math.nan, "command_velocity": 0.0}
 _NAMES = {register.number: name for name, register in REGISTERS.items()}
 _ON = frozenset((Mode.POSITION, Mode.ZERO_VELOCITY, Mode.BRAKE, 13, 14))
 _OWN_TIMEOUT = 0.1  # s: servo.default_timeout_s as it comes
-_OWN = "servo.default_timeout_s, 0.1 s unless it was set otherwise: zero velocity, damped"
+_OWN = "servo.default_timeout_s, 0.1 s unless configured otherwise: zero velocity, damped"
 _WRAPS = 2**31 - 60_000  # ms: nearer to its end the clock may begin anew by itself
 _UNDER_WAY = 64  # questions that may have been lost, or wait to be sent
 _TOO_MANY = 4  # answers that nobody asked for
@@ -45,7 +45,7 @@ _FAULTS = {
     36: "not configured",
     37: "PWM cycle overrun",
     38: "over-temperature",
-    39: "outside of its limits",
+    39: "outside its limits",
     40: "under-voltage",
     41: "configuration changed",
     42: "theta invalid",
@@ -225,7 +225,7 @@ class MoteusDrive(Drive):
         )
 
     async def set_zero(self) -> None:
-        """Make the present position zero."""
+        """Set the current position as zero."""
         self._write({"set_output": 0.0})
         await self.until(
             lambda: abs(self.status.position or 0.0) < 0.05,

@@ -127,8 +127,8 @@ class OdriveDrive(Drive):
         self._fed = 0.0
         self._input: tuple[str, dict[str, float]] = ("velocity", {})
         self.protection = Protection(
-            "the axis's own watchdog is set by odrivetool only (axis.config.enable_watchdog, "
-            "watchdog_timeout) and cannot be read by CANSimple; the gateway feeds it"
+            "the axis watchdog is configured by odrivetool only (axis.config.enable_watchdog, "
+            "watchdog_timeout) and cannot be read over CANSimple; the gateway feeds it"
         )
         self._read = {
             MESSAGES[name][0]: (MESSAGES[name][1], getattr(self, f"_on_{name}"))

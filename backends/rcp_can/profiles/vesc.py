@@ -75,8 +75,8 @@ class VescDrive(Drive):
         super().__init__(node, options, bus)
         self._on = False
         self.protection = Protection(
-            "the application's timeout, 1 s unless VESC Tool has set another: it releases the "
-            "motor, which runs out; not readable by these messages",
+            "the application timeout, 1 s unless configured otherwise in VESC Tool: it "
+            "releases the motor, which coasts; cannot be read over CAN",
             _TIMEOUT,
         )
         self._read = {

@@ -114,7 +114,7 @@ def test_what_is_not_a_number_is_refused(name: str) -> None:
 
 
 def test_a_packed_payload_fills_whole_bytes() -> None:
-    with pytest.raises(ValueError, match="whole bytes"):
+    with pytest.raises(ValueError, match="whole number of bytes"):
         Packed(Span("a", 7))
 
 

@@ -185,7 +185,7 @@ async def test_an_action_whose_set_points_do_not_leave_ends_with_that_reason() -
         await rig.enable()
         moving = asyncio.ensure_future(rig.execute("action/m/move_to", {"position": 9.0}))
         await rig.until(lambda: rig.twin.plant.velocity > 1.0)
-        with rig.jammed(), pytest.raises(QueueFull, match="takes no frames"):
+        with rig.jammed(), pytest.raises(QueueFull, match="accepts no frames"):
             await asyncio.wait_for(moving, 20)
         await rig.until(lambda: abs(rig.twin.plant.velocity) < 0.1)
 
