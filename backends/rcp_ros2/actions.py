@@ -59,7 +59,7 @@ class Run(Binding):
             **common(
                 name,
                 mapping,
-                f"Runs action {mapping.target} ({type_name}).",
+                f"Action {mapping.target} ({type_name}).",
                 action=mapping.target,
                 type=type_name,
             ),
@@ -98,13 +98,13 @@ class Run(Binding):
         await self.shared.present("action", self.mapping.target)
         if await self.shared.ros.call(self._is_silent):
             raise AdapterUnavailable(
-                f"the node that offers action {self.mapping.target} does not answer any more",
-                remedy="Check the robot's node; it may have crashed, or be busy for too long.",
+                f"the node of action {self.mapping.target} no longer responds",
+                remedy="Check the robot's node; it may have crashed or be blocked.",
             )
         end = time.monotonic() + _MATCH
         while not await self.shared.ros.call(self.is_ready):
             if time.monotonic() >= end:
-                raise AdapterUnavailable(f"no server of {self.mapping.target} can be reached")
+                raise AdapterUnavailable(f"no server of {self.mapping.target} is available")
             await asyncio.sleep(_PAUSE)
 
     async def need_feedback(self) -> None:
@@ -121,7 +121,7 @@ class Run(Binding):
         if not await self.shared.until(heard, self.shared.settling):
             why = self.feedback.missing() if self.feedback is not None else "no feedback yet"
             raise AdapterUnavailable(
-                f"{why}: {self.mapping.target} gets no goal without it",
+                f"{why}: {self.mapping.target} accepts no goals without feedback",
                 remedy="Check the node that publishes it.",
             )
 
@@ -229,7 +229,7 @@ class Goal:
         if not handle.accepted:
             raise DeviceRejected(
                 f"the server of {self._name} rejected the goal",
-                remedy="Send a goal that the robot can reach from where it is.",
+                remedy="Send a goal that the robot can reach from its current position.",
             )
         await self._ros.call(self._ask_result, handle)
 
@@ -266,7 +266,9 @@ class Goal:
         if self._result.done:
             return
         if not ready:
-            raise AdapterUnavailable(f"the server of {self._name} has gone while it ran the goal")
+            raise AdapterUnavailable(
+                f"the server of {self._name} disappeared while it ran the goal"
+            )
         pulse = self._pulse
         if pulse is None:
             return
@@ -275,9 +277,8 @@ class Goal:
         # only one that has answered while it ran this goal is missed.
         if pulse.answers > self._answers and silent > self._run.silence:
             raise DeviceTimeout(
-                f"the server of {self._name} has fallen silent for {silent:.1f} s while it ran "
-                "the goal",
-                remedy="Check the robot's node; look at the robot's state before the next goal.",
+                f"the server of {self._name} sent nothing for {silent:.1f} s while it ran the goal",
+                remedy="Check the robot's node, and the robot's state before the next goal.",
             )
 
     def _outcome(self, status: int, value: Any) -> Any:
@@ -293,10 +294,10 @@ class Goal:
             if self._stopping:
                 raise Cancelled(f"{self._name} was stopped")
             raise DeviceRejected(
-                f"{self._name} cancelled the goal by itself, or for somebody else", details=details
+                f"{self._name} cancelled the goal itself, or for another client", details=details
             )
         raise AdapterUnavailable(
-            f"the server of {self._name} was restarted and does not know the goal any more"
+            f"the server of {self._name} was restarted and no longer knows the goal"
         )
 
     async def _cancelled(self) -> tuple[Any] | None:
@@ -318,8 +319,8 @@ class Goal:
         if not await self._accepted.wait(_LATE):
             self._abandon()
             raise DeviceTimeout(
-                f"the server of {self._name} has not answered to the goal yet",
-                remedy="The goal is cancelled as soon as it is accepted; look at the robot's node.",
+                f"the server of {self._name} has not responded to the goal yet",
+                remedy="The goal will be cancelled as soon as it is accepted; check the robot's node.",
             )
         handle = self._accepted.result()
         if not handle.accepted:
@@ -329,11 +330,13 @@ class Goal:
         end = time.monotonic() + _REST
         await answer.wait(_REST)
         if answer.done and _is_refused(answer.result()) and not await self._result.wait(_RACE):
-            raise DeviceRejected(f"the server of {self._name} refuses to cancel; the goal goes on")
+            raise DeviceRejected(
+                f"the server of {self._name} refuses to cancel; the goal continues"
+            )
         if not await self._result.wait(max(0.0, end - time.monotonic())):
             self._abandon()
             raise DeviceTimeout(
-                f"the cancel of {self._name} was sent and is not confirmed",
+                f"the cancel of {self._name} was sent but is not confirmed",
                 remedy="Check the robot: it may still be moving. Use the e-stop if in doubt.",
             )
         return True

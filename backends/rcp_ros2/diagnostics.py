@@ -120,7 +120,7 @@ class _Board:
             self.shared.look_again()
 
     def _full(self) -> None:
-        text = f"{self.topic} has more than {_MOST} statuses: the rest is left out"
+        text = f"{self.topic} has more than {_MOST} statuses: the others are ignored"
         self.shared.trouble(f"{self.topic} full", text if len(self.statuses) >= _MOST else None)
 
     def _new(self, diagnosis: Diagnosis, stamp: int | None) -> _Status:
@@ -160,7 +160,7 @@ class _Board:
         for status in self.statuses.values():
             was = status.diagnosis.level
             if status.heard < oldest and was != "stale":
-                said = f"nothing heard for {limit:g} s; it was {was}"
+                said = f"no update for {limit:g} s; it was {was}"
                 text = f"{said}: {status.diagnosis.message}" if status.diagnosis.message else said
                 status.diagnosis = msgspec.structs.replace(
                     status.diagnosis, level="stale", message=text
@@ -183,7 +183,7 @@ class StatusOf(Binding):
         facts = common(
             status.path,
             mapping,
-            f"Diagnostics of {status.diagnosis.name or 'a part without a name'}.",
+            f"Diagnostics of {status.diagnosis.name or 'an unnamed component'}.",
             topic=board.topic,
             status=status.diagnosis.name,
             hardware_id=status.diagnosis.hardware_id or None,
@@ -204,9 +204,7 @@ class Changes(Binding):
     """The changes of the levels on one topic."""
 
     def __init__(self, board: _Board, name: str, mapping: Mapping) -> None:
-        text = (
-            f"A status on {board.topic} that has changed its level, or is not well from the first."
-        )
+        text = f"A status on {board.topic} changed its level, or was not OK in its first report."
         facts = common(name, mapping, text, topic=board.topic)
         super().__init__(board.shared, Resource(value=DiagnosisChange, live=True, **facts), mapping)
         self.placed = board.placed
@@ -214,6 +212,6 @@ class Changes(Binding):
     async def read(self) -> Any:
         """Say that nothing changed; the kernel would have answered with the last one."""
         raise AdapterUnavailable(
-            "no status has changed its level yet",
-            remedy="Subscribe to it, and wait for it to happen.",
+            "no status has changed its level so far",
+            remedy="Subscribe to it to receive the next one.",
         )

@@ -80,7 +80,7 @@ class Goals:
 def goals_of(shared: Shared, name: str, mapping: Mapping) -> Binding:
     """Make the sensor of an action's goals; in the ROS thread."""
     action = mapping.target
-    text = f"The goals of action {action}, the newest first, whoever sent them."
+    text = f"Goals of action {action} from any client, newest first."
     facts = common(name, mapping, text, action=action)
     codec = _Statuses(shared)
     resource = Resource(value=codec.type, native=_TYPE, **facts)

@@ -168,5 +168,5 @@ class GraphWatch:
             chosen = self._chosen[name] = offered[0]
         if len(offers) > 1:
             each = ", ".join(f"{type_} by {who}" for type_, who in sorted(offers.items()))
-            disputed[name] = f"{name} is published as {each}: only {chosen} is read"
+            disputed[name] = f"{name} is published as {each}; only {chosen} is read"
         return chosen

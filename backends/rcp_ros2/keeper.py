@@ -88,7 +88,7 @@ class Keeper:
         if found is None:
             return
         if found.latched:
-            raise EstopActive("the robot was stopped before this reached it")
+            raise EstopActive("the robot was stopped before this was sent")
         del self.holds[robot]
 
     def told(self, server: ActionServer) -> None:

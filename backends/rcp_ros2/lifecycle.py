@@ -204,7 +204,7 @@ class ChangeOf(Binding):
         facts = common(
             name,
             mapping,
-            f"Leads the lifecycle node {node} to another state, and returns the state it is in then.",
+            f"Change the state of the lifecycle node {node}, and return the resulting state.",
             node=node,
         )
         facts["timeout"] = shared.config.transition_timeout + shared.config.timeout + _MARGIN
@@ -232,7 +232,7 @@ class ChangeOf(Binding):
         energises = transition in _ENERGISING
         if energises and self.shared.host.is_latched(self.resource.robot):
             raise EstopActive(
-                f"an e-stop is latched: {self._node} cannot be told to {transition}",
+                f"an e-stop is latched: {self._node} is not allowed to {transition}",
                 remedy="Reset the e-stop first; `deactivate`, `cleanup` and `shutdown` are allowed.",
             )
         before = (await self._question.ask(self.timeout)).state
@@ -245,9 +245,8 @@ class ChangeOf(Binding):
         after = await self._after(transition, succeeded=response.success)
         if not response.success:
             raise DeviceRejected(
-                f"{self._node} did not succeed to {transition}: it was {before} and is "
-                f"{after.state} now",
-                remedy="Look at the node's log for its reason.",
+                f"{self._node} failed to {transition}: it was {before} and is now {after.state}",
+                remedy="See the node's log for the reason.",
                 details={"before": before, "state": after.state, "transitions": after.transitions},
             )
         return after
@@ -255,10 +254,10 @@ class ChangeOf(Binding):
     def _impossible(self, transition: Transition, state: State) -> DeviceRejected:
         possible = list(_POSSIBLE.get(state, ()))
         return DeviceRejected(
-            f"{self._node} is {state} and cannot {transition} from there",
+            f"{self._node} is {state} and cannot {transition} from this state",
             remedy=f"From {state} it can {' or '.join(possible)}."
             if possible
-            else f"Wait until it has left the state {state}, or start the node again.",
+            else f"Wait until it has left the state {state}, or restart the node.",
             details={"state": state, "transitions": possible},
         )
 

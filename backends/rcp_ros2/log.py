@@ -88,7 +88,7 @@ class Records(Binding):
         facts = common(
             _NAME,
             mapping,
-            f"What the robot's nodes log, from level {level} on.",
+            f"Log records of the robot's nodes, at level {level} and above.",
             topic=_TOPIC,
             type="rcl_interfaces/msg/Log",
         )
@@ -104,8 +104,8 @@ class Records(Binding):
     async def read(self) -> Any:
         """Say that nothing came; the kernel would have answered with the last one."""
         raise AdapterUnavailable(
-            "no node has logged anything of this level yet",
-            remedy="Subscribe to it, and wait for it to happen.",
+            "no node has logged at this level so far",
+            remedy="Subscribe to it to receive the next one.",
         )
 
     def close(self) -> None:

@@ -154,7 +154,7 @@ class StopCall:
         response = await self._caller.call(request, shared.config.timeout)
         if getattr(response, "success", True) is False:
             said = getattr(response, "message", "") or "success: false"
-            raise DeviceRejected(f"{self.name} answered {said!r}")
+            raise DeviceRejected(f"{self.name} responded {said!r}")
 
     def close(self) -> None:
         """Let go of the client."""

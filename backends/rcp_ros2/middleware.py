@@ -36,11 +36,11 @@ def check_middleware() -> None:
             check=False,
         )
     except (OSError, subprocess.TimeoutExpired) as error:
-        raise NotReady(f"whether {asked} can be loaded was not found out: {error}") from None
+        raise NotReady(f"cannot determine whether {asked} can be loaded: {error}") from None
     if found.returncode:
         said = [line for line in found.stderr.splitlines() if line.strip()]
         why = said[-1].strip() if said else f"exit code {found.returncode}"
         raise ConfigError(
-            f"the ROS 2 middleware that the environment asks for ({asked}) cannot be loaded: {why}; "
+            f"the ROS 2 middleware selected by the environment ({asked}) cannot be loaded: {why}; "
             "install it, or unset the variable"
         )

@@ -63,7 +63,7 @@ class Outlet:
             )
         except Exception as error:
             self._profile = None
-            why = f"{self._topic} cannot be published: {error}"
+            why = f"cannot publish {self._topic}: {error}"
             self._complain(f"publisher {self._topic}", why)
             raise AdapterUnavailable(why) from error
 

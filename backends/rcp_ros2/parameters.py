@@ -281,7 +281,7 @@ class Setting(Binding):
         if value is None:  # not every node tells that it takes one back
             name = self.described.name
             self._events.lost(self._node.node, name)
-            raise AdapterUnavailable(f"{self._node.node} has no parameter '{name}' any more")
+            raise AdapterUnavailable(f"{self._node.node} no longer has a parameter '{name}'")
         return value
 
     async def write(self, value: Any) -> Any:

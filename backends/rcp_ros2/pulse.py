@@ -120,7 +120,7 @@ class Pulses:
             if pulse.answers and not due:  # the first answer is wanted soon
                 continue
             gone = self.is_silent(node)
-            self._complain(node, f"the node {node} has stopped answering" if gone else None)
+            self._complain(node, f"the node {node} no longer responds" if gone else None)
             pulse.ask()
 
     def is_silent(self, node: str) -> bool:

@@ -129,14 +129,14 @@ def clash(topic: str, ours: Profile, publishers: Iterable[Any]) -> str | None:
     """Say which publishers a subscription will never hear, and why; None if it hears all."""
     asked = ours.terms("the gateway")
     lost = [words for offer in publishers for words in mismatches(Terms.of(offer), asked)]
-    return f"{topic} is not heard in full: {'; '.join(lost)}" if lost else None
+    return f"{topic} is not received from every publisher: {'; '.join(lost)}" if lost else None
 
 
 def deaf(topic: str, ours: Profile, subscriptions: Iterable[Any]) -> str | None:
     """Say which subscribers will never hear a publisher, and why; None if all do."""
     offered = ours.terms("the gateway")
     lost = [words for ask in subscriptions for words in mismatches(offered, Terms.of(ask))]
-    return f"{topic} does not reach everybody: {'; '.join(lost)}" if lost else None
+    return f"{topic} does not reach every subscriber: {'; '.join(lost)}" if lost else None
 
 
 class Terms(NamedTuple):
@@ -171,31 +171,31 @@ def mismatches(offer: Terms, ask: Terms) -> list[str]:
     found: list[str] = []
     if ask.reliable and not offer.reliable:
         found.append(
-            f"{here} publishes best effort and {there} asks for reliable "
-            f"(have {here} publish reliable, or {there} ask for best effort)"
+            f"{here} publishes best effort and {there} requests reliable "
+            f"(let {here} publish reliable, or {there} request best effort)"
         )
     if ask.latched and not offer.latched:
         found.append(
-            f"{here} publishes volatile and {there} asks for transient local "
-            f"(have {here} publish transient local, or {there} ask for volatile)"
+            f"{here} publishes volatile and {there} requests transient local "
+            f"(let {here} publish transient local, or {there} request volatile)"
         )
     if offer.deadline > ask.deadline:
         found.append(
-            f"{there} asks for a message every {ask.deadline / 1e9:g} s and {here} promises "
-            f"{_every(offer.deadline)} (give {here} a deadline that is as short, or {there} none)"
+            f"{there} requests a deadline of {ask.deadline / 1e9:g} s and {here} offers "
+            f"{_every(offer.deadline)} (set a deadline at least as short for {here}, or none for {there})"
         )
     if ask.manual and not offer.manual:
         found.append(
-            f"{there} asks for a liveliness by topic and {here} offers an automatic one "
-            f"(have {here} offer it by topic, or {there} ask for automatic)"
+            f"{there} requests liveliness by topic and {here} offers automatic "
+            f"(let {here} offer it by topic, or {there} request automatic)"
         )
     if offer.lease > ask.lease:
         found.append(
-            f"{there} asks for a sign of life every {ask.lease / 1e9:g} s and {here} promises "
-            f"{_every(offer.lease)} (give {here} a lease that is as short, or {there} none)"
+            f"{there} requests a liveliness lease of {ask.lease / 1e9:g} s and {here} offers "
+            f"{_every(offer.lease)} (set a lease at least as short for {here}, or none for {there})"
         )
     return found
 
 
 def _every(span: int) -> str:
-    return "none" if span >= _EVER else f"one every {span / 1e9:g} s"
+    return "none" if span >= _EVER else f"{span / 1e9:g} s"

@@ -84,7 +84,7 @@ class Rest:
         rate = self.contested()
         names = ", ".join(self.others)
         if rate:
-            return f"{names} commands {self.topic} at {rate:.0f} Hz"
+            return f"{names} publishes on {self.topic} at {rate:.0f} Hz"
         return f"{names} may publish on {self.topic} too"
 
     # -- ROS thread ------------------------------------------------------------------------------
@@ -137,7 +137,7 @@ class Rest:
         """Find out who else publishes, and listen to them."""
         node = self._shared.ros.node
         found = Counter(
-            node_of(endpoint) or "a node without a name"
+            node_of(endpoint) or "an unnamed node"
             for endpoint in node.get_publishers_info_by_topic(self.topic)
         )
         own = node.get_fully_qualified_name()

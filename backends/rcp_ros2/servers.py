@@ -68,7 +68,7 @@ class ActionServer:
         goals = "1 goal" if count == 1 else f"{count} goals"
         if self.refused:
             return f"{self.name} refuses to cancel {goals}"
-        return f"{goals} of {self.name} not ended yet"
+        return f"{goals} of {self.name} still active"
 
     # -- ROS thread ------------------------------------------------------------------------------
 

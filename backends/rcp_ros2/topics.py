@@ -205,9 +205,9 @@ def _advise(subscription: TopicSubscription, size: int) -> None:
         "ros_messages_may_be_lost",
         topic=subscription.topic,
         bytes=size,
-        detail="best effort, and larger than the shared memory of Fast DDS takes by itself: most "
-        "of them are lost unless the node that publishes them has more",
-        remedy=f"Start that node with {_PROFILES}={PROFILE}, or have it publish reliable.",
+        detail="best effort, and too large for the default shared memory of Fast DDS: most "
+        "of them are lost unless the publishing node configures more",
+        remedy=f"Start that node with {_PROFILES}={PROFILE}, or let it publish reliable.",
     )
 
 

@@ -41,8 +41,12 @@ _REP105 = {
 class Lookup(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Which frame is wanted in which, and when."""
 
-    target: Annotated[str, Meta(min_length=1, description="Frame to give the place in.")]
-    source: Annotated[str, Meta(min_length=1, description="Frame whose place is wanted.")]
+    target: Annotated[
+        str, Meta(min_length=1, description="Target frame, in which the result is expressed.")
+    ]
+    source: Annotated[
+        str, Meta(min_length=1, description="Source frame, whose position is requested.")
+    ]
     time: (
         Annotated[
             float, Meta(description="Seconds since the epoch.", extra_json_schema={"unit": "s"})
@@ -205,9 +209,9 @@ def _unknown(error: UnknownFrame, target: str) -> InvalidValue:
     names = ", ".join(error.near or error.known[:_SHOWN])
     return InvalidValue(
         str(error),
-        remedy=f"Use one of the frames there are: {names}."
+        remedy=f"Known frames: {names}."
         if names
-        else "Start the nodes that publish transforms; no frame is known yet.",
+        else "No frame is known yet: start the nodes that publish transforms.",
         details={
             "pointer": "/target" if f"'{target.lstrip('/')}'" in str(error) else "/source",
             "near": error.near,
@@ -220,9 +224,9 @@ def _out_of_range(error: Extrapolation) -> OutOfRange:
     late = error.at > error.last
     by = (error.at - error.last if late else error.first - error.at) / 1e9
     return OutOfRange(
-        f"the frame '{error.child}' is known from {first:.6f} to {last:.6f} s; the time asked for "
+        f"the frame '{error.child}' is known from {first:.6f} to {last:.6f} s; the requested time "
         f"is {by:.6f} s {'after' if late else 'before'} that",
-        remedy="Leave `time` out for the latest, or ask for a time inside.",
+        remedy="Omit `time` for the latest, or use a time in this range.",
         details={"pointer": "/time", "frame": error.child, "value": error.at / 1e9}
         | {"first": first, "last": last},
     )
@@ -282,7 +286,7 @@ class Moved(Binding):
         self._telling: asyncio.Task[None] | None = None
         type_ = _pair_type(target, source)
         self._make = _maker(type_)
-        text = f"Where the frame {source} is in {target}"
+        text = f"Transform of the frame {source} in {target}"
         if known := _REP105.get(target):
             text += f", which is {known}"
         facts = common(name, mapping, text, target=target, source=source)
@@ -337,7 +341,7 @@ class LookUp(Binding):
         output = outward(load(_STAMPED))
         self._make = _maker(output)
         span = tree.shared.config.tf.buffer
-        text = f"Where one frame is in another, now or at a time within the last {span:g} s"
+        text = f"Transform of one frame in another, now or at a time within the last {span:g} s"
         resource = Resource(
             input=Lookup,
             output=output,
