@@ -65,7 +65,7 @@ class Cameras:
         ask = Command(_REQUEST, (number, 0.0, 0.0, 0.0), component=component)
         with self._vehicle.listening(_INFORMATION, take, anybody=True):
             try:
-                await self._commands.send(ask, "request of the camera")
+                await self._commands.send(ask, "camera request")
             except RcpError:
                 self._vehicle.check()
                 return False
@@ -87,7 +87,7 @@ class Cameras:
         ):
             await self._commands.send(command, "photo")
             if not await vehicle.until(told.done, _TAKING):
-                raise DeviceTimeout("photo: accepted, but the camera does not say so")
+                raise DeviceTimeout("photo: accepted, but the camera does not confirm it")
         frame = told.result()
         return _photo(frame.fields(), v2=frame.definition.name == _CAPTURED)
 

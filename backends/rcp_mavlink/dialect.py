@@ -196,5 +196,5 @@ def _of_pymavlink(name: str) -> Dialect:
         return Dialect(importlib.import_module(f"pymavlink.dialects.v20.{name}"))
     except ModuleNotFoundError as error:
         raise ConfigError(
-            f"`dialect`: pymavlink has no {name!r}; name one it has, or an XML file"
+            f"`dialect`: pymavlink has no {name!r}; use one of its dialects, or an XML file"
         ) from error

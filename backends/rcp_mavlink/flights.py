@@ -96,7 +96,7 @@ class Flights:
     async def _come_down(self, mode: str, what: str, progress: Progress) -> m.Height:
         vehicle, family = self._vehicle, self._vehicle.family
         if vehicle.landed and not vehicle.armed and family.flies:
-            raise PreconditionFailed(f"{what}: the vehicle stands on the ground already")
+            raise PreconditionFailed(f"{what}: the vehicle is already on the ground")
         first = self._left(await located(vehicle), what)
         near = 0.0
         if what == "return" and family.kind != "copter":

@@ -33,9 +33,9 @@ _BURST_FROM = 4 * PIECE  # bytes that are worth a burst
 _END_OF_FILE, _ERRNO, _NO_SESSION, _UNKNOWN = 6, 2, 5, 7
 _EXISTS, _NOT_FOUND = 8, 10
 _WORDS = {
-    1: "failed", 2: "failed", 3: "invalid size", 4: "no such session", 5: "no session is free",
-    6: "end of file", 7: "not supported", 8: "it exists already", 9: "it is write-protected",
-    10: "there is no such file or directory",
+    1: "failed", 2: "failed", 3: "invalid size", 4: "no such session", 5: "no free session",
+    6: "end of file", 7: "not supported", 8: "it already exists", 9: "it is write-protected",
+    10: "no such file or directory",
 }  # fmt: skip
 _ENOENT, _EEXIST = 2, 17
 _PATIENT = 15  # times that it is asked for what takes long
@@ -151,8 +151,8 @@ class Ftp:
             del self._waiting[wanted]
         self._vehicle.check()
         raise DeviceTimeout(
-            "the vehicle did not answer over FTP",
-            remedy="Look at sensor/links; a vehicle without FTP never answers.",
+            "the vehicle did not respond over FTP",
+            remedy="Check sensor/links; a vehicle without FTP never responds.",
         )
 
     async def do(
@@ -286,7 +286,7 @@ def _refusal(reply: Reply, what: str) -> RcpError:
     if code == _NOT_FOUND:
         return InvalidValue(
             f"{what}: {words}",
-            remedy="service/ftp/list says what there is.",
+            remedy="List existing files with service/ftp/list.",
             details={**details, "pointer": "/path"},
         )
     if code == _UNKNOWN:

@@ -142,7 +142,7 @@ class Hub:
         """Say that nothing is heard of a vehicle, and what is known of why."""
         errors = [f"{link.text}: {link.error}" for link in self.links if link.error]
         why = f" ({'; '.join(errors)})" if errors else ""
-        return f"nothing heard of vehicle {vehicle.system} for {self.config.silence:g} s{why}"
+        return f"no message from vehicle {vehicle.system} for {self.config.silence:g} s{why}"
 
     async def first(self) -> None:
         """Wait for the first vehicle.
@@ -159,7 +159,7 @@ class Hub:
             if (rejected := sum(s.unsigned + s.rejected for s in stats)) > 0:
                 errors.append(f"{rejected} messages were not signed with `key`")
             where = "; ".join(errors) or ", ".join(self.config.links)
-            raise NotReady(f"{who} is heard ({where})") from None
+            raise NotReady(f"{who} is connected ({where})") from None
 
 
 @asynccontextmanager

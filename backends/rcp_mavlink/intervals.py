@@ -82,7 +82,7 @@ class Intervals:
         """
         number = self._vehicle.dialect.by_name[message].id
         await self._commands.send(
-            Command(_REQUEST_MESSAGE, (number, 0.0, 0.0, 0.0)), f"request of {message}"
+            Command(_REQUEST_MESSAGE, (number, 0.0, 0.0, 0.0)), f"request for {message}"
         )
 
     async def close(self) -> None:

@@ -115,15 +115,15 @@ class Journeys:
         family = self._vehicle.family
         if goal.yaw is not None and (family.drives or family.circles):
             raise InvalidValue(
-                f"move_to: a {family.kind} looks where it goes to, and takes no yaw",
-                remedy="Leave `yaw` out.",
+                f"move_to: a {family.kind} faces its direction of travel and accepts no yaw",
+                remedy="Remove `yaw`.",
                 details={"pointer": "/yaw"},
             )
         if goal.speed is not None and family.circles and not family.px4:
             least, most = self._value(_LEAST) or 0.0, self._value(_MOST) or math.inf
             if not least <= goal.speed <= most:
                 raise OutOfRange(
-                    f"move_to: its airspeed is {least:g} to {most:g} m/s, not {goal.speed:g}",
+                    f"move_to: its airspeed range is {least:g} to {most:g} m/s, not {goal.speed:g}",
                     details={"pointer": "/speed"},
                 )
 
@@ -225,8 +225,7 @@ class Journeys:
                 raise
             raise DeviceRejected(
                 f"{error}: {why}",
-                remedy="Choose a place inside the fence; service/fence/download and param/FENCE_* "
-                "say where it is.",
+                remedy="Choose a target inside the fence: see service/fence/download, param/FENCE_*.",
                 details={**known, "fence": why},
             ) from None
 

@@ -58,7 +58,7 @@ class Logs:
         self._turn = asyncio.Lock()
 
     async def list(self, _: None, progress: Progress) -> list[OnBoard]:
-        """List the logs on board."""
+        """List the on-board logs."""
         async with self._turn:
             return await self._entries()
 
@@ -111,7 +111,7 @@ class Logs:
             if log is None:
                 raise InvalidValue(
                     f"there is no log {given.id}",
-                    remedy="service/log/list says which there are.",
+                    remedy="List existing logs with service/log/list.",
                     details={"pointer": "/id"},
                 )
             end = min(log.size, given.offset + given.count)
@@ -145,5 +145,5 @@ class Logs:
                     progress(fraction=1 - len(missing) / whole)
             self._hub.send(vehicle, module.MAVLink_log_request_end_message(*to))
         if missing:
-            raise DeviceTimeout(f"{len(missing)} pieces of log {number} did not come")
+            raise DeviceTimeout(f"{len(missing)} pieces of log {number} did not arrive")
         return bytes(data)

@@ -110,7 +110,7 @@ class Measurement:
     def unknown(self) -> str:
         """Say why its speed is not known."""
         if not self.estimated:
-            return "the autopilot has no estimate of its velocity"
+            return "the autopilot has no velocity estimate"
         age = self.position_age
         return "no position received" if math.isinf(age) else f"no position for {age:.1f} s"
 
@@ -139,9 +139,9 @@ class Measurement:
         """
         if self.stale(strict=strict):
             raise PreconditionFailed(
-                f"{self.unknown()}, and at most {self.limit:g} s are allowed",
-                remedy="The vehicle is heard, but its position is not: look at sensor/links and "
-                "sensor/ekf. action/land, action/rtl and service/hold are accepted meanwhile.",
+                f"{self.unknown()}; at most {self.limit:g} s are allowed",
+                remedy="The vehicle is connected but sends no position: check sensor/links and "
+                "sensor/ekf. action/land, action/rtl and service/hold are still accepted.",
             )
 
     # Rest
@@ -150,7 +150,7 @@ class Measurement:
         """Report whether it is where a step of the stop is to bring it."""
         vehicle = self._vehicle
         if vehicle.lost:
-            return MotionState(None, f"vehicle {vehicle.system} is not heard")
+            return MotionState(None, f"vehicle {vehicle.system} is not connected")
         if not self.heard:
             age = self.age("HEARTBEAT")
             since = "since it returned" if math.isinf(age) else f"for {age:.1f} s"
@@ -180,7 +180,7 @@ class Measurement:
             return MotionState(at_rest=True, detail=f"circles in {mode}", energised=True)
         still = self.still_for
         if still < _SETTLED:
-            moves = "comes to rest" if still else f"moves at {speed:.1f} m/s"
+            moves = "coming to rest" if still else f"moves at {speed:.1f} m/s"
             detail = f"{moves} in {mode}"
             return MotionState(at_rest=False, detail=detail, energised=True)
         if mode not in family.resting:

@@ -29,7 +29,7 @@ class Arm(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Armed(Struct, frozen=True):
-    """Whether the motors may turn."""
+    """Whether the vehicle is armed."""
 
     armed: bool
     mode: str

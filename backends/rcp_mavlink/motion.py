@@ -101,9 +101,9 @@ class Motion:
         """
         if not holds():  # a heartbeat comes once a second, and sooner if it is asked for
             with suppress(DeviceRejected, DeviceTimeout):
-                await self._commands.send(Command(512), "request of HEARTBEAT")
+                await self._commands.send(Command(512), "request for HEARTBEAT")
         if not await self._vehicle.until(holds, _SETTLE):
-            raise DeviceTimeout(f"{what}: accepted, but the vehicle does not show it")
+            raise DeviceTimeout(f"{what}: accepted, but telemetry does not confirm it")
 
     async def follow(self, tell: Callable[[], bool], what: str, stays: Callable[[], bool]) -> None:
         """Wait for `tell`, which reports, and see that the vehicle stays at it.
@@ -131,7 +131,7 @@ class Motion:
         reasons = self._vehicle.texts_since(began, severity=4)
         said = f": {'; '.join(reasons[-3:])}" if reasons else ""
         raise DeviceRejected(
-            f"{what}: the vehicle left it for mode {self._vehicle.mode}{said}",
+            f"{what}: the vehicle changed to mode {self._vehicle.mode}{said}",
             details={"mode": self._vehicle.mode, "texts": reasons},
         )
 
@@ -164,7 +164,7 @@ class Motion:
         family, hovering = vehicle.family, vehicle.hovering
         modes = family.holding(hovering=hovering) + family.level(hovering=hovering)
         if not modes:
-            raise NotImplementedByRobot(f"a {family.kind} has no mode to hold in")
+            raise NotImplementedByRobot(f"a {family.kind} has no holding mode")
         for mode in modes[:-1]:
             try:
                 await self._hold_in(mode)

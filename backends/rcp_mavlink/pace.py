@@ -64,7 +64,7 @@ class Pace:
         if self._fast_since is None:
             self._fast_since = now
         if now - self._fast_since > _TOO_LONG:
-            self.fault = f"{asked:g} m/s was asked for, and it moves at {speed:.1f} m/s"
+            self.fault = f"{asked:g} m/s requested, but it moves at {speed:.1f} m/s"
 
     def _aligned(self, now: float) -> bool:
         """Tell whether it looks where it should, or whether nobody cares."""
@@ -76,7 +76,9 @@ class Pace:
                 return True
         if self._there_since is not None and now - self._there_since > _TURNING:
             looks = (
-                "says no heading" if self.heading is None else f"looks to {self.heading:.2f} rad"
+                "reports no heading"
+                if self.heading is None
+                else f"its heading is {self.heading:.2f} rad"
             )
             self.fault = f"it is there, but {looks}, not to {self._yaw:.2f} rad"
         return False

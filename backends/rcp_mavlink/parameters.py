@@ -24,8 +24,8 @@ _NOT_THERE = 1
 _UNLISTED = 0xFFFF
 """The place of a value that is said by itself, and not in a list."""
 _ERRORS = {
-    2: "out of its range", 3: "not permitted", 4: "no such component", 5: "read-only",
-    6: "a type that it does not know", 7: "another type", 8: "cannot be read",
+    2: "out of range", 3: "not permitted", 4: "no such component", 5: "read-only",
+    6: "unknown type", 7: "wrong type", 8: "cannot be read",
 }  # fmt: skip
 
 
@@ -100,12 +100,14 @@ class Parameters:
         if value is not None:
             return value
         if name in self.known:
-            raise DeviceTimeout(f"the vehicle did not say {name}")
+            raise DeviceTimeout(f"the vehicle did not report {name}")
         raise self._unknown(name)
 
     def _unknown(self, name: str) -> UnknownPath:
         near = difflib.get_close_matches(name.upper(), self.known, 3, 0.6)
-        remedy = f"Did you mean {' or '.join(near)}?" if near else "param/* lists those it has."
+        remedy = (
+            f"Did you mean {' or '.join(near)}?" if near else "See param/* for existing parameters."
+        )
         return UnknownPath(f"the vehicle has no parameter {name}", remedy=remedy)
 
     async def write(self, name: str, value: float) -> float:
@@ -116,7 +118,7 @@ class Parameters:
         vehicle, before = self._vehicle, self.known[name]
         limits = bounds(before.type)
         if limits is not None and not limits[0] <= value <= limits[1]:
-            raise OutOfRange(f"{name} holds {limits[0]} to {limits[1]}, not {value:g}")
+            raise OutOfRange(f"{name} must be {limits[0]} to {limits[1]}, not {value:g}")
         to = (vehicle.system, vehicle.component)
         message, wanted = param_set(
             self._hub.dialect.module, to, name, value, before.type, bytewise=vehicle.bytewise

@@ -32,7 +32,7 @@ def fix_of(vehicle: Vehicle) -> Fix:
     fix = vehicle.fix
     if fix is None:
         raise PreconditionFailed(
-            "the vehicle does not know where it is", remedy="Wait for GPS: see sensor/gps."
+            "the vehicle has no position", remedy="Wait for GPS: see sensor/gps."
         )
     return fix
 
@@ -45,7 +45,7 @@ def place_of(vehicle: Vehicle, goal: m.MoveTo, fix: Fix) -> tuple[float, float]:
         raise InvalidValue("give latitude and longitude, or north and east, not both")
     if degrees:
         if goal.latitude is None or goal.longitude is None:
-            raise InvalidValue("latitude and longitude go together")
+            raise InvalidValue("latitude and longitude must be given together")
         return goal.latitude, goal.longitude
     if not metres:
         return fix.lat, fix.lon

@@ -21,7 +21,7 @@ MISSION, FENCE, RALLY = 0, 1, 2
 _FRAMES = {"relative": 6, "absolute": 5, "terrain": 11, "mission": 2}
 _WORDS = {0: "absolute", 2: "mission", 3: "relative", 5: "absolute", 6: "relative", 10: "terrain", 11: "terrain"}  # fmt: skip
 _RESULTS = {
-    1: "failed", 2: "unsupported frame", 3: "a command that it does not know", 4: "no space left",
+    1: "failed", 2: "unsupported frame", 3: "unknown command", 4: "no space left",
     5: "invalid item", 6: "invalid parameter 1", 7: "invalid parameter 2", 8: "invalid parameter 3",
     9: "invalid parameter 4", 10: "invalid latitude", 11: "invalid longitude",
     12: "invalid altitude", 13: "invalid sequence", 14: "denied", 15: "cancelled",
@@ -110,7 +110,9 @@ class Plans:
                         return len(items)
                     seq = fields["seq"]
                     if seq >= len(messages):
-                        raise DeviceRejected(f"the vehicle asks for item {seq}, which is not there")
+                        raise DeviceRejected(
+                            f"the vehicle requested item {seq}, which does not exist"
+                        )
                     last = messages[seq]
                     self._hub.send(vehicle, last)
                     if progress is not None:
@@ -173,7 +175,7 @@ class Plans:
             except TimeoutError:
                 self._vehicle.check()
                 self._hub.send(self._vehicle, ask)
-        raise DeviceTimeout(f"the vehicle fell silent in the {what} of a plan")
+        raise DeviceTimeout(f"the vehicle stopped responding during the {what} of a plan")
 
     @staticmethod
     def _check(result: int, what: str) -> None:

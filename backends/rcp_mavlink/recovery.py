@@ -26,7 +26,7 @@ class Recovery:
         """
         vehicle, measurement = self._vehicle, self._motion.measurement
         if not await vehicle.until(lambda: measurement.heard, _KNOWN):
-            raise DeviceTimeout("the vehicle is heard, but sends no heartbeat")
+            raise DeviceTimeout("the vehicle sends messages, but no heartbeat")
         if not vehicle.armed:
             return "disarmed: nothing to do"
         if measurement.standing:
@@ -42,6 +42,6 @@ class Recovery:
             except DeviceRejected as error:
                 refused = f"{error}; "
             else:
-                return f"told to {policy}: in {mode}"
+                return f"commanded to {policy}: in {mode}"
         await self._stop.hold()
         return f"{refused}holds in {vehicle.mode}"

@@ -200,7 +200,7 @@ class Robot:
             task.cancel()
         await asyncio.gather(*self._tasks, return_exceptions=True)
         await self.intervals.close()
-        self.vehicle.lose("the gateway has let go of the vehicle")
+        self.vehicle.lose("the gateway has released the vehicle")
         self.vehicle.on_frame.clear()
         self.vehicle.on_text.clear()
 
@@ -336,7 +336,7 @@ class Robot:
                     await asyncio.sleep(0.1)
             heard = True
         if not heard:
-            raise DeviceTimeout("reboot: accepted, and nothing is heard since")
+            raise DeviceTimeout("reboot: accepted, but the vehicle has not come back")
         self.intervals.begin()
 
     async def _set_mode(self, given: m.SetMode, progress: Progress) -> m.SetMode:
@@ -390,7 +390,7 @@ class Robot:
             return self._value(own)
         value = self.telling.value(name)
         if value is None:
-            raise AdapterUnavailable(f"nothing has come of '{name}' yet")
+            raise AdapterUnavailable(f"no value for '{name}' received yet")
         return value
 
     async def write(self, name: str, value: Any) -> Any:

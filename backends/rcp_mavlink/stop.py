@@ -239,7 +239,7 @@ class Stop:
         family = self._vehicle.family
         rungs = ladder(("hold", "level"), family, hovering=self._vehicle.hovering)
         if not rungs:
-            raise NotImplementedByRobot(f"a {family.kind} has no mode to hold in")
+            raise NotImplementedByRobot(f"a {family.kind} has no holding mode")
         self._shown = time.monotonic()
         at, tried = await self._climb(rungs, 0, lambda *_: None, pause=True)
         if at is None:
@@ -338,7 +338,7 @@ class Stop:
         if pause:
             check_fence()
             if self.running:
-                raise EstopActive("the vehicle was stopped meanwhile")
+                raise EstopActive("the vehicle was stopped in the meantime")
             return
         latched = self._latched()
         if self._was_latched and not latched:
@@ -373,7 +373,7 @@ class Stop:
             return None
         detail = measurement.rest(rung).detail
         if rung.group == "hold" and measurement.estimated and measurement.speed is None:
-            raise DeviceTimeout(f"{rung.word} is in force, but {detail}")
+            raise DeviceTimeout(f"{rung.word} is active, but {detail}")
         return f"after {seconds:.0f} s: {detail}"
 
     # Evidence

@@ -160,4 +160,4 @@ class Telling:
     def boot(self) -> None:
         """Publish that it has begun anew."""
         self._complaints, self._asked = [], -math.inf
-        self._publish("event/boot", m.Said("notice", "The vehicle has started anew."))
+        self._publish("event/boot", m.Said("notice", "The vehicle has rebooted."))

@@ -59,7 +59,7 @@ async def keep_twin(options: dict[str, object], port: int, failed: Callable[[str
         finally:
             await _end(process)
         last = said.decode(errors="replace").strip().rpartition("\n")[2]
-        failed(f"the simulated vehicle ended with {status}: {last}")
+        failed(f"the simulated vehicle exited with {status}: {last}")
         await asyncio.sleep(_AGAIN)
 
 

@@ -213,7 +213,7 @@ class Vehicle:
         :raises AdapterUnavailable: it is not.
         """
         if self.lost:
-            raise AdapterUnavailable(f"nothing is heard of vehicle {self.system}")
+            raise AdapterUnavailable(f"no message from vehicle {self.system}")
 
     async def until(self, holds: Callable[[], bool], seconds: float | None = None) -> bool:
         """Wait until something holds, looked at with each frame; tell whether it came to.

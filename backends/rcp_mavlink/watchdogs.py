@@ -139,7 +139,7 @@ class Watchdogs:
             most = max(obeyed[1], 0.0 if last is None else last[1])
             if not obeyed[1] <= own <= most:
                 return Watchdog(
-                    f"{told.mechanism}, but it heeds another ground station ({obeyed[0]}="
+                    f"{told.mechanism}, but it accepts another ground station ({obeyed[0]}="
                     f"{obeyed[1]:g}, the gateway is {own})", None, verified=True, robot=self._robot,
                 )  # fmt: skip
         for name in ("FS_LONG_ACTN", "FS_ACTION"):
@@ -151,8 +151,8 @@ class Watchdogs:
         if options is None or self._vehicle.family.kind != "copter":
             return told
         excepted = {
-            _CONTINUE_IN_AUTO: "a mission goes on",
-            _CONTINUE_IF_PILOTED: "one that holds (BRAKE, LOITER) goes on holding",
+            _CONTINUE_IN_AUTO: "a mission continues",
+            _CONTINUE_IF_PILOTED: "a vehicle in BRAKE or LOITER keeps holding",
         }
         but = [why for bit, why in excepted.items() if int(options[1]) & bit]
         if but:

@@ -24,7 +24,7 @@ import sys
 from pymavlink.generator import mavgen
 xml, out = sys.argv[1:]
 options = mavgen.Opts(out, wire_protocol="2.0", language="Python3", validate=True)
-sys.exit(0 if mavgen.mavgen(options, [xml]) else "ERROR: names or ids are given twice")
+sys.exit(0 if mavgen.mavgen(options, [xml]) else "ERROR: duplicate names or ids")
 """
 _WORD = re.compile(r"\W")
 _made = itertools.count()
@@ -38,7 +38,7 @@ def module_of(path: Path) -> Any:
     :raises ConfigError: it is not there, or is no dialect.
     """
     if not path.is_file():
-        raise ConfigError(f"`dialect`: there is no file {path}")
+        raise ConfigError(f"`dialect`: no such file: {path}")
     with tempfile.TemporaryDirectory(prefix="rcp-dialect-") as folder:
         room = Path(folder)
         for own in files("pymavlink.dialects.v20").iterdir():
@@ -58,7 +58,7 @@ def _generate(path: Path, copy: Path, out: Path) -> None:
             command, capture_output=True, text=True, timeout=_PATIENCE, check=False
         )
     except subprocess.TimeoutExpired as error:
-        raise ConfigError(f"`dialect`: {path} was not read in {_PATIENCE:g} s") from error
+        raise ConfigError(f"`dialect`: reading {path} took longer than {_PATIENCE:g} s") from error
     if done.returncode != 0 or not out.is_file():
         why = _complaint(f"{done.stdout}\n{done.stderr}".replace(str(copy.parent) + "/", ""))
         raise ConfigError(f"`dialect`: {path} is not a dialect: {why}")
