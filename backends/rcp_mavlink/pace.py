@@ -80,5 +80,5 @@ class Pace:
                 if self.heading is None
                 else f"its heading is {self.heading:.2f} rad"
             )
-            self.fault = f"it is there, but {looks}, not to {self._yaw:.2f} rad"
+            self.fault = f"it is at the target, but {looks}, not {self._yaw:.2f} rad"
         return False

@@ -214,7 +214,7 @@ async def test_one_that_is_there_and_looks_elsewhere_is_told(monkeypatch: Any) -
     async with liar() as (found, puppet):
         reply = await found.do("action/move_to", {"north": 0.0, "east": 0.0, "yaw": 2.0})
         assert reply["error"]["code"] == "device_rejected", reply
-        assert "it is there, but looks to 0.00 rad, not to 2.00 rad" in reply["message"]
+        assert "it is at the target, but its heading is 0.00 rad, not 2.00 rad" in reply["message"]
         assert puppet.mode == BRAKE
 
 
