@@ -88,11 +88,11 @@ class Axis(AxisState):
 
     def _take(self, message: can.Message) -> None:
         if self.drive.take(message):
-            self.heard = time.monotonic()
+            self.last_message_at = time.monotonic()
 
     def _batch(self) -> None:
         status = self.status
-        seen = status.moved, status.told, status.resets, status.twins
+        seen = status.moved, status.reports, status.resets, status.twins
         if seen == self._seen:
             return
         old, self._seen = self._seen, seen
@@ -109,7 +109,7 @@ class Axis(AxisState):
         if status.counts["velocity"] != self._velocities:
             self._velocities = status.counts["velocity"]
             self.still = self.still + 1 if self.slow else 0
-        self.drive.look()
+        self.drive.wake_waiters()
         if status.moved != old[0]:
             self._host.publish(f"sensor/{self.name}/motion", views.motion(self))
             if self.configured and status.position is not None:
@@ -122,7 +122,7 @@ class Axis(AxisState):
             self._host.link_restored()  # before anything else is sent to it
         self._lost_once = False
         self.faults.take_back("feedback_lost", "heartbeat_lost")
-        self._health.say(self.name, None)
+        self._health.report(self.name, None)
         self._configure()
 
     def _configure(self) -> None:
@@ -138,20 +138,20 @@ class Axis(AxisState):
             except RcpError as error:
                 text = f"it could not be configured: {error.message}"
                 self.fault("configuration", text)
-                self._health.say(self.name, f"motor '{self.name}': {text}")
+                self._health.report(self.name, f"motor '{self.name}': {text}")
                 await asyncio.sleep(_RETRY)
             else:
                 if self.faults.own("configuration") is not None:
                     self.faults.take_back("configuration")
-                    self._health.say(self.name, None)
+                    self._health.report(self.name, None)
                 self.configured, self.configured_at = True, time.monotonic()
                 if self.status.position is not None:
                     self.first.set()
-                self._tell_protection()
+                self._report_protection()
                 self.show()
                 return
 
-    def _tell_protection(self) -> None:
+    def _report_protection(self) -> None:
         found = self.drive.protection
         if found.within is None:
             log.warning("no_watchdog", motor=self.name, found=found.mechanism)
@@ -320,7 +320,7 @@ class Axis(AxisState):
             if (why := loss(self, now)) is not None:
                 self._lose(why)
             else:
-                self._look(stale(self, now))
+                self._check_feedback(stale(self, now))
         if not self.bus.up:
             return
         if self.mode is not None and self.bus.lag > STALLED:
@@ -362,20 +362,20 @@ class Axis(AxisState):
             self.stop_began = began
         self.show()
 
-    def _look(self, why: Loss | None) -> None:
+    def _check_feedback(self, why: Loss | None) -> None:
         """Stop a motor whose feedback is too old, and take note of its return."""
         was, self.blind = self.blind, why
         if was is None and why is not None:
             self.wanted_on = False
             self.fault(why.fault, why.text)
-            self._health.say(self.name, f"motor '{self.name}': {why.text}")
+            self._health.report(self.name, f"motor '{self.name}': {why.text}")
             self.forget(DeviceTimeout(f"motor '{self.name}': feedback lost: {why.text}"))
             if self.status.energised is not False:
                 self.stop()
             self.show()
         elif was is not None and why is None:
             self.faults.take_back("feedback_lost")
-            self._health.say(self.name, None)
+            self._health.report(self.name, None)
             self.wanted_on = False
             self.show()
 
@@ -397,7 +397,7 @@ class Axis(AxisState):
         was_on = self.status.energised is not False or self.mode is not None
         self.status.enabled = self.status.holding = None
         self.fault(why.fault, why.text)
-        self._health.say(self.name, f"motor '{self.name}': {why.text}")
+        self._health.report(self.name, f"motor '{self.name}': {why.text}")
         self.forget(AdapterUnavailable(f"motor '{self.name}': {why.text}"))
         if was_on:  # it may still run by its last set-point, and still hear us
             self.stop()
@@ -423,7 +423,7 @@ class Axis(AxisState):
             self.faults.note(fault)
             self.show()
         else:
-            self.faults.tell(fault, active=True)
+            self.faults.publish(fault, active=True)
 
     async def clear_faults(self) -> None:
         """Have the drive acknowledge its faults, and take back those that the gateway has seen.

@@ -26,7 +26,7 @@ _CONFIGURING = 1.0  # s that a call waits for a drive to be configured
 def loss(axis: AxisState, now: float) -> Loss | None:
     """Tell whether a drive that was heard is lost."""
     timeout = axis.config.timeout
-    if now - axis.heard > timeout:
+    if now - axis.last_message_at > timeout:
         return Loss("feedback_lost", f"no message received for {timeout:g} s")
     if heartless(axis, now):
         return Loss("heartbeat_lost", "heartbeat lost, although other messages still arrive")
@@ -43,7 +43,7 @@ def stale(axis: AxisState, now: float) -> Loss | None:
         if now - max(at.get(signal, 0.0), since) > limit:
             word = "state" if signal == "enabled" else signal
             text = f"no {word} received for {limit:g} s"
-            if now - axis.heard <= limit:
+            if now - axis.last_message_at <= limit:
                 text += ", although other messages still arrive"
             return Loss("feedback_lost", text)
     return None

@@ -25,7 +25,7 @@ from rcp_kernel.spi import Host, Progress, check_fence, fenced_off
 
 __all__ = ["JointGroupPart"]
 
-_LOOK = 0.01  # s
+_POLL_PERIOD = 0.01  # s
 _FEEDBACK = 0.1  # s between two reports of a move
 _MOVE = 120.0  # s
 
@@ -102,8 +102,8 @@ class JointGroupPart(Part):
 
     def _batch(self) -> None:
         seen = sum(axis.status.moved for axis in self._axes)
-        heard = all(axis.online and axis.blind is None for axis in self._axes)
-        if seen != self._seen and heard:
+        fresh = all(axis.online and axis.blind is None for axis in self._axes)
+        if seen != self._seen and fresh:
             self._seen = seen
             if (value := self._value()) is not None:
                 self._host.publish(self._states, value)
@@ -233,14 +233,17 @@ class JointGroupPart(Part):
         for axis, leg in legs.items():
             axis.ended = ended.append
             axis.command("position", leg.goal, path.follow(leg))
-        told = 0.0
+        reported_at = 0.0
         while not path.over:
-            if time.monotonic() - told >= _FEEDBACK and (here := self._positions()) is not None:
-                told = time.monotonic()
+            if (
+                time.monotonic() - reported_at >= _FEEDBACK
+                and (here := self._positions()) is not None
+            ):
+                reported_at = time.monotonic()
                 left = max(abs(leg.goal - (axis.position or 0.0)) for axis, leg in legs.items())
                 feedback = self._types.feedback(positions=here, left=left)
                 progress(feedback, fraction=path.advance()[0])
-            await asyncio.sleep(_LOOK)
+            await asyncio.sleep(_POLL_PERIOD)
             if ended:
                 raise ended[0]
 
@@ -252,7 +255,7 @@ class JointGroupPart(Part):
         arriving = asyncio.ensure_future(ways)
         try:
             while not arriving.done():
-                await asyncio.wait((arriving,), timeout=_LOOK)
+                await asyncio.wait((arriving,), timeout=_POLL_PERIOD)
                 if ended:
                     raise ended[0]
             arriving.result()
@@ -284,7 +287,7 @@ async def _halted(legs: dict[Axis, Leg], path: Path, why: BaseException) -> None
         for axis in legs:
             axis.ended, axis.leaving = None, True
         while not path.over and any(axis.mode == "position" for axis in legs):  # noqa: ASYNC110
-            await asyncio.sleep(_LOOK)
+            await asyncio.sleep(_POLL_PERIOD)
         settled = await asyncio.gather(
             *(_settle(axis, why) for axis in legs), return_exceptions=True
         )

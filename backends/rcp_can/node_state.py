@@ -103,7 +103,7 @@ class NodeWatch:
     def _lose(self, within: float) -> None:
         self._state = "offline"
         text = f"CANopen node {self._node} ('{self._name}') has sent no heartbeat for {within:g} s"
-        self._health.say(self._name, text)
+        self._health.report(self._name, text)
         self._host.publish(self.path, self.value)
 
     def _on_heartbeat(self, message: can.Message) -> None:
@@ -111,7 +111,7 @@ class NodeWatch:
             raise ValueError("not a heartbeat")
         if self._within is not None:
             self._expect(self._within)
-            self._health.say(self._name, None)
+            self._health.report(self._name, None)
         if state == "booting":
             self._emergencies.clear()
         if state != self._state or self._within is not None:  # or it would count as stale

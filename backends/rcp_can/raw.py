@@ -145,7 +145,7 @@ class BusPart(Part):
         """Return state or statistics as they are; frames are not kept."""
         match name.rpartition("/")[2]:
             case "state" if name.startswith("sensor/"):
-                return self._bus.told
+                return self._bus.reported_state
             case "statistics":
                 return self._bus.statistics()
             case _:
@@ -206,7 +206,7 @@ class BusPart(Part):
             directory = self._bus.config.log_directory or "."
             self._recording = await Recording.start(directory, self._bus.name, value.format)
             self._bus.taps.append(self._recording.tap)
-            return self._recording.told()
+            return self._recording.log_file()
         if self._recording is None:
             raise PreconditionFailed(
                 "nothing is being recorded", remedy=f"Execute {self._start} first."
@@ -217,7 +217,7 @@ class BusPart(Part):
         self._recording = None
         self._bus.taps.remove(recording.tap)
         await recording.stop()
-        return recording.told()
+        return recording.log_file()
 
     async def close(self) -> None:
         """End a recording that is under way."""

@@ -79,7 +79,7 @@ class Recording:
         if self.error is not None:
             raise DeviceRejected(f"the recording failed: {self.error}")
 
-    def told(self) -> LogFile:
+    def log_file(self) -> LogFile:
         """Say how far it is."""
         return LogFile(file=self.file, frames=self.frames)
 

@@ -19,14 +19,14 @@ __all__ = ["PROFILE", "MoteusDrive", "MoteusOptions"]
 
 TURN = 2 * math.pi  # rad: moteus counts turns
 _FAST = 0.05  # s: a set-point that could not leave within this is not worth sending
-_ASKED = (
+_QUERIED = (
     *(("mode", Width.INT8), ("position", Width.FLOAT), ("velocity", Width.FLOAT)),
     *(("torque", Width.FLOAT), ("q_current", Width.FLOAT), ("motor_temperature", Width.INT16)),
     *(("trajectory_complete", Width.INT8), ("voltage", Width.INT16)),
     *(("temperature", Width.INT16), ("fault", Width.INT8)),
     *(("watchdog", Width.FLOAT), ("milliseconds", Width.INT32)),
 )
-_QUERY = build(Access(Kind.READ, REGISTERS[name].number, width) for name, width in _ASKED)
+_QUERY = build(Access(Kind.READ, REGISTERS[name].number, width) for name, width in _QUERIED)
 _STILL = {"command_position": math.nan, "command_velocity": 0.0}
 """Hold velocity zero where it is."""
 _NAMES = {register.number: name for name, register in REGISTERS.items()}
@@ -110,7 +110,7 @@ class MoteusDrive(Drive):
         done = values.get("trajectory_complete", 0)
         status.reached = bool(done) if self._moving and self._mode == Mode.POSITION else None
         status.moved += 1
-        status.told += 1
+        status.reports += 1
         return True
 
     def _look_at_the_watchdog(self, seconds: float) -> None:

@@ -38,14 +38,14 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument(
         "--seconds", type=float, help="how long to run, in s; without it, until stopped"
     )
-    asked = parser.parse_args(arguments)
-    more = {} if asked.interface == "virtual" else {"fd": asked.fd}
-    bus = can.Bus(asked.channel, asked.interface, ignore_config=True, **more)
-    with Bench(bus, asked.drives):
-        sys.stdout.write(f"{len(asked.drives)} drives on {bus.channel_info}\n")
+    options = parser.parse_args(arguments)
+    more = {} if options.interface == "virtual" else {"fd": options.fd}
+    bus = can.Bus(options.channel, options.interface, ignore_config=True, **more)
+    with Bench(bus, options.drives):
+        sys.stdout.write(f"{len(options.drives)} drives on {bus.channel_info}\n")
         sys.stdout.flush()
         try:
-            threading.Event().wait(asked.seconds)
+            threading.Event().wait(options.seconds)
         except KeyboardInterrupt:
             return
 
