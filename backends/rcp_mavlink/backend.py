@@ -18,7 +18,7 @@ from rcp_mavlink.vehicle import Vehicle
 
 __all__ = ["MavlinkBackend", "open_mavlink"]
 
-_LOOK = 1.0  # s
+_POLL_PERIOD = 1.0  # s
 
 
 class MavlinkBackend(BaseBackend):
@@ -59,7 +59,7 @@ class MavlinkBackend(BaseBackend):
     async def poll(self) -> None:
         """Look after the vehicles, until cancelled."""
         while True:
-            await asyncio.sleep(_LOOK)
+            await asyncio.sleep(_POLL_PERIOD)
             for robot in self.robots.values():
                 robot.poll()
 

@@ -139,7 +139,7 @@ class Files:
         path, what, at = _encoded(given.path), f"listing {given.path}", 0
         async with self._ftp.turn():
             while len(found) < _MOST_ENTRIES:
-                reply = await self._ftp.ask(Op.LIST, 0, at, path)
+                reply = await self._ftp.request(Op.LIST, 0, at, path)
                 if reply.error == _END:
                     break
                 if reply.error:

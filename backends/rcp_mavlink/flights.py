@@ -55,14 +55,14 @@ class Flights:
         start = (await located(vehicle)).height
         async with holding(self._motion):
 
-            def tell() -> bool:
+            def report() -> bool:
                 now = fix_of(vehicle).height
                 progress(m.Height(now), fraction=part(now - start, altitude - start))
                 return now >= altitude - max(0.3, 0.03 * altitude)
 
-            with unanswered(tell):
+            with unanswered(report):
                 await self._rise(altitude)
-            await self._motion.follow(tell, "take-off", stays=lambda: vehicle.armed)
+            await self._motion.follow(report, "take-off", stays=lambda: vehicle.armed)
         return m.Height(fix_of(vehicle).height)
 
     async def _rise(self, altitude: float) -> None:
@@ -103,17 +103,17 @@ class Flights:
             near = reach(vehicle, self._parameters, _HOME)
         async with holding(self._motion):
 
-            def tell() -> bool:
+            def report() -> bool:
                 now = fix_of(vehicle)
                 left = self._left(now, what)
-                told = m.OnItsWay(left, now.height, vehicle.mode)
-                progress(told, fraction=part(first - left, first))
+                feedback = m.OnItsWay(left, now.height, vehicle.mode)
+                progress(feedback, fraction=part(first - left, first))
                 down = vehicle.landed is True and not vehicle.armed
                 return down or self._from_home(now) < near
 
-            with unanswered(tell):
+            with unanswered(report):
                 await self._motion.to_mode(mode)
-            await self._motion.follow(tell, what, stays=lambda: vehicle.mode == mode)
+            await self._motion.follow(report, what, stays=lambda: vehicle.mode == mode)
         return m.Height(fix_of(vehicle).height)
 
     def _from_home(self, fix: Fix) -> float:

@@ -72,7 +72,7 @@ class Journeys:
         way = max(away(vehicle, fix, lat, lon, altitude), 0.1)
         pace = Pace(vehicle, goal.speed, goal.yaw)
 
-        def tell() -> bool:
+        def report() -> bool:
             now = fix_of(vehicle)
             left = away(vehicle, now, lat, lon, altitude)
             progress(m.OnItsWay(left, now.height, vehicle.mode), fraction=part(way - left, way))
@@ -84,15 +84,15 @@ class Journeys:
             await self._prepare(goal, fix)
             since = time.monotonic()
             async with self._stopping(DeviceTimeout):  # it may have taken it all the same
-                with self._explained((lat, lon), altitude), unanswered(tell):
+                with self._explained((lat, lon), altitude), unanswered(report):
                     await self._go(goal, fix, lat, lon, altitude)
             async with self._stopping(RcpError):
-                await self._follow(goal, pace, tell)
+                await self._follow(goal, pace, report)
         now = fix_of(vehicle)
         error = away(vehicle, now, lat, lon, altitude)
         return m.Arrived(now.lat, now.lon, now.height, error, pace.fastest, pace.heading)
 
-    async def _follow(self, goal: m.MoveTo, pace: Pace, tell: Callable[[], bool]) -> None:
+    async def _follow(self, goal: m.MoveTo, pace: Pace, report: Callable[[], bool]) -> None:
         """Wait until it is there; end it where it is not as it was asked for."""
         vehicle, guided = self._vehicle, self._vehicle.family.guided
         if goal.yaw is not None and not vehicle.family.px4:
@@ -103,7 +103,7 @@ class Journeys:
             return vehicle.mode == guided and pace.fault is None
 
         try:
-            await self._motion.follow(tell, "move_to", stays=stays)
+            await self._motion.follow(report, "move_to", stays=stays)
         except DeviceRejected as error:
             raise self._failure(pace, error) from None
 

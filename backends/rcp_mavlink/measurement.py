@@ -45,14 +45,14 @@ class Measurement:
     # Its state, by heartbeats
 
     @property
-    def heard(self) -> bool:
+    def has_heartbeat(self) -> bool:
         """Whether its mode and its armed bit are known."""
         return not self._vehicle.lost and self.age("HEARTBEAT") <= self._silence
 
     @property
     def disarmed(self) -> bool:
         """Whether it is known to be disarmed."""
-        return self.heard and not self._vehicle.armed
+        return self.has_heartbeat and not self._vehicle.armed
 
     @property
     def standing(self) -> bool:
@@ -130,7 +130,7 @@ class Measurement:
         Where nothing is heard at all, it is the link that is lost, and that ends what runs.
         """
         last = max(self._vehicle.came.get(name, -math.inf) for name in _POSITIONS)
-        return self.stale() and self._vehicle.heard - last >= self.limit
+        return self.stale() and self._vehicle.last_message_at - last >= self.limit
 
     def check(self, *, strict: bool = True) -> None:
         """Refuse to move what cannot be seen to move.
@@ -151,7 +151,7 @@ class Measurement:
         vehicle = self._vehicle
         if vehicle.lost:
             return MotionState(None, f"vehicle {vehicle.system} is not connected")
-        if not self.heard:
+        if not self.has_heartbeat:
             age = self.age("HEARTBEAT")
             since = "since it returned" if math.isinf(age) else f"for {age:.1f} s"
             return MotionState(None, f"no heartbeat {since}")

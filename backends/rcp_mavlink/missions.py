@@ -66,7 +66,7 @@ class Missions:
             if not started:
                 raise DeviceTimeout("mission: accepted, but the vehicle does not start it")
 
-            def tell() -> bool:
+            def report() -> bool:
                 nonlocal flew
                 flew = flew or vehicle.landed is False
                 now = self._now()
@@ -76,7 +76,7 @@ class Missions:
                 over = vehicle.landed is True and not vehicle.armed
                 return now["mission_state"] == _COMPLETE or (flew and over)
 
-            await self._motion.follow(tell, "mission", stays=lambda: vehicle.mode == auto)
+            await self._motion.follow(report, "mission", stays=lambda: vehicle.mode == auto)
         except asyncio.CancelledError:
             await self._motion.shielded(self._motion.hold)
             raise

@@ -12,7 +12,7 @@ from rcp_mavlink.vehicle import Fix, Vehicle
 
 __all__ = ["away", "fix_of", "located", "part", "place_of", "reach"]
 
-_LOOKING = 3.0  # s
+_POSITION_TIMEOUT = 3.0  # s
 _CIRCLE = 80.0  # m of radius, of a plane that does not say
 _RADII = ("WP_LOITER_RAD", "NAV_LOITER_RAD")
 _ROUND = 1.5  # radii off the place it circles round that count as there
@@ -20,7 +20,7 @@ _ROUND = 1.5  # radii off the place it circles round that count as there
 
 async def located(vehicle: Vehicle) -> Fix:
     """Return where it is, after what was asked for a moment before has come."""
-    await vehicle.until(lambda: vehicle.fix is not None, _LOOKING)
+    await vehicle.until(lambda: vehicle.fix is not None, _POSITION_TIMEOUT)
     return fix_of(vehicle)
 
 

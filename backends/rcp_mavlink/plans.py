@@ -100,11 +100,13 @@ class Plans:
             vehicle.system, vehicle.component, len(messages), kind
         )
         async with self._turn:
-            news: asyncio.Queue[tuple[str, dict[str, Any]]] = asyncio.Queue()
-            with _following(vehicle, news, "MISSION_REQUEST", "MISSION_REQUEST_INT", "MISSION_ACK"):
+            received: asyncio.Queue[tuple[str, dict[str, Any]]] = asyncio.Queue()
+            with _following(
+                vehicle, received, "MISSION_REQUEST", "MISSION_REQUEST_INT", "MISSION_ACK"
+            ):
                 last = count
                 while True:
-                    name, fields = await self._news(news, last, kind, "upload")
+                    name, fields = await self._next_message(received, last, kind, "upload")
                     if name == "MISSION_ACK":
                         self._check(fields["type"], "the plan is refused")
                         return len(items)
@@ -124,17 +126,19 @@ class Plans:
         to = (vehicle.system, vehicle.component)
         found: list[Item] = []
         async with self._turn:
-            news: asyncio.Queue[tuple[str, dict[str, Any]]] = asyncio.Queue()
-            with _following(vehicle, news, "MISSION_COUNT", "MISSION_ITEM_INT", "MISSION_ACK"):
-                ask = module.MAVLink_mission_request_list_message(*to, kind)
-                self._hub.send(vehicle, ask)
-                _, count = await self._news(news, ask, kind, "download", "MISSION_COUNT")
+            received: asyncio.Queue[tuple[str, dict[str, Any]]] = asyncio.Queue()
+            with _following(vehicle, received, "MISSION_COUNT", "MISSION_ITEM_INT", "MISSION_ACK"):
+                request = module.MAVLink_mission_request_list_message(*to, kind)
+                self._hub.send(vehicle, request)
+                _, count = await self._next_message(
+                    received, request, kind, "download", "MISSION_COUNT"
+                )
                 for seq in range(count["count"]):
-                    ask = module.MAVLink_mission_request_int_message(*to, seq, kind)
-                    self._hub.send(vehicle, ask)
+                    request = module.MAVLink_mission_request_int_message(*to, seq, kind)
+                    self._hub.send(vehicle, request)
                     while True:
-                        _, fields = await self._news(
-                            news, ask, kind, "download", "MISSION_ITEM_INT"
+                        _, fields = await self._next_message(
+                            received, request, kind, "download", "MISSION_ITEM_INT"
                         )
                         if fields["seq"] == seq:
                             break
@@ -150,21 +154,21 @@ class Plans:
         name = self._names.get(f["command"], str(f["command"]))
         return Item(name, f["x"] / scale, f["y"] / scale, f["z"], frame, params)
 
-    async def _news(
-        self, news: asyncio.Queue[tuple[str, dict[str, Any]]], ask: Any, kind: int, what: str, wanted: str | None = None
+    async def _next_message(
+        self, received: asyncio.Queue[tuple[str, dict[str, Any]]], request: Any, kind: int, what: str, wanted: str | None = None
     ) -> tuple[str, dict[str, Any]]:  # fmt: skip
         """Return the next message of this transfer; what was sent last is sent again meanwhile.
 
         :raises DeviceTimeout: nothing comes.
         """
         config = self._hub.config
-        if wanted is None and "COUNT" in ask.get_type():
-            self._hub.send(self._vehicle, ask)
+        if wanted is None and "COUNT" in request.get_type():
+            self._hub.send(self._vehicle, request)
         for _ in range(config.retries + 1):
             try:
                 async with asyncio.timeout(config.timeout):
                     while True:
-                        name, fields = await news.get()
+                        name, fields = await received.get()
                         if fields.get("mission_type", 0) != kind:
                             continue
                         if name == "MISSION_ACK" and wanted is not None:
@@ -174,7 +178,7 @@ class Plans:
                             return name, fields
             except TimeoutError:
                 self._vehicle.check()
-                self._hub.send(self._vehicle, ask)
+                self._hub.send(self._vehicle, request)
         raise DeviceTimeout(f"the vehicle stopped responding during the {what} of a plan")
 
     @staticmethod
@@ -184,12 +188,12 @@ class Plans:
 
 
 def _following(
-    vehicle: Vehicle, news: asyncio.Queue[tuple[str, dict[str, Any]]], *names: str
+    vehicle: Vehicle, received: asyncio.Queue[tuple[str, dict[str, Any]]], *names: str
 ) -> Any:
     stack = ExitStack()
 
     def take(frame: Frame) -> None:
-        news.put_nowait((frame.definition.name, frame.fields()))
+        received.put_nowait((frame.definition.name, frame.fields()))
 
     for name in names:
         stack.enter_context(vehicle.listening(name, take))

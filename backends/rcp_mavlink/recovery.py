@@ -25,7 +25,7 @@ class Recovery:
         :raises DeviceTimeout: telemetry does not show that it does what it was told.
         """
         vehicle, measurement = self._vehicle, self._motion.measurement
-        if not await vehicle.until(lambda: measurement.heard, _KNOWN):
+        if not await vehicle.until(lambda: measurement.has_heartbeat, _KNOWN):
             raise DeviceTimeout("the vehicle sends messages, but no heartbeat")
         if not vehicle.armed:
             return "disarmed: nothing to do"

@@ -103,12 +103,12 @@ def _made() -> list[Resource]:
 
 def _events() -> list[Resource]:
     return [
-        Resource(name="event/statustext", description="Status texts of the vehicle.", value=m.Said, live=True, examples=({"severity": "critical", "text": "PreArm: AHRS: waiting for home"},)),
-        Resource(name="event/failsafe", description="A failsafe acted or the fence was breached, as reported by the vehicle.", value=m.Said, live=True),
+        Resource(name="event/statustext", description="Status texts of the vehicle.", value=m.StatusText, live=True, examples=({"severity": "critical", "text": "PreArm: AHRS: waiting for home"},)),
+        Resource(name="event/failsafe", description="A failsafe acted or the fence was breached, as reported by the vehicle.", value=m.StatusText, live=True),
         Resource(name="event/mode", description="The flight mode changed, for any reason.", value=m.ModeChange, live=True),
         Resource(name="event/armed", description="The motors were armed or disarmed.", value=m.Armed, live=True),
         Resource(name="event/mission", description="An item of the mission was reached.", value=m.Reached, live=True),
-        Resource(name="event/boot", description="The vehicle has rebooted.", value=m.Said, live=True),
+        Resource(name="event/boot", description="The vehicle has rebooted.", value=m.StatusText, live=True),
     ]  # fmt: skip
 
 

@@ -82,14 +82,14 @@ class Setpoints:
         )
         await self._lead(message, None)
 
-    async def _heading(self, asked: float | None) -> float:
+    async def _heading(self, requested: float | None) -> float:
         """Return the heading to hold: an attitude always has one, and 0 would be north.
 
         :raises PreconditionFailed: the present one is to be kept, and the vehicle does not say it.
         """
-        if asked is not None:
+        if requested is not None:
             self._kept = None
-            return asked
+            return requested
         if self._kept is None:
             self._kept = await self._present()
         return self._kept

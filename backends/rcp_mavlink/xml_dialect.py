@@ -18,7 +18,7 @@ from rcp_kernel.errors import ConfigError
 __all__ = ["module_of"]
 
 _PATIENCE = 120.0  # s
-_TOLD = 400  # characters of what the generator complains of
+_EXCERPT = 400  # characters of what the generator complains of
 _GENERATE = """
 import sys
 from pymavlink.generator import mavgen
@@ -64,12 +64,12 @@ def _generate(path: Path, copy: Path, out: Path) -> None:
         raise ConfigError(f"`dialect`: {path} is not a dialect: {why}")
 
 
-def _complaint(said: str) -> str:
+def _complaint(output: str) -> str:
     """Return the lines that tell what is wrong, without the way that led there."""
-    lines = [line.strip() for line in said.splitlines()]
+    lines = [line.strip() for line in output.splitlines()]
     lines = [line for line in lines if line and not line.startswith('File "')]
     wrong = [line for line in lines if "ERROR" in line.upper()]
-    return "; ".join(wrong[-3:] or lines[-1:])[:_TOLD]
+    return "; ".join(wrong[-3:] or lines[-1:])[:_EXCERPT]
 
 
 def _imported(path: Path, out: Path) -> Any:

@@ -52,7 +52,7 @@ class Shared:
         self.pulses = Pulses(ros, self.complain)
         self.on_poll: list[Callable[[], None]] = []
         """Called in the ROS thread at each look at the graph."""
-        self.look_again: Callable[[], None] = lambda: None
+        self.refresh: Callable[[], None] = lambda: None
         """Has the paths made that a construct has found since the last look; on the event loop."""
         self.needed: set[str] = set()
         """Names that matter though no path stands on them."""

@@ -79,7 +79,7 @@ class Catalog:
             Pictures(shared, self.bindings),
             Assets(shared, wanted.matters),
         )
-        shared.look_again = lambda: self.update(shared.graph)
+        shared.refresh = lambda: self.update(shared.graph)
 
         self._gone: dict[str, float] = {}
         """Exposed names that the graph does not have any more, with the time it was noticed."""
@@ -91,7 +91,7 @@ class Catalog:
         """When to try again what could not be made."""
         self._building: set[str] = set()
         self._tasks: set[asyncio.Task[None]] = set()
-        self._asking = asyncio.Semaphore(_AT_ONCE)
+        self._queries = asyncio.Semaphore(_AT_ONCE)
         self.complete = asyncio.Event()
         """Set once every mapping has its binding, and what is exposed has stopped growing."""
         self._placed = 0.0
@@ -271,7 +271,7 @@ class Catalog:
         prefix = self._shared.naming.path("param", name) + "/"
         key = f"node {name}"
         try:
-            async with self._asking:
+            async with self._queries:
                 node = await self._node(name)
                 found = await node.describe(await node.names())
         except RcpError as error:

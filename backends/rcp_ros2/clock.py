@@ -62,8 +62,8 @@ class Clock:
         now = time.sec * 1_000_000_000 + time.nanosec
         before, self.now = self.now, now
         if before is not None and now < before:
-            for tell in self.on_jump:
-                tell()
+            for callback in self.on_jump:
+                callback()
             jump = ClockJump(before / 1e9, now / 1e9)
             self._shared.host.call_soon(self._shared.host.publish, _EVENT, jump, now)
 

@@ -85,10 +85,10 @@ def goals_of(shared: Shared, name: str, mapping: Mapping) -> Binding:
     codec = _Statuses(shared)
     resource = Resource(value=codec.type, native=_TYPE, **facts)
     status = msgspec.structs.replace(mapping, action=None, topic=f"{action}{GOALS}")
-    return _Told(shared, resource, status, load(_TYPE), codec)
+    return _Goals(shared, resource, status, load(_TYPE), codec)
 
 
-class _Told(Observed):
+class _Goals(Observed):
     """The goals; a server that was never sent one says nothing at all."""
 
     @property

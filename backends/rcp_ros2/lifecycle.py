@@ -117,7 +117,7 @@ class _Question:
         )
         self.close = self._caller.close
 
-    async def ask(self, limit: float) -> LifecycleState:
+    async def get_state(self, limit: float) -> LifecycleState:
         """Return the state; a question whose answer is lost while both sides meet is put again.
 
         :raises AdapterUnavailable: the node is not there.
@@ -142,7 +142,7 @@ class StateOf(Binding):
         self._event = load("lifecycle_msgs/msg/TransitionEvent")
         self._codec = Codec(self._event)
         self._topic = f"{node}/transition_event"
-        self._asking: asyncio.Task[None] | None = None
+        self._query: asyncio.Task[None] | None = None
         facts = common(name, mapping, f"State of the lifecycle node {node}.", node=node)
         facts["timeout"] = shared.config.timeout + _MARGIN
         facts["deadline"] = _MISSES * shared.config.poll + _MARGIN
@@ -150,36 +150,36 @@ class StateOf(Binding):
 
     async def read(self) -> Any:
         """Ask the node."""
-        return await self._question.ask(self.timeout)
+        return await self._question.get_state(self.timeout)
 
     def watched(self, rate: float) -> None:
         """Publish the state, and each change of it."""
-        if self._asking is None:
-            tap = Tap(self.resource.name, self._codec, taker=self._told)
+        if self._query is None:
+            tap = Tap(self.resource.name, self._codec, taker=self._on_transition)
             self.shared.ros.post(
                 self.shared.subscriptions.tap, self._topic, self._event, Qos(), tap
             )
-            self._asking = asyncio.ensure_future(self._ask())
+            self._query = asyncio.ensure_future(self._query_state())
 
     def unwatched(self) -> None:
         """Publish no more."""
-        if self._asking is not None:
-            self._asking.cancel()
-            self._asking = None
+        if self._query is not None:
+            self._query.cancel()
+            self._query = None
             self.shared.ros.post(self.shared.subscriptions.untap, self._topic, self.resource.name)
 
-    async def _ask(self) -> None:
+    async def _query_state(self) -> None:
         while True:
             with contextlib.suppress(RcpError):  # it goes stale
                 self._publish(await self.read())
             await asyncio.sleep(self.shared.config.poll)
 
-    def _told(self, event: Value) -> None:
+    def _on_transition(self, event: Value) -> None:
         label = event.decode().goal_state.label
         self.shared.host.call_soon(self._publish, _state(label))
 
     def _publish(self, state: LifecycleState) -> None:
-        if self._asking is not None:
+        if self._query is not None:
             self.shared.host.publish(self.resource.name, state)
 
     def close(self) -> None:
@@ -235,7 +235,7 @@ class ChangeOf(Binding):
                 f"an e-stop is latched: {self._node} is not allowed to {transition}",
                 remedy="Reset the e-stop first; `deactivate`, `cleanup` and `shutdown` are allowed.",
             )
-        before = (await self._question.ask(self.timeout)).state
+        before = (await self._question.get_state(self.timeout)).state
         possible = _POSSIBLE.get(before, {})
         if transition not in possible:
             raise self._impossible(transition, before)
@@ -263,7 +263,7 @@ class ChangeOf(Binding):
 
     async def _after(self, transition: Transition, *, succeeded: bool) -> LifecycleState:
         try:
-            return await self._question.ask(self.timeout)
+            return await self._question.get_state(self.timeout)
         except (AdapterUnavailable, DeviceTimeout):
             # Many end with their shutdown.
             return _state(_GOALS[transition] if succeeded else "unknown")

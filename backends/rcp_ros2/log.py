@@ -94,10 +94,10 @@ class Records(Binding):
         )
         resource = Resource(value=LogRecord, live=True, native="rcl_interfaces/msg/Log", **facts)
         super().__init__(shared, resource, mapping)
-        tap = Tap(_NAME, self._codec, taker=self._heard)
+        tap = Tap(_NAME, self._codec, taker=self._on_record)
         shared.subscriptions.tap(_TOPIC, cls, Qos(depth=_DEPTH), tap)
 
-    def _heard(self, value: Value) -> None:
+    def _on_record(self, value: Value) -> None:
         if value.data[_LEVEL_AT] >= self._least:
             self.shared.outbox.put(_NAME, value, self._codec.stamp(value.data))
 

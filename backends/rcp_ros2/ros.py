@@ -169,7 +169,7 @@ class Ros:
             self.died = str(error)
             self._close()
             self._ready.fail(_explained(error))
-            self._tell_end()
+            self._report_end()
             return
         self._ready.give(None)
         try:
@@ -180,9 +180,9 @@ class Ros:
         else:
             self.died = "ROS 2 was shut down"
         self._close()
-        self._tell_end()
+        self._report_end()
 
-    def _tell_end(self) -> None:
+    def _report_end(self) -> None:
         with contextlib.suppress(RuntimeError):
             self.host.call_soon(self.ended.set)
 

@@ -146,13 +146,13 @@ class Observed(Binding):
 def _about(message: Any, mapping: Mapping) -> str:
     type_name, field = full_name(message), mapping.field
     if field is None:
-        return f"{type_name} on topic {mapping.target}{_said(comments_of(message).whole)}."
+        return f"{type_name} on topic {mapping.target}{_suffix(comments_of(message).whole)}."
     holder = part_of(message, field)[0]
-    said = _said(comments_of(holder).fields.get(field.rpartition(".")[2], ""))
-    return f"{field} of {type_name} on topic {mapping.target}{said}."
+    suffix = _suffix(comments_of(holder).fields.get(field.rpartition(".")[2], ""))
+    return f"{field} of {type_name} on topic {mapping.target}{suffix}."
 
 
-def _said(comment: str) -> str:
+def _suffix(comment: str) -> str:
     sentence = first_sentence(comment)
     return f": {sentence[0].lower()}{sentence[1:]}" if sentence else ""
 
@@ -179,7 +179,7 @@ class Commanded(Binding):
             **common(
                 name,
                 mapping,
-                f"Publishes {type_name} on topic {self.topic}{_said(comments_of(cls).whole)}.",
+                f"Publishes {type_name} on topic {self.topic}{_suffix(comments_of(cls).whole)}.",
                 topic=self.topic,
                 type=type_name,
             ),
@@ -229,10 +229,10 @@ class Commanded(Binding):
         if self.mapping.feedback is None:
             return
 
-        def heard() -> bool:
+        def delivered() -> bool:
             return self.feedback is not None and self.feedback.is_fresh()
 
-        if not await self.shared.until(heard, self.shared.settling):
+        if not await self.shared.until(delivered, self.shared.settling):
             why = self.feedback.missing() if self.feedback is not None else "no feedback yet"
             raise AdapterUnavailable(
                 f"{why}: {self.topic} accepts no commands without feedback",
@@ -285,7 +285,7 @@ class Commanded(Binding):
         hearing = self._outlet.send(message, anyhow=anyhow)
         if self.rest is not None:
             unheard = hearing != "heard" and not anyhow
-            self.rest.sent(rests=rests, published=not unheard, heard=hearing != "nobody")
+            self.rest.sent(rests=rests, published=not unheard, delivered=hearing != "nobody")
         return hearing
 
     async def _until_matched(self, message: Any, *, rests: bool) -> Hearing:

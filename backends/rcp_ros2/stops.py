@@ -239,10 +239,12 @@ class Stops:
                     None, f"nothing measures the effect of other publishers on {rest.topic}"
                 )
             return MotionState(True)
-        if rest.heard_at is None or rest.heard_at < since:
+        if rest.delivered_at is None or rest.delivered_at < since:
             return MotionState(None, f"no node has received the safe value of {rest.topic} yet")
         known = [p for node in nodes if (p := pulses.of(node)) is not None and p.answers]
-        silent = [p for p in known if p.heard < since or p.silence > self._shared.config.silence]
+        silent = [
+            p for p in known if p.last_response < since or p.silence > self._shared.config.silence
+        ]
         if silent or (len(known) < len(nodes) and not rest.acked):
             return MotionState(None, f"the node that subscribes to {rest.topic} does not respond")
         if rest.others and time.monotonic() - since < _LINGER:
@@ -333,7 +335,7 @@ class Stops:
                     binding.rest.measured = True
                 one.max_age = binding.mapping.feedback_timeout or one.max_age
         self._make_means()
-        self._tell_guard()
+        self._update_guard()
 
     def _each(self, name: str) -> list[tuple[str, str | None]]:
         """Return a configured name in full, for each robot if it is relative."""
@@ -397,7 +399,7 @@ class Stops:
         for binding in self._bindings():
             if isinstance(binding, Commanded):
                 binding.check_feedback_while_moving()
-        self._tell_contest()
+        self._report_contest()
 
     def release(self, robot: str | None) -> None:
         """Let a robot move again: its e-stop was reset."""
@@ -406,7 +408,7 @@ class Stops:
             if call.robot == robot:
                 call.release()
 
-    def _tell_contest(self) -> None:
+    def _report_contest(self) -> None:
         """Say who commands a robot that is stopped."""
         for rest in self.keeper.rests:
             contested = rest.robot in self.keeper.holds and rest.contested() > 0
@@ -455,7 +457,7 @@ class Stops:
 
     # -- the guard -------------------------------------------------------------------------------
 
-    def _tell_guard(self) -> None:
+    def _update_guard(self) -> None:
         """Renew what the guard process sends when the gateway's loop has stopped."""
         latched = {robot for robot, hold in self.keeper.holds.items() if hold.latched}
         publishers = [

@@ -120,7 +120,7 @@ class Tree:
                 stamped.child_frame_id, stamped.header.frame_id, time, place, static=static
             )
         if self.frames.version != version:
-            self.shared.host.call_soon(self.shared.look_again)
+            self.shared.host.call_soon(self.shared.refresh)
 
     def offers(self) -> dict[str, Offer]:
         """Return the lookup, and a sensor for each frame in each that matters."""
@@ -130,7 +130,7 @@ class Tree:
         topic = f"{self.space}/tf"
         mapping = Mapping(topic=topic)
         name = self.shared.naming.path("service", f"{self.space}/lookup_transform")
-        offers = {name: Offer(mapping, partial(LookUp, self, name, mapping))}
+        offers = {name: Offer(mapping, partial(LookupTransform, self, name, mapping))}
         pairs = self._pairs()
         more = len(pairs) > _MOST
         text = f"{topic} connects more than {_MOST} pairs of frames: use {name} for the rest"
@@ -283,7 +283,7 @@ class Moved(Binding):
     def __init__(self, tree: Tree, name: str, mapping: Mapping, target: str, source: str) -> None:
         self._tree = tree
         self._pair = target, source
-        self._telling: asyncio.Task[None] | None = None
+        self._publishing: asyncio.Task[None] | None = None
         type_ = _pair_type(target, source)
         self._make = _maker(type_)
         text = f"Transform of the frame {source} in {target}"
@@ -310,9 +310,9 @@ class Moved(Binding):
         """Publish whatever is new, so many times a second at most."""
         self.unwatched()
         pause = 1 / min(rate, self.shared.config.tf.rate)
-        self._telling = asyncio.ensure_future(self._tell(pause))
+        self._publishing = asyncio.ensure_future(self._publish_all(pause))
 
-    async def _tell(self, pause: float) -> None:
+    async def _publish_all(self, pause: float) -> None:
         last: Any = None
         while True:
             with contextlib.suppress(AdapterUnavailable):  # a part of the tree is gone for now
@@ -324,16 +324,16 @@ class Moved(Binding):
 
     def unwatched(self) -> None:
         """Publish no more."""
-        if self._telling is not None:
-            self._telling.cancel()
-            self._telling = None
+        if self._publishing is not None:
+            self._publishing.cancel()
+            self._publishing = None
 
     def close(self) -> None:
         """Publish no more."""
         self.unwatched()
 
 
-class LookUp(Binding):
+class LookupTransform(Binding):
     """Where any frame is in any other, at any time that is remembered."""
 
     def __init__(self, tree: Tree, name: str, mapping: Mapping) -> None:
