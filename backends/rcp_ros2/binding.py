@@ -52,7 +52,7 @@ class Shared:
         self.pulses = Pulses(ros, self.complain)
         self.on_poll: list[Callable[[], None]] = []
         """Called in the ROS thread at each look at the graph."""
-        self.look_again: Callable[[], None] = lambda: None
+        self.refresh: Callable[[], None] = lambda: None
         """Has the paths made that a construct has found since the last look; on the event loop."""
         self.needed: set[str] = set()
         """Names that matter though no path stands on them."""
@@ -106,7 +106,7 @@ class Shared:
         try:
             cls = load(type_)
         except MissingType as error:
-            self.complain(key, f"{topic} cannot be followed: {error}. {error.remedy}")
+            self.complain(key, f"{topic} cannot be subscribed to: {error}. {error.remedy}")
             return
         tap = Tap(key, Codec(cls), taker=lambda value: taker(value.decode()))
         self.subscriptions.tap(topic, cls, qos, tap)
@@ -128,10 +128,10 @@ class Shared:
         if await self.until(lambda: self.graph.has(noun, name), self.settling):
             return
         raise AdapterUnavailable(
-            f"the {noun} {name} is not there"
+            f"the {noun} {name} is not running"
             if noun.endswith("node")
             else f"no node offers {noun} {name}",
-            remedy="Start the node that has it; the gateway finds it by itself.",
+            remedy="Start the node that provides it; the gateway discovers it automatically.",
         )
 
 
@@ -196,7 +196,7 @@ class Binding:
 
     def late(self, what: str) -> DeviceTimeout:
         """Say that an answer did not come."""
-        return DeviceTimeout(f"{what} did not answer within {self.timeout:g} s")
+        return DeviceTimeout(f"{what} did not respond within {self.timeout:g} s")
 
 
 class Absent(Binding):

@@ -23,7 +23,7 @@ async def learn(shared: Shared, topic: str, type_: str) -> bool:
     :raises MissingType: it has a field of a kind that the gateway does not know.
     """
     for node, digest in await shared.ros.call(_nodes, shared, topic):
-        response = await _ask(shared, topic, node, type_, digest)
+        response = await _request_type(shared, topic, node, type_, digest)
         if response is not None and response.successful:
             define_described(response.type_description, response.type_sources)
             return True
@@ -41,7 +41,7 @@ def _nodes(shared: Shared, topic: str) -> list[tuple[str, str]]:
     return [(node, digest) for node, digest in named.items() if node and node != own][:_TRIES]
 
 
-async def _ask(shared: Shared, topic: str, node: str, type_: str, digest: str) -> Any:
+async def _request_type(shared: Shared, topic: str, node: str, type_: str, digest: str) -> Any:
     srv = await shared.ros.call(load, "type_description_interfaces/srv/GetTypeDescription")
     caller = Caller(shared, srv, f"{node}/get_type_description", presence=("topic", topic))
     request = srv.Request(type_name=type_, type_hash=digest, include_type_sources=True)

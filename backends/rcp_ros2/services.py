@@ -81,13 +81,13 @@ class Caller:
         """
         await self._shared.present(*self._presence)
         until = time.monotonic() + min(limit, _MATCH)
-        while (answer := await self._ask(request, limit)) is _UNMATCHED:
+        while (answer := await self._request(request, limit)) is _UNMATCHED:
             if time.monotonic() >= until:
-                raise AdapterUnavailable(f"no server of {self._name} can be reached")
+                raise AdapterUnavailable(f"no server of {self._name} is available")
             await asyncio.sleep(_PAUSE)
         return answer
 
-    async def _ask(self, request: Any, limit: float) -> Any:
+    async def _request(self, request: Any, limit: float) -> Any:
         """Go to the thread once, to look for the server and to ask it: a turn costs 0.1 ms."""
         ticket = Ticket(self._shared.host)
         sent: list[Any] = []
@@ -104,8 +104,8 @@ class Caller:
             if await ticket.wait(min(left, _POLL)):
                 return ticket.result()
             if not self._shared.graph.has(*self._presence):
-                raise AdapterUnavailable(f"the node that offers {self._name} has gone")
-        raise DeviceTimeout(f"service {self._name} did not answer within {limit:g} s")
+                raise AdapterUnavailable(f"the node that offers {self._name} has disappeared")
+        raise DeviceTimeout(f"service {self._name} did not respond within {limit:g} s")
 
     def _send(self, request: Any, ticket: Ticket, sent: list[Any]) -> None:
         try:
@@ -163,7 +163,7 @@ class Called(Binding):
         facts = common(
             name,
             mapping,
-            f"Calls service {mapping.target} ({type_name}).",
+            f"Service {mapping.target} ({type_name}).",
             service=mapping.target,
             type=type_name,
         )
@@ -195,8 +195,8 @@ class Called(Binding):
 
 def _refusal(name: str, result: Any) -> DeviceRejected:
     words = ("message", "status_message", "error_message", "reason")
-    said = next((w for w in (getattr(result, key, None) for key in words) if w), None)
+    reason = next((w for w in (getattr(result, key, None) for key in words) if w), None)
     return DeviceRejected(
-        f"{name} refused: {said}" if said else f"{name} answered that it did not succeed",
+        f"{name} refused: {reason}" if reason else f"{name} reported failure",
         details={"result": msgspec.to_builtins(result)},
     )
