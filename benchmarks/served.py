@@ -64,7 +64,9 @@ async def gateway(more: str = "") -> AsyncGenerator[tuple[Bench, str]]:
         bare.config, backends=(BackendConfig(use="bench", name="bench", tenant="t"),)
     )
     bare.plugins.backends["bench"] = BackendKind("bench", Nothing, open_bench)
-    made = Prepared(config, bare.plugins, (Nothing(),), bare.transports, bare.adapters)
+    made = Prepared(
+        config, bare.plugins, (Nothing(),), bare.transports, bare.adapters, bare.features
+    )
     async with running(made) as server:
         url = next(facts["url"] for facts in server.status.transports if "url" in facts)
         yield robots[0], url

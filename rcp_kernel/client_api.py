@@ -83,11 +83,11 @@ class Proofs(msgspec.Struct, frozen=True, kw_only=True):
     anonymous: bool
     """Whether something is there for those who prove nothing."""
     bearer: bool
-    """Keys, tokens or JSON Web Tokens in `Authorization: Bearer`."""
+    """Keys, or tokens of any kind, in `Authorization: Bearer`."""
     certificates: bool
     """Client certificates."""
     issuers: tuple[str, ...] = ()
-    """Issuers of JSON Web Tokens that tell about themselves by OpenID Connect Discovery."""
+    """Issuers of tokens that describe themselves by OpenID Connect Discovery."""
 
 
 class StatusView(Protocol):
@@ -183,12 +183,12 @@ class ClientApi:
     @property
     def proofs(self) -> Proofs:
         """By what clients may prove who they are."""
-        config = self._parts.settings.config
+        config, identities = self._parts.settings.config, self._parts.identities
         return Proofs(
             anonymous=not config.closed,
-            bearer=bool(config.keys or config.jwt) or self._parts.identities.serves,
+            bearer=bool(config.keys or identities.issuers) or identities.serves,
             certificates=bool(config.certificates),
-            issuers=tuple(one.issuer for one in config.jwt if one.discovery),
+            issuers=tuple(one.url for one in identities.issuers if one.discovery),
         )
 
     def shelf(self, table: str) -> PluginStore:
@@ -198,7 +198,7 @@ class ClientApi:
     @property
     def issuers(self) -> list[str]:
         """Who gives out tokens that this gateway takes, for clients that look for one."""
-        return [one.issuer for one in self._parts.settings.config.jwt]
+        return [one.url for one in self._parts.identities.issuers]
 
     def mount(self, mount: Mount) -> None:
         """Offer a part of the HTTP tree to the listener.

@@ -6,15 +6,13 @@ culprits' names. Nothing asynchronous and no message ever goes through a hook.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
 import pluggy
 
 if TYPE_CHECKING:
-    from rcp_kernel.access.identity import Principal
     from rcp_kernel.client_kinds import AdapterKind, TransportKind
-    from rcp_kernel.config.file import GatewayConfig
     from rcp_kernel.features import FeatureKind
     from rcp_kernel.spi import BackendKind
 
@@ -70,19 +68,4 @@ def rcp_features() -> Iterable[FeatureKind]:  # pyright: ignore[reportReturnType
         @hookimpl
         def rcp_features():
             return [FeatureKind("maintenance", MaintenanceConfig, make_maintenance)]
-    """
-
-
-@hookspec(firstresult=True)
-def rcp_authenticator(config: GatewayConfig) -> Callable[[str], Principal | None] | None:
-    """Offer a function from a bearer token to its principal; it is asked before the API keys.
-
-    It returns None for a token that is not its own, and raises `Unauthenticated` or
-    `TokenExpired` for one that is and is not good. The first plugin to offer one wins.
-
-    Example::
-
-        @hookimpl
-        def rcp_authenticator(config):
-            return lambda token: directory.get(token)
     """

@@ -21,6 +21,7 @@ import pluggy
 
 from rcp_kernel import hookspecs
 from rcp_kernel.client_kinds import AdapterKind, TransportKind
+from rcp_kernel.config.features import BUILTIN
 from rcp_kernel.config.file import GatewayConfig
 from rcp_kernel.errors import ConfigError, PluginError, StartupError
 from rcp_kernel.features import FeatureKind
@@ -34,6 +35,8 @@ GROUPS = {
     "backends": "rcp.backends",
     "features": "rcp.features",
 }
+_OWN = "rcp-gateway"
+"""The distribution of the built-in features."""
 _KINDS = ("rcp_backends", "rcp_adapters", "rcp_features")
 """Hooks whose records may need the libraries of an extra."""
 
@@ -124,41 +127,35 @@ class Plugins:
         for name in self._check_needs("features", self.features):
             del self.features[name]
         self._check_features()
-        hook = self._manager.hook
-        try:
-            self.authenticator: Any = hook.rcp_authenticator(config=config)
-        except (StartupError, MemoryError):
-            raise
-        except (Exception, SystemExit, KeyboardInterrupt) as error:
-            # What it would have kept out must not come in because it is broken.
-            raise PluginError(
-                f"a plugin's rcp_authenticator raised {error!r}; starting without it could admit "
-                "requests that it must refuse"
-            ) from error
 
     def _load_features(self, config: GatewayConfig) -> None:
-        """Load the features, but none that is built in, neither installed nor used."""
+        """Load the features; one that is built in need not be installed unless it is used."""
         wanted = set(config.active_features)
-        self._load("features", wanted & (installed("features").keys() | config.used_features))
+        lost = (wanted & set(BUILTIN)) - set(installed("features"))
+        for name in sorted(lost):
+            self.missing.append(Missing("features", name, "not installed", f"pip install {_OWN}"))
+        self._load("features", wanted - lost)
 
     def _check_features(self) -> None:
-        """Make sure that every feature is there that the configuration uses.
+        """Make sure that every feature is there that the configuration uses; no other is missed.
 
         :raises PluginError: one is not.
         """
-        used, points = self.config.used_features, installed("features")
+        used = self.config.used_features
         lost = {one.name: one for one in self.missing if one.group == "features"}
         for name in self.config.active_features:
             if name in lost and name in used:
                 one = lost[name]
                 raise PluginError(
-                    f"the feature '{name}' cannot be loaded: {one.reason}; try: {one.remedy}"
+                    f"the configuration uses the feature '{name}', which cannot be loaded: "
+                    f"{one.reason}; try: {one.remedy}"
                 )
-            if name in points and name not in self.features and name not in lost:
+            if name not in self.features and name not in lost:
                 raise PluginError(
                     f"the entry point '{name}' of rcp.features offers no feature '{name}'; its "
                     "`rcp_features` must return a FeatureKind of this name"
                 )
+        self.missing = [one for one in self.missing if one.group != "features"]
 
     def _offers(self, hook: str) -> list[list[Any]]:
         """Ask each plugin by itself; one whose hook raises is missing, and the others are there."""

@@ -111,7 +111,7 @@ def check(config: Path) -> None:
     click.echo(f"  keys          {', '.join(key.name for key in found.keys) or 'none'}")
     named = dict.fromkeys(one.name for one in found.certificates)
     click.echo(f"  certificates  {', '.join(named) or 'none'}")
-    click.echo(f"  issuers       {', '.join(one.issuer for one in found.jwt) or 'none'}")
+    click.echo(f"  issuers       {', '.join(one['issuer'] for one in found.jwt) or 'none'}")
     strangers = sorted({role for _, roles in found.anonymous.grants for role in roles})
     click.echo(f"  anonymous     {', '.join(strangers) or 'refused'}")
     if prepared.plugins.missing:

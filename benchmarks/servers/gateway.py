@@ -99,7 +99,9 @@ async def main() -> None:
         bare.config, backends=(BackendConfig(use="bench", name="bench", tenant="t"),)
     )
     bare.plugins.backends["bench"] = BackendKind("bench", Nothing, open_bench)
-    made = Prepared(config, bare.plugins, (Nothing(),), bare.transports, bare.adapters)
+    made = Prepared(
+        config, bare.plugins, (Nothing(),), bare.transports, bare.adapters, bare.features
+    )
     async with running(made) as server:
         url = next(facts["url"] for facts in server.status.transports if "url" in facts)
         print(url.rpartition(":")[2].strip("/"), flush=True)

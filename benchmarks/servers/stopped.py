@@ -80,7 +80,9 @@ async def main() -> None:
         bare.config, backends=(BackendConfig(use="bench", name="bench", tenant="t"),)
     )
     bare.plugins.backends["bench"] = BackendKind("bench", Nothing, open_busy)
-    made = Prepared(config, bare.plugins, (Nothing(),), bare.transports, bare.adapters)
+    made = Prepared(
+        config, bare.plugins, (Nothing(),), bare.transports, bare.adapters, bare.features
+    )
     async with running(made) as server:
         url = next(facts["url"] for facts in server.status.transports if "url" in facts)
         loop, kernel = asyncio.get_running_loop(), server.kernel

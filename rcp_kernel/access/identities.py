@@ -8,20 +8,19 @@ from __future__ import annotations
 
 import asyncio
 import os
-from collections.abc import AsyncGenerator, Callable
+from collections.abc import AsyncGenerator, Callable, Sequence
 from contextlib import AsyncExitStack, asynccontextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
 import structlog
 
 from rcp_kernel.access.auth_throttle import AuthThrottle
+from rcp_kernel.access.authenticator import Authenticator, TokenIssuer
 from rcp_kernel.access.certificates import Certificates
 from rcp_kernel.access.identity import Grants, Keyring, Principal, check_time, fingerprint
-from rcp_kernel.access.issuers import Issuer, Issuers
 from rcp_kernel.access.peer import UNKNOWN, Peer, Serial
 from rcp_kernel.access.tokens import Token, TokenWatch, changes
-from rcp_kernel.access.webtokens import is_jwt
 from rcp_kernel.clock import now
 from rcp_kernel.config.file import GatewayConfig
 from rcp_kernel.config.identity import instant
@@ -31,6 +30,7 @@ from rcp_kernel.errors import (
     ConfigError,
     Forbidden,
     InternalError,
+    PluginError,
     RcpError,
     TokenExpired,
     Unauthenticated,
@@ -43,7 +43,10 @@ if TYPE_CHECKING:
 __all__ = ["Identities", "check_proofs", "store_file"]
 
 log = structlog.get_logger("rcp.identity")
-Authenticator = Callable[[str], Principal | None]
+_OWN = ("none", "key", "token", "certificate")
+"""Proofs of the gateway itself."""
+_P = ParamSpec("_P")
+_T = TypeVar("_T")
 
 
 def store_file(config: GatewayConfig) -> Path | None:
@@ -59,7 +62,6 @@ def check_proofs(config: GatewayConfig, source: str) -> None:
     """
     try:
         Certificates(config.certificates)
-        Issuers(config.jwt, config.tenant_names)
     except ConfigError as error:
         raise ConfigError(f"{source}: {error}") from None
 
@@ -73,28 +75,32 @@ class Identities:
         store: Store,
         audit: Audit,
         loop: asyncio.AbstractEventLoop,
-        authenticator: Authenticator | None,
+        authenticators: Sequence[Authenticator],
     ) -> None:
+        """Make what knows clients; `authenticators` are asked by name, after the gateway's own keys.
+
+        :raises PluginError: two authenticators have one name, or one has a name of the gateway's.
+        """
         self._settings = settings
         self._store = store
         self._audit = audit
         self._loop = loop
-        self._authenticator = authenticator
+        self._authenticators = _by_name(authenticators)
+        for authenticator in authenticators:
+            authenticator.on_change.append(self._review)
         self.on_change: list[Callable[[], None]] = []
         """Called when proofs may be worth something else than before."""
         config = settings.config
         self._tokens: list[Token] = []
         self._certificates = Certificates(config.certificates)
-        self._issuers = Issuers(config.jwt, config.tenant_names)
         self._keyring = _keyring(config, self._tokens)
         self._attempts = AuthThrottle(config.limits.failed_logins, self._loop.time)
-        self._running = False
 
     # -- its own time --------------------------------------------------------------------------
 
     @asynccontextmanager
     async def running(self) -> AsyncGenerator[None]:
-        """Watch the tokens of the store and the issuers' keys while entered.
+        """Watch the tokens of the store while entered.
 
         :raises ConfigError: the store cannot be opened.
         """
@@ -111,14 +117,7 @@ class Identities:
                 self._keyring = _keyring(self._settings.config, self._tokens)
                 watch.start()
                 stack.callback(watch.close)
-            self._running = True
-            stack.callback(self._stop)
-            self._issuers.start(self._review)
             yield
-
-    def _stop(self) -> None:
-        self._running = False
-        self._issuers.stop()
 
     def _review(self) -> None:
         for changed in self.on_change:
@@ -135,12 +134,8 @@ class Identities:
     def reconfigure(self, config: GatewayConfig) -> None:
         """Take over the proofs of another configuration; sessions are reviewed by the caller."""
         self._certificates = Certificates(config.certificates, self._certificates)
-        self._issuers.stop()
-        self._issuers = Issuers(config.jwt, config.tenant_names, self._issuers)
         self._keyring = _keyring(config, self._tokens)
         self._attempts.allowance = config.limits.failed_logins
-        if self._running:
-            self._issuers.start(self._review)
 
     def revoke(self, serials: frozenset[Serial]) -> None:
         """Have client certificates count for nothing, in open sessions too."""
@@ -150,13 +145,20 @@ class Identities:
 
     @property
     def serves(self) -> bool:
-        """Whether somebody proves something that no table of the configuration says."""
-        return self._authenticator is not None or any(t.state == "good" for t in self._tokens)
+        """Whether somebody proves something that no table of the kernel's configuration says."""
+        return any(t.state == "good" for t in self._tokens) or any(
+            one.serves for one in self._authenticators.values()
+        )
+
+    @property
+    def issuers(self) -> list[TokenIssuer]:
+        """Who gives out tokens that this gateway takes."""
+        return [issuer for one in self._authenticators.values() for issuer in one.issuers]
 
     @property
     def facts(self) -> list[dict[str, Any]]:
-        """How the issuers are, for the health report."""
-        return [issuer.facts for issuer in self._issuers.issuers.values()]
+        """How the authenticators are, for the health report."""
+        return [facts for one in self._authenticators.values() for facts in one.facts]
 
     # -- who -----------------------------------------------------------------------------------
 
@@ -206,9 +208,8 @@ class Identities:
             return self._certificates.renewed(principal)
         if principal.proof in ("key", "token"):
             return self._keyring.proves(principal.credential or "")
-        if principal.proof.startswith("jwt "):
-            return self._issuers.renewed(principal)
-        return principal
+        authenticator = self._authenticators.get(principal.proof.partition(" ")[0])
+        return None if authenticator is None else authenticator.renewed(principal)
 
     def known(self, token: str | None, peer: Peer = UNKNOWN) -> Principal | None:
         """Return whom a token proves, else the peer's certificate, else who is anonymous.
@@ -220,42 +221,31 @@ class Identities:
         :raises TokenExpired: it was good once.
         :raises RateLimited: the peer has tried too many that were not good.
         """
-        return self._look(token, peer, self._by_token)
+        return self._look(token, peer)
 
     async def wait(self, token: str, peer: Peer = UNKNOWN) -> Principal:
         """Return whom a token proves of which `known` could not tell, once that is fetched.
 
-        :raises AdapterUnavailable: the keys of the token's issuer cannot be fetched.
+        :raises AdapterUnavailable: it cannot be fetched.
         :raises RcpError: as `known` does.
         """
-        with suppress(RcpError):
-            waited = self._issuers.find(token, fingerprint(token))
-            if isinstance(waited, Issuer):
-                await waited.ask()
-        found = self._look(token, peer, self._issuers.insist, fetched=True)
+        authenticator = self._authenticator_of(token)
+        if authenticator is not None:
+            await self._fetch(authenticator, token)
+        found = self._look(token, peer, fetched=True)
         assert found is not None
         return found
 
-    def _look(
-        self,
-        token: str | None,
-        peer: Peer,
-        by: Callable[[str, str], Principal | None],
-        *,
-        fetched: bool = False,
-    ) -> Principal | None:
+    def _look(self, token: str | None, peer: Peer, *, fetched: bool = False) -> Principal | None:
         certified = None
         if peer.certificate is not None:
             certified = self._certificates.find(peer.certificate)
         if token is None:
             return certified or self.anonymous()
         digest = fingerprint(token)
-        if not fetched and not self._is_proved(digest):
-            # Whether a plugin's tokens can be guessed is not known.
-            signed = self._authenticator is None and self._is_signed(token)
-            self._attempts.check(peer.address, digest, signed=signed)
         try:
-            principal = by(token, digest)
+            # By the hash alone, at no cost: a right one is never held up by those who guess.
+            principal = self._proved(digest) or self._verified(token, digest, peer, fetched=fetched)
             if principal is None:
                 return None
             _agree(certified, check_time(principal, now()))
@@ -267,43 +257,75 @@ class Identities:
         self._attempts.succeeded(digest)
         return principal
 
-    def _is_proved(self, digest: str) -> bool:
-        """Tell by the hash alone, at no cost, whether a token is a right one."""
-        return (self._keyring.proves(digest) or self._issuers.kept(digest)) is not None
-
-    def _is_signed(self, token: str) -> bool:
-        return bool(self._issuers.issuers) and is_jwt(token)
-
-    def _by_token(self, token: str, digest: str) -> Principal | None:
-        if self._authenticator is not None:
-            principal = self._ask(self._authenticator, token)
-            if principal is not None:
-                return principal
+    def _proved(self, digest: str) -> Principal | None:
         found = self._keyring.proves(digest)
-        if found is not None:
-            return found
-        if self._is_signed(token):
-            principal = self._issuers.find(token, digest)
-            return principal if isinstance(principal, Principal) else None
-        raise Unauthenticated("unknown token")
+        if found is None:
+            for authenticator in self._authenticators.values():
+                found = authenticator.proves(digest)
+                if found is not None:
+                    break
+        return found
 
-    def _ask(self, authenticator: Authenticator, token: str) -> Principal | None:
-        """Ask a plugin; what it raises may hold the token, so only its kind and place are told."""
+    def _verified(self, token: str, digest: str, peer: Peer, *, fetched: bool) -> Principal | None:
+        authenticator = self._authenticator_of(token)
+        if not fetched:
+            signed = authenticator is not None and authenticator.signed
+            self._attempts.check(peer.address, digest, signed=signed)
+        if authenticator is None:
+            raise Unauthenticated("unknown token")
+        principal = _guarded(authenticator.verify, token, digest, fetched=fetched)
+        if principal is None and fetched:
+            raise Unauthenticated("unknown token")
+        if principal is not None and principal.proof.partition(" ")[0] != authenticator.name:
+            log.error("authenticator_failed", name=authenticator.name, proof=principal.proof)
+            raise InternalError("the token could not be verified")
+        return principal
+
+    def _authenticator_of(self, token: str) -> Authenticator | None:
+        for authenticator in self._authenticators.values():
+            if _guarded(authenticator.recognises, token):
+                return authenticator
+        return None
+
+    async def _fetch(self, authenticator: Authenticator, token: str) -> None:
         try:
-            return authenticator(token)
+            await authenticator.fetch(token, fingerprint(token))
         except RcpError:
-            raise
+            pass  # `verify` says it
         except Exception as error:
-            place = error.__traceback__
-            while place is not None and place.tb_next is not None:
-                place = place.tb_next
-            log.error(
-                "authenticator_failed",
-                error=type(error).__name__,
-                file=None if place is None else place.tb_frame.f_code.co_filename,
-                line=None if place is None else place.tb_lineno,
-            )
-        raise InternalError("the token could not be verified")
+            _log_failure(error)
+
+
+def _guarded(call: Callable[_P, _T], *args: _P.args, **named: _P.kwargs) -> _T:
+    """Call a feature with a token; what it raises may hold that, so only its kind and place are told."""
+    try:
+        return call(*args, **named)
+    except RcpError:
+        raise
+    except Exception as error:
+        _log_failure(error)
+    raise InternalError("the token could not be verified")
+
+
+def _log_failure(error: Exception) -> None:
+    place = error.__traceback__
+    while place is not None and place.tb_next is not None:
+        place = place.tb_next
+    log.error(
+        "authenticator_failed",
+        error=type(error).__name__,
+        file=None if place is None else place.tb_frame.f_code.co_filename,
+        line=None if place is None else place.tb_lineno,
+    )
+
+
+def _by_name(authenticators: Sequence[Authenticator]) -> dict[str, Authenticator]:
+    found: dict[str, Authenticator] = {}
+    for one in sorted(authenticators, key=lambda each: each.name):
+        if one.name in found or one.name in _OWN:
+            raise PluginError(f"the name '{one.name}' of an authenticator is taken")
+        found[one.name] = one
+    return found
 
 
 def _agree(certified: Principal | None, principal: Principal) -> None:

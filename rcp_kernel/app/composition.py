@@ -12,8 +12,9 @@ from dataclasses import dataclass
 from functools import partial
 
 from rcp_kernel.access.acl import Rules
+from rcp_kernel.access.authenticator import Authenticator
 from rcp_kernel.access.conditions import Conditions
-from rcp_kernel.access.identities import Authenticator, Identities
+from rcp_kernel.access.identities import Identities
 from rcp_kernel.access.quotas import QuotaTracker
 from rcp_kernel.access.resolver import Resolver
 from rcp_kernel.access.visibility import Visibility
@@ -170,7 +171,6 @@ def compose(
     *,
     store: Store,
     recent: Recent,
-    authenticator: Authenticator | None = None,
     features: Sequence[ActiveFeature] = (),
 ) -> Kernel:
     """Build a gateway that serves nobody yet and has no backends."""
@@ -178,7 +178,7 @@ def compose(
     records = _records(base, store)
     made = _features(base, records, features)
     motion = _motion(base, records)
-    clients = _clients(base, records, motion, authenticator)
+    clients = _clients(base, records, motion, made.authenticators)
     requests = _requests(base, records, motion, clients, made)
     system = _system(base, records, motion, clients, recent, made)
     handlers = _handlers(base, records, motion, clients, requests, system, made)
@@ -287,10 +287,10 @@ def _motion(base: _Base, records: _Records) -> _Motion:
 
 
 def _clients(
-    base: _Base, records: _Records, motion: _Motion, authenticator: Authenticator | None
+    base: _Base, records: _Records, motion: _Motion, authenticators: Sequence[Authenticator]
 ) -> _Clients:
     settings, loop, commands = base.settings, base.loop, motion.commands
-    identities = Identities(settings, records.store, records.audit, loop, authenticator)
+    identities = Identities(settings, records.store, records.audit, loop, authenticators)
     outbound = Outbound(loop, settings.limits)
     known: dict[str, Session] = {}
     quotas = QuotaTracker(settings, base.rules, loop, known, commands.running)

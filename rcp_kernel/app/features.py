@@ -8,7 +8,7 @@ from typing import Any, TypeVar
 
 import msgspec
 
-from rcp_kernel.access.identities import Authenticator
+from rcp_kernel.access.authenticator import Authenticator
 from rcp_kernel.config.file import GatewayConfig, decode_table
 from rcp_kernel.errors import ConfigError
 from rcp_kernel.features import (

@@ -134,7 +134,6 @@ async def running(prepared: Prepared, recent: Recent | None = None) -> AsyncGene
             loop,
             store=store,
             recent=recent,
-            authenticator=plugins.authenticator,
             features=prepared.features,
         )
         client_api, status = kernel.client_api, kernel.status

@@ -24,7 +24,6 @@ from rcp_kernel.config.identity import (
     Anonymous,
     CertificateConfig,
     Granting,
-    JwtConfig,
     KeyConfig,
     check_grants,
     check_identity,
@@ -44,7 +43,6 @@ __all__ = [
     "CertificateConfig",
     "GatewayConfig",
     "Granting",
-    "JwtConfig",
     "KeyConfig",
     "Limits",
     "LogConfig",
@@ -122,7 +120,8 @@ class GatewayConfig(Table, frozen=True):
     roles: dict[str, Role] = {}
     keys: tuple[KeyConfig, ...] = ()
     certificates: tuple[CertificateConfig, ...] = ()
-    jwt: tuple[JwtConfig, ...] = ()
+    jwt: tuple[dict[str, Any], ...] = ()
+    """The tables that the feature's own type decodes."""
     anonymous: Anonymous = Anonymous()
     envelopes: tuple[EnvelopeConfig, ...] = ()
     limits: Limits = Limits()
@@ -144,6 +143,8 @@ class GatewayConfig(Table, frozen=True):
         used = set(self.features) & set(self.active_features)
         if any(role.approve for role in self.roles.values()):
             used.add("approvals")
+        if self.jwt:
+            used.add("jwt")
         return frozenset(used)
 
     @property
@@ -153,16 +154,8 @@ class GatewayConfig(Table, frozen=True):
 
     @property
     def serves(self) -> bool:
-        """Whether somebody who proves something by this file alone may do anything."""
-        return any(
-            self._allows(given)
-            for given in (
-                *self.keys,
-                *self.certificates,
-                *self.jwt,
-                *(one for issuer in self.jwt for one in issuer.by_claim.values()),
-            )
-        )
+        """Whether somebody who proves something by the tables of the kernel may do anything."""
+        return any(self._allows(given) for given in (*self.keys, *self.certificates))
 
     def acts(self, roles: Iterable[str]) -> bool:
         """Tell whether any of some roles lets something be written or executed at a robot."""
@@ -174,10 +167,14 @@ class GatewayConfig(Table, frozen=True):
             for rule in rules
         )
 
+    @property
+    def effective_roles(self) -> set[str]:
+        """The roles that allow anything."""
+        return {name for name, role in {**BUILTIN_ROLES, **self.roles}.items() if role.allow}
+
     def _allows(self, given: Granting) -> bool:
-        known = {**BUILTIN_ROLES, **self.roles}
         held = {role for _, roles in given.grants for role in roles}
-        return any(known[role].allow for role in held if role in known)
+        return not held.isdisjoint(self.effective_roles)
 
     @property
     def tenant_names(self) -> list[str]:
@@ -358,7 +355,7 @@ def _check(config: GatewayConfig, source: str) -> None:
                 f"{source}: two [[backends]] have the name '{name}': give each a unique `name`"
             )
     roles = {**BUILTIN_ROLES, **config.roles}
-    found = check_identity(config.keys, config.certificates, config.jwt, source)
+    found = check_identity(config.keys, config.certificates, source)
     for given, where in [*found, (config.anonymous, f"{source}: anonymous")]:
         check_grants(given.grants, where, config.tenant_names, roles)
     for path in config.safety.lease_required:

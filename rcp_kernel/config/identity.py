@@ -1,14 +1,11 @@
-"""`[[keys]]`, `[[certificates]]`, `[[jwt]]`, `[anonymous]`: who may prove what, and which roles it gives."""
+"""`[[keys]]`, `[[certificates]]`, `[anonymous]`: who may prove what, and which roles it gives."""
 
 from __future__ import annotations
 
 import difflib
-import re
 from collections.abc import Iterable
 from datetime import UTC, datetime
-from ipaddress import ip_address
-from typing import Annotated, Literal
-from urllib.parse import urlsplit
+from typing import Annotated
 
 import msgspec
 from msgspec import Meta
@@ -18,20 +15,15 @@ from rcp_kernel.config.role import Role
 from rcp_kernel.errors import ConfigError
 
 __all__ = [
-    "Algorithm",
     "Anonymous",
     "CertificateConfig",
     "Granting",
-    "JwtConfig",
     "KeyConfig",
     "check_grants",
     "check_identity",
     "instant",
-    "is_private_url",
+    "needs_role",
 ]
-
-Algorithm = Literal["RS256", "ES256", "EdDSA"]
-_FETCH = 15.0  # s that a fetch may be late, with the wait before it
 
 
 class Granting(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -76,39 +68,6 @@ class CertificateConfig(Granting, frozen=True, kw_only=True):
     """RFC 4514 text, if there are several CAs."""
 
 
-class JwtConfig(Granting, frozen=True, kw_only=True):
-    """An issuer of JSON Web Tokens, where its keys are, and what its claims give; times in seconds."""
-
-    issuer: Annotated[str, Meta(min_length=1)]
-    """Exact value of `iss`."""
-    audience: Annotated[str, Meta(min_length=1)] | tuple[str, ...]
-    """One of them must be in `aud`."""
-    algorithms: Annotated[tuple[Algorithm, ...], Meta(min_length=1)] = ("RS256", "ES256", "EdDSA")
-    keys: str | tuple[str, ...] = ()
-    """Public keys: PEM, JWK or JWKS, each as a text or as the path of a file."""
-    jwks_url: str | None = None
-    discovery: bool = False
-    """Find the issuer's keys by OpenID Connect Discovery."""
-    refresh: Annotated[float, Meta(ge=1)] = 300.0
-    """Between fetches; a key that the issuer withdrew stays valid until the next one."""
-    lifetime: Annotated[float, Meta(ge=1)] = 86_400.0
-    """How long fetched keys, and tokens signed with them, stay valid without a new fetch."""
-    leeway: Annotated[float, Meta(ge=0, le=600)] = 30.0
-    """Tolerated difference between the clocks."""
-    max_age: Annotated[float, Meta(gt=0)] | None = None
-    """Maximum time since `iat`, whatever `exp` is."""
-    name_claim: str = "sub"
-    """Claim with the principal's name; dots reach into objects, as in the two below."""
-    prefix: str = ""
-    """Prefix of the name, to keep the users of two issuers apart."""
-    role_claim: str | None = None
-    """Claim with a string or list of strings, looked up in `by_claim`."""
-    by_claim: dict[str, Granting] = {}
-    """Roles for each value of `role_claim`, in addition to those of the table."""
-    tenant_claim: str | None = None
-    """Claim with a tenant or list of tenants: the roles apply only there."""
-
-
 class Anonymous(Granting, frozen=True):
     """What those may do who prove nothing; `anonymous = false` refuses them."""
 
@@ -129,28 +88,6 @@ def instant(text: str) -> int:
     if found.tzinfo is None:
         found = found.replace(tzinfo=UTC)
     return int(found.timestamp()) * 1_000_000_000
-
-
-def is_private_url(url: str) -> bool:
-    """Tell whether what is fetched from a URL cannot be read or changed on the way.
-
-    That is `https`, or `http` to this machine itself; without a user or password in it.
-    """
-    try:
-        parts = urlsplit(url)
-        host, _ = parts.hostname, parts.port
-    except ValueError:
-        return False
-    if host is None or "@" in parts.netloc:
-        return False
-    return parts.scheme == "https" or (parts.scheme == "http" and _is_here(host))
-
-
-def _is_here(host: str) -> bool:
-    try:
-        return ip_address(host).is_loopback
-    except ValueError:
-        return host == "localhost"
 
 
 def check_grants(
@@ -182,7 +119,6 @@ def _near(word: str, words: list[str]) -> str:
 def check_identity(
     keys: Iterable[KeyConfig],
     certificates: Iterable[CertificateConfig],
-    issuers: Iterable[JwtConfig],
     source: str,
 ) -> list[tuple[Granting, str]]:
     """Check the tables of proofs; return all that give roles, each with where it stands.
@@ -193,7 +129,7 @@ def check_identity(
     for key in keys:
         where = f"{source}: key '{key.name}'"
         found.append((key, where))
-        _needs_role(key, where)
+        needs_role(key, where)
         if (key.key is None) == (key.sha256 is None):
             raise ConfigError(f"{where} needs either `key` or `sha256`")
         if key.expires is not None:
@@ -204,47 +140,16 @@ def check_identity(
     for one in certificates:
         where = f"{source}: [[certificates]] '{one.name}'"
         found.append((one, where))
-        _needs_role(one, where)
+        needs_role(one, where)
         if one.subject is None and one.san is None:
             raise ConfigError(f"{where} needs a `subject` or a `san`")
-    for issuer in issuers:
-        where = f"{source}: [[jwt]] '{issuer.issuer}'"
-        found.append((issuer, where))
-        found += [(one, f"{where} by_claim '{value}'") for value, one in issuer.by_claim.items()]
-        _check_issuer(issuer, where)
     return found
 
 
-def _needs_role(given: Granting, where: str) -> None:
+def needs_role(given: Granting, where: str) -> None:
+    """Make sure that a table gives a role.
+
+    :raises ConfigError: it gives none.
+    """
     if not given.roles and given.role is None:
         raise ConfigError(f"{where} needs a `role`, or `roles` by tenant")
-
-
-def _check_issuer(issuer: JwtConfig, where: str) -> None:
-    for value, one in issuer.by_claim.items():
-        _needs_role(one, f"{where} by_claim '{value}'")
-    if (issuer.role_claim is None) != (not issuer.by_claim):
-        raise ConfigError(f"{where}: `role_claim` and `by_claim` must be used together")
-    if not issuer.by_claim:
-        _needs_role(issuer, where)
-    if not issuer.audience:
-        raise ConfigError(f"{where}: `audience` is empty: set the issuer's name for this gateway")
-    sources = [bool(issuer.keys), issuer.jwks_url is not None, issuer.discovery]
-    if sources.count(True) != 1:
-        raise ConfigError(f"{where} needs one of `keys`, `jwks_url` and `discovery = true`")
-    url = issuer.jwks_url if issuer.jwks_url is not None else issuer.issuer
-    if not issuer.keys and not is_private_url(url):
-        key = "issuer" if issuer.discovery else "jwks_url"
-        raise ConfigError(
-            f"{where}: `{key}` must be an https URL (or http on loopback) without a user name"
-        )
-    if not issuer.keys and issuer.lifetime < issuer.refresh + _FETCH:
-        raise ConfigError(
-            f"{where}: `lifetime` = {issuer.lifetime:g} must exceed `refresh` = "
-            f"{issuer.refresh:g} by {_FETCH:g} s, or keys expire between two fetches"
-        )
-    for claim in (issuer.name_claim, issuer.role_claim, issuer.tenant_claim):
-        if claim is not None and not re.fullmatch(r"[^.]+(\.[^.]+)*", claim):
-            raise ConfigError(
-                f"{where}: {claim!r} is not a claim: write `sub`, or `a.b` for `b` in `a`"
-            )

@@ -13,7 +13,7 @@ from typing import Any
 
 import msgspec
 
-from rcp_kernel.access.identities import Authenticator
+from rcp_kernel.access.authenticator import Authenticator
 from rcp_kernel.config.file import GatewayConfig
 from rcp_kernel.features.guard import Call, Guard
 from rcp_kernel.features.host import FeatureHost

@@ -13,6 +13,7 @@ from docs.pages import DOCS, ROOT, keys, rows, section
 from rcp_a2a.config import Provider, PushConfig
 from rcp_asgi.config import TlsConfig
 from rcp_dashboard import DashboardConfig
+from rcp_jwt.config import JwtConfig
 from rcp_kernel.config.envelopes import Bound, EnvelopeConfig, Fence
 from rcp_kernel.config.file import (
     Anonymous,
@@ -20,7 +21,6 @@ from rcp_kernel.config.file import (
     BackendConfig,
     CertificateConfig,
     GatewayConfig,
-    JwtConfig,
     KeyConfig,
     Limits,
     LogConfig,

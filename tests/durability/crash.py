@@ -133,7 +133,6 @@ def prepared(folder: Path) -> Prepared:
         transports={},
         adapters={},
         missing=[],
-        authenticator=None,
         is_missing=lambda _group, _name: None,
     )
     config = parse(CONFIG.format(path=folder / "store.db"), "crash")

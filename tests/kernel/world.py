@@ -268,7 +268,6 @@ def prepared(
         transports={},
         adapters={},
         missing=[],
-        authenticator=None,
         is_missing=lambda _group, _name: None,
     )
     tables = tuple(NoOptions() for _ in config.backends)

@@ -21,9 +21,9 @@ def check_open(config: AsgiConfig, gateway: GatewayConfig) -> None:
     Proxies(config.proxies)
     if config.tls is not None:
         Tls(config.tls)
-    # A plugin or a token in the store may prove identities: known when they are there, by
+    # A feature or a token in the store may prove identities: known when they are there, by
     # `check_door`.
-    elsewhere = bool(gateway.plugins) or gateway.store.path is not None
+    elsewhere = bool(gateway.features or gateway.jwt) or gateway.store.path is not None
     _check(config, closed=gateway.closed, served=gateway.serves or elsewhere)
 
 

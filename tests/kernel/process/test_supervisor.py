@@ -10,7 +10,7 @@ import pytest
 
 from kernel.world import CONFIG, Client, NoOptions, Robot, World, prepared, world_of
 from rcp_kernel.app.reload import apply
-from rcp_kernel.app.server import Prepared, Server, running
+from rcp_kernel.app.server import Server, running
 from rcp_kernel.config.file import parse
 from rcp_kernel.errors import ConfigError, NotReady
 from rcp_kernel.spi import BackendKind, Host
@@ -44,7 +44,7 @@ async def gateway_with(lives: list[Exception | None]) -> AsyncGenerator[Server]:
 
     made = prepared(parse(CONFIG, "test"), [])
     made.plugins.backends["robot"] = BackendKind("robot", NoOptions, open_robot)
-    async with running(Prepared(made.config, made.plugins, made.backends, {}, {})) as server:
+    async with running(made) as server:
         yield server
 
 

@@ -8,7 +8,7 @@ than the key that signed it does at present.
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from typing import Any
 from urllib.parse import urlsplit
@@ -16,9 +16,8 @@ from urllib.parse import urlsplit
 import msgspec
 import structlog
 
-from rcp_kernel._plain import is_map
-from rcp_kernel.access.identity import Principal
-from rcp_kernel.access.jwks import (
+from rcp_jwt.config import JwtConfig, is_private_url
+from rcp_jwt.jwks import (
     PublicKey,
     Unreachable,
     fetch,
@@ -26,9 +25,10 @@ from rcp_kernel.access.jwks import (
     read_set,
     read_static,
 )
-from rcp_kernel.access.webtokens import Claims, Read, principal_of, read_token, verify
+from rcp_jwt.webtokens import Claims, Read, principal_of, read_token, verify
+from rcp_kernel._plain import is_map
+from rcp_kernel.access.identity import Principal
 from rcp_kernel.clock import now
-from rcp_kernel.config.identity import JwtConfig, is_private_url
 from rcp_kernel.errors import AdapterUnavailable, ConfigError, RcpError, Unauthenticated
 
 __all__ = ["Issuer", "Issuers"]
@@ -225,7 +225,7 @@ class Issuers:
     """Every issuer, and the tokens that were verified."""
 
     def __init__(
-        self, configs: Iterable[JwtConfig], tenants: list[str], before: Issuers | None = None
+        self, configs: Iterable[JwtConfig], tenants: Sequence[str], before: Issuers | None = None
     ) -> None:
         """Compile the tables; `before` hands over what it knows.
 

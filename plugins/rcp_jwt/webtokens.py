@@ -5,15 +5,16 @@ from __future__ import annotations
 import base64
 import json
 import re
+from collections.abc import Sequence
 from typing import Any
 
 import msgspec
 
+from rcp_jwt.config import JwtConfig
+from rcp_jwt.jwks import PublicKey
 from rcp_kernel._plain import is_list, is_map
 from rcp_kernel.access.identity import Grants, Principal, check_time
-from rcp_kernel.access.jwks import PublicKey
 from rcp_kernel.clock import now
-from rcp_kernel.config.identity import JwtConfig
 from rcp_kernel.errors import Forbidden, TokenExpired, Unauthenticated
 
 __all__ = ["Claims", "Read", "is_jwt", "principal_of", "read_token", "verify"]
@@ -122,7 +123,9 @@ def verify(token: str, keys: list[PublicKey], config: JwtConfig) -> tuple[Claims
     raise Unauthenticated("the token's signature is invalid")
 
 
-def principal_of(config: JwtConfig, claims: Claims, digest: str, tenants: list[str]) -> Principal:
+def principal_of(
+    config: JwtConfig, claims: Claims, digest: str, tenants: Sequence[str]
+) -> Principal:
     """Make the principal of a verified token.
 
     :raises TokenExpired: it is older than `max_age`.
@@ -165,7 +168,7 @@ def _texts(value: Any) -> list[str]:
     return [one for one in (value if is_list(value) else [value]) if isinstance(one, str)]
 
 
-def _grants(config: JwtConfig, claims: Claims, tenants: list[str]) -> Grants:
+def _grants(config: JwtConfig, claims: Claims, tenants: Sequence[str]) -> Grants:
     given = [config.grants]
     if config.role_claim is not None:
         held = _texts(_claim(claims, config.role_claim))

@@ -16,11 +16,11 @@ from hypothesis import strategies as st
 
 from issuer import AUDIENCE, Issuer, Key, issuing, who
 from kernel.world import CONFIG, World, world_of
-from rcp_kernel.access.issuers import Issuers
-from rcp_kernel.access.webtokens import read_token, verify
+from rcp_jwt.config import JwtConfig
+from rcp_jwt.issuers import Issuers
+from rcp_jwt.webtokens import read_token, verify
 from rcp_kernel.app.server import prepare
 from rcp_kernel.config.file import parse
-from rcp_kernel.config.identity import JwtConfig
 from rcp_kernel.errors import (
     ConfigError,
     Forbidden,

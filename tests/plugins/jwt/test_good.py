@@ -11,7 +11,7 @@ import pytest
 
 from issuer import AUDIENCE, Issuer, issuing, who
 from kernel.world import CONFIG, World, world_of
-from rcp_kernel.access import issuers
+from rcp_jwt import issuers
 from rcp_kernel.errors import (
     Forbidden,
     Unauthenticated,

@@ -8,9 +8,9 @@ import pytest
 
 from issuer import Issuer, Key, issuing, who
 from kernel.world import CONFIG, World, prepared, world_of
-from rcp_kernel.access import issuers, jwks
+from rcp_jwt import config as jwt_config
+from rcp_jwt import issuers, jwks
 from rcp_kernel.app.reload import apply
-from rcp_kernel.config import identity as config_identity
 from rcp_kernel.config.file import parse
 from rcp_kernel.errors import (
     AdapterUnavailable,
@@ -143,7 +143,7 @@ async def test_keys_that_lapse_take_with_them_what_they_signed(
     issuer: Issuer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(issuers, "_GAP", 0.01)
-    monkeypatch.setattr(config_identity, "_FETCH", 0.0)
+    monkeypatch.setattr(jwt_config, "_FETCH", 0.0)
     table = issuer.table('role = "operator"\nrefresh = 1\nlifetime = 1.5')
     async with world_of(CONFIG + table) as world:
         token = issuer.token()
@@ -163,7 +163,7 @@ async def test_keys_that_lapsed_are_good_again_only_by_a_longer_lifetime(
     issuer: Issuer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(issuers, "_GAP", 0.01)
-    monkeypatch.setattr(config_identity, "_FETCH", 0.0)
+    monkeypatch.setattr(jwt_config, "_FETCH", 0.0)
     table = issuer.table('role = "operator"\nrefresh = 1\nlifetime = 1')
     async with world_of(CONFIG + table) as world:
         token = issuer.token()

@@ -1,0 +1,47 @@
+"""JSON Web Tokens: clients authenticate with tokens that issuers of the configuration signed."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from rcp_jwt.authenticator import JwtAuthenticator
+from rcp_jwt.config import JwtConfig, JwtTables, check_tables
+from rcp_kernel.config.file import GatewayConfig
+from rcp_kernel.features import Feature, FeatureHost, FeatureKind
+from rcp_kernel.hookspecs import hookimpl
+
+__all__ = ["JwtConfig", "rcp_features"]
+
+
+def _table(gateway: GatewayConfig) -> dict[str, object]:
+    return {
+        "jwt": list(gateway.jwt),
+        "tenants": gateway.tenant_names,
+        "effective_roles": gateway.effective_roles,
+    }
+
+
+def _check(tables: JwtTables, gateway: GatewayConfig) -> None:
+    check_tables(tables, gateway)
+    JwtAuthenticator(tables)  # reads the keys
+
+
+def _make(tables: JwtTables, _host: FeatureHost) -> Feature:
+    made = JwtAuthenticator(tables)
+    return Feature(authenticator=made, reconfigure=made.reconfigure, running=made.running)
+
+
+@hookimpl
+def rcp_features() -> Iterable[FeatureKind]:
+    """Offer JSON Web Tokens."""
+    return [
+        FeatureKind(
+            "jwt",
+            JwtTables,
+            _make,
+            __doc__ or "",
+            needs=("jwt", "cryptography"),
+            table=_table,
+            check=_check,
+        )
+    ]

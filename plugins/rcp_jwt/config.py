@@ -1,0 +1,130 @@
+"""`[[jwt]]`: issuers of JSON Web Tokens, their keys, and which roles their claims give."""
+
+from __future__ import annotations
+
+import re
+from ipaddress import ip_address
+from typing import Annotated, Literal
+from urllib.parse import urlsplit
+
+import msgspec
+from msgspec import Meta
+
+from rcp_kernel.config.file import GatewayConfig
+from rcp_kernel.config.identity import Granting, check_grants, needs_role
+from rcp_kernel.config.role import BUILTIN_ROLES
+from rcp_kernel.errors import ConfigError
+
+__all__ = ["Algorithm", "JwtConfig", "JwtTables", "check_tables", "is_private_url"]
+
+Algorithm = Literal["RS256", "ES256", "EdDSA"]
+_FETCH = 15.0  # s that a fetch may be late, with the wait before it
+
+
+class JwtConfig(Granting, frozen=True, kw_only=True):
+    """An issuer of JSON Web Tokens, where its keys are, and what its claims give; times in seconds."""
+
+    issuer: Annotated[str, Meta(min_length=1)]
+    """Exact value of `iss`."""
+    audience: Annotated[str, Meta(min_length=1)] | tuple[str, ...]
+    """One of them must be in `aud`."""
+    algorithms: Annotated[tuple[Algorithm, ...], Meta(min_length=1)] = ("RS256", "ES256", "EdDSA")
+    keys: str | tuple[str, ...] = ()
+    """Public keys: PEM, JWK or JWKS, each as a text or as the path of a file."""
+    jwks_url: str | None = None
+    discovery: bool = False
+    """Find the issuer's keys by OpenID Connect Discovery."""
+    refresh: Annotated[float, Meta(ge=1)] = 300.0
+    """Between fetches; a key that the issuer withdrew stays valid until the next one."""
+    lifetime: Annotated[float, Meta(ge=1)] = 86_400.0
+    """How long fetched keys, and tokens signed with them, stay valid without a new fetch."""
+    leeway: Annotated[float, Meta(ge=0, le=600)] = 30.0
+    """Tolerated difference between the clocks."""
+    max_age: Annotated[float, Meta(gt=0)] | None = None
+    """Maximum time since `iat`, whatever `exp` is."""
+    name_claim: str = "sub"
+    """Claim with the principal's name; dots reach into objects, as in the two below."""
+    prefix: str = ""
+    """Prefix of the name, to keep the users of two issuers apart."""
+    role_claim: str | None = None
+    """Claim with a string or list of strings, looked up in `by_claim`."""
+    by_claim: dict[str, Granting] = msgspec.field(default_factory=dict[str, Granting])
+    """Roles for each value of `role_claim`, in addition to those of the table."""
+    tenant_claim: str | None = None
+    """Claim with a tenant or list of tenants: the roles apply only there."""
+
+
+class JwtTables(msgspec.Struct, frozen=True, kw_only=True):
+    """Every `[[jwt]]`, and what they refer to."""
+
+    jwt: tuple[JwtConfig, ...] = ()
+    tenants: tuple[str, ...] = ()
+    """Every tenant of the gateway."""
+    effective_roles: frozenset[str] = frozenset()
+    """The roles that allow anything."""
+
+
+def is_private_url(url: str) -> bool:
+    """Tell whether what is fetched from a URL cannot be read or changed on the way.
+
+    That is `https`, or `http` to this machine itself; without a user or password in it.
+    """
+    try:
+        parts = urlsplit(url)
+        host, _ = parts.hostname, parts.port
+    except ValueError:
+        return False
+    if host is None or "@" in parts.netloc:
+        return False
+    return parts.scheme == "https" or (parts.scheme == "http" and _is_here(host))
+
+
+def _is_here(host: str) -> bool:
+    try:
+        return ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost"
+
+
+def check_tables(tables: JwtTables, gateway: GatewayConfig) -> None:
+    """Check what the types of the tables cannot say.
+
+    :raises ConfigError: a table does not say what it needs to, or refers to what is not there.
+    """
+    roles = {**BUILTIN_ROLES, **gateway.roles}
+    for table in tables.jwt:
+        where = f"[[jwt]] '{table.issuer}'"
+        _check_issuer(table, where)
+        check_grants(table.grants, where, gateway.tenant_names, roles)
+        for value, one in table.by_claim.items():
+            check_grants(one.grants, f"{where} by_claim '{value}'", gateway.tenant_names, roles)
+
+
+def _check_issuer(issuer: JwtConfig, where: str) -> None:
+    for value, one in issuer.by_claim.items():
+        needs_role(one, f"{where} by_claim '{value}'")
+    if (issuer.role_claim is None) != (not issuer.by_claim):
+        raise ConfigError(f"{where}: `role_claim` and `by_claim` must be used together")
+    if not issuer.by_claim:
+        needs_role(issuer, where)
+    if not issuer.audience:
+        raise ConfigError(f"{where}: `audience` is empty: set the issuer's name for this gateway")
+    sources = [bool(issuer.keys), issuer.jwks_url is not None, issuer.discovery]
+    if sources.count(True) != 1:
+        raise ConfigError(f"{where} needs one of `keys`, `jwks_url` and `discovery = true`")
+    url = issuer.jwks_url if issuer.jwks_url is not None else issuer.issuer
+    if not issuer.keys and not is_private_url(url):
+        key = "issuer" if issuer.discovery else "jwks_url"
+        raise ConfigError(
+            f"{where}: `{key}` must be an https URL (or http on loopback) without a user name"
+        )
+    if not issuer.keys and issuer.lifetime < issuer.refresh + _FETCH:
+        raise ConfigError(
+            f"{where}: `lifetime` = {issuer.lifetime:g} must exceed `refresh` = "
+            f"{issuer.refresh:g} by {_FETCH:g} s, or keys expire between two fetches"
+        )
+    for claim in (issuer.name_claim, issuer.role_claim, issuer.tenant_claim):
+        if claim is not None and not re.fullmatch(r"[^.]+(\.[^.]+)*", claim):
+            raise ConfigError(
+                f"{where}: {claim!r} is not a claim: write `sub`, or `a.b` for `b` in `a`"
+            )

@@ -1,0 +1,86 @@
+"""What a feature offers that authenticates clients by tokens of its own kind."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import msgspec
+
+from rcp_kernel.access.identity import Principal
+
+__all__ = ["Authenticator", "TokenIssuer"]
+
+
+class TokenIssuer(msgspec.Struct, frozen=True):
+    """Who gives out tokens that an authenticator verifies, for what describes the gateway."""
+
+    url: str
+    discovery: bool
+    """Whether it describes itself by OpenID Connect Discovery."""
+
+
+class Authenticator(ABC):
+    """Verifies tokens that the gateway did not make itself. For the event loop's thread.
+
+    The gateway looks for its own keys and tokens first. A token that is none of them goes to the
+    first authenticator, by name, that recognises it, and to no other. The gateway bounds how often
+    an address may try invalid ones, checks `expires`, and compares the principal with the client
+    certificate of the connection.
+    """
+
+    name: str
+    """The feature's name. The `proof` of every principal is this word, or this word, a space and
+    more; two principals with different proofs are two persons."""
+    signed: bool = False
+    """Whether its tokens cannot be guessed: an address that has sent too many invalid ones may then
+    still try others, at a slow pace."""
+
+    def __init__(self) -> None:
+        self.on_change: list[Callable[[], None]] = []
+        """To be called after a principal may be worth something else than before: the gateway then
+        asks `renewed` for every session, and ends those that lost theirs."""
+
+    @abstractmethod
+    def recognises(self, token: str) -> bool:
+        """Tell by its form alone whether a token is of this kind; must cost next to nothing."""
+
+    @abstractmethod
+    def verify(self, token: str, digest: str, *, fetched: bool = False) -> Principal | None:
+        """Return whom a token proves; `digest` is its SHA-256, the principal's `credential`.
+
+        Must not block. None says that something has to be fetched first: the gateway then awaits
+        `fetch` and calls this again with `fetched`.
+
+        :raises Unauthenticated: the token is not valid.
+        :raises TokenExpired: it was valid once.
+        :raises Forbidden: it is valid, and gives no role here.
+        :raises AdapterUnavailable: what was to be fetched is not there.
+        """
+
+    async def fetch(self, token: str, digest: str) -> None:  # noqa: B027 - most have nothing to fetch
+        """Fetch what `verify` lacked for a token, within a bound."""
+
+    def proves(self, digest: str) -> Principal | None:
+        """Return whom a token proves that was verified before and is still valid, by its hash."""
+        return None
+
+    def renewed(self, principal: Principal) -> Principal | None:
+        """Return what a principal is worth at present; None: its token is not valid any more."""
+        return principal
+
+    @property
+    def serves(self) -> bool:
+        """Whether it can authenticate anybody who may do anything."""
+        return True
+
+    @property
+    def issuers(self) -> Sequence[TokenIssuer]:
+        """Who gives out its tokens, if that can be told."""
+        return ()
+
+    @property
+    def facts(self) -> Sequence[dict[str, Any]]:
+        """Its parts for `/system/status`, each with `name` and `state`."""
+        return ()
