@@ -277,7 +277,7 @@ class Identities:
         if principal is None and fetched:
             raise Unauthenticated("unknown token")
         if principal is not None and principal.proof.partition(" ")[0] != authenticator.name:
-            log.error("authenticator_failed", name=authenticator.name, proof=principal.proof)
+            log.error("authenticator_failed", name=authenticator.name, error="proof of another")
             raise InternalError("the token could not be verified")
         return principal
 
