@@ -87,6 +87,7 @@ class Identities:
         self._certificates = Certificates(config.certificates)
         self._issuers = Issuers(config.jwt, config.tenant_names)
         self._keyring = _keyring(config, self._tokens)
+        self._anonymous = _anonymous(config)
         self._attempts = AuthThrottle(config.limits.failed_logins, self._loop.time)
         self._running = False
 
@@ -138,6 +139,7 @@ class Identities:
         self._issuers.stop()
         self._issuers = Issuers(config.jwt, config.tenant_names, self._issuers)
         self._keyring = _keyring(config, self._tokens)
+        self._anonymous = _anonymous(config)
         self._attempts.allowance = config.limits.failed_logins
         if self._running:
             self._issuers.start(self._review)
@@ -165,10 +167,9 @@ class Identities:
 
         :raises Unauthenticated: the configuration gives them no role.
         """
-        grants = self._settings.config.anonymous.grants
-        if not any(roles for _, roles in grants):
+        if self._anonymous is None:
             raise Unauthenticated("authentication required")
-        return Principal("anonymous", grants)
+        return self._anonymous
 
     def longest(self, principal: Principal) -> int:
         """Return the length of the longest message that a principal may send."""
@@ -312,6 +313,12 @@ def _agree(certified: Principal | None, principal: Principal) -> None:
             f"the token belongs to '{principal.name}', the certificate to '{certified.name}'",
             remedy="Send the token of the certificate's owner, or no token.",
         )
+
+
+def _anonymous(config: GatewayConfig) -> Principal | None:
+    """Return the principal of those who prove nothing, or None if they have no role."""
+    grants = config.anonymous.grants
+    return Principal("anonymous", grants) if any(roles for _, roles in grants) else None
 
 
 def _keyring(config: GatewayConfig, tokens: list[Token]) -> Keyring:
