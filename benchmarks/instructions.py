@@ -29,9 +29,9 @@ import uvloop
 from picows import WSListener, WSMsgType, ws_connect
 
 READ = {"type": "read", "path": "/tenant/t/sensor/pose"}
-WRITE = {"type": "write", "path": "/tenant/t/param/speed", "body": 0.5}
-EXECUTE = {"type": "execute", "path": "/tenant/t/service/add", "body": 0.5}
-FOLLOW = {"type": "execute", "path": "/tenant/t/action/count", "body": 0.5}
+WRITE = {"type": "write", "deadline": 300, "path": "/tenant/t/param/speed", "body": 0.5}
+EXECUTE = {"type": "execute", "deadline": 300, "path": "/tenant/t/service/add", "body": 0.5}
+FOLLOW = {"type": "execute", "deadline": 300, "path": "/tenant/t/action/count", "body": 0.5}
 ASKED = {
     "read": READ,
     "ping": {"type": "ping"},
