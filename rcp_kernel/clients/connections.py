@@ -143,20 +143,14 @@ class Connection:
             self._hold(data)
             return
         try:
-            self._take(data)
-        except Exception as error:
-            self.stumbled(data, error)
-
-    def _take(self, data: bytes) -> None:
-        try:
             if len(data) > LONG:
                 self._take_long(data)
-                return
-            request = decode_request(data, self.encoding)
+            else:
+                self._carry_out(decode_request(data, self.encoding))
         except RcpError as error:
             self._refuse(data, error)
-            return
-        self._carry_out(request)
+        except Exception as error:
+            self.stumbled(data, error)
 
     def _take_long(self, data: bytes) -> None:
         """Have a message handled when its turn has come, and before all that come after it."""
