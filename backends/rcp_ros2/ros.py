@@ -65,6 +65,7 @@ class Ticket:
             return
         if error is not None:
             self._future.set_exception(error)
+            self._future.exception()  # noted: whoever waited may have been cancelled by a stop
         else:
             self._future.set_result(value)
 
