@@ -20,7 +20,6 @@ from rcp_ros2.config import StopTopic
 from rcp_ros2.feedback import ODOMETRY, Feedbacks
 from rcp_ros2.graph import Graph
 from rcp_ros2.idl import MissingType
-from rcp_ros2.keeper import Keeper
 from rcp_ros2.means import StopCall, StopSignal
 from rcp_ros2.names import absolute, allows
 from rcp_ros2.rest import Rest
@@ -50,8 +49,8 @@ class Stops:
     def __init__(self, shared: Shared, catalog: Catalog) -> None:
         self._shared = shared
         self._catalog = catalog
-        self.keeper = shared.keeper = Keeper(shared)
-        self.feedbacks = shared.feedbacks = Feedbacks(shared, self._restored)
+        self.keeper = shared.keeper
+        self.feedbacks = Feedbacks(shared, self._restored)
         self._calls: dict[str, StopCall] = {}
         self._signals: set[str] = set()
         self._lost: dict[str | None, set[str]] = {}
