@@ -11,12 +11,11 @@ import asyncio
 from collections.abc import Awaitable, Callable, Generator, Iterable, Iterator, MutableMapping
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Any, Literal, Protocol
+from typing import Any, Literal, Protocol, TypeVar
 
 import msgspec
 
 from rcp_kernel.access.acl import Rights, Rules
-from rcp_kernel.access.approvals import Approvals, ApprovalState, Decision
 from rcp_kernel.access.identities import Identities
 from rcp_kernel.access.identity import Principal
 from rcp_kernel.access.peer import UNKNOWN, Peer, Serial
@@ -37,6 +36,7 @@ from rcp_kernel.errors import (
     RcpError,
     Unauthenticated,
 )
+from rcp_kernel.features.services import ServiceKey, ServiceLookup
 from rcp_kernel.model import Pattern
 from rcp_kernel.operations.command import Command
 from rcp_kernel.operations.command_access import CommandAccess
@@ -51,6 +51,8 @@ from rcp_kernel.values import Encoding
 from rcp_kernel.wire import Reply, Request
 
 __all__ = ["ClientApi", "ClientApiParts", "Mount", "Proofs", "StatusView"]
+
+T = TypeVar("T")
 
 Scope = MutableMapping[str, Any]
 Asgi = Callable[
@@ -115,7 +117,7 @@ class ClientApiParts:
     outbound: Outbound
     discovery: Discovery
     access: CommandAccess
-    approvals: Approvals
+    features: ServiceLookup
     audit_writer: AuditWriter
     counts: RequestCounts
     store: Store
@@ -361,24 +363,9 @@ class ClientApi:
         session.charge()
         return self._parts.access.visited(session)
 
-    def approve(
-        self,
-        session: Session,
-        id_: str,
-        decision: Decision = "approve",
-        reason: str | None = None,
-    ) -> ApprovalState:
-        """Decide on an approval as the person did whom the client of a session was asked for.
-
-        Only for an answer that a person gave at the client, never for one of a model.
-
-        :raises UnknownPath: there is no such approval for this principal.
-        :raises Forbidden: the roles do not let it decide (`may_approve`; `approve_own` for what it
-            asked for itself), or there is nothing to decide any more.
-        :raises RateLimited: a quota does not allow the request.
-        """
-        session.charge()
-        return self._parts.approvals.answer(session, id_, decision, reason)
+    def service(self, key: ServiceKey[T]) -> T | None:
+        """Return what a feature offers under a key; None where no feature does."""
+        return self._parts.features.service(key)
 
     def follow(self, command: Command, answer: Answer) -> Callable[[], None]:
         """Have `answer` called with each further reply of a command; return what ends that."""

@@ -14,8 +14,8 @@ import pluggy
 if TYPE_CHECKING:
     from rcp_kernel.access.identity import Principal
     from rcp_kernel.client_kinds import AdapterKind, TransportKind
-    from rcp_kernel.clients.session import Handler
     from rcp_kernel.config.file import GatewayConfig
+    from rcp_kernel.features import FeatureKind
     from rcp_kernel.spi import BackendKind
 
 __all__ = ["PROJECT", "hookimpl"]
@@ -62,23 +62,14 @@ def rcp_adapters() -> Iterable[AdapterKind]:  # pyright: ignore[reportReturnType
 
 
 @hookspec
-def rcp_interceptors(
-    config: GatewayConfig,
-) -> Iterable[Callable[[Handler], Handler]]:  # pyright: ignore[reportReturnType]
-    """Offer functions that wrap the handling of every request; composed once, by plugin name.
-
-    An interceptor runs on the hot path: it must not await, and must call on or refuse.
+def rcp_features() -> Iterable[FeatureKind]:  # pyright: ignore[reportReturnType]
+    """Offer what the gateway itself can do, used by `[features.<name>]`.
 
     Example::
 
         @hookimpl
-        def rcp_interceptors(config):
-            def count(handler):
-                def handle(session, request, answer):
-                    seen[request.type] += 1
-                    handler(session, request, answer)
-                return handle
-            return [count]
+        def rcp_features():
+            return [FeatureKind("maintenance", MaintenanceConfig, make_maintenance)]
     """
 
 

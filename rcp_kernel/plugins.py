@@ -1,8 +1,9 @@
 """Load what the configuration names, and nothing else; refuse what breaks the rules, by name.
 
-Entry-point groups are `rcp.transports`, `rcp.plugins` and `rcp.backends`; an entry point's name is
-the word of the configuration. A plugin that cannot be imported is `unavailable`, with the line
-that would mend it; it never stops the gateway.
+Entry-point groups are `rcp.transports`, `rcp.plugins`, `rcp.backends` and `rcp.features`; an entry
+point's name is the word of the configuration. A plugin that cannot be imported is `unavailable`,
+with the line that would mend it, and does not stop the gateway; a feature does: what it would have
+kept out must not come in because it is broken.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ from rcp_kernel import hookspecs
 from rcp_kernel.client_kinds import AdapterKind, TransportKind
 from rcp_kernel.config.file import GatewayConfig
 from rcp_kernel.errors import ConfigError, PluginError, StartupError
+from rcp_kernel.features import FeatureKind
 from rcp_kernel.spi import BackendKind
 
 __all__ = ["GROUPS", "Missing", "Plugins", "installed", "obstacle"]
@@ -30,7 +32,10 @@ GROUPS = {
     "transports": "rcp.transports",
     "plugins": "rcp.plugins",
     "backends": "rcp.backends",
+    "features": "rcp.features",
 }
+_KINDS = ("rcp_backends", "rcp_adapters", "rcp_features")
+"""Hooks whose records may need the libraries of an extra."""
 
 
 class Missing(msgspec.Struct, frozen=True):
@@ -59,7 +64,7 @@ def installed(group: str) -> dict[str, EntryPoint]:
     return found
 
 
-def _lacking(kind: BackendKind | AdapterKind) -> str | None:
+def _lacking(kind: BackendKind | AdapterKind | FeatureKind) -> str | None:
     """Return the first module that a kind needs and that is not installed."""
     return next((name for name in kind.needs if find_spec(name) is None), None)
 
@@ -70,7 +75,7 @@ def obstacle(point: EntryPoint) -> str | None:
         module = importlib.import_module(point.value)
     except ImportError as error:
         return f"{error}; {_remedy(point)}"
-    offers = [getattr(module, hook, None) for hook in ("rcp_backends", "rcp_adapters")]
+    offers = [getattr(module, hook, None) for hook in _KINDS]
     kinds = [kind for offer in offers if offer is not None for kind in offer()]
     name = next(filter(None, map(_lacking, kinds)), None)
     return None if name is None else f"No module named '{name}'; {_remedy(point)}"
@@ -102,32 +107,58 @@ class Plugins:
         self.backends: dict[str, BackendKind] = {}
         self.transports: dict[str, TransportKind] = {}
         self.adapters: dict[str, AdapterKind] = {}
+        self.features: dict[str, FeatureKind] = {}
         self._manager = pluggy.PluginManager(hookspecs.PROJECT)
         self._manager.add_hookspecs(hookspecs)
         self._load("backends", {backend.use for backend in config.backends})
         self._load("transports", set(config.transports))
         self._load("plugins", set(config.plugins))
+        self._load_features(config)
         _collect(self.backends, self._offers("rcp_backends"), "backend")
         _collect(self.transports, self._offers("rcp_transports"), "transport")
         _collect(self.adapters, self._offers("rcp_adapters"), "adapter")
+        _collect(self.features, self._offers("rcp_features"), "feature")
         self._check_needs("backends", self.backends)
         for name in self._check_needs("plugins", self.adapters):
             del self.adapters[name]
+        for name in self._check_needs("features", self.features):
+            del self.features[name]
+        self._check_features()
         hook = self._manager.hook
         try:
-            self.interceptors = [
-                wrap for found in hook.rcp_interceptors(config=config) for wrap in found
-            ]
             self.authenticator: Any = hook.rcp_authenticator(config=config)
         except (StartupError, MemoryError):
             raise
         except (Exception, SystemExit, KeyboardInterrupt) as error:
             # What it would have kept out must not come in because it is broken.
             raise PluginError(
-                f"a plugin's rcp_interceptors or rcp_authenticator raised {error!r}; starting "
-                "without "
-                "it could admit requests that it must refuse"
+                f"a plugin's rcp_authenticator raised {error!r}; starting without it could admit "
+                "requests that it must refuse"
             ) from error
+
+    def _load_features(self, config: GatewayConfig) -> None:
+        """Load the features, but none that is built in, neither installed nor used."""
+        wanted = set(config.active_features)
+        self._load("features", wanted & (installed("features").keys() | config.used_features))
+
+    def _check_features(self) -> None:
+        """Make sure that every feature is there that the configuration uses.
+
+        :raises PluginError: one is not.
+        """
+        used, points = self.config.used_features, installed("features")
+        lost = {one.name: one for one in self.missing if one.group == "features"}
+        for name in self.config.active_features:
+            if name in lost and name in used:
+                one = lost[name]
+                raise PluginError(
+                    f"the feature '{name}' cannot be loaded: {one.reason}; try: {one.remedy}"
+                )
+            if name in points and name not in self.features and name not in lost:
+                raise PluginError(
+                    f"the entry point '{name}' of rcp.features offers no feature '{name}'; its "
+                    "`rcp_features` must return a FeatureKind of this name"
+                )
 
     def _offers(self, hook: str) -> list[list[Any]]:
         """Ask each plugin by itself; one whose hook raises is missing, and the others are there."""
@@ -164,7 +195,9 @@ class Plugins:
             register(self._manager, module, f"{group}.{name}")
 
     def _check_needs(
-        self, group: str, kinds: Mapping[str, BackendKind] | Mapping[str, AdapterKind]
+        self,
+        group: str,
+        kinds: Mapping[str, BackendKind] | Mapping[str, AdapterKind] | Mapping[str, FeatureKind],
     ) -> list[str]:
         """Note the kinds that lack a library, and return their names."""
         points, found = installed(group), list[str]()

@@ -3,27 +3,26 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncGenerator, Iterator
+from collections.abc import AsyncGenerator, Iterator, Sequence
 from contextlib import asynccontextmanager
 from functools import partial
 from typing import Any
 
 import msgspec
 
-from rcp_kernel.access.approvals import ApprovalRequest, Approvals, ApprovalState
 from rcp_kernel.access.quotas import QuotaTracker
 from rcp_kernel.clients.session import Session
 from rcp_kernel.clients.sessions import Sessions
 from rcp_kernel.entry import StopGroup
 from rcp_kernel.errors import RcpError, UnknownPath
+from rcp_kernel.features import Filter, Service, SystemResource, View
+from rcp_kernel.features.resource import ViewChanges
 from rcp_kernel.model import Operation, Resource
 from rcp_kernel.motion.estop import LONGEST_WAIT, Estop, EstopRequest, EstopState
 from rcp_kernel.motion.latches import Latches
 from rcp_kernel.motion.lease_service import LeaseRequest, LeaseService, LeaseState
 from rcp_kernel.motion.leases import Leases
 from rcp_kernel.operations.command_access import CommandAccess
-from rcp_kernel.operations.execute import Service
-from rcp_kernel.operations.views import Filter, View
 from rcp_kernel.plans.examples import EXAMPLES
 from rcp_kernel.plans.model import Plan, PlanResult, PlanState, StepState
 from rcp_kernel.plans.resource import PlanList
@@ -75,7 +74,6 @@ class System(BaseBackend):
         lease_service: LeaseService,
         leases: Leases,
         plans: PlanList,
-        approvals: Approvals,
         access: CommandAccess,
         sessions: Sessions,
         quotas: QuotaTracker,
@@ -86,6 +84,8 @@ class System(BaseBackend):
         registry: Registry,
         hub: Hub,
         recent: Recent,
+        features: Sequence[SystemResource],
+        changes: ViewChanges,
         loop: asyncio.AbstractEventLoop,
     ) -> None:
         self._status = status
@@ -110,7 +110,6 @@ class System(BaseBackend):
             "/system/estop": lambda session: msgspec.to_builtins(estop.state(session)),
             "/system/leases": lease_service.view,
             "/system/plans": plans.view,
-            "/system/approvals": approvals.view,
         }
         """Resources whose value depends on who asks, by path."""
         self.filters: dict[str, Filter] = {PATH: disclosure.shown, _LOG: self._shown}
@@ -118,15 +117,17 @@ class System(BaseBackend):
         path, what returns None for a sample that is hidden."""
         self.services: dict[str, Service] = {
             "/system/leases": lease_service.request,
-            "/system/approvals": approvals.request,
         }
         """What else of the gateway's own branch can be executed, by path."""
+        for one in features:
+            self._add(one)
+        changes.on_change.append(self._changed)
         self._open_audit(self.entries[PATH])
         hub.keep(self.entries[_LOG])
         latches.on_change.append(self._estop_changed)
         stops.on_change(self._estop_changed)
         self._publish("estop", estop.everything())
-        for name, part in (("leases", leases), ("plans", plans), ("approvals", approvals)):
+        for name, part in (("leases", leases), ("plans", plans)):
             changed = partial(self._publish, name, [])
             part.on_change.append(changed)
             changed()
@@ -140,6 +141,22 @@ class System(BaseBackend):
     def _place(self, resource: Resource) -> Entry:
         path = "/system/" + resource.name.partition("/")[2]
         return self._registry.place(Entry(path, resource, self, None, None))
+
+    def _add(self, own: SystemResource) -> None:
+        """Put a feature's resource into the tree."""
+        entry = self.entries[own.path] = self._place(own.resource)
+        if own.shows is not None:
+            self.filters[own.path] = own.shows
+            self._hub.keep(entry)
+        if own.execute is not None:
+            self.services[own.path] = own.execute
+        if own.view is not None:
+            self.views[own.path] = own.view
+            self._changed(own.path)
+
+    def _changed(self, path: str) -> None:
+        """Say that a feature's view has changed."""
+        self.entries[path].publish([], None)
 
     def _publish(self, name: str, value: Any) -> None:
         """Say that a view has changed."""
@@ -309,16 +326,6 @@ def _resources() -> list[Resource]:
             operations=_LOOK | Operation.EXECUTE,
             policy="parallel",
             examples=EXAMPLES,
-            history=1,
-        ),
-        Resource(
-            name="service/approvals",
-            description="Commands that a person has to approve first: list, approve, reject.",
-            value=list[ApprovalState],
-            input=ApprovalRequest,
-            output=ApprovalState,
-            operations=_LOOK | Operation.EXECUTE,
-            examples=({"id": "a-0123456789abcdef", "decision": "approve", "reason": "I see it"},),
             history=1,
         ),
     ]

@@ -2,6 +2,8 @@
 
 What can runs side by side in several processes, a file's functions or a class in one of them; then,
 alone, what is marked `serial`. A single test, or what is asked for with `-n0`, runs as ever.
+No test runs in the process that counts: one that hangs where nothing can interrupt it ends its own process
+alone, and is told as failed.
 
 What failed is run again, alone, and told at the very end with its reason; see `verdict`.
 """
@@ -18,24 +20,33 @@ from failures import LISTED, Failure, read
 from verdict import tell
 
 _NONE = 5  # pytest's exit code when there is no such test
-_SPREAD = ("-n", "auto", "--dist", "loadscope", "--no-loadscope-reorder")
+_STOPPED = 2
+_FAILED = 1
+_WORKERS = ("--dist", "loadscope", "--no-loadscope-reorder", "--max-worker-restart", "5")
+_SPREAD = ("-n", "auto", *_WORKERS)
+_SERIAL = ("-n", "1", *_WORKERS)
+_ALONE = (
+    600  # s for one test, with all that comes before and after it: pytest may hang when it ends
+)
 
 
-def run(*arguments: str, listed: Path | None = None) -> int:
-    """Run pytest to its end, with what fails listed in a file; its exit code."""
+def run(*arguments: str, listed: Path | None = None, within: float | None = None) -> int:
+    """Run pytest to its end, or until it has taken too long; its exit code. What fails is listed in a file."""
     environment = {**os.environ, LISTED: str(listed or "")}
     command = [sys.executable, "-m", "pytest", *arguments]
     with subprocess.Popen(command, env=environment) as process:
         while True:
             try:
-                return process.wait()
+                return process.wait(within)
+            except subprocess.TimeoutExpired:
+                process.kill()
             except KeyboardInterrupt:  # pytest has it too, and ends with what it knows so far
                 continue
 
 
 def passes_alone(failure: Failure) -> bool:
     """Run a test by itself."""
-    return run("-n0", "-q", "--no-header", "--tb=short", failure.test) == 0
+    return run("-n0", "-q", "--no-header", "--tb=short", failure.test, within=_ALONE) == 0
 
 
 def main(arguments: list[str]) -> int:
@@ -44,12 +55,16 @@ def main(arguments: list[str]) -> int:
         return run(*arguments)
     with tempfile.TemporaryDirectory() as folder:
         listed = Path(folder) / "failures"
-        spread = run(*_SPREAD, "-m", "not serial", *arguments, listed=listed)
-        if spread not in (0, 1, _NONE):
-            return spread
-        serial = run("-m", "serial", *arguments, listed=listed)
-        result = spread if serial == _NONE else serial if spread == _NONE else max(spread, serial)
-        return tell(read(listed), passes_alone) if result == 1 else result
+        result = _run_all(arguments, listed)
+        return tell(read(listed), passes_alone) if result in (_FAILED, _STOPPED) else result
+
+
+def _run_all(arguments: list[str], listed: Path) -> int:
+    spread = run(*_SPREAD, "-m", "not serial", *arguments, listed=listed)
+    if spread not in (0, _FAILED, _NONE):
+        return spread
+    serial = run(*_SERIAL, "-m", "serial", *arguments, listed=listed)
+    return spread if serial == _NONE else serial if spread == _NONE else max(spread, serial)
 
 
 if __name__ == "__main__":

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import faulthandler
+import logging
 import os
 import signal
 from collections import Counter
 from collections.abc import Generator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import psutil
 import pytest
+import structlog
+from _pytest.faulthandler import fault_handler_stderr_fd_key
 from hypothesis import settings
 
 from failures import LISTED, Failure, failure, note
@@ -18,8 +23,10 @@ from pairs import left_out
 from scheduling import PROCESSES, Scheduling
 
 _under_way: set[str] = set()
+_REST = 120  # s that a test that failed may take to clean up
 _MEMORY = 2**30  # bytes that a process and what its tests start may need
 _LINE = 4000  # characters of a line in a report: errors are told in full, maps and pictures are not
+_PHASES = ("setup", "call", "teardown")
 _listed = os.environ.get(LISTED)
 _leading = "PYTEST_XDIST_WORKER" not in os.environ
 
@@ -31,6 +38,31 @@ settings.load_profile("untimed")
 
 # Where the tests are started in the background, Ctrl-C is ignored, and would be by all they start.
 signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+@pytest.fixture(autouse=True, scope="module")
+def logging_of_a_file() -> Generator[None]:
+    """Let no file's gateways set the log level of another's."""
+    with _own_logging():
+        yield
+
+
+@pytest.fixture(autouse=True)
+def logging_of_a_test() -> Generator[None]:
+    """Let no test's gateway set the log level of another's."""
+    with _own_logging():
+        yield
+
+
+@contextmanager
+def _own_logging() -> Generator[None]:
+    known, root = structlog.get_config(), logging.getLogger()
+    level, handlers = root.level, list(root.handlers)
+    yield
+    structlog.configure(**known)
+    root.setLevel(level)
+    for handler in [one for one in root.handlers if one not in handlers]:
+        root.removeHandler(handler)
 
 
 @pytest.fixture
@@ -70,7 +102,9 @@ def pytest_runtest_makereport() -> Generator[None, pytest.TestReport, pytest.Tes
 
 
 def pytest_runtest_logreport(report: pytest.TestReport) -> None:
-    """List what fails, for whoever asked for a list."""
+    """List what fails, for whoever asked for a list; a process that ended under a test is told here alone."""
+    if report.when not in _PHASES:
+        _under_way.discard(report.nodeid)
     if report.failed and _listed and _leading:
         note(failure(report), Path(_listed))
 
@@ -81,10 +115,23 @@ def pytest_collectreport(report: pytest.CollectReport) -> None:
         note(failure(report), Path(_listed))
 
 
-def pytest_sessionfinish(session: pytest.Session) -> None:
-    """List that tests were left out: no rerun of one that failed can speak for them."""
-    if (session.shouldfail or session.shouldstop) and _listed and _leading:
-        note(Failure("the run", "it was cut short", crashed=True), Path(_listed))
+def pytest_sessionfinish(session: pytest.Session, exitstatus: int) -> None:
+    """List that tests were left out, and which were cut off: no other can speak for them."""
+    if not (_listed and _leading):
+        return
+    stopped = exitstatus == pytest.ExitCode.INTERRUPTED
+    for nodeid in sorted(_under_way) if stopped else ():
+        note(Failure(nodeid, "was under way when the tests were stopped"), Path(_listed))
+    if stopped or session.shouldfail or session.shouldstop:
+        note(Failure("the run", "it was cut short", cut_short=True), Path(_listed))
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_exception_interact(node: pytest.Item | pytest.Collector) -> None:
+    """Bound what is left of a test that failed: pytest, and its plugin, have just dropped their bounds."""
+    if isinstance(node, pytest.Item) and not node.config.getoption("usepdb"):
+        stderr = node.config.stash[fault_handler_stderr_fd_key]
+        faulthandler.dump_traceback_later(_REST, file=stderr, exit=True)
 
 
 def pytest_runtest_logstart(nodeid: str) -> None:

@@ -20,16 +20,15 @@ class Failure:
 
     test: str
     reason: str
-    crashed: bool = False
-    """The process ended under it."""
+    cut_short: bool = False
+    """It stands for tests that were not run, of which no test that is run again can speak."""
 
 
 def failure(report: pytest.TestReport | pytest.CollectReport) -> Failure:
     """Tell why a test failed, in a line."""
     crash = getattr(report.longrepr, "reprcrash", None)
     text = crash.message if crash else str(report.longrepr).strip().rpartition("\n")[2]
-    crashed = report.when not in ("setup", "call", "teardown", "collect")
-    return Failure(report.nodeid, " ".join(text.split()), crashed)
+    return Failure(report.nodeid, " ".join(text.split()))
 
 
 def note(found: Failure, file: Path) -> None:

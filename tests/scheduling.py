@@ -10,6 +10,7 @@ __all__ = ["PROCESSES", "Scheduling"]
 
 PROCESSES = 2
 """For each core, of which about half wait for simulated time."""
+_LEAST = 2  # tests that a process has to know of
 _WAITING = ("tests/backends/mavlink/", "tests/backends/can/", "tests/backends/ros2/")
 
 
@@ -30,3 +31,30 @@ class Scheduling(LoadScopeScheduling):
         if chosen is not None:
             self.workqueue.move_to_end(chosen, last=False)
         super()._assign_work_unit(node)
+
+    def _reschedule(self, node: Any) -> None:
+        """Hand out work; a process runs a test only once it knows the next, so two at least."""
+        super()._reschedule(node)
+        while (
+            self.workqueue
+            and not node.shutting_down
+            and self._pending_of(self.assigned_work[node]) < _LEAST
+        ):
+            self._assign_work_unit(node)
+
+    def remove_node(self, node: Any) -> str | None:
+        """Give others what a process has left, but for the test under which it ended.
+
+        As it comes, the scheduler would run that test again, in one process after the other until
+        none is left, and would hand out what has long been done, on which a process waits for ever.
+        """
+        units = self.assigned_work.pop(node)
+        left = [(unit, test) for unit in units.values() for test, done in unit.items() if not done]
+        if not left:
+            return None
+        unit, crashed = left[0]
+        unit[crashed] = True
+        self.workqueue.update({k: v for k, v in units.items() if not all(v.values())})
+        for other in self.nodes:
+            self._reschedule(other)
+        return crashed

@@ -61,10 +61,11 @@ def test_very_many_are_listed_without_another_run(capsys: pytest.CaptureFixture[
     assert capsys.readouterr().out.count("FAILED ") == _MANY
 
 
-def test_a_test_that_ended_its_process_is_not_excused() -> None:
+def test_a_run_that_was_cut_short_is_not_excused(capsys: pytest.CaptureFixture[str]) -> None:
     alone = _Alone()
-    assert tell([Failure("tests/test_0.py::test_it", "gone", crashed=True)], alone) == 1
+    assert tell([*_failures(1), Failure("the run", "stopped", cut_short=True)], alone) == 1
     assert alone.ran == []
+    assert capsys.readouterr().out.count("[not run again: the run was cut short]") == 2
 
 
 def test_a_run_that_failed_without_a_test_that_did_is_not_excused() -> None:

@@ -19,13 +19,22 @@ _LENGTH = 1000  # characters of a reason
 def tell(failures: list[Failure], passes: Callable[[Failure], bool]) -> int:
     """Run each failure again, alone, and say at the very end what it means; the exit code.
 
-    0 only if every single one of at most a few passes alone, several times in a row.
+    0 only if every single one of at most a few passes alone, several times in a row. A process that
+    ended under a test, or hung in it, is a failure like others: that test is run again too.
     """
-    sensitive, broken = _sorted(failures, passes) if len(failures) <= _ALONE else ([], failures)
+    unclear = _why_unclear(failures)
+    sensitive, broken = ([], failures) if unclear else _sorted(failures, passes)
     excused = bool(sensitive) and not broken and len(sensitive) <= _EXCUSED
-    for line in _told(sensitive, broken, excused=excused):
+    found = unclear or "fails alone too"
+    for line in _told(sensitive, broken, found, excused=excused):
         print(line, flush=True)  # noqa: T201 - what follows the output of pytest
     return 0 if excused else 1
+
+
+def _why_unclear(failures: list[Failure]) -> str:
+    if any(each.cut_short for each in failures):
+        return "not run again: the run was cut short"
+    return "not run again: there are too many" if len(failures) > _ALONE else ""
 
 
 def _sorted(
@@ -34,27 +43,23 @@ def _sorted(
     sensitive: list[Failure] = []
     broken: list[Failure] = []
     for each in failures:
-        alone = not each.crashed and all(passes(each) for _ in range(_TIMES))
+        alone = all(passes(each) for _ in range(_TIMES))
         (sensitive if alone else broken).append(each)
     return sensitive, broken
 
 
-def _told(sensitive: list[Failure], broken: list[Failure], *, excused: bool) -> Iterator[str]:
+def _told(
+    sensitive: list[Failure], broken: list[Failure], found: str, *, excused: bool
+) -> Iterator[str]:
     yield f"\n{HEADING}: {len(sensitive) + len(broken)}"
     for each in broken:
-        yield _line(each, _why(each, len(broken)))
+        yield _line(each, found)
     if sensitive:
         yield f"SENSITIVE TO LOAD: mend (each passed {_TIMES} times alone)"
     for each in sensitive:
         yield _line(each, "passes alone")
     if excused:
         yield "Nothing else failed: the run passes."
-
-
-def _why(failure: Failure, of: int) -> str:
-    if failure.crashed:
-        return "cannot be run again"
-    return "fails alone too" if of <= _ALONE else "not run again: there are too many"
 
 
 def _line(failure: Failure, found: str) -> str:

@@ -30,6 +30,7 @@ from rcp_a2a.stops import PLANS
 from rcp_kernel.client_api import ClientApi
 from rcp_kernel.clients.session import Session
 from rcp_kernel.errors import Forbidden, RcpError, UnknownPath
+from rcp_kernel.features.approval import APPROVALS, NoApprovals
 from rcp_kernel.operations.discovery import Query
 from rcp_kernel.wire import Reply, Request
 
@@ -109,7 +110,8 @@ class Run:
         if decision is None:
             return "Answer with the decision `approve` or `reject`, or with another plan."
         try:
-            self._client_api.approve(caller.session, approval, decision, _reason(answer))
+            approvals = self._client_api.service(APPROVALS) or NoApprovals()
+            approvals.answer(caller.session, approval, decision, _reason(answer))
         except Forbidden as error:
             if decision == "reject":
                 return error.message

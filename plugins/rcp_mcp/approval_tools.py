@@ -15,6 +15,7 @@ from mcp.shared.exceptions import MCPError
 from rcp_kernel.client_api import ClientApi
 from rcp_kernel.clients.session import Session
 from rcp_kernel.errors import ApprovalRequired, Forbidden
+from rcp_kernel.features.approval import APPROVALS, NoApprovals
 from rcp_kernel.model import tenant_of
 from rcp_kernel.wire import Reply, Request
 from rcp_mcp.caller import asks_people, modern
@@ -96,9 +97,9 @@ class ApprovalTools:
         if action == "cancel":
             return
         yes = action == "accept" and isinstance(content, dict) and content.get("approve") is True  # pyright: ignore[reportUnknownMemberType]
-        self._client_api.approve(
-            session, id_, "approve" if yes else "reject", "approved at the client"
-        )
+        approvals = self._client_api.service(APPROVALS) or NoApprovals()
+        decision = "approve" if yes else "reject"
+        approvals.answer(session, id_, decision, "approved at the client")
         if not yes:
             raise Forbidden(
                 "the person at the client did not approve the command",

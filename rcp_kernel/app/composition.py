@@ -12,22 +12,25 @@ from dataclasses import dataclass
 from functools import partial
 
 from rcp_kernel.access.acl import Rules
-from rcp_kernel.access.approvals import Approvals
 from rcp_kernel.access.conditions import Conditions
 from rcp_kernel.access.identities import Authenticator, Identities
 from rcp_kernel.access.quotas import QuotaTracker
 from rcp_kernel.access.resolver import Resolver
 from rcp_kernel.access.visibility import Visibility
+from rcp_kernel.app.feature_host import GatewayFeatureHost
+from rcp_kernel.app.features import ActiveFeature, Features, make
 from rcp_kernel.app.kernel import Kernel
 from rcp_kernel.client_api import ClientApi, ClientApiParts
 from rcp_kernel.clients.connections import ConnectionParts
 from rcp_kernel.clients.handshake import Handshake
 from rcp_kernel.clients.outbound import Outbound
 from rcp_kernel.clients.resume import SessionResume
-from rcp_kernel.clients.session import Handler, Session
+from rcp_kernel.clients.session import Session
 from rcp_kernel.clients.sessions import Sessions
 from rcp_kernel.config.file import BackendConfig, GatewayConfig
 from rcp_kernel.config.settings import Settings
+from rcp_kernel.features.approval import APPROVALS, NoApprovals
+from rcp_kernel.features.resource import ViewChanges
 from rcp_kernel.motion.estop import Estop
 from rcp_kernel.motion.fence_guard import FenceGuard
 from rcp_kernel.motion.latches import Latches
@@ -90,6 +93,8 @@ class _Base:
     visibility: Visibility
     rules: Rules
     counts: RequestCounts
+    inflight: InFlight
+    changes: ViewChanges
     supervisors: list[BackendSupervisor]
 
 
@@ -135,8 +140,6 @@ class _Requests:
 
     router: RequestRouter
     resolver: Resolver
-    inflight: InFlight
-    approvals: Approvals
     admission: Admission
     keys: Keys
 
@@ -168,16 +171,17 @@ def compose(
     store: Store,
     recent: Recent,
     authenticator: Authenticator | None = None,
-    interceptors: Sequence[Callable[[Handler], Handler]] = (),
+    features: Sequence[ActiveFeature] = (),
 ) -> Kernel:
     """Build a gateway that serves nobody yet and has no backends."""
     base = _base(config, loop)
     records = _records(base, store)
+    made = _features(base, records, features)
     motion = _motion(base, records)
     clients = _clients(base, records, motion, authenticator)
-    requests = _requests(base, records, motion, clients, interceptors)
-    system = _system(base, records, motion, clients, requests, recent)
-    handlers = _handlers(base, records, motion, clients, requests, system)
+    requests = _requests(base, records, motion, clients, made)
+    system = _system(base, records, motion, clients, recent, made)
+    handlers = _handlers(base, records, motion, clients, requests, system, made)
     return Kernel(
         settings=base.settings,
         shutdown=base.shutdown,
@@ -206,9 +210,11 @@ def compose(
         guard=system.guard,
         status=system.status,
         system=system.branch,
+        features=made,
+        admission=requests.admission,
         supervisors=base.supervisors,
         supervise=_supervise(base, records, motion),
-        client_api=_client_api(base, records, motion, clients, requests, system, handlers),
+        client_api=_client_api(base, records, motion, clients, requests, system, handlers, made),
     )
 
 
@@ -216,8 +222,9 @@ def _base(config: GatewayConfig, loop: asyncio.AbstractEventLoop) -> _Base:
     registry, turns = Registry(), Turns(loop)
     hub = Hub(registry, loop, config.limits.pattern_value)
     conditions = Conditions(hub)
+    settings, counts = Settings(config), RequestCounts()
     return _Base(
-        settings=Settings(config),
+        settings=settings,
         shutdown=Shutdown(),
         loop=loop,
         turns=turns,
@@ -227,7 +234,9 @@ def _base(config: GatewayConfig, loop: asyncio.AbstractEventLoop) -> _Base:
         conditions=conditions,
         visibility=Visibility(registry),
         rules=Rules(config.roles, conditions),
-        counts=RequestCounts(),
+        counts=counts,
+        inflight=InFlight(settings, counts, turns, loop),
+        changes=ViewChanges(),
         supervisors=[],
     )
 
@@ -236,6 +245,19 @@ def _records(base: _Base, store: Store) -> _Records:
     audit = Audit(store, base.loop, base.settings.config.audit)
     writer = AuditWriter(audit, store, base.settings, base.loop)
     return _Records(store, audit, writer, History(store))
+
+
+def _features(base: _Base, records: _Records, active: Sequence[ActiveFeature]) -> Features:
+    host = partial(
+        GatewayFeatureHost,
+        changes=base.changes,
+        store=records.store,
+        audit=records.audit,
+        visibility=base.visibility,
+        place=base.inflight.place,
+        loop=base.loop,
+    )
+    return make(active, host)
 
 
 def _motion(base: _Base, records: _Records) -> _Motion:
@@ -308,10 +330,9 @@ def _requests(
     records: _Records,
     motion: _Motion,
     clients: _Clients,
-    interceptors: Sequence[Callable[[Handler], Handler]],
+    features: Features,
 ) -> _Requests:
     resolver = Resolver(base.registry)
-    inflight = InFlight(base.settings, base.counts, base.turns, base.loop)
     admission = Admission(
         resolver,
         clients.leases,
@@ -319,14 +340,13 @@ def _requests(
         records.writer,
         base.shutdown,
         motion.arming.check_thaw,
+        features.guards,
     )
     keys = Keys(records.store, base.loop)
     keys.load(motion.commands.find)
     return _Requests(
-        RequestRouter(base.settings, base.turns, base.counts, records.writer, interceptors),
+        RequestRouter(base.settings, base.turns, base.counts, records.writer),
         resolver,
-        inflight,
-        Approvals(base.settings, base.visibility, records.audit, inflight.place, base.loop),
         admission,
         keys,
     )
@@ -337,8 +357,8 @@ def _system(
     records: _Records,
     motion: _Motion,
     clients: _Clients,
-    requests: _Requests,
     recent: Recent,
+    features: Features,
 ) -> _System:
     estop = Estop(
         base.supervisors,
@@ -394,7 +414,6 @@ def _system(
         ),
         leases=clients.leases,
         plans=plans,
-        approvals=requests.approvals,
         access=clients.access,
         sessions=clients.sessions,
         quotas=clients.quotas,
@@ -405,6 +424,8 @@ def _system(
         registry=base.registry,
         hub=base.hub,
         recent=recent,
+        features=features.resources,
+        changes=base.changes,
         loop=base.loop,
     )
     return _System(estop, guard, status, plans, disclosure, branch)
@@ -417,9 +438,10 @@ def _handlers(
     clients: _Clients,
     requests: _Requests,
     system: _System,
+    features: Features,
 ) -> _Handlers:
     """Make the handlers, and have the router send them their requests."""
-    router, inflight = requests.router, requests.inflight
+    router, inflight = requests.router, base.inflight
     read = ReadHandler(
         base.registry,
         requests.resolver,
@@ -449,7 +471,7 @@ def _handlers(
         motion.deadman,
         motion_limits=motion.limits,
         leases=clients.leases,
-        approvals=requests.approvals,
+        dry_run=features.dry_run,
         keys=requests.keys,
         audit_writer=records.writer,
         loop=base.loop,
@@ -461,8 +483,8 @@ def _handlers(
         clients.access,
         estop=system.estop,
         services=system.branch.services,
-        plans=_plans(base, records, motion, clients, requests, system),
-        approvals=requests.approvals,
+        plans=_plans(base, records, motion, clients, requests, system, features),
+        dry_run=features.dry_run,
         motion_limits=motion.limits,
         quotas=clients.quotas,
         keys=requests.keys,
@@ -493,14 +515,16 @@ def _plans(
     clients: _Clients,
     requests: _Requests,
     system: _System,
+    features: Features,
 ) -> Plans:
+    approvals = features.service(APPROVALS) or NoApprovals()
     checker = PlanChecker(
         registry=base.registry,
         resolver=requests.resolver,
         conditions=base.conditions,
         leases=clients.leases,
         motion_limits=motion.limits,
-        approvals=requests.approvals,
+        approvals=approvals,
         settings=base.settings,
         views=system.branch.views,
         filters=system.branch.filters,
@@ -511,7 +535,7 @@ def _plans(
         handle=requests.router.handle,
         resolver=requests.resolver,
         commands=motion.commands,
-        approvals=requests.approvals,
+        approvals=approvals,
         conditions=base.conditions,
         registry=base.registry,
         audit_writer=records.writer,
@@ -546,6 +570,7 @@ def _client_api(
     requests: _Requests,
     system: _System,
     handlers: _Handlers,
+    features: Features,
 ) -> ClientApi:
     discovery = Discovery(base.registry, motion.limits)
     requests.router.add("discover", stepped=DiscoverHandler(discovery, base.settings).discover)
@@ -564,7 +589,6 @@ def _client_api(
     connections = ConnectionParts(
         handle=requests.router.handle,
         read_at_once=handlers.read.read_at_once,
-        quick=requests.router.quick,
         handshake=handshake,
         sessions=clients.sessions,
         identities=clients.identities,
@@ -588,7 +612,7 @@ def _client_api(
         outbound=clients.outbound,
         discovery=discovery,
         access=clients.access,
-        approvals=requests.approvals,
+        features=features,
         audit_writer=records.writer,
         counts=base.counts,
         store=records.store,

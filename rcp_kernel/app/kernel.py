@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from rcp_kernel.access.acl import Rules
 from rcp_kernel.access.conditions import Conditions
 from rcp_kernel.access.identities import Identities
 from rcp_kernel.access.quotas import QuotaTracker
+from rcp_kernel.app.features import ActiveFeature, Features
 from rcp_kernel.client_api import ClientApi
 from rcp_kernel.clients.outbound import Outbound
 from rcp_kernel.clients.resume import SessionResume
@@ -19,6 +20,7 @@ from rcp_kernel.config.settings import Settings
 from rcp_kernel.motion.leases import Leases
 from rcp_kernel.motion.motion_limits import MotionLimits
 from rcp_kernel.motion.safety import Deadman
+from rcp_kernel.operations.admission import Admission
 from rcp_kernel.operations.commands import Commands
 from rcp_kernel.operations.counts import RequestCounts
 from rcp_kernel.process.guard import GuardLink
@@ -70,6 +72,8 @@ class Kernel:
     guard: GuardLink
     status: StatusReport
     system: System
+    features: Features
+    admission: Admission
     supervisors: list[BackendSupervisor]
     supervise: Callable[[BackendConfig], BackendSupervisor]
     """Makes the supervisor of a backend from its table of the configuration."""
@@ -80,8 +84,11 @@ class Kernel:
         """Whether a robot is driven, or carries something out."""
         return self.deadman.driving or bool(self.commands.running)
 
-    def reconfigure(self, config: GatewayConfig) -> None:
-        """Take over the rules, keys and limits of another configuration; open sessions feel it."""
+    def reconfigure(self, config: GatewayConfig, features: Sequence[ActiveFeature] = ()) -> None:
+        """Take over the rules, keys and limits of another configuration; open sessions feel it.
+
+        A feature that is not among `features` keeps its table.
+        """
         self.settings.replace(config)
         self.outbound.configure(config.limits)
         self.hub.pattern_value = config.limits.pattern_value
@@ -89,6 +96,8 @@ class Kernel:
         self.identities.reconfigure(config)
         self.retention.config = config.audit
         self.motion_limits.configure(config.envelopes)
+        self.features.reconfigure(features)
+        self.admission.configure()
         self.sessions.review()
 
     async def close(self) -> None:

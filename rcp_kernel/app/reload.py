@@ -31,6 +31,8 @@ async def reload(server: Server, path: Path) -> None:
         fresh = load(path)
         prepare(fresh, str(path))
         kept = {part: getattr(running, part) for part in _FIXED}
+        if set(running.active_features) != set(fresh.active_features):
+            kept["features"] = running.features
         prepared = prepare(msgspec.structs.replace(fresh, **kept), str(path))
     except StartupError as error:
         log.error("reload_refused", reason=str(error))
@@ -41,7 +43,8 @@ async def reload(server: Server, path: Path) -> None:
         server.kernel.audit.note("reload", principal=None, outcome="failed")
         return
     log_weak_keys(fresh.keys, str(path))
-    for part in _FIXED:
+    fixed = _FIXED if "features" not in kept else (*_FIXED, "features")
+    for part in fixed:
         if getattr(running, part) != getattr(fresh, part):
             log.warning("reload_needs_restart", part=part)
     for key in _GUARD:
@@ -58,7 +61,7 @@ async def apply(server: Server, prepared: Prepared) -> None:
     """
     kernel, turn = server.kernel, server.reloading
     turn.newest = prepared
-    kernel.reconfigure(prepared.config)
+    kernel.reconfigure(prepared.config, prepared.features)
     async with turn.lock:
         if turn.newest is not prepared:
             kernel.audit.note("reload", principal=None, outcome="superseded")

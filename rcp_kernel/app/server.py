@@ -12,6 +12,7 @@ import structlog
 
 from rcp_kernel.access.identities import check_proofs, store_file
 from rcp_kernel.app.composition import compose
+from rcp_kernel.app.features import ActiveFeature, active
 from rcp_kernel.app.kernel import Kernel
 from rcp_kernel.client_api import ClientApi
 from rcp_kernel.client_kinds import AdapterKind, TransportKind
@@ -51,6 +52,7 @@ class Prepared(msgspec.Struct, frozen=True):
     """The plugin's own part of each `[[backends]]`, None where its plugin is missing."""
     transports: dict[str, Any]
     adapters: dict[str, Any]
+    features: tuple[ActiveFeature, ...] = ()
 
 
 class Reloading:
@@ -100,7 +102,8 @@ def prepare(config: GatewayConfig, source: str) -> Prepared:
             except ConfigError as error:
                 raise ConfigError(f"{source}: {error}") from None
     adapters = _tables(config.plugins, plugins.adapters, f"{source}: [plugins.")
-    return Prepared(config, plugins, tuple(backends), transports, adapters)
+    features = active(config, plugins.features, source)
+    return Prepared(config, plugins, tuple(backends), transports, adapters, features)
 
 
 def _tables(raw: dict[str, dict[str, Any]], kinds: dict[str, Any], where: str) -> dict[str, Any]:
@@ -132,7 +135,7 @@ async def running(prepared: Prepared, recent: Recent | None = None) -> AsyncGene
             store=store,
             recent=recent,
             authenticator=plugins.authenticator,
-            interceptors=plugins.interceptors,
+            features=prepared.features,
         )
         client_api, status = kernel.client_api, kernel.status
         server = Server(kernel, client_api, status, kernel.supervisors, {})
@@ -142,6 +145,7 @@ async def running(prepared: Prepared, recent: Recent | None = None) -> AsyncGene
         stack.callback(status.stop)
         stack.push_async_callback(kernel.close)
         await stack.enter_async_context(kernel.identities.running())
+        await stack.enter_async_context(kernel.features.running())
         kernel.guard.start()
         stack.push_async_callback(kernel.guard.close)
         await stack.enter_async_context(_backends(server, prepared))

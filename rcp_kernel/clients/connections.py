@@ -53,9 +53,7 @@ class ConnectionParts:
 
     handle: Handler
     read_at_once: Callable[[Session, Request], bytes | None]
-    """Answers the read that nearly all reads are, where nothing wants to see every request."""
-    quick: bool
-    """Whether nothing wants to see every request."""
+    """Answers the read that nearly all reads are."""
     handshake: Handshake
     sessions: Sessions
     identities: Identities
@@ -120,7 +118,7 @@ class Connection:
         self._held: deque[bytes] | None = None
         """Messages since a `hello` or a long message that is not handled yet."""
         self._identifying: asyncio.Task[None] | None = None
-        self._splices = encoding is Encoding.JSON and parts.quick
+        self._splices = encoding is Encoding.JSON
         session.connection = self
         session.encoding = encoding
 

@@ -19,6 +19,7 @@ from msgspec import Meta
 
 from rcp_kernel._plain import is_list, is_map
 from rcp_kernel.config.envelopes import EnvelopeConfig, check_envelopes
+from rcp_kernel.config.features import active_features
 from rcp_kernel.config.identity import (
     Anonymous,
     CertificateConfig,
@@ -117,6 +118,7 @@ class GatewayConfig(Table, frozen=True):
     backends: tuple[BackendConfig, ...] = ()
     transports: dict[str, dict[str, Any]] = {}
     plugins: dict[str, dict[str, Any]] = {}
+    features: dict[_Name, bool | dict[str, Any]] = {}
     roles: dict[str, Role] = {}
     keys: tuple[KeyConfig, ...] = ()
     certificates: tuple[CertificateConfig, ...] = ()
@@ -130,6 +132,19 @@ class GatewayConfig(Table, frozen=True):
     log: LogConfig = LogConfig()
     store: StoreConfig = StoreConfig()
     audit: AuditConfig = AuditConfig()
+
+    @property
+    def active_features(self) -> dict[str, dict[str, Any] | None]:
+        """The features to load, by name: those that are built in, and those with a table."""
+        return active_features(self.features)
+
+    @property
+    def used_features(self) -> frozenset[str]:
+        """The features without which this configuration would not do what it says."""
+        used = set(self.features) & set(self.active_features)
+        if any(role.approve for role in self.roles.values()):
+            used.add("approvals")
+        return frozenset(used)
 
     @property
     def closed(self) -> bool:
@@ -354,3 +369,8 @@ def _check(config: GatewayConfig, source: str) -> None:
     check_roles(config.roles, source)
     check_envelopes(config.envelopes, source, roles, config.tenant_names)
     check_plans(config.plans, source)
+    off = sorted(name for name in config.used_features if config.features.get(name) is False)
+    if off:
+        raise ConfigError(
+            f"{source}: [features] {off[0]} = false, but the configuration uses this feature"
+        )

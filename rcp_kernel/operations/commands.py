@@ -37,7 +37,8 @@ if TYPE_CHECKING:
 
 __all__ = ["CommandObserver", "Commands"]
 
-Confirm = Callable[["Session", Entry, Any, "str | float | None"], Backend]
+Confirm = Callable[[], Backend]
+"""Returns the robot that takes a command, or refuses it by now."""
 _QUEUE = 16  # commands that wait for one path
 _HISTORY = 64  # replies kept of one command; first and last are always among them
 _CANCEL_GRACE = 5.0  # s a backend has to bring a cancelled command to rest
@@ -183,7 +184,7 @@ class Commands:
         work, stops = command.work, entry.unit.stops
         if command.ready is not None:
             await command.ready()
-        backend = confirm(asker, entry, value, command.timestamp)
+        backend = confirm()
 
         def progress(feedback: Any = None, *, fraction: float | None = None) -> None:
             if not command.final:

@@ -6,12 +6,12 @@ import asyncio
 import secrets
 from collections.abc import Coroutine, Generator, Mapping
 from copy import copy
+from functools import partial
 from time import perf_counter
 from typing import Any, Protocol
 
 import msgspec
 
-from rcp_kernel.access.approvals import Approvals
 from rcp_kernel.access.quotas import QuotaTracker
 from rcp_kernel.access.resolver import Resolver
 from rcp_kernel.access.token_bucket import is_exempt
@@ -19,6 +19,7 @@ from rcp_kernel.clients.session import Answer, OwnCommand, Session
 from rcp_kernel.clock import iso, now
 from rcp_kernel.config.settings import Settings
 from rcp_kernel.errors import RcpError
+from rcp_kernel.features import Call, Service
 from rcp_kernel.model import Kind, Operation
 from rcp_kernel.motion.motion_limits import MotionLimits
 from rcp_kernel.motion.safety import Deadman
@@ -29,7 +30,7 @@ from rcp_kernel.operations.commands import Commands
 from rcp_kernel.operations.counts import RequestCounts
 from rcp_kernel.operations.idempotency import Keys
 from rcp_kernel.operations.inflight import InFlight
-from rcp_kernel.operations.write import dry_run_reply
+from rcp_kernel.operations.write import DryRun, dry_run_reply
 from rcp_kernel.plans.resource import PATH as PLANS
 from rcp_kernel.plans.resource import Plans
 from rcp_kernel.plans.stops import only_stops
@@ -40,17 +41,9 @@ from rcp_kernel.safety.partners import Partners
 from rcp_kernel.values import value_type
 from rcp_kernel.wire import Reply, Request
 
-__all__ = ["EstopLane", "ExecuteHandler", "Service"]
+__all__ = ["EstopLane", "ExecuteHandler"]
 
 _SERVICE_TIMEOUT = 10.0  # s for a service that declares none
-
-
-class Service(Protocol):
-    """Something that the gateway itself does, in no time."""
-
-    def __call__(self, session: Session, value: Any, /, *, dry_run: bool) -> Any:
-        """Do it, or for a dry run only check whether it could be done."""
-        ...
 
 
 class EstopLane(Protocol):
@@ -85,7 +78,7 @@ class ExecuteHandler:
         estop: EstopLane,
         services: Mapping[str, Service],
         plans: Plans,
-        approvals: Approvals,
+        dry_run: DryRun,
         motion_limits: MotionLimits,
         quotas: QuotaTracker,
         keys: Keys,
@@ -104,7 +97,7 @@ class ExecuteHandler:
         self._estop_lane = estop
         self._services = services
         self._plans = plans
-        self._approvals = approvals
+        self._dry_run = dry_run
         self._motion_limits = motion_limits
         self._quotas = quotas
         self._keys = keys
@@ -138,7 +131,8 @@ class ExecuteHandler:
         if isinstance(known, Command):
             self._follow(session, request, known, answer, started)
             return None
-        self._admission.admit(session, request, entry, value)
+        call = Call(session, request, entry, value)
+        self._admission.admit(call)
         self._commands.admit(entry)
         halts = entry.is_hold or (entry.path == PLANS and self.stops(session, request))
         if not halts:
@@ -146,20 +140,18 @@ class ExecuteHandler:
             if entry.path == PLANS:
                 self._plans.check_running(session)
         if entry.is_hold and not request.dry_run:
-            self._hold(session, request, entry, answer, started)
+            self._hold(call, answer, started)
             return None
         work = self._plans.prepare(session, request, value) if entry.path == PLANS else None
+        self._admission.ask(call)
         if request.dry_run:
             if work is not None:
                 return dry_run_reply(request, entry, work.would())
             held = self._motion_limits.applied(session, entry)
-            asks = self._approvals.wanted(session, entry, value) or None
-            facts = {"envelopes": held or None, "approval": asks}
+            facts = {"envelopes": held or None, **self._dry_run(call)}
             return dry_run_reply(request, entry, {"execute": value, **facts})
         if work is not None:
             work.approve(session, request, entry)
-        elif session.rights.approve:
-            self._approvals.check(session, request, entry, value)
         command = Command(
             id="cmd-" + secrets.token_hex(8),
             path=entry.path,
@@ -192,14 +184,13 @@ class ExecuteHandler:
             value,
             timeout,
             request.deadline,
-            confirm=self._admission.confirm,
+            confirm=partial(self._admission.confirm, call),
         )
         return None
 
-    def _hold(
-        self, session: Session, request: Request, entry: Entry, answer: Answer, started: float
-    ) -> None:
-        """Bring a robot to rest without an e-stop, past leases, envelopes and quotas."""
+    def _hold(self, call: Call, answer: Answer, started: float) -> None:
+        """Bring a robot to rest without an e-stop, past leases, envelopes, quotas and guards."""
+        session, request, entry = call.session, call.request, call.entry
         command = Command(
             id="cmd-" + secrets.token_hex(8),
             path=entry.path,
@@ -223,7 +214,7 @@ class ExecuteHandler:
             None,
             timeout,
             request.deadline,
-            confirm=self._admission.confirm,
+            confirm=partial(self._admission.confirm, call),
         )
 
     def stops(self, session: Session, request: Request) -> bool:

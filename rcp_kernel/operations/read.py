@@ -22,6 +22,7 @@ from rcp_kernel.errors import (
     RcpError,
     UnsupportedOperation,
 )
+from rcp_kernel.features.resource import Filter, View
 from rcp_kernel.model import Operation, Pattern
 from rcp_kernel.operations.counts import RequestCounts
 from rcp_kernel.operations.inflight import InFlight
@@ -29,7 +30,6 @@ from rcp_kernel.operations.pages import LONGEST, MOST, cursor_of, place_of, room
 from rcp_kernel.operations.parts import Parts, expected, is_listing, listed
 from rcp_kernel.operations.pattern_read import PatternRead
 from rcp_kernel.operations.pending import attribute_error
-from rcp_kernel.operations.views import Filter, View
 from rcp_kernel.registry import Entry, Registry
 from rcp_kernel.spi import Backend, has_watch
 from rcp_kernel.streaming.samples import READ_PIECE, Sample, masked, project

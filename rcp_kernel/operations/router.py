@@ -6,17 +6,16 @@ becomes the one final reply of that request.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Generator
 from time import perf_counter
 
 from rcp_kernel.access.token_bucket import is_exempt
-from rcp_kernel.clients.session import Answer, Handler, Session
+from rcp_kernel.clients.session import Answer, Session
 from rcp_kernel.clock import iso, now
 from rcp_kernel.config.settings import Settings
 from rcp_kernel.errors import RcpError, UnsupportedOperation
 from rcp_kernel.model import Pattern
 from rcp_kernel.operations.counts import RequestCounts
-from rcp_kernel.operations.interceptors import intercepted
 from rcp_kernel.operations.pending import to_internal_error
 from rcp_kernel.plans.model import PATH as PLANS
 from rcp_kernel.record.audit_writer import ACTS, DENIALS, AuditWriter
@@ -45,7 +44,6 @@ class RequestRouter:
         turns: Turns,
         counts: RequestCounts,
         audit_writer: AuditWriter,
-        interceptors: Sequence[Callable[[Handler], Handler]],
     ) -> None:
         self._settings = settings
         self._turns = turns
@@ -54,9 +52,6 @@ class RequestRouter:
         self._routes: dict[str, Route] = {"ping": _ping, "hello": _hello}
         self._stepped: dict[str, SteppedRoute] = {}
         self._stopping: dict[str, Callable[[Session, Request], bool]] = {}
-        self.handle: Handler = intercepted(interceptors, self._admit)
-        self.quick = not interceptors
-        """Whether nothing wants to see every request."""
 
     def add(
         self,
@@ -77,7 +72,8 @@ class RequestRouter:
         if stops is not None:
             self._stopping[type_] = stops
 
-    def _admit(self, session: Session, request: Request, answer: Answer) -> None:
+    def handle(self, session: Session, request: Request, answer: Answer) -> None:
+        """Have a request handled, and answered with exactly one final reply."""
         started = perf_counter()
         try:
             meter = session.token_bucket

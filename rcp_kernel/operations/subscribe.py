@@ -28,10 +28,10 @@ from rcp_kernel.errors import (
     UnknownPath,
     UnsupportedOperation,
 )
+from rcp_kernel.features.resource import Filter, View
 from rcp_kernel.model import Operation, Pattern
 from rcp_kernel.operations.pages import MOST, MOST_BYTES, cursor_of
 from rcp_kernel.operations.parts import is_listing, listed
-from rcp_kernel.operations.views import Filter, View
 from rcp_kernel.registry import Entry
 from rcp_kernel.streaming.conditional import ConditionalSubscriptions
 from rcp_kernel.streaming.filters import Change, Options, check_fields, parse_where, seconds

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Callable, Mapping
 from copy import copy
 from functools import partial
 from time import perf_counter
 from typing import Any
 
-from rcp_kernel.access.approvals import Approvals
 from rcp_kernel.access.resolver import Resolver
 from rcp_kernel.clients.session import Answer, Session
 from rcp_kernel.clock import iso, now
 from rcp_kernel.errors import DeviceRejected, EstopActive, RcpError, Refused
+from rcp_kernel.features import Call
 from rcp_kernel.model import Operation
 from rcp_kernel.motion.leases import Leases
 from rcp_kernel.motion.motion_limits import MotionLimits
@@ -29,7 +30,10 @@ from rcp_kernel.streaming.samples import Sample
 from rcp_kernel.structure import LONG
 from rcp_kernel.wire import Reply, Request
 
-__all__ = ["WriteHandler", "dry_run_reply"]
+__all__ = ["DryRun", "WriteHandler", "dry_run_reply"]
+
+DryRun = Callable[[Call], Mapping[str, Any]]
+"""Returns what features tell of a dry run."""
 
 _UNCHANGED = (Refused, DeviceRejected)
 """Errors by which a backend says that its robot goes on as before."""
@@ -47,7 +51,7 @@ class WriteHandler:
         *,
         motion_limits: MotionLimits,
         leases: Leases,
-        approvals: Approvals,
+        dry_run: DryRun,
         keys: Keys,
         audit_writer: AuditWriter,
         loop: asyncio.AbstractEventLoop,
@@ -58,7 +62,7 @@ class WriteHandler:
         self._deadman = deadman
         self._motion_limits = motion_limits
         self._leases = leases
-        self._approvals = approvals
+        self._dry_run = dry_run
         self._keys = keys
         self._audit_writer = audit_writer
         self._loop = loop
@@ -72,15 +76,14 @@ class WriteHandler:
             held = self._audit_writer.held(answer, request, entry)
             self._repeat(first, session, request, entry, held)
             return None
-        self._admission.admit(session, request, entry, value)
+        call = Call(session, request, entry, value)
+        self._admission.admit(call)
         window = self._deadman.window(entry, request)
+        self._admission.ask(call)
         if request.dry_run:
             held = self._motion_limits.applied(session, entry)
-            asks = self._approvals.wanted(session, entry, value) or None
-            facts = {"valid_for": window, "envelopes": held or None, "approval": asks}
+            facts = {"valid_for": window, "envelopes": held or None, **self._dry_run(call)}
             return dry_run_reply(request, entry, {"write": value, **facts})
-        if session.rights.approve:
-            self._approvals.check(session, request, entry, value)
         noted = self._audit_writer.written(session, request, entry, answer)
         if request.idempotency_key is not None:
             noted = self._noting(session, request, entry, noted)
@@ -89,7 +92,7 @@ class WriteHandler:
                 session,
                 request,
                 noted,
-                self._bring_into_force(session, request, entry, value, window, entry.unit.stops),
+                self._bring_into_force(call, window, entry.unit.stops),
                 partial(_written, request, entry),
                 self._inflight.deadline(request, entry),
                 entry.path,
@@ -111,22 +114,15 @@ class WriteHandler:
         except RcpError:
             return False
 
-    async def _bring_into_force(
-        self,
-        session: Session,
-        request: Request,
-        entry: Entry,
-        value: Any,
-        window: float | None,
-        stops: int,
-    ) -> Sample:
+    async def _bring_into_force(self, call: Call, window: float | None, stops: int) -> Sample:
+        request, entry, value = call.request, call.entry, call.value
         if request.idempotency_key is not None:
             await self._audit_writer.committed()
         with self._deadman.in_flight(entry), permitted(entry.unit, stops):
             try:
                 if entry.path in self._deadman.leaving:
                     await self._deadman.cleared(entry)
-                backend = self._admission.confirm(session, entry, value, request.timestamp)
+                backend = self._admission.confirm(call)
                 if entry.unit.stops != stops and entry.barred:
                     self._motion_limits.refused(entry, value)
                     text = "an e-stop was latched and reset since this was sent"
@@ -135,7 +131,7 @@ class WriteHandler:
             except BaseException:
                 # An e-stop or a lost lease is why, whatever came of the write.
                 check_motion(entry, entry.unit.latch)
-                self._leases.check(session, entry)
+                self._leases.check(call.session, entry)
                 raise
 
     async def _send(

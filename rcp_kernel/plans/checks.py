@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from typing import Any
 
 from rcp_kernel._plain import is_map
-from rcp_kernel.access.approvals import Approvals
 from rcp_kernel.access.condition import ConditionTooCostly, condition
 from rcp_kernel.access.conditions import Conditions
 from rcp_kernel.access.resolver import Resolver
@@ -31,6 +30,7 @@ from rcp_kernel.errors import (
     UnknownPath,
     UnsupportedOperation,
 )
+from rcp_kernel.features.approval import ApprovalService
 from rcp_kernel.model import Operation, Pattern
 from rcp_kernel.motion.leases import Leases
 from rcp_kernel.motion.motion_limits import MotionLimits
@@ -68,7 +68,7 @@ class PlanChecker:
     conditions: Conditions
     leases: Leases
     motion_limits: MotionLimits
-    approvals: Approvals
+    approvals: ApprovalService
     settings: Settings
     views: Container[str]
     """Paths that show each reader something else."""

@@ -8,13 +8,13 @@ from functools import partial
 from typing import Any
 
 from rcp_kernel._plain import is_map
-from rcp_kernel.access.approvals import About, Approvals
 from rcp_kernel.access.conditions import Conditions
 from rcp_kernel.access.resolver import Resolver
 from rcp_kernel.clients.session import Handler, Session
 from rcp_kernel.clock import iso
 from rcp_kernel.config.settings import Settings
 from rcp_kernel.errors import PayloadTooLarge, QueueFull
+from rcp_kernel.features.approval import About, ApprovalService
 from rcp_kernel.model import Operation
 from rcp_kernel.operations.command import Command
 from rcp_kernel.operations.command_access import CommandAccess
@@ -45,7 +45,7 @@ class Work:
         self,
         session: Session,
         checked: Checked,
-        approvals: Approvals,
+        approvals: ApprovalService,
         changed: Callable[[], None],
         make_engine: MakeEngine,
     ) -> None:
@@ -136,7 +136,7 @@ class Plans:
         handle: Handler,
         resolver: Resolver,
         commands: Commands,
-        approvals: Approvals,
+        approvals: ApprovalService,
         conditions: Conditions,
         registry: Registry,
         audit_writer: AuditWriter,

@@ -10,10 +10,11 @@ from typing import Any
 import msgspec
 import structlog
 
+from rcp_kernel.app.features import active
 from rcp_kernel.app.server import Prepared, Server, running
-from rcp_kernel.clients.session import Handler
 from rcp_kernel.config.file import GatewayConfig, KeyConfig, decode_table, parse
 from rcp_kernel.config.safety import Safety
+from rcp_kernel.features import FeatureKind
 from rcp_kernel.plugins import Plugins
 from rcp_kernel.process.log import Recent
 from rcp_kernel.process.supervisor import BackendSupervisor
@@ -79,12 +80,12 @@ async def serve(
     config: str | GatewayConfig,
     *kinds: BackendKind,
     recent: Recent | None = None,
-    interceptors: Sequence[Callable[[Handler], Handler]] = (),
+    features: Sequence[FeatureKind] = (),
 ) -> AsyncGenerator[Served]:
     """Run the gateway of a configuration while entered.
 
-    What was logged of late comes into its status where `recent`, of `configure`, is given. The `kinds` serve its `[[backends]]` by name, without an entry point, and `interceptors` wrap
-    every request. Transports that the
+    What was logged of late comes into its status where `recent`, of `configure`, is given. The `kinds` serve its `[[backends]]` by name, without an entry point, and `features` are
+    active beside those of the configuration. Transports that the
     configuration names are opened; a text that names none opens none. Where `guard_after` has its default, the
     guard waits as long as it can: the test, and whatever it simulates, share the gateway's event loop.
 
@@ -97,10 +98,13 @@ async def serve(
         _log_plainly()
     lives: list[Life] = []
     given = {kind.name: _noted(kind, lives) for kind in kinds}
+    own = {kind.name: kind for kind in features}
+    others = {name: table for name, table in config.features.items() if name not in own}
     elsewhere = tuple(b for b in config.backends if b.use not in given)
-    plugins = Plugins(msgspec.structs.replace(config, backends=elsewhere))
+    plugins = Plugins(msgspec.structs.replace(config, backends=elsewhere, features=others))
     plugins.backends.update(given)
-    plugins.interceptors += interceptors
+    plugins.features.update(own)
+    config = msgspec.structs.replace(config, features=dict.fromkeys(own, True) | config.features)
     tables = [
         decode_table(b.options, plugins.backends[b.use].config, f"test: backend '{b.name}': ")
         for b in config.backends
@@ -113,7 +117,8 @@ async def serve(
         name: decode_table(table, plugins.adapters[name].config, f"test: [plugins.{name}]: ")
         for name, table in config.plugins.items()
     }
-    prepared = Prepared(config, plugins, tuple(tables), transports, adapters)
+    made = active(config, plugins.features, "test")
+    prepared = Prepared(config, plugins, tuple(tables), transports, adapters, made)
     async with running(prepared, recent) as server:
         yield Served(server, lives)
 

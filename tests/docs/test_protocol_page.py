@@ -9,8 +9,9 @@ import msgspec
 import pytest
 
 from docs.pages import DOCS, keys, rows, section
+from kernel.world import features_of
+from rcp_approvals import ApprovalRequest
 from rcp_kernel.access.acl import Rights
-from rcp_kernel.access.approvals import ApprovalRequest
 from rcp_kernel.app.composition import compose
 from rcp_kernel.clients.hello import Hello
 from rcp_kernel.config.file import GatewayConfig
@@ -94,7 +95,9 @@ def test_every_policy_is_told() -> None:
 
 async def test_the_system_branch_and_the_metrics_are_told() -> None:
     loop = asyncio.get_running_loop()
-    kernel = compose(GatewayConfig(), loop, store=Store(), recent=Recent())
+    config = GatewayConfig()
+    features = features_of(config)
+    kernel = compose(config, loop, store=Store(), recent=Recent(), features=features)
     told = {row[0].strip("`"): row[1] for row in rows(section(PAGE, "System branch"))}
     assert told == {
         path: ", ".join(sorted(operation_names(entry.operations), key=_told_order))

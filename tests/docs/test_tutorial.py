@@ -45,7 +45,6 @@ async def test_the_turntable_of_the_page_turns(turntable: Any) -> None:
         adapters={},
         transports={},
         missing=[],
-        interceptors=[],
         authenticator=None,
         is_missing=lambda _group, _name: None,
     )

@@ -133,7 +133,6 @@ def prepared(folder: Path) -> Prepared:
         transports={},
         adapters={},
         missing=[],
-        interceptors=[],
         authenticator=None,
         is_missing=lambda _group, _name: None,
     )

@@ -190,7 +190,7 @@ async def _serve(folder: Path) -> None:
     bare.plugins.backends["spare"] = BackendKind("spare", NoOptions, _spare)
     bare.plugins.backends["wide"] = BackendKind("wide", NoOptions, _wide)
     options = (NoOptions(), NoOptions(), NoOptions())
-    made = Prepared(config, bare.plugins, options, bare.transports, bare.adapters)
+    made = Prepared(config, bare.plugins, options, bare.transports, bare.adapters, bare.features)
     async with running(made) as server:
         loop = asyncio.get_running_loop()
         with collected_at_rest(loop, lambda: server.kernel.moving):

@@ -8,7 +8,6 @@ from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import Any
 
-import msgspec
 import pluggy
 import pytest
 
@@ -176,33 +175,3 @@ def test_nothing_runs_because_it_is_installed(
 ) -> None:
     installed_as(monkeypatch, tmp_path, loud="raise SystemExit('imported')")
     prepare(parse(NO_TRANSPORTS, "f"), "f")
-
-
-def test_an_interceptor_sees_every_request_and_may_refuse_it() -> None:
-    seen: list[str] = []
-
-    class Config(msgspec.Struct):
-        pass
-
-    def watch(handler: Any) -> Any:
-        def handle(session: Any, request: Any, answer: Any) -> None:
-            seen.append(request.type)
-            handler(session, request, answer)
-
-        return handle
-
-    from kernel.world import CONFIG, prepared
-
-    made = prepared(parse(CONFIG, "f"), [])
-    made.plugins.interceptors.append(watch)
-
-    import asyncio
-
-    from kernel.world import Client
-
-    async def run() -> None:
-        async with running(made) as server:
-            await Client(server.client_api).ask(type="ping")
-
-    asyncio.run(run())
-    assert seen == ["ping"]

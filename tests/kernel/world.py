@@ -6,17 +6,21 @@ import asyncio
 import json
 from collections.abc import AsyncGenerator, AsyncIterator, Callable
 from contextlib import asynccontextmanager
+from functools import cache
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import msgspec
 
+from rcp_kernel.app.features import ActiveFeature, active
 from rcp_kernel.app.server import Prepared, Server, running
 from rcp_kernel.client_api import ClientApi
 from rcp_kernel.config.file import GatewayConfig, parse
 from rcp_kernel.errors import DeviceRejected
+from rcp_kernel.features import FeatureKind
 from rcp_kernel.model import Resource
+from rcp_kernel.plugins import Plugins
 from rcp_kernel.process.log import configure
 from rcp_kernel.record.store import Store
 from rcp_kernel.spi import BackendKind, BaseBackend, Host, Progress
@@ -264,11 +268,21 @@ def prepared(
         transports={},
         adapters={},
         missing=[],
-        interceptors=[],
         authenticator=None,
         is_missing=lambda _group, _name: None,
     )
-    return Prepared(config, plugins, tuple(NoOptions() for _ in config.backends), {}, {})
+    tables = tuple(NoOptions() for _ in config.backends)
+    return Prepared(config, plugins, tables, {}, {}, features_of(config))
+
+
+@cache
+def _built_in() -> dict[str, FeatureKind]:
+    return Plugins(GatewayConfig()).features
+
+
+def features_of(config: GatewayConfig) -> tuple[ActiveFeature, ...]:
+    """Prepare the built-in features that a configuration has."""
+    return active(config, _built_in(), "test")
 
 
 @asynccontextmanager

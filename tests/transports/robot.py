@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncGenerator, Callable, Sequence
+from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -12,7 +12,6 @@ from typing import Any
 import msgspec
 
 from rcp_kernel.app.server import Server
-from rcp_kernel.clients.session import Handler
 from rcp_kernel.config.file import parse
 from rcp_kernel.errors import DeviceRejected
 from rcp_kernel.model import Resource
@@ -139,7 +138,6 @@ async def site(
     sse: str = "",
     more: str = "",
     folder: Path | None = None,
-    interceptors: Sequence[Callable[[Handler], Handler]] = (),
 ) -> AsyncGenerator[Site]:
     """Run a gateway; the texts are added to its configuration, the store is in `folder` if given."""
     robots: list[Robot] = []
@@ -154,7 +152,7 @@ async def site(
     kind = BackendKind("robot", NoOptions, open_robot)
     with TemporaryDirectory() as scratch:
         text += f'[store]\npath = "{folder or scratch}/store.db"\n'
-        async with serve(parse(text, "test"), kind, interceptors=interceptors) as served:
+        async with serve(parse(text, "test"), kind) as served:
             yield Site(served.server, robots)
 
 

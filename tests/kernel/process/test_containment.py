@@ -15,13 +15,13 @@ from types import ModuleType
 import pytest
 
 from rcp_kernel.config.file import parse
-from rcp_kernel.errors import PluginError
 from rcp_kernel.hookspecs import hookimpl
 from rcp_kernel.plugins import Plugins
 
 pytestmark = pytest.mark.anyio
 _TESTS = Path(__file__).parents[2]
-_ENDS = 30.0  # s that a whole run may take on a busy machine
+_ENDS = 120.0  # s that a whole run may take on a busy machine
+_STACKS = 10.0  # s that it has to say where it hangs
 PLACES = [
     "open",
     "read",
@@ -47,12 +47,15 @@ async def run(*args: str) -> tuple[int | None, str, str, float]:
         *args,
         stdout=asyncio.subprocess.PIPE,
         stderr=asyncio.subprocess.PIPE,
-        env={**os.environ, "PYTHONPATH": str(_TESTS)},
+        env={**os.environ, "PYTHONPATH": str(_TESTS), "PYTHONFAULTHANDLER": "1"},
     )
     began = time.monotonic()
+    talk = asyncio.ensure_future(process.communicate())
     try:
-        async with asyncio.timeout(_ENDS):
-            out, err = await process.communicate()
+        if not (await asyncio.wait([talk], timeout=_ENDS))[0]:
+            process.send_signal(signal.SIGABRT)
+        async with asyncio.timeout(_STACKS):
+            out, err = await talk
     finally:
         if process.returncode is None:
             process.kill()
@@ -67,16 +70,16 @@ async def test_what_ends_a_process_ends_the_plugins_work_alone(where: str, what:
     lines = out.splitlines()
     assert len([line for line in lines if line.startswith("answered")]) == 6, out + err
     assert "other here" in lines
-    assert lines[-1] == "closed"
-    assert code == 0
+    assert lines[-1] == "closed", out + err
+    assert code == 0, out + err
 
 
 @pytest.mark.parametrize("where", ["thread", "executor"])
 async def test_the_process_ends_though_a_plugin_left_a_thread_behind(where: str) -> None:
     code, out, err, took = await run(where, "exit")
-    assert "closed\n" in out
-    assert "threads_left_behind" in err + out
-    assert code == 0
+    assert "closed\n" in out, out + err
+    assert "threads_left_behind" in err + out, out + err
+    assert code == 0, out + err
     assert took < _ENDS
 
 
@@ -110,24 +113,6 @@ def test_a_plugin_whose_import_or_hook_would_end_the_process_is_missing(
     }
     assert "mcp" in plugins.adapters
     assert "asgi" in plugins.transports
-
-
-def test_a_plugin_that_guards_and_cannot_be_asked_stops_the_start(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    real = importlib.import_module
-
-    @hookimpl
-    def rcp_interceptors() -> object:
-        raise SystemExit
-
-    def load(name: str) -> ModuleType:
-        guard = _plugin(name, rcp_interceptors=rcp_interceptors)
-        return guard if name == "rcp_a2a" else real(name)
-
-    monkeypatch.setattr(importlib, "import_module", load)
-    with pytest.raises(PluginError, match="admit requests that it must refuse"):
-        Plugins(parse("[plugins.a2a]", "test"))
 
 
 @pytest.mark.skipif(importlib.util.find_spec("rclpy") is None, reason="needs ROS 2")

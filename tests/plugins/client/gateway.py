@@ -9,6 +9,7 @@ from typing import Any, Self
 
 import msgspec
 
+from rcp_kernel.app.features import active
 from rcp_kernel.app.server import Prepared, Server, running
 from rcp_kernel.config.file import parse
 from rcp_kernel.model import Resource
@@ -189,7 +190,9 @@ class Gateway:
             for name, table in config.transports.items()
         }
         options = tuple(NoOptions() for _ in config.backends)
-        prepared = Prepared(config, plugins, options, tables, {})
+        prepared = Prepared(
+            config, plugins, options, tables, {}, active(config, plugins.features, "test")
+        )
         configure("critical", "json")
         self.server = await self._stack.enter_async_context(running(prepared))
         urls = [facts["url"] for facts in self.server.status.transports if "url" in facts]

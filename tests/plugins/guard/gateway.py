@@ -131,7 +131,6 @@ def prepared(asked: dict[str, Any], carts: list[Cart]) -> Prepared:
         transports={},
         adapters={},
         missing=[],
-        interceptors=[],
         authenticator=None,
         is_missing=lambda _group, _name: None,
     )

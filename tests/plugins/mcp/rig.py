@@ -11,6 +11,7 @@ from typing import Any
 import httpx
 import msgspec
 
+from rcp_kernel.app.features import active
 from rcp_kernel.app.server import Prepared, Server, running
 from rcp_kernel.client_api import ClientApi
 from rcp_kernel.client_kinds import AdapterKind
@@ -209,7 +210,9 @@ async def site(
     tables = tuple(
         msgspec.convert(one.options, plugins.backends[one.use].config) for one in config.backends
     )
-    prepared = Prepared(config, plugins, tables, transports, adapters)
+    prepared = Prepared(
+        config, plugins, tables, transports, adapters, active(config, plugins.features, "test")
+    )
     async with running(prepared, recent) as server:
         yield Site(server, made)
 

@@ -11,6 +11,7 @@ from kernel.plans.planned import GO, PEOPLE, begun, code, echo, faults, go, run,
 from kernel.world import Client, World, world_of
 from rcp_kernel.config.file import parse
 from rcp_kernel.errors import Forbidden, UnknownPath
+from rcp_kernel.features.approval import APPROVALS
 from rcp_kernel.values import Encoding
 
 AGENT, GUARD, OWNED = "agent-agent-agent", "guard-guard-guard", "owned-owned-owned"
@@ -61,6 +62,7 @@ async def test_a_request_that_is_refused_for_its_id_uses_no_approval_up() -> Non
         await decide(guard, id_)
         plan = {"steps": [{"do": "wait", "until": "param.limit > 9.0", "deadline": 20}]}
         agent.send(type="execute", path="/system/plans", body=plan, id="taken")
+        await agent.until(lambda m: m.get("id") == "taken" and m.get("status") == "in_progress")
         assert code(await command(agent, approval=id_, id="taken")) == "duplicate_request"
         world.robot.release.set()
         assert code(await command(agent, approval=id_)) == "completed"
@@ -119,16 +121,18 @@ async def test_who_may_not_decide_or_does_not_see_the_path_learns_nothing_of_it(
 
 async def test_the_person_at_a_client_answers_for_a_role_that_may_approve_its_own() -> None:
     async with world_of(PEOPLE) as world:
-        client_api = world.server.client_api
+        approvals = world.server.client_api.service(APPROVALS)
+        assert approvals is not None
         owned, agent = world.client(OWNED), world.client(AGENT)
         own, others = await asked(owned), await asked(agent)
-        state = client_api.approve(owned.connection.session, own)
-        assert (state.status, state.by) == ("approved", "owned")
+        approvals.answer(owned.connection.session, own, "approve", None)
+        (state,) = await listed(owned)
+        assert (state["status"], state["by"]) == ("approved", "owned")
         with pytest.raises(Forbidden):
-            client_api.approve(agent.connection.session, others)
+            approvals.answer(agent.connection.session, others, "approve", None)
         with pytest.raises(UnknownPath):
-            client_api.approve(owned.connection.session, others)
-        client_api.approve(agent.connection.session, others, "reject")
+            approvals.answer(owned.connection.session, others, "approve", None)
+        approvals.answer(agent.connection.session, others, "reject", None)
         world.robot.release.set()
         assert code(await command(owned, approval=own)) == "completed"
 

@@ -1,0 +1,24 @@
+"""What the configuration says of approvals: `[safety] approval_ttl`, and `approve` of each role."""
+
+from __future__ import annotations
+
+import msgspec
+
+from rcp_kernel.config.file import GatewayConfig
+
+__all__ = ["ApprovalsConfig", "from_gateway"]
+
+
+class ApprovalsConfig(msgspec.Struct, frozen=True, kw_only=True):
+    """The settings of approvals."""
+
+    ttl: float
+    """Seconds for which a command can be approved and then sent."""
+    asked: bool
+    """Whether any role has commands that require approval."""
+
+
+def from_gateway(config: GatewayConfig) -> ApprovalsConfig:
+    """Take the settings from where they are in the file."""
+    asked = any(role.approve for role in config.roles.values())
+    return ApprovalsConfig(ttl=config.safety.approval_ttl, asked=asked)

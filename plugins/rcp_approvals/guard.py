@@ -1,0 +1,71 @@
+"""The guard: a command that a role has to ask for passes when a person has approved it, once."""
+
+from __future__ import annotations
+
+import secrets
+from collections.abc import Mapping
+from typing import Any
+
+from rcp_approvals.questions import Questions
+from rcp_kernel.clients.session import Session
+from rcp_kernel.features import Call, Slot
+from rcp_kernel.features.approval import About
+from rcp_kernel.model import Kind
+from rcp_kernel.motion.safety import safe_value
+from rcp_kernel.registry import Entry
+
+__all__ = ["ApprovalGuard"]
+
+
+class ApprovalGuard:
+    """Holds commands up for which a person's approval is missing."""
+
+    slot = Slot.APPROVAL
+
+    def __init__(self, questions: Questions) -> None:
+        self._questions = questions
+        self._tokens: dict[str, frozenset[str]] = {}
+        """Paths that the steps of a running, approved plan may command."""
+
+    @property
+    def active(self) -> bool:
+        """Whether some role has to ask."""
+        return self._questions.config.asked
+
+    @staticmethod
+    def wanted(session: Session, entry: Entry, value: Any) -> bool:
+        """Tell whether a command wants approval; bringing an actuator to rest never does."""
+        if not session.rights.asks(entry.path):
+            return False
+        return entry.kind is not Kind.ACTUATOR or value is None or value != safe_value(entry)
+
+    def dry_run(self, call: Call) -> Mapping[str, Any]:
+        """Tell a dry run whether approval would be required."""
+        return {"approval": self.wanted(call.session, call.entry, call.value) or None}
+
+    def admit(self, call: Call) -> None:
+        """Refuse a command that a person has to approve and has not; use its approval up.
+
+        :raises ApprovalRequired, Forbidden: as `ApprovalService.demand` does.
+        """
+        session, request, entry = call.session, call.request, call.entry
+        if request.dry_run or not self.wanted(session, entry, call.value):
+            return
+        covered = self._tokens.get(request.approval or "")
+        if covered is not None and entry.path in covered:
+            return
+        about = About((entry.path,), (entry.path,))
+        self._questions.demand(session, request, entry, call.value, about)
+
+    def confirm(self, call: Call) -> None:
+        """Let it pass: its approval was used up when it came in."""
+
+    def open(self, paths: tuple[str, ...]) -> str:
+        """Return what lets the steps of an approved plan pass, until `close`."""
+        token = "plan-" + secrets.token_hex(16)
+        self._tokens[token] = frozenset(paths)
+        return token
+
+    def close(self, token: str | None) -> None:
+        """Have nothing pass by a token any more."""
+        self._tokens.pop(token or "", None)

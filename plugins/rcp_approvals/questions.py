@@ -1,0 +1,158 @@
+"""Every question that is open, and those decided lately.
+
+Kept in memory: a restart forgets what was asked and approved, and it is asked anew.
+"""
+
+from __future__ import annotations
+
+import secrets
+from collections import Counter
+from typing import Any
+
+from rcp_approvals.config import ApprovalsConfig
+from rcp_approvals.question import PATH, ApprovalState, Question, digest_of, rejected, shown
+from rcp_kernel.access.identity import Principal
+from rcp_kernel.clients.session import Session
+from rcp_kernel.clock import iso, now
+from rcp_kernel.errors import ApprovalRequired, Forbidden, QueueFull
+from rcp_kernel.features import FeatureHost
+from rcp_kernel.features.approval import About
+from rcp_kernel.model import tenant_of
+from rcp_kernel.record.audit_writer import ID
+from rcp_kernel.registry import Entry
+from rcp_kernel.wire import Request
+
+__all__ = ["Questions"]
+
+_EACH = 64  # that one principal may have asked for
+_ALL = 4096
+
+
+class Questions:
+    """Asks, remembers, and lets each approved command pass once."""
+
+    def __init__(self, config: ApprovalsConfig, host: FeatureHost) -> None:
+        self.config = config
+        self._host = host
+        self.known: dict[str, Question] = {}
+        """By id, oldest first."""
+
+    def changed(self) -> None:
+        """Have everybody who looks at the list see it anew."""
+        self._host.changed(PATH)
+
+    def demand(
+        self, session: Session, request: Request, entry: Entry, value: Any, about: About
+    ) -> None:
+        """Use an approval of a command up, or ask for one.
+
+        :raises ApprovalRequired, Forbidden: as `ApprovalService.demand` does.
+        """
+        digest = digest_of(session.principal, request.type, entry.path, value)
+        if request.approval is not None:
+            self._use(session, request, request.approval, digest, entry.path)
+            return
+        asked = self._same(session, digest) or self._ask(
+            session, request, entry, value, about, digest
+        )
+        state = asked.state
+        if asked.status == "rejected":
+            raise rejected(state)
+        raise ApprovalRequired(
+            f"`{state.request} {state.path}` requires approval",
+            path=entry.path,
+            remedy=f"Ask for approval at {PATH}, then send the same command again with `approval`: "
+            f"'{state.approval}'.",
+            details={
+                "approval": state.approval,
+                "expires": state.expires,
+                **({"steps": list(about.steps)} if about.steps else {}),
+            },
+        )
+
+    def _same(self, session: Session, digest: bytes) -> Question | None:
+        mine = (q for q in self.known.values() if q.asker == session.principal.identity)
+        return next((q for q in mine if q.digest == digest and q.holds), None)
+
+    def _ask(
+        self,
+        session: Session,
+        request: Request,
+        entry: Entry,
+        value: Any,
+        about: About,
+        digest: bytes,
+    ) -> Question:
+        self._make_room(session.principal)
+        moment = now()
+        expires = moment + int(self.config.ttl * 1e9)
+        state = ApprovalState(
+            approval=ID + secrets.token_hex(8),
+            request="write" if request.type == "write" else "execute",
+            path=entry.path,
+            principal=session.principal.name,
+            asked=iso(moment),
+            expires=iso(expires),
+            value=shown(value),
+            steps=about.steps,
+        )
+        tenants = frozenset(tenant_of(path) or "" for path in about.paths)
+        asked = Question(state, session.principal.identity, about.seen, tenants, expires, digest)
+        self.known[state.approval] = asked
+        self._host.loop.call_later(self.config.ttl + 0.01, self.changed)
+        self.changed()
+        return asked
+
+    def _make_room(self, principal: Principal) -> None:
+        """Make room for one more question: what is over goes first.
+
+        :raises QueueFull: too many wait for an answer.
+        """
+        moment = now()
+        mine = [q for q in self.known.values() if q.asker == principal.identity]
+        if sum(q.status == "pending" for q in mine) >= _EACH:
+            raise QueueFull(
+                f"{principal.name} already has {_EACH} commands waiting for approval",
+                remedy="Wait until they are decided or expire.",
+            )
+        if len(self.known) >= _ALL:
+            self._drop()
+        for over in [q for q in mine if q.expires <= moment][:-_EACH]:
+            del self.known[over.state.approval]
+
+    def _drop(self) -> None:
+        """Let the oldest question go: one that is over, or of the tenants that ask most."""
+        moment = now()
+        counts = Counter(asked.tenants for asked in self.known.values())
+        most = max(counts, key=lambda tenants: counts[tenants])
+        every = self.known.items()
+        over = next((id_ for id_, q in every if q.expires <= moment), None)
+        del self.known[over or next(id_ for id_, q in every if q.tenants == most)]
+
+    def _use(self, session: Session, request: Request, id_: str, digest: bytes, path: str) -> None:
+        asked = self.known.get(id_)
+        if asked is None or asked.asker != session.principal.identity or asked.digest != digest:
+            raise Forbidden(
+                "the approval is for a different command, value or principal",
+                path=path,
+                remedy="Send the command without `approval` to request a new one.",
+            )
+        if asked.status == "rejected":
+            raise rejected(asked.state)
+        if asked.status == "pending":
+            raise ApprovalRequired(
+                f"`{asked.state.request} {path}` is not approved yet",
+                path=path,
+                remedy=f"Wait until {PATH} shows it as approved, then send the same command again.",
+                details={"approval": id_, "expires": asked.state.expires},
+            )
+        if asked.status != "approved":
+            raise Forbidden(
+                f"the approval is {asked.status}; an approval is valid for one command, until "
+                "it expires",
+                path=path,
+                remedy="Send the command without `approval` to request a new one.",
+            )
+        self._host.check_place(session, request)  # or it would be used up for nothing
+        asked.state.status = "used"
+        self.changed()

@@ -1,0 +1,82 @@
+"""What each feature receives of the gateway."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Iterable
+from typing import Any
+
+from rcp_kernel.access.acl import Rights
+from rcp_kernel.access.identity import Principal
+from rcp_kernel.access.visibility import Visibility
+from rcp_kernel.clients.session import Session
+from rcp_kernel.features.resource import ViewChanges
+from rcp_kernel.record.audit import Audit
+from rcp_kernel.record.plugin_store import PluginStore
+from rcp_kernel.record.store import Store
+from rcp_kernel.wire import Request
+
+__all__ = ["GatewayFeatureHost"]
+
+
+class GatewayFeatureHost:
+    """The `FeatureHost` of one feature."""
+
+    def __init__(
+        self,
+        name: str,
+        *,
+        changes: ViewChanges,
+        store: Store,
+        audit: Audit,
+        visibility: Visibility,
+        place: Callable[[Session, Request], object],
+        loop: asyncio.AbstractEventLoop,
+    ) -> None:
+        self._name = name
+        self._changes = changes
+        self._store = store
+        self._audit = audit
+        self._visibility = visibility
+        self._place = place
+        self.loop = loop
+
+    def changed(self, path: str) -> None:
+        """Have the view's subscribers get it again."""
+        self._changes.tell(path)
+
+    def store(self, table: str) -> PluginStore:
+        """Return a table that is named after the feature."""
+        return PluginStore(self._store, f"{self._name}.{table}")
+
+    def note(
+        self,
+        what: str,
+        *,
+        principal: Principal | None,
+        session: Session | None = None,
+        tenant: str | None = None,
+        path: str | None = None,
+        touches: Iterable[str] | None = None,
+        outcome: str = "ok",
+        **facts: Any,
+    ) -> None:
+        """Write a record to the audit log."""
+        self._audit.note(
+            what,
+            principal=principal,
+            session=session,
+            tenant=tenant,
+            path=path,
+            touches=touches,
+            outcome=outcome,
+            **facts,
+        )
+
+    def sees_all(self, rights: Rights, paths: Iterable[str]) -> bool:
+        """Tell whether somebody may see each of some paths."""
+        return self._visibility.sees_all(rights, paths)
+
+    def check_place(self, session: Session, request: Request) -> None:
+        """Refuse a request that its session has no place for."""
+        self._place(session, request)

@@ -1,0 +1,126 @@
+"""The features of one gateway: decoded, made, run and reloaded."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncGenerator, Callable, Iterable, Mapping, Sequence
+from contextlib import AsyncExitStack, asynccontextmanager
+from typing import Any, TypeVar
+
+import msgspec
+
+from rcp_kernel.access.identities import Authenticator
+from rcp_kernel.config.file import GatewayConfig, decode_table
+from rcp_kernel.errors import ConfigError
+from rcp_kernel.features import (
+    Call,
+    Feature,
+    FeatureHost,
+    FeatureKind,
+    Guard,
+    ServiceKey,
+    SystemResource,
+)
+
+__all__ = ["ActiveFeature", "Features", "active", "make"]
+
+T = TypeVar("T")
+
+
+class ActiveFeature(msgspec.Struct, frozen=True):
+    """A feature that the configuration wants, with its table decoded."""
+
+    kind: FeatureKind
+    table: Any
+
+
+def active(
+    config: GatewayConfig, kinds: Mapping[str, FeatureKind], source: str
+) -> tuple[ActiveFeature, ...]:
+    """Decode the table of each feature of a configuration.
+
+    :raises ConfigError: a table does not fit its feature's type, or contradicts the rest.
+    """
+    found: list[ActiveFeature] = []
+    for name, raw in config.active_features.items():
+        kind = kinds.get(name)
+        if kind is None:  # built in, not installed, and not used
+            continue
+        table = _table(kind, raw, config, source)
+        if kind.check is not None:
+            try:
+                kind.check(table, config)
+            except ConfigError as error:
+                raise ConfigError(f"{source}: {error}") from None
+        found.append(ActiveFeature(kind, table))
+    return tuple(found)
+
+
+def _table(
+    kind: FeatureKind, raw: dict[str, Any] | None, config: GatewayConfig, source: str
+) -> Any:
+    if kind.table is None:
+        return decode_table(raw or {}, kind.config, f"{source}: [features.{kind.name}]: ")
+    if raw is not None:
+        raise ConfigError(
+            f"{source}: [features.{kind.name}] takes no keys; write `{kind.name} = true` or `false` "
+            "in [features]"
+        )
+    return decode_table(kind.table(config), kind.config, f"{source}: ")
+
+
+class Features:
+    """The features of a gateway, in the order of their names."""
+
+    def __init__(self, made: Sequence[tuple[str, Feature]]) -> None:
+        self._made = tuple(made)
+
+    @property
+    def resources(self) -> list[SystemResource]:
+        """What they add below `/system/`."""
+        return [one for _, feature in self._made for one in feature.resources]
+
+    @property
+    def guards(self) -> list[Guard]:
+        """Their guards, in no order."""
+        return [feature.guard for _, feature in self._made if feature.guard is not None]
+
+    @property
+    def authenticators(self) -> list[Authenticator]:
+        """What finds the principals of tokens."""
+        found = (feature.authenticator for _, feature in self._made)
+        return [one for one in found if one is not None]
+
+    def service(self, key: ServiceKey[T]) -> T | None:
+        """Return a service that one of them offers."""
+        return next((f.services[key] for _, f in self._made if key in f.services), None)
+
+    def dry_run(self, call: Call) -> dict[str, Any]:
+        """Return what they tell of a dry run."""
+        told: dict[str, Any] = {}
+        for _, feature in self._made:
+            if feature.dry_run is not None:
+                told.update(feature.dry_run(call))
+        return told
+
+    def reconfigure(self, features: Iterable[ActiveFeature]) -> None:
+        """Hand out the tables of another configuration of the same features."""
+        tables = {one.kind.name: one.table for one in features}
+        for name, feature in self._made:
+            if feature.reconfigure is not None and name in tables:
+                feature.reconfigure(tables[name])
+
+    @asynccontextmanager
+    async def running(self) -> AsyncGenerator[None]:
+        """Run all of them while entered."""
+        async with AsyncExitStack() as stack:
+            for _, feature in self._made:
+                if feature.running is not None:
+                    await stack.enter_async_context(feature.running())
+            yield
+
+
+def make(features: Iterable[ActiveFeature], host: Callable[[str], FeatureHost]) -> Features:
+    """Make each feature with a host of its own."""
+    return Features(
+        [(one.kind.name, one.kind.make(one.table, host(one.kind.name))) for one in features]
+    )

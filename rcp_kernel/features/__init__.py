@@ -1,0 +1,23 @@
+"""Features: the extension point for what the gateway itself does. Records and protocols only."""
+
+from __future__ import annotations
+
+from rcp_kernel.features.feature import Feature, FeatureKind
+from rcp_kernel.features.guard import Call, Guard, Slot
+from rcp_kernel.features.host import FeatureHost
+from rcp_kernel.features.resource import Filter, Service, SystemResource, View
+from rcp_kernel.features.services import ServiceKey
+
+__all__ = [
+    "Call",
+    "Feature",
+    "FeatureHost",
+    "FeatureKind",
+    "Filter",
+    "Guard",
+    "Service",
+    "ServiceKey",
+    "Slot",
+    "SystemResource",
+    "View",
+]

@@ -1,0 +1,66 @@
+"""A feature: what a plugin adds to the gateway itself, declared as one record.
+
+A backend adds a robot, a transport or an adapter adds clients; a feature adds resources below
+`/system/`, a rule that commands must pass, or a way to prove who one is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from contextlib import AbstractAsyncContextManager
+from dataclasses import dataclass, field
+from typing import Any
+
+import msgspec
+
+from rcp_kernel.access.identities import Authenticator
+from rcp_kernel.config.file import GatewayConfig
+from rcp_kernel.features.guard import Call, Guard
+from rcp_kernel.features.host import FeatureHost
+from rcp_kernel.features.resource import SystemResource
+from rcp_kernel.features.services import ServiceKey
+
+__all__ = ["Feature", "FeatureKind"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Feature:
+    """One feature of one gateway. Everything is optional."""
+
+    resources: tuple[SystemResource, ...] = ()
+    """What it shows and does below `/system/`."""
+    guard: Guard | None = None
+    """What it refuses."""
+    dry_run: Callable[[Call], Mapping[str, Any]] | None = None
+    """Returns what a dry run should tell of a call; items that are None are left out."""
+    authenticator: Authenticator | None = None
+    """Finds the principal of a bearer token."""
+    services: Mapping[ServiceKey[Any], Any] = field(default_factory=dict[ServiceKey[Any], Any])
+    """What it offers to adapters and other parts of the gateway, by key."""
+    reconfigure: Callable[[Any], None] | None = None
+    """Takes over the table of a reloaded configuration, at once."""
+    running: Callable[[], AbstractAsyncContextManager[None]] | None = None
+    """Its life: entered before any backend is opened, left after the last one is closed."""
+
+
+class FeatureKind(msgspec.Struct, frozen=True):
+    """A feature that can be configured; offered by the hook `rcp_features`.
+
+    `make(table, host)` is called while the gateway is built: it must not do I/O. What runs goes into
+    `Feature.running`.
+    """
+
+    name: str
+    """Its table in the configuration: `[features.<name>]`."""
+    config: Any
+    """The type of its table."""
+    make: Callable[[Any, FeatureHost], Feature]
+    description: str = ""
+    needs: tuple[str, ...] = ()
+    """As of `BackendKind`; a feature that lacks one is an error at the start."""
+    table: Callable[[GatewayConfig], Any] | None = None
+    """Takes its table from elsewhere in the configuration, for features whose keys are there: a value
+    of the type `config`, or what is decoded by it."""
+    check: Callable[[Any, GatewayConfig], None] | None = None
+    """Raise `ConfigError` for what this table and the rest of the configuration must not say
+    together; asked by `rcpd check` too."""

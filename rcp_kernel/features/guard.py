@@ -1,0 +1,79 @@
+"""Guards: what a feature may refuse, and when it is asked.
+
+The kernel asks in one order, whatever is configured: rights, age, e-stop, lease, motion limits,
+quota, then the guards of features by their slot. It never asks a guard about what brings a robot to
+rest: an e-stop, a hold, the safe value of an actuator.
+"""
+
+from __future__ import annotations
+
+from enum import IntEnum
+from typing import Any, Protocol
+
+import msgspec
+
+from rcp_kernel.clients.session import Session
+from rcp_kernel.motion.safety import safe_value
+from rcp_kernel.registry import Entry
+from rcp_kernel.wire import Request
+
+__all__ = ["Call", "Guard", "Slot"]
+
+
+class Slot(IntEnum):
+    """Where in the admission a guard is asked; within one slot by the feature's name."""
+
+    POLICY = 1
+    """A rule of the site: maintenance, opening hours."""
+    APPROVAL = 2
+    """Last, because it uses something up that others gave: nothing else refuses any more."""
+
+
+class Call(msgspec.Struct, frozen=True):
+    """A write or an execute that would act on a robot, as guards see it."""
+
+    session: Session
+    """Whose it is; its `principal` and `rights` are those of now."""
+    request: Request
+    """The envelope. Its body is decoded: see `value`."""
+    entry: Entry
+    """What it commands: `entry.path`, `entry.resource`, `entry.moves`, `entry.tenant`."""
+    value: Any
+    """What would be sent, of the resource's type."""
+
+    @property
+    def rests(self) -> bool:
+        """Whether it brings something to rest, which no guard may refuse."""
+        entry = self.entry
+        return entry.is_hold or (
+            entry.resource.safe is not None and bool(self.value == safe_value(entry))
+        )
+
+
+class Guard(Protocol):
+    """Refuses calls by raising an `RcpError`; any other exception refuses as `internal`.
+
+    Both methods run on the event loop for each write and execute: they look things up, and neither
+    block nor await.
+    """
+
+    @property
+    def slot(self) -> Slot:
+        """Where it stands in the admission."""
+        ...
+
+    @property
+    def active(self) -> bool:
+        """Whether its configuration lets it refuse anything; asked at the start and at a reload.
+
+        One that is not is left out of the admission and costs nothing.
+        """
+        ...
+
+    def admit(self, call: Call) -> None:
+        """Refuse what may not be done now. Dry runs (`call.request.dry_run`) change nothing."""
+        ...
+
+    def confirm(self, call: Call) -> None:
+        """Refuse what may not be done any more, at the moment it acts: it may have waited."""
+        ...

@@ -1,0 +1,62 @@
+"""What a feature receives: a few abilities of the gateway, never the gateway."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Iterable
+from typing import Any, Protocol
+
+from rcp_kernel.access.acl import Rights
+from rcp_kernel.access.identity import Principal
+from rcp_kernel.clients.session import Session
+from rcp_kernel.record.plugin_store import PluginStore
+from rcp_kernel.wire import Request
+
+__all__ = ["FeatureHost"]
+
+
+class FeatureHost(Protocol):
+    """The gateway as one feature sees it. For the event loop's thread only."""
+
+    @property
+    def loop(self) -> asyncio.AbstractEventLoop:
+        """The event loop, with the gateway's monotonic time; it runs when the feature does."""
+        ...
+
+    def changed(self, path: str) -> None:
+        """Say that a view of the feature's may show something else now; subscribers get it."""
+        ...
+
+    def store(self, table: str) -> PluginStore:
+        """Return a table of the feature's own in the gateway's store."""
+        ...
+
+    def note(
+        self,
+        what: str,
+        *,
+        principal: Principal | None,
+        session: Session | None = None,
+        tenant: str | None = None,
+        path: str | None = None,
+        touches: Iterable[str] | None = None,
+        outcome: str = "ok",
+        **facts: Any,
+    ) -> None:
+        """Write a record to the audit log; returns at once. Facts that are None are left out.
+
+        Who may read it follows from `tenant` and `path`, or from all paths in `touches`.
+        """
+        ...
+
+    def sees_all(self, rights: Rights, paths: Iterable[str]) -> bool:
+        """Tell whether somebody may see each of some paths."""
+        ...
+
+    def check_place(self, session: Session, request: Request) -> None:
+        """Refuse a request that its session has no place for, before something is used up for it.
+
+        :raises DuplicateRequest: the request's id is in flight in this session.
+        :raises QueueFull: too many requests are in flight.
+        """
+        ...

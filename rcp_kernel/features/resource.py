@@ -1,0 +1,58 @@
+"""Resources of the gateway's own: below `/system/`, each with what it shows to whom and what it does."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+from rcp_kernel.clients.session import Session
+from rcp_kernel.model import Resource
+
+__all__ = ["Filter", "Service", "SystemResource", "View", "ViewChanges"]
+
+View = Callable[[Session], Any]
+"""Makes the value of a resource for whoever asks."""
+
+Filter = Callable[[Session, Any], Any]
+"""Returns what a session may see of a sample, None for one that is hidden from it."""
+
+
+class Service(Protocol):
+    """Something that the gateway itself does, in no time."""
+
+    def __call__(self, session: Session, value: Any, /, *, dry_run: bool) -> Any:
+        """Do it, or for a dry run only check whether it could be done."""
+        ...
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SystemResource:
+    """One resource below `/system/`."""
+
+    resource: Resource
+    """Its name is `<kind>/<name>`, its path `/system/<name>`."""
+    view: View | None = None
+    """Makes its value for each reader; the feature calls `FeatureHost.changed` when it may differ."""
+    shows: Filter | None = None
+    """Decides of each sample who sees what of it."""
+    execute: Service | None = None
+    """Does what an `execute` asks for; must not block."""
+
+    @property
+    def path(self) -> str:
+        """Where it is in the tree."""
+        return "/system/" + self.resource.name.partition("/")[2]
+
+
+class ViewChanges:
+    """Passes on that a view of a feature's has changed."""
+
+    def __init__(self) -> None:
+        self.on_change: list[Callable[[str], None]] = []
+        """Called with the path of the view."""
+
+    def tell(self, path: str) -> None:
+        """Pass it on."""
+        for changed in self.on_change:
+            changed(path)
