@@ -1,9 +1,10 @@
 """Instructions of the server for one request, one update: the same on a busy machine as on a quiet one.
 
 Run: python benchmarks/instructions.py [KIND…] [--beside TREE]. The server runs under valgrind's
-cachegrind, which counts instructions and nothing else. Each kind runs with a small and a large number
-of operations; the difference, divided, has no start-up in it. `--beside` names another working tree
-with a `.venv` of its own, whose figures stand beside. What waits (locks, disks, caches) is not seen.
+callgrind, which counts instructions and nothing else. Each kind runs with a small and a large number
+of operations; the difference, divided, has no connecting and no warming up in it. `--beside` names
+another working tree with a `.venv` of its own, which serves with its own `served.py`; its figures
+stand beside. What waits (locks, disks, caches) and the operating system's share are not seen.
 """
 
 from __future__ import annotations
@@ -14,12 +15,14 @@ import itertools
 import json
 import os
 import re
-import signal
 import subprocess
 import sys
 import tempfile
+import time
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from subprocess import PIPE
+from subprocess import DEVNULL, PIPE
 
 import uvloop
 from picows import WSListener, WSMsgType, ws_connect
@@ -27,9 +30,18 @@ from picows import WSListener, WSMsgType, ws_connect
 READ = {"type": "read", "path": "/tenant/t/sensor/pose"}
 WRITE = {"type": "write", "path": "/tenant/t/param/speed", "body": 0.5}
 EXECUTE = {"type": "execute", "path": "/tenant/t/service/add", "body": 0.5}
-ASKED = {"read": READ, "ping": {"type": "ping"}, "write": WRITE, "execute": EXECUTE}
-KINDS = ("read", "ping", "get", "write", "execute", "fan-10", "fan-100")
-FEW, MANY = 1600, 4800
+FOLLOW = {"type": "execute", "path": "/tenant/t/action/count", "body": 0.5}
+ASKED = {
+    "read": READ,
+    "ping": {"type": "ping"},
+    "write": WRITE,
+    "kept-write": WRITE,
+    "execute": EXECUTE,
+    "feedback": FOLLOW,
+    "kept-execute": EXECUTE,
+}
+KINDS = (*ASKED, "get", "anonymous-get", "fan-1", "fan-10", "fan-100")
+WARM, FEW, MANY = 160, 320, 1280
 PAUSE = 0.3  # s between bursts: under valgrind all takes about fifty times as long
 IN_FLIGHT = 16
 BURST = 16
@@ -41,9 +53,12 @@ name = "bench"
 role = "operator"
 key = "{KEY}"
 """
+STORE = '[store]\npath = "{}/store.db"\n'
 HEADERS = {"Authorization": f"Bearer {KEY}"}
-COUNT = ["valgrind", "--tool=cachegrind", "--cache-sim=no", "--cachegrind-out-file=/dev/null"]
-TOTAL = re.compile(r"I +refs: +([\d,]+)")
+GOT: dict[str, dict[str, str]] = {"get": HEADERS, "anonymous-get": {}}
+COUNT = ["valgrind", "--tool=callgrind", "--dump-before=getppid"]
+"""Counts from one call of `getppid`, which nothing else calls, to the next."""
+TOTAL = re.compile(r"^totals: (\d+)", re.MULTILINE)
 
 
 class Asker(WSListener):
@@ -60,7 +75,7 @@ class Asker(WSListener):
         transport.send(WSMsgType.TEXT, json.dumps({"id": id_, **self.asked}).encode())
 
     def on_ws_connected(self, transport):
-        for _ in range(IN_FLIGHT):
+        for _ in range(1 if self.asked is FOLLOW else IN_FLIGHT):  # one action runs only once
             self.ask(transport)
 
     def on_ws_frame(self, transport, frame):
@@ -78,12 +93,12 @@ class Asker(WSListener):
 class Getter(asyncio.Protocol):
     """Sends one GET after the other."""
 
-    request = (
-        f"GET /rcp/v1/context/tenant/t/sensor/pose HTTP/1.1\r\nAuthorization: Bearer {KEY}\r\n"
-        "Host: 127.0.0.1\r\n\r\n"
-    ).encode()
-
-    def __init__(self, count: int) -> None:
+    def __init__(self, count: int, headers: dict[str, str]) -> None:
+        lines = [f"{name}: {value}\r\n" for name, value in headers.items()]
+        self.request = (
+            "GET /rcp/v1/context/tenant/t/sensor/pose HTTP/1.1\r\nHost: 127.0.0.1\r\n"
+            f"{''.join(lines)}\r\n"
+        ).encode()
         self.left = count
         self.answer = b""
         self.done = asyncio.Event()
@@ -125,7 +140,7 @@ class Subscriber(WSListener):
 
 
 async def load(port: str, kind: str, count: int) -> None:
-    """Do so many operations of the kind, or stay subscribed until the server ends."""
+    """Do so many operations of the kind, or stay subscribed until killed."""
     url = f"ws://127.0.0.1:{port}/rcp/v1/ws"
     name, _, number = kind.partition("-")
     if name == "fan":
@@ -135,68 +150,129 @@ async def load(port: str, kind: str, count: int) -> None:
         print("subscribed", flush=True)
         await transport.wait_disconnected()
         return
-    if name == "get":
+    if kind in GOT:
         loop = asyncio.get_running_loop()
-        _, getter = await loop.create_connection(lambda: Getter(count), "127.0.0.1", int(port))
+        getter = Getter(count, GOT[kind])
+        await loop.create_connection(lambda: getter, "127.0.0.1", int(port))
         await getter.done.wait()
     else:
-        _, asker = await ws_connect(lambda: Asker(ASKED[name], count), url, extra_headers=HEADERS)
+        _, asker = await ws_connect(lambda: Asker(ASKED[kind], count), url, extra_headers=HEADERS)
         await asker.done.wait()
 
 
-async def serve(kind: str, count: int) -> None:
-    """Serve; for a fan-out publish `count` updates in bursts to as many as subscribed, and end."""
-    from served import gateway
+async def serve(*, store: bool) -> None:
+    """Serve, publish as many updates as a line of the input says, and mark where counts end.
 
-    async with gateway(CONFIG) as (robot, url):
-        print(url.rpartition(":")[2], flush=True)
-        if not kind.startswith("fan"):
-            await asyncio.Event().wait()
-        await asyncio.to_thread(sys.stdin.readline)
-        for _ in range(count // BURST):
-            for _ in range(BURST):
-                robot.publish()
-            await asyncio.sleep(PAUSE)
-        os.kill(os.getpid(), signal.SIGTERM)
+    The gateway leaves to the next turn of its loop what a turn has no time for. Here all takes fifty
+    times as long and would be left more often than it is, so these clocks stand still.
+    """
+    time.thread_time = time.perf_counter = itertools.repeat(1.0).__next__
+    from served import Bench, gateway
+
+    Bench.execute = execute  # pyright: ignore[reportAttributeAccessIssue] - of whichever tree
+    with tempfile.TemporaryDirectory() as folder:
+        config = CONFIG + STORE.format(folder) if store else CONFIG
+        async with gateway(config) as (robot, url):
+            from rcp_kernel.model import Resource
+
+            about = Resource(
+                name="action/count",
+                description="Counts.",
+                input=float,
+                output=float,
+                feedback=float,
+            )
+            robot.host.declare(about)
+            print(url.rpartition(":")[2], flush=True)
+            while line := await asyncio.to_thread(sys.stdin.readline):
+                for _ in range(int(line) // BURST):
+                    for _ in range(BURST):
+                        robot.publish()
+                    await asyncio.sleep(PAUSE)
+                os.getppid()
+                print("marked", flush=True)
 
 
-def counted(tree: Path, kind: str, count: int) -> int:
-    """Instructions of a server's whole life in which it did so much."""
-    environment = {
-        **os.environ,
-        "PYTHONHASHSEED": "0",
-        "PYTHONPATH": str(tree / "benchmarks"),
-        "PYTHONDONTWRITEBYTECODE": "1",
-    }
-    serving = [*COUNT, str(tree / ".venv" / "bin" / "python"), __file__, "serve", kind, str(count)]
-    with tempfile.TemporaryFile("w+") as said:
-        server = subprocess.Popen(
-            serving, stdin=PIPE, stdout=PIPE, stderr=said, env=environment, text=True
+async def execute(_robot: object, name: str, value: float, progress) -> float:
+    """Add one; the action tells twice how far it is."""
+    if name == "action/count":
+        progress(value)
+        progress(value, fraction=0.5)
+    return value + 1.0
+
+
+class Server:
+    """The gateway of a tree, under callgrind."""
+
+    def __init__(self, tree: Path, *, store: bool) -> None:
+        self._folder = tempfile.TemporaryDirectory()
+        self._marks = 0
+        environment = {**os.environ, "PYTHONHASHSEED": "0", "PYTHONDONTWRITEBYTECODE": "1"}
+        out = f"--callgrind-out-file={self._folder.name}/count"
+        serving = [str(tree / ".venv" / "bin" / "python"), __file__, "serve", str(tree), str(store)]
+        self._process = subprocess.Popen(
+            [*COUNT, out, *serving],
+            stdin=PIPE,
+            stdout=PIPE,
+            stderr=DEVNULL,
+            env=environment,
+            text=True,
         )
-        assert server.stdin
-        assert server.stdout
-        port = server.stdout.readline().strip()
-        loading = [sys.executable, __file__, "load", port, kind, str(count)]
-        client = subprocess.Popen(loading, stdout=PIPE, text=True)
-        assert client.stdout
-        if client.stdout.readline():
-            server.stdin.write("publish\n")
-            server.stdin.flush()
-            server.wait()
-        result = client.wait()
-        server.terminate()
-        server.wait()
-        said.seek(0)
-        text = said.read()
-    if result or not (found := TOTAL.search(text)):
-        raise SystemExit(f"{kind}: not measured\n{text}")
-    return int(found[1].replace(",", ""))
+        self._port = self._line()
+
+    def _line(self) -> str:
+        assert self._process.stdout
+        if not (line := self._process.stdout.readline()):
+            raise SystemExit("the server has ended")
+        return line.strip()
+
+    def mark(self, updates: int = 0) -> int:
+        """Have so many updates published; return how many instructions were counted since the last mark."""
+        assert self._process.stdin
+        self._process.stdin.write(f"{updates}\n")
+        self._process.stdin.flush()
+        self._line()
+        self._marks += 1
+        return int(TOTAL.findall(Path(self._folder.name, f"count.{self._marks}").read_text())[0])
+
+    def each(self, kind: str) -> float:
+        """Instructions for one operation."""
+        loading = [sys.executable, __file__, "load", self._port, kind]
+        if not kind.startswith("fan"):
+            return self._slope(lambda count: subprocess.run([*loading, str(count)], check=True))
+        with subprocess.Popen([*loading, "0"], stdout=PIPE) as client:
+            assert client.stdout
+            client.stdout.readline()
+            found = self._slope(None)
+            client.kill()
+        return found
+
+    def _slope(self, load: Callable[[int], object] | None) -> float:
+        counts: list[int] = []
+        for count in (WARM, FEW, MANY):
+            self.mark()
+            if load is not None:
+                load(count)
+            counts.append(self.mark(0 if load is not None else count))
+        return (counts[2] - counts[1]) / (MANY - FEW)
+
+    def end(self) -> None:
+        """End it."""
+        self._process.terminate()
+        self._process.communicate()
+        self._folder.cleanup()
 
 
-def each(tree: Path, kind: str) -> float:
-    """Instructions for one operation."""
-    few, many = (FEW // 4, MANY // 4) if kind.startswith("fan") else (FEW, MANY)
-    return (counted(tree, kind, many) - counted(tree, kind, few)) / (many - few)
+def measured(tree: Path, kinds: list[str]) -> dict[str, float]:
+    """Measure each kind at a tree: those that are kept at a gateway with a store."""
+    found: dict[str, float] = {}
+    for store in (False, True):
+        chosen = [kind for kind in kinds if kind.startswith("kept") is store]
+        if chosen:
+            server = Server(tree, store=store)
+            found |= {kind: server.each(kind) for kind in chosen}
+            server.end()
+    return found
 
 
 def main() -> None:
@@ -204,19 +280,22 @@ def main() -> None:
     parser.add_argument("kinds", nargs="*", default=KINDS, metavar="KIND")
     parser.add_argument("--beside", type=Path, metavar="TREE")
     asked = parser.parse_args()
-    here = Path(__file__).resolve().parents[1]
-    for kind in asked.kinds or KINDS:
-        mine = each(here, kind)
-        beside = ""
-        if asked.beside:
-            other = each(asked.beside.resolve(), kind)
-            beside = f"   {other / 1000:9.1f} k there   {mine / other:5.3f} x"
-        print(f"  {kind:10} {mine / 1000:9.1f} k instructions{beside}", flush=True)
+    trees = [Path(__file__).resolve().parents[1]]
+    if asked.beside:
+        trees.append(asked.beside.resolve())
+    with ThreadPoolExecutor() as threads:
+        here, *there = threads.map(measured, trees, itertools.repeat(list(asked.kinds)))
+    for kind, mine in here.items():
+        line = f"  {kind:14} {mine / 1000:9.1f} k instructions"
+        for other in there:
+            line += f"   {other[kind] / 1000:9.1f} k there   {mine / other[kind]:5.3f} x"
+        print(line)
 
 
 if __name__ == "__main__":
     if sys.argv[1:2] == ["serve"]:
-        uvloop.run(serve(sys.argv[2], int(sys.argv[3])))
+        sys.path[0] = f"{sys.argv[2]}/benchmarks"
+        uvloop.run(serve(store=sys.argv[3] == "True"))
     elif sys.argv[1:2] == ["load"]:
         uvloop.run(load(sys.argv[2], sys.argv[3], int(sys.argv[4])))
     else:

@@ -1,4 +1,4 @@
-"""Print a robot's pose as it moves, with nothing but the standard library (Server-Sent Events).
+"""Print a robot's pose as it moves, using only the standard library (Server-Sent Events).
 
 python examples/stream_pose.py --rate 2
 """
@@ -15,7 +15,7 @@ from typing import Any
 
 
 def updates(url: str, path: str, rate: float, token: str | None) -> Iterator[dict[str, Any]]:
-    """Go through the updates of a path as they come."""
+    """Yield the updates of a path as they arrive."""
     query = urllib.parse.urlencode({"path": path, "rate": rate})
     request = urllib.request.Request(f"{url}/rcp/v1/events?{query}")  # noqa: S310 - as given
     if token:
@@ -37,7 +37,7 @@ def main() -> None:
     parser.add_argument("--token", default=os.environ.get("RCP_TOKEN"))
     parser.add_argument("--path", default="/tenant/alpha/sensor/pose")
     parser.add_argument("--rate", type=float, default=5.0, help="Hz")
-    parser.add_argument("--count", type=int, help="end after so many")
+    parser.add_argument("--count", type=int, help="stop after this many updates")
     args = parser.parse_args()
     for number, update in enumerate(updates(args.url, args.path, args.rate, args.token), 1):
         at = update["body"]["position"]

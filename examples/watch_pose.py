@@ -14,7 +14,7 @@ from websockets.asyncio.client import connect
 
 
 async def watch(url: str, path: str, rate: float, count: int | None, token: str | None) -> None:
-    """Greet, subscribe, and print each update."""
+    """Start the session, subscribe, and print each update."""
     address = url.replace("http", "ws", 1) + "/rcp/v1/ws"
     async with connect(address, subprotocols=["rcp.v1.json"]) as socket:  # pyright: ignore[reportArgumentType]
         hello = {"client": "watch_pose/1"} | ({"token": token} if token else {})
@@ -40,7 +40,7 @@ def main() -> None:
     parser.add_argument("--url", default=os.environ.get("RCP_URL", "http://127.0.0.1:8080"))
     parser.add_argument("--token", default=os.environ.get("RCP_TOKEN"))
     parser.add_argument("--rate", type=float, default=5.0, help="Hz, for each path")
-    parser.add_argument("--count", type=int, help="end after so many")
+    parser.add_argument("--count", type=int, help="stop after this many updates")
     args = parser.parse_args()
     asyncio.run(watch(args.url, args.path, args.rate, args.count, args.token))
 

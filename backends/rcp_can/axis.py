@@ -88,11 +88,11 @@ class Axis(AxisState):
 
     def _take(self, message: can.Message) -> None:
         if self.drive.take(message):
-            self.heard = time.monotonic()
+            self.last_message_at = time.monotonic()
 
     def _batch(self) -> None:
         status = self.status
-        seen = status.moved, status.told, status.resets, status.twins
+        seen = status.moved, status.reports, status.resets, status.twins
         if seen == self._seen:
             return
         old, self._seen = self._seen, seen
@@ -109,7 +109,7 @@ class Axis(AxisState):
         if status.counts["velocity"] != self._velocities:
             self._velocities = status.counts["velocity"]
             self.still = self.still + 1 if self.slow else 0
-        self.drive.look()
+        self.drive.wake_waiters()
         if status.moved != old[0]:
             self._host.publish(f"sensor/{self.name}/motion", views.motion(self))
             if self.configured and status.position is not None:
@@ -122,7 +122,7 @@ class Axis(AxisState):
             self._host.link_restored()  # before anything else is sent to it
         self._lost_once = False
         self.faults.take_back("feedback_lost", "heartbeat_lost")
-        self._health.say(self.name, None)
+        self._health.report(self.name, None)
         self._configure()
 
     def _configure(self) -> None:
@@ -138,20 +138,20 @@ class Axis(AxisState):
             except RcpError as error:
                 text = f"it could not be configured: {error.message}"
                 self.fault("configuration", text)
-                self._health.say(self.name, f"motor '{self.name}': {text}")
+                self._health.report(self.name, f"motor '{self.name}': {text}")
                 await asyncio.sleep(_RETRY)
             else:
                 if self.faults.own("configuration") is not None:
                     self.faults.take_back("configuration")
-                    self._health.say(self.name, None)
+                    self._health.report(self.name, None)
                 self.configured, self.configured_at = True, time.monotonic()
                 if self.status.position is not None:
                     self.first.set()
-                self._tell_protection()
+                self._report_protection()
                 self.show()
                 return
 
-    def _tell_protection(self) -> None:
+    def _report_protection(self) -> None:
         found = self.drive.protection
         if found.within is None:
             log.warning("no_watchdog", motor=self.name, found=found.mechanism)
@@ -167,15 +167,15 @@ class Axis(AxisState):
     def _reset(self) -> None:
         used = self.wanted_on or self.mode is not None or self.stopping
         if self.wanted_on or self.mode is not None:
-            self.fault("reset", "the drive has started anew while it was in use", lasting=False)
+            self.fault("reset", "the drive rebooted while in use", lasting=False)
         self.wanted_on = False
-        self.forget(AdapterUnavailable(f"motor '{self.name}': the drive has started anew"))
+        self.forget(AdapterUnavailable(f"motor '{self.name}': the drive rebooted"))
         if used:  # one that has only left its operational state may still run
             self.stop()
         self._configure()
 
     def _doubled(self) -> None:
-        text = f"two drives answer to node {self.drive.node}"
+        text = f"two drives respond to node {self.drive.node}"
         self.fault("duplicate_node", text)
         if self.in_use:
             self.forget(ModeForbids(f"motor '{self.name}': {text}"))
@@ -186,7 +186,7 @@ class Axis(AxisState):
         why = "; ".join(f.text for f in self.status.faults) or "it switched itself off"
         if not self.status.faults and not self.stopping:
             self.fault("switched_off", "the drive has switched itself off", lasting=False)
-        self.forget(ModeForbids(f"motor '{self.name}' is not enabled any more: {why}"))
+        self.forget(ModeForbids(f"motor '{self.name}' is no longer enabled: {why}"))
 
     # What is asked of it
 
@@ -320,7 +320,7 @@ class Axis(AxisState):
             if (why := loss(self, now)) is not None:
                 self._lose(why)
             else:
-                self._look(stale(self, now))
+                self._check_feedback(stale(self, now))
         if not self.bus.up:
             return
         if self.mode is not None and self.bus.lag > STALLED:
@@ -343,7 +343,7 @@ class Axis(AxisState):
 
     def _thaw(self, gap: float) -> None:
         """Stop after the gateway itself stood still: the world has gone on meanwhile."""
-        text = f"the gateway stood still for {gap:.1f} s"
+        text = f"the gateway did not run for {gap:.1f} s"
         self.fault("gateway_stalled", text, lasting=False)
         self.forget(AdapterUnavailable(f"motor '{self.name}': {text}, and it was stopped"))
         self.stop()
@@ -362,20 +362,20 @@ class Axis(AxisState):
             self.stop_began = began
         self.show()
 
-    def _look(self, why: Loss | None) -> None:
+    def _check_feedback(self, why: Loss | None) -> None:
         """Stop a motor whose feedback is too old, and take note of its return."""
         was, self.blind = self.blind, why
         if was is None and why is not None:
             self.wanted_on = False
             self.fault(why.fault, why.text)
-            self._health.say(self.name, f"motor '{self.name}': {why.text}")
+            self._health.report(self.name, f"motor '{self.name}': {why.text}")
             self.forget(DeviceTimeout(f"motor '{self.name}': feedback lost: {why.text}"))
             if self.status.energised is not False:
                 self.stop()
             self.show()
         elif was is not None and why is None:
             self.faults.take_back("feedback_lost")
-            self._health.say(self.name, None)
+            self._health.report(self.name, None)
             self.wanted_on = False
             self.show()
 
@@ -397,14 +397,14 @@ class Axis(AxisState):
         was_on = self.status.energised is not False or self.mode is not None
         self.status.enabled = self.status.holding = None
         self.fault(why.fault, why.text)
-        self._health.say(self.name, f"motor '{self.name}': {why.text}")
+        self._health.report(self.name, f"motor '{self.name}': {why.text}")
         self.forget(AdapterUnavailable(f"motor '{self.name}': {why.text}"))
         if was_on:  # it may still run by its last set-point, and still hear us
             self.stop()
 
     def _stall(self) -> None:
         """Drop a set-point that does not leave: the ramp would be far ahead when it does."""
-        text = f"its set-points have not left for {STALLED:g} s: the bus takes no frames"
+        text = f"its set-points could not be sent for {STALLED:g} s: the bus accepts no frames"
         self.fault("not_sent", text, lasting=False)
         self.forget(QueueFull(f"motor '{self.name}': {text}"))
         self.stop()
@@ -423,7 +423,7 @@ class Axis(AxisState):
             self.faults.note(fault)
             self.show()
         else:
-            self.faults.tell(fault, active=True)
+            self.faults.publish(fault, active=True)
 
     async def clear_faults(self) -> None:
         """Have the drive acknowledge its faults, and take back those that the gateway has seen.

@@ -51,7 +51,7 @@ class AxisState:
         """Which signal is too old, while it is heard."""
         self.signals = _signals(config, drive)
         """What its control rests on."""
-        self.heard = self.configured_at = 0.0
+        self.last_message_at = self.configured_at = 0.0
         """When it said something, by the monotonic clock."""
         self.stop_began: float | None = None
         self.faults = FaultBook(name, host)
@@ -90,7 +90,7 @@ class AxisState:
     @property
     def met(self) -> bool:
         """Whether it was ever heard."""
-        return self.heard > 0.0
+        return self.last_message_at > 0.0
 
     def is_fresh(self, signal: str) -> bool:
         """Tell whether a signal is young enough to rest on."""

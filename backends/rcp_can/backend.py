@@ -20,7 +20,7 @@ from rcp_can.eds_node import EdsPart
 from rcp_can.health import Health
 from rcp_can.joint_group import JointGroupPart
 from rcp_can.motor import MotorPart
-from rcp_can.motor_group import by_rate, heard, make_axes, run_axes, simulated
+from rcp_can.motor_group import by_rate, make_axes, run_axes, simulated, wait_for_motors
 from rcp_can.raw import BusPart
 from rcp_can.sdo import Sdo
 from rcp_can.standstill import motion_of_all
@@ -57,7 +57,7 @@ class CanBackend(BaseBackend):
         found = part.resources()
         for resource in found:
             if resource.name in self._owner:
-                raise ConfigError(f"{resource.name} would stand for two things: rename one")
+                raise ConfigError(f"{resource.name} is defined twice: rename one")
             self._owner[resource.name] = part
         self._parts.append(part)
         self._host.declare(*found)
@@ -118,8 +118,8 @@ class CanBackend(BaseBackend):
         try:
             await self.hold(robot)
         except AdapterUnavailable as error:
-            return f"held what can be reached ({error.message}); set-points forgotten"
-        return "held at rest; set-points forgotten"
+            return f"held the reachable motors ({error.message}); set-points discarded"
+        return "held at rest; set-points discarded"
 
     def watchdogs(self) -> Sequence[Watchdog]:
         """List what stops each motor when the gateway falls silent, as known now."""
@@ -135,13 +135,13 @@ class CanBackend(BaseBackend):
         failed = [each for each in done if isinstance(each, BaseException)]
         if not failed:
             return
-        told = [each for each in failed if isinstance(each, RcpError)]
-        if len(told) < len(failed):
+        errors = [each for each in failed if isinstance(each, RcpError)]
+        if len(errors) < len(failed):
             raise next(each for each in failed if not isinstance(each, RcpError))
-        text = "; ".join(each.message for each in told)
-        if any(isinstance(each, AdapterUnavailable) for each in told):
-            raise AdapterUnavailable(text, remedy=told[0].remedy)
-        raise DeviceTimeout(text, details=told[0].details)
+        text = "; ".join(each.message for each in errors)
+        if any(isinstance(each, AdapterUnavailable) for each in errors):
+            raise AdapterUnavailable(text, remedy=errors[0].remedy)
+        raise DeviceTimeout(text, details=errors[0].details)
 
 
 @asynccontextmanager
@@ -185,7 +185,7 @@ async def open_buses(config: CanConfig, host: Host) -> AsyncGenerator[CanBackend
                 plans = stop_plans(config, axes.values(), devices)
                 for bus, plan in plans.items():
                     host.guard(f"can/{bus}", plan)
-                await heard(axes.values(), config.grace, health)
+                await wait_for_motors(axes.values(), config.grace, health)
                 try:
                     yield backend
                 finally:

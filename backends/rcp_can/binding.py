@@ -24,7 +24,7 @@ class Part:
 
         :raises AdapterUnavailable: there is none: nothing has happened, or been commanded, yet.
         """
-        raise AdapterUnavailable(f"'{name}' has had no value yet", remedy="Subscribe to it.")
+        raise AdapterUnavailable(f"'{name}' has no value yet", remedy="Subscribe to it.")
 
     async def write(self, name: str, value: Any) -> Any:
         """Bring a value into force."""

@@ -55,7 +55,7 @@ class Bus:
     def __init__(self, name: str, config: BusConfig, host: Host, health: Health) -> None:
         self.name, self.config = name, config
         self.state: m.Condition = "down"
-        self.told = m.BusState(state="down", detail="not open yet")
+        self.reported_state = m.BusState(state="down", detail="not open yet")
         self.restarts = self.error_frames = self.malformed = self.refused = 0
         self.on_state: list[Callable[[m.Condition, m.Condition], None]] = []
         """Told of each change, the old state first."""
@@ -206,16 +206,18 @@ class Bus:
     def _turn(self, state: m.Condition, text: str) -> None:
         was, self.state = self.state, state
         tx, rx = self._counters
-        self.told = m.BusState(state=state, detail=text, tx_errors=tx, rx_errors=rx)
-        self._host.publish(f"sensor/{self._prefix}/state", self.told)
+        self.reported_state = m.BusState(state=state, detail=text, tx_errors=tx, rx_errors=rx)
+        self._host.publish(f"sensor/{self._prefix}/state", self.reported_state)
         if was == state:
             return
         event = m.BusEvent(was=was, now=state, text=text)
         self._host.publish(f"event/{self._prefix}/state", event)
         bad = state in ("bus_off", "down")
-        self._health.say(self._prefix, f"CAN bus '{self.name}' is {state}: {text}" if bad else None)
-        for told in self.on_state:
-            told(was, state)
+        self._health.report(
+            self._prefix, f"CAN bus '{self.name}' is {state}: {text}" if bad else None
+        )
+        for callback in self.on_state:
+            callback(was, state)
 
     # What is received
 
@@ -258,7 +260,7 @@ class Bus:
         if tx is not None:
             self._counters = tx, rx
         if state == "bus_off":
-            self._reason = "the controller has gone off the bus"
+            self._reason = "the controller is bus-off"
             self._turn("bus_off", self._reason)
             self._lost.set()
         elif state is not None and self._wire is not None and state != self.state:
@@ -286,14 +288,17 @@ class Bus:
             await asyncio.sleep(self.config.statistics)
             now = time.monotonic()
             value = self.statistics(now - moment, last.rx, last.tx)
-            self._tell_losses(value, last)
+            self._report_losses(value, last)
             moment, last, self._busy = now, value, 0.0
             self._host.publish(f"sensor/{self._prefix}/statistics", value)
 
-    def _tell_losses(self, now: m.Statistics, before: m.Statistics) -> None:
+    def _report_losses(self, now: m.Statistics, before: m.Statistics) -> None:
         refused, expired = now.refused - before.refused, now.expired - before.expired
         losses = {
-            "receive": (now.dropped - before.dropped, "not read: the gateway was too slow"),
+            "receive": (
+                now.dropped - before.dropped,
+                "not received in time: the gateway was too slow",
+            ),
             "send": (refused + expired, "not sent in time: the bus or the gateway was too slow"),
         }
         for queue, (lost, text) in losses.items():

@@ -81,7 +81,7 @@ class Layout:
     def decode(self, data: bytes | bytearray) -> dict[str, float]:
         """Return the fields; see `Codec`."""
         if len(data) < self.size:
-            raise ValueError(f"{len(data)} bytes where {self.size} are due")
+            raise ValueError(f"{len(data)} bytes, expected {self.size}")
         found: dict[str, float] = {}
         for field, raw in zip(self._named, self._struct.unpack_from(data), strict=True):
             if field.code == "f" and not field.nan and not math.isfinite(raw):
@@ -123,7 +123,7 @@ class Packed:
         self.names = tuple(span.name for span in self.spans)
         bits = sum(span.bits for span in self.spans)
         if bits % 8:
-            raise ValueError(f"{bits} bits fill no whole bytes")
+            raise ValueError(f"{bits} bits are not a whole number of bytes")
         self.size = bits // 8
         self._plan: list[tuple[str, int, int, float | None, float]] = []
         shift = bits
@@ -151,7 +151,7 @@ class Packed:
     def decode(self, data: bytes | bytearray) -> dict[str, float]:
         """Return the fields; see `Codec`."""
         if len(data) < self.size:
-            raise ValueError(f"{len(data)} bytes where {self.size} are due")
+            raise ValueError(f"{len(data)} bytes, expected {self.size}")
         word = int.from_bytes(data[: self.size], "big")
         found: dict[str, float] = {}
         for name, shift, mask, low, width in self._plan:

@@ -15,7 +15,7 @@ _WARNING, _PASSIVE, _ACTIVE, _OVERFLOW = 0x0C, 0x30, 0x40, 0x03
 _PLACES = {
     _TX_TIMEOUT: "transmit time-out",
     _PROTOCOL: "protocol violation",
-    _NO_ACK: "nobody acknowledged",
+    _NO_ACK: "no acknowledgement",
     _BUS_ERROR: "bus error",
 }
 

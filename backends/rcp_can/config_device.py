@@ -31,4 +31,4 @@ class DeviceConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
     def __post_init__(self) -> None:
         for name in self.safe:
             if name not in self.write:
-                raise ValueError(f"`safe` names {name!r}, which `write` does not")
+                raise ValueError(f"`safe` contains {name!r}, which is not in `write`")

@@ -23,4 +23,4 @@ class JointGroupConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=
 
     def __post_init__(self) -> None:
         if len(set(self.joints)) != len(self.joints):
-            raise ValueError("`joints` names a motor twice")
+            raise ValueError("`joints` lists a motor twice")

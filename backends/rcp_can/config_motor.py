@@ -8,11 +8,11 @@ from msgspec import Meta, Struct
 
 from rcp_can.config_names import BusName, Seconds
 
-__all__ = ["HOUSE", "MotorConfig"]
+__all__ = ["BUILTIN_PROFILES", "MotorConfig"]
 
-HOUSE = "cia402", "odrive", "mit", "tmotor", "damiao", "moteus", "vesc", "cybergear"
+BUILTIN_PROFILES = "cia402", "odrive", "mit", "tmotor", "damiao", "moteus", "vesc", "cybergear"
 """Profiles that come with the backend."""
-_FED = 3  # set-points in the time of a watchdog, for some may get lost
+_PERIODS_PER_WATCHDOG = 3  # set-points in the time of a watchdog, for some may get lost
 Positive = Annotated[float, Meta(gt=0, le=1e6)]
 
 
@@ -57,14 +57,16 @@ class MotorConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
     """What the profile needs beside; see its table."""
 
     def __post_init__(self) -> None:
-        if self.profile not in HOUSE and ":" not in self.profile:
-            known = ", ".join(HOUSE)
+        if self.profile not in BUILTIN_PROFILES and ":" not in self.profile:
+            known = ", ".join(BUILTIN_PROFILES)
             raise ValueError(
-                f"`profile`: no {self.profile!r}; there are {known}, and <module>:<NAME>"
+                f"`profile`: unknown {self.profile!r}; use one of {known}, or <module>:<NAME>"
             )
         if self.watchdog is True:
             raise ValueError("`watchdog` is a time in s, or false")
-        if self.watchdog and self.watchdog * self.rate < _FED:
-            raise ValueError(f"`watchdog` is shorter than {_FED} periods of `rate`, which feed it")
+        if self.watchdog and self.watchdog * self.rate < _PERIODS_PER_WATCHDOG:
+            raise ValueError(
+                f"`watchdog` is shorter than {_PERIODS_PER_WATCHDOG} periods of `rate`, which reset it"
+            )
         if self.position is not None and self.position[0] >= self.position[1]:
-            raise ValueError("`position` is [lowest, highest], and the lowest is less")
+            raise ValueError("`position` is [lowest, highest], with lowest < highest")

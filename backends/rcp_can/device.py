@@ -129,7 +129,7 @@ class DevicePart(Part):
 
         :raises AdapterUnavailable: always.
         """
-        raise AdapterUnavailable(f"{name} has not been heard of")
+        raise AdapterUnavailable(f"no {name} received yet")
 
     async def write(self, name: str, value: Any) -> None:
         """Send a message."""
@@ -144,7 +144,7 @@ class DevicePart(Part):
         try:
             return message.encode(values, strict=True)
         except Exception as error:
-            raise InvalidValue(f"{message.name} cannot be made of that: {error}") from error
+            raise InvalidValue(f"{message.name} cannot encode this value: {error}") from error
 
     async def halt(self) -> None:
         """Send all that is safe, whether or not the rest was sent from here."""

@@ -181,7 +181,7 @@ class Drive(ABC):
         """List frames that stop it without knowing how it stands, and never switch it on."""
         return ()
 
-    def look(self) -> None:
+    def wake_waiters(self) -> None:
         """Wake those who wait for the status; called after each batch of frames."""
         if self._waiters:
             for holds, future in self._waiters:
@@ -216,7 +216,7 @@ class Drive(ABC):
                 again()
             future = loop.create_future()
             self._waiters.append((done, future))
-            self.look()
+            self.wake_waiters()
             left = end - loop.time()
             pause = min(every, left) if again is not None else left
             await asyncio.wait((future,), timeout=max(0.0, pause))
@@ -227,8 +227,8 @@ class Drive(ABC):
                 raise DeviceRejected("; ".join(fault.text for fault in new))
             if loop.time() >= end:
                 raise DeviceTimeout(
-                    f"node {self.node} was not {what} within {seconds:g} s",
-                    remedy="See its sensor/…/state and event/…/fault; clear its faults.",
+                    f"node {self.node}: not {what} within {seconds:g} s",
+                    remedy="Check sensor/…/state and event/…/fault of the motor; clear its faults.",
                 )
 
 

@@ -107,13 +107,13 @@ class EdsPart(Part):
 
     @contextmanager
     def _watched(self, name: str) -> Generator[None]:
-        looking = asyncio.create_task(self._look(name), name=f"can watch {name}")
+        polling = asyncio.create_task(self._poll(name), name=f"can watch {name}")
         try:
             yield
         finally:
-            looking.cancel()
+            polling.cancel()
 
-    async def _look(self, name: str) -> None:
+    async def _poll(self, name: str) -> None:
         while True:
             with suppress(RcpError):  # it is told to whoever reads
                 self._host.publish(name, await self.read(name))

@@ -67,8 +67,8 @@ class Entry:
             return data
         if len(data) < (size := self._size):
             raise DeviceRejected(
-                f"0x{self.index:04X}:{self.sub:02X} has {len(data)} bytes where {size} are due",
-                remedy="Is the EDS that of this device?",
+                f"0x{self.index:04X}:{self.sub:02X} has {len(data)} bytes where expected {size}",
+                remedy="Check that the EDS belongs to this device.",
             )
         if self.kind == _BOOLEAN:
             return bool(data[0])

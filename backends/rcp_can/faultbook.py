@@ -48,11 +48,11 @@ class FaultBook:
         self.standing = faults
         for name, fault in faults.items():
             if old.get(name) != fault:
-                self.tell(fault, active=True)
+                self.publish(fault, active=True)
         for name in old.keys() - faults.keys():
-            self.tell(old[name], active=False)
+            self.publish(old[name], active=False)
 
-    def tell(self, fault: Fault, *, active: bool) -> None:
+    def publish(self, fault: Fault, *, active: bool) -> None:
         """Publish that a fault has come, or gone."""
         value = m.MotorFault(fault=fault.name, text=fault.text, active=active, code=fault.code)
         self._host.publish(self._event, value)

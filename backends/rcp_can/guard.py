@@ -26,7 +26,7 @@ _CONFIGURING = 1.0  # s that a call waits for a drive to be configured
 def loss(axis: AxisState, now: float) -> Loss | None:
     """Tell whether a drive that was heard is lost."""
     timeout = axis.config.timeout
-    if now - axis.heard > timeout:
+    if now - axis.last_message_at > timeout:
         return Loss("feedback_lost", f"no message received for {timeout:g} s")
     if heartless(axis, now):
         return Loss("heartbeat_lost", "heartbeat lost, although other messages still arrive")
@@ -43,7 +43,7 @@ def stale(axis: AxisState, now: float) -> Loss | None:
         if now - max(at.get(signal, 0.0), since) > limit:
             word = "state" if signal == "enabled" else signal
             text = f"no {word} received for {limit:g} s"
-            if now - axis.heard <= limit:
+            if now - axis.last_message_at <= limit:
                 text += ", although other messages still arrive"
             return Loss("feedback_lost", text)
     return None
@@ -57,7 +57,7 @@ def check_feedback(axis: AxisState) -> None:
     if axis.blind is not None:
         raise DeviceTimeout(
             f"motor '{axis.name}': feedback lost: {axis.blind.text}",
-            remedy=f"See sensor/{axis.name}/motion; does the drive still send what was configured?",
+            remedy=f"Check sensor/{axis.name}/motion, and that the drive still sends the configured messages.",
         )
 
 
@@ -95,8 +95,8 @@ def check_link(axis: AxisState) -> None:
         raise AdapterUnavailable(f"CAN bus '{axis.bus.name}' is {axis.bus.state}")
     if not axis.online:
         raise AdapterUnavailable(
-            f"motor '{axis.name}' (node {axis.drive.node}) is silent",
-            remedy="Check its supply, its cable and its node id.",
+            f"motor '{axis.name}' (node {axis.drive.node}) does not respond",
+            remedy="Check its power supply, cable and node id.",
         )
 
 
@@ -108,13 +108,13 @@ def check_bus(axis: AxisState) -> None:
     """
     if axis.bus.lag > STALLED:
         raise QueueFull(
-            f"CAN bus '{axis.bus.name}' takes no frames: one has waited for {axis.bus.lag:.1f} s",
+            f"CAN bus '{axis.bus.name}' accepts no frames: one has been waiting for {axis.bus.lag:.1f} s",
             remedy=f"See sensor/can/{axis.bus.name}/state and …/statistics.",
         )
     if axis.faults.own("duplicate_node") is not None:
         raise ModeForbids(
-            f"motor '{axis.name}': two drives answer to node {axis.drive.node}",
-            remedy=f"Give one of them another id, then execute service/{axis.name}/clear_faults.",
+            f"motor '{axis.name}': two drives respond to node {axis.drive.node}",
+            remedy=f"Change the id of one of them, then execute service/{axis.name}/clear_faults.",
         )
 
 

@@ -13,15 +13,15 @@ class Health:
     def __init__(self, host: Host) -> None:
         self._host = host
         self._complaints: dict[str, str] = {}
-        self._told: str | None = None
+        self._reported: str | None = None
 
-    def say(self, who: str, what: str | None) -> None:
+    def report(self, source: str, what: str | None) -> None:
         """Complain, or with None be well again."""
         if what is None:
-            self._complaints.pop(who, None)
+            self._complaints.pop(source, None)
         else:
-            self._complaints[who] = what
-        told = "; ".join(self._complaints.values()) or None
-        if told != self._told:
-            self._told = told
-            self._host.report(told)
+            self._complaints[source] = what
+        complaints = "; ".join(self._complaints.values()) or None
+        if complaints != self._reported:
+            self._reported = complaints
+            self._host.report(complaints)

@@ -35,11 +35,11 @@ def _open(name: str, config: BusConfig) -> can.BusABC:
     try:
         return can.Bus(config.channel, config.interface, ignore_config=True, **arguments(config))
     except can.CanInterfaceNotImplementedError as error:
-        raise ConfigError(
-            f"buses.{name}: {config.interface} does not work here: {error}"
-        ) from error
+        raise ConfigError(f"buses.{name}: {config.interface} is not available: {error}") from error
     except (TypeError, ValueError) as error:
-        raise ConfigError(f"buses.{name}: {config.interface} refuses this: {error}") from error
+        raise ConfigError(
+            f"buses.{name}: {config.interface} rejected the settings: {error}"
+        ) from error
     except Exception as error:
         raise NotReady(
             f"CAN bus '{name}' ({config.interface} {config.channel}): {error}"

@@ -25,7 +25,7 @@ from rcp_kernel.spi import Host, Progress, check_fence, fenced_off
 
 __all__ = ["JointGroupPart"]
 
-_LOOK = 0.01  # s
+_POLL_PERIOD = 0.01  # s
 _FEEDBACK = 0.1  # s between two reports of a move
 _MOVE = 120.0  # s
 
@@ -42,8 +42,8 @@ class JointGroupPart(Part):
         for axis in axes:
             if "position" not in axis.drive.modes:
                 raise ConfigError(
-                    f"joint_groups.{name}.joints: '{axis.name}' ({axis.config.profile}) takes no "
-                    "positions; leave it out"
+                    f"joint_groups.{name}.joints: '{axis.name}' ({axis.config.profile}) has no "
+                    "position control; remove it"
                 )
         self._name, self._config, self._axes, self._host = name, config, tuple(axes), host
         self._types = joint_types(self._axes)
@@ -70,7 +70,7 @@ class JointGroupPart(Part):
             ),
             Resource(
                 name=f"actuator/{name}/joints",
-                description="Where the joints go; one that is not named stays where it is.",
+                description="Target positions; a joint that is not listed keeps its position.",
                 value=types.targets,
                 examples=(middle, {}),
                 max_age=1.0,
@@ -80,7 +80,7 @@ class JointGroupPart(Part):
             ),
             Resource(
                 name=f"action/{name}/move_joints",
-                description="Move joints together in a straight line; done when every drive says so.",
+                description="Move the joints together along a straight line in joint space; completes when every drive reports that it is done.",
                 input=types.move,
                 output=types.moved,
                 feedback=types.feedback,
@@ -102,8 +102,8 @@ class JointGroupPart(Part):
 
     def _batch(self) -> None:
         seen = sum(axis.status.moved for axis in self._axes)
-        heard = all(axis.online and axis.blind is None for axis in self._axes)
-        if seen != self._seen and heard:
+        fresh = all(axis.online and axis.blind is None for axis in self._axes)
+        if seen != self._seen and fresh:
             self._seen = seen
             if (value := self._value()) is not None:
                 self._host.publish(self._states, value)
@@ -129,7 +129,9 @@ class JointGroupPart(Part):
             check_link(axis)
             check_feedback(axis)
         if (value := self._value()) is None:
-            raise AdapterUnavailable(f"not every joint of '{self._name}' has told its position yet")
+            raise AdapterUnavailable(
+                f"not every joint of '{self._name}' has reported its position yet"
+            )
         return value
 
     async def write(self, name: str, value: Any) -> None:
@@ -168,7 +170,8 @@ class JointGroupPart(Part):
     def _check(self, axis: Axis) -> None:
         if axis.owner is not None:
             raise ModeForbids(
-                f"motor '{axis.name}' is driven by {axis.owner}", remedy="Cancel that first."
+                f"motor '{axis.name}' is driven by {axis.owner}",
+                remedy="Cancel that command first.",
             )
         check(axis)
 
@@ -195,7 +198,7 @@ class JointGroupPart(Part):
     async def _move(self, move: Any, name: str, progress: Progress) -> Any:
         targets = self._targets(move.positions)
         if not targets:
-            raise InvalidValue("no joint is to be moved", details={"pointer": "/positions"})
+            raise InvalidValue("no joint to move", details={"pointer": "/positions"})
         for axis in targets:
             self._check(axis)
         legs = {axis: self._leg(axis, goal, move.speed) for axis, goal in targets.items()}
@@ -230,14 +233,17 @@ class JointGroupPart(Part):
         for axis, leg in legs.items():
             axis.ended = ended.append
             axis.command("position", leg.goal, path.follow(leg))
-        told = 0.0
+        reported_at = 0.0
         while not path.over:
-            if time.monotonic() - told >= _FEEDBACK and (here := self._positions()) is not None:
-                told = time.monotonic()
+            if (
+                time.monotonic() - reported_at >= _FEEDBACK
+                and (here := self._positions()) is not None
+            ):
+                reported_at = time.monotonic()
                 left = max(abs(leg.goal - (axis.position or 0.0)) for axis, leg in legs.items())
                 feedback = self._types.feedback(positions=here, left=left)
                 progress(feedback, fraction=path.advance()[0])
-            await asyncio.sleep(_LOOK)
+            await asyncio.sleep(_POLL_PERIOD)
             if ended:
                 raise ended[0]
 
@@ -249,7 +255,7 @@ class JointGroupPart(Part):
         arriving = asyncio.ensure_future(ways)
         try:
             while not arriving.done():
-                await asyncio.wait((arriving,), timeout=_LOOK)
+                await asyncio.wait((arriving,), timeout=_POLL_PERIOD)
                 if ended:
                     raise ended[0]
             arriving.result()
@@ -260,9 +266,9 @@ class JointGroupPart(Part):
 
 
 _SERVICES = {
-    "enable": "switch the power stages on, at rest.",
+    "enable": "switch the power stages on, without moving.",
     "disable": "switch the power stages off.",
-    "clear_faults": "acknowledge the faults; they stay switched off.",
+    "clear_faults": "clear the faults; the power stages stay off.",
 }
 
 
@@ -281,7 +287,7 @@ async def _halted(legs: dict[Axis, Leg], path: Path, why: BaseException) -> None
         for axis in legs:
             axis.ended, axis.leaving = None, True
         while not path.over and any(axis.mode == "position" for axis in legs):  # noqa: ASYNC110
-            await asyncio.sleep(_LOOK)
+            await asyncio.sleep(_POLL_PERIOD)
         settled = await asyncio.gather(
             *(_settle(axis, why) for axis in legs), return_exceptions=True
         )

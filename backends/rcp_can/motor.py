@@ -30,7 +30,7 @@ __all__ = ["MotorPart", "abandon", "drive_to", "released"]
 
 _FEEDBACK = 0.1  # s between two reports of a move
 _SETTLE = 3.0  # s that the joint may need after its set-point has arrived
-_LOOK = 0.01  # s
+_POLL_PERIOD = 0.01  # s
 
 
 class MotorPart(Part):
@@ -51,7 +51,8 @@ class MotorPart(Part):
         if axis.owner is not None:
             if value != 0.0 or mode == "position":
                 raise ModeForbids(
-                    f"motor '{axis.name}' is driven by {axis.owner}", remedy="Cancel that first."
+                    f"motor '{axis.name}' is driven by {axis.owner}",
+                    remedy="Cancel that command first.",
                 )
             axis.forget(ModeForbids("a zero set-point ended the move"))
         if value == 0.0 and mode != "position":
@@ -205,7 +206,7 @@ async def _guarded(axis: Axis, work: Coroutine[Any, Any, None]) -> None:
         while not task.done():
             task.cancel()
             with anyio.CancelScope(shield=True):
-                await asyncio.wait((task,), timeout=_LOOK)
+                await asyncio.wait((task,), timeout=_POLL_PERIOD)
     if reasons:
         raise reasons[0]
     task.result()
@@ -237,26 +238,26 @@ async def drive_to(axis: Axis, move: m.Move, progress: Progress) -> None:
     patience = way / velocity + _SETTLE
     if acceleration is not None:
         patience += velocity / acceleration
-    began = told = time.monotonic()
-    news = axis.status.told + axis.status.moved
+    began = reported_at = time.monotonic()
+    reports = axis.status.reports + axis.status.moved
     while True:
-        await asyncio.sleep(_LOOK)
+        await asyncio.sleep(_POLL_PERIOD)
         if lost:
             raise lost[0]
         now = time.monotonic()
         here = axis.position if axis.position is not None else start
         left = move.position - here
-        if now - told >= _FEEDBACK:
-            told = now
+        if now - reported_at >= _FEEDBACK:
+            reported_at = now
             part = max(0.0, 1 - abs(left) / way) if way else 1.0
             progress(m.MoveFeedback(position=here, left=left), fraction=part)
-        fresh = axis.status.told + axis.status.moved > news + 1
+        fresh = axis.status.reports + axis.status.moved > reports + 1
         there = abs(left) <= tolerance and fresh
         if there and (axis.status.reached if own else axis.resting):
             return
         if now - began > 2 * patience:
             raise DeviceRejected(
-                f"motor '{axis.name}' came no nearer to its goal than {left:g} rad"
+                f"motor '{axis.name}' did not come closer than {left:g} rad to its goal"
             )
 
 
@@ -290,4 +291,4 @@ async def abandon(axis: Axis, why: BaseException) -> None:
 async def released(axis: Axis) -> None:
     """Wait for an action that is over to let go of the motor."""
     while axis.leaving:  # noqa: ASYNC110  # it is let go of by a task that nobody wakes for
-        await asyncio.sleep(_LOOK)
+        await asyncio.sleep(_POLL_PERIOD)

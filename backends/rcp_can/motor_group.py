@@ -18,7 +18,7 @@ from rcp_can.ticker import Ticker
 from rcp_kernel.errors import ConfigError
 from rcp_kernel.spi import Host
 
-__all__ = ["by_rate", "heard", "make_axes", "run_axes", "simulated"]
+__all__ = ["by_rate", "make_axes", "run_axes", "simulated", "wait_for_motors"]
 
 _LATE = 0.1  # s: a longer gap counts as this, so that no ramp leaps
 _COARSE = 100.0  # Hz above which the loop's own timers are too coarse
@@ -109,7 +109,7 @@ async def _run(axes: list[Axis], beat: Callable[[], Awaitable[None]]) -> None:
                 axis.show_health()
 
 
-async def heard(axes: Iterable[Axis], grace: float, health: Health) -> None:
+async def wait_for_motors(axes: Iterable[Axis], grace: float, health: Health) -> None:
     """Wait until every motor has said something, or for the grace; complain of those that did not."""
     axes = list(axes)
     waiting = [asyncio.ensure_future(axis.first.wait()) for axis in axes]
@@ -120,7 +120,9 @@ async def heard(axes: Iterable[Axis], grace: float, health: Health) -> None:
         axis.show()
         axis.show_health()
         if not axis.met:
-            health.say(axis.name, f"motor '{axis.name}' (node {axis.drive.node}) is silent")
+            health.report(
+                axis.name, f"motor '{axis.name}' (node {axis.drive.node}) does not respond"
+            )
 
 
 @contextmanager

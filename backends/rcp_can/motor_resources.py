@@ -32,14 +32,14 @@ def motor_resources(axis: Axis) -> list[Resource]:
         ),
         Resource(
             name=f"sensor/{name}/state",
-            description=f"Whether motor '{name}' is enabled, what it keeps to, and its faults.",
+            description=f"State of motor '{name}': enabled or not, control mode, faults.",
             value=m.MotorState,
             live=True,
             meta=meta,
         ),
         Resource(
             name=f"sensor/{name}/health",
-            description=f"Temperatures and supply of motor '{name}', as far as it tells them.",
+            description=f"Temperatures and supply voltage of motor '{name}', if it reports them.",
             value=m.Health,
             live=True,
             deadline=3.0,
@@ -47,7 +47,7 @@ def motor_resources(axis: Axis) -> list[Resource]:
         ),
         Resource(
             name=f"event/{name}/fault",
-            description=f"A fault of motor '{name}', of its link or its configuration, came or went.",
+            description=f"A fault of motor '{name}', its link or its configuration appeared or cleared.",
             value=m.MotorFault,
             live=True,
         ),
@@ -64,7 +64,7 @@ def _set_points(axis: Axis) -> list[Resource]:
         found.append(
             Resource(
                 name=f"actuator/{name}/{mode}",
-                description=f"The {mode} that motor '{name}' keeps to, at the joint.",
+                description=f"Commanded {mode} of motor '{name}', at the joint.",
                 value=quantity(unit, ge=low, le=high),
                 examples=(_between(low, high, 0.55), _between(low, high, 0.6)),
                 max_age=1.0,
@@ -92,14 +92,14 @@ def _between(low: float, high: float, part: float) -> float:
 def _services(axis: Axis) -> list[Resource]:
     name = axis.name
     found = [
-        _service(name, "enable", "Switch the power stage on, at rest.", energises=True),
+        _service(name, "enable", "Switch the power stage on, without moving.", energises=True),
         _service(name, "disable", "Switch the power stage off."),
         _service(
-            name, "clear_faults", "Acknowledge its faults, if it has any; no power is switched."
+            name, "clear_faults", "Clear its faults, if any; the power stage is not switched."
         ),
     ]
     if axis.drive.zeroes:
-        found.append(_service(name, "set_zero", "Make the present position zero."))
+        found.append(_service(name, "set_zero", "Set the current position as zero."))
     if axis.drive.homes:
         found.append(
             Resource(
@@ -114,7 +114,7 @@ def _services(axis: Axis) -> list[Resource]:
         found.append(
             Resource(
                 name=f"action/{name}/move_to",
-                description=f"Move motor '{name}' to a position; done when its drive says so.",
+                description=f"Move motor '{name}' to a position; completes when its drive reports that it is done.",
                 input=m.Move,
                 output=m.Moved,
                 feedback=m.MoveFeedback,

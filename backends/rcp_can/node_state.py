@@ -73,14 +73,14 @@ class NodeWatch:
         return [
             Resource(
                 name=self.path,
-                description=f"How CANopen node {self._node} stands, by its heartbeats.",
+                description=f"NMT state of CANopen node {self._node}, from its heartbeats.",
                 value=NodeState,
                 live=True,
                 deadline=self._within,
             ),
             Resource(
                 name=f"event/{self._name}/emergency",
-                description=f"An emergency of CANopen node {self._node} came, or all of them went.",
+                description=f"An emergency of CANopen node {self._node} was raised, or all were cleared.",
                 value=Emergency,
                 live=True,
             ),
@@ -103,15 +103,15 @@ class NodeWatch:
     def _lose(self, within: float) -> None:
         self._state = "offline"
         text = f"CANopen node {self._node} ('{self._name}') has sent no heartbeat for {within:g} s"
-        self._health.say(self._name, text)
+        self._health.report(self._name, text)
         self._host.publish(self.path, self.value)
 
     def _on_heartbeat(self, message: can.Message) -> None:
         if len(message.data) < 1 or (state := _STATES.get(message.data[0] & 0x7F)) is None:
-            raise ValueError("this is no heartbeat")
+            raise ValueError("not a heartbeat")
         if self._within is not None:
             self._expect(self._within)
-            self._health.say(self._name, None)
+            self._health.report(self._name, None)
         if state == "booting":
             self._emergencies.clear()
         if state != self._state or self._within is not None:  # or it would count as stale
@@ -120,13 +120,13 @@ class NodeWatch:
 
     def _on_emergency(self, message: can.Message) -> None:
         if len(message.data) < 3:
-            raise ValueError("this is no emergency")
+            raise ValueError("not an emergency message")
         code = int.from_bytes(message.data[:2], "little")
         if code >> 8:
             text = f"{emergency(code)} (0x{code:04X})"
             self._emergencies[code] = text
         else:
-            text = "no error any more"
+            text = "error cleared"
             self._emergencies.clear()
         event = Emergency(code=code, text=text, active=bool(code >> 8))
         self._host.publish(f"event/{self._name}/emergency", event)

@@ -17,7 +17,7 @@ __all__ = ["enable"]
 
 _STAYS = 0.1  # s, and
 _WORDS = 3  # reports of its state, for which a drive must stay enabled
-_LOOK = 0.02  # s
+_POLL_PERIOD = 0.02  # s
 _OBSERVED = 1.0  # s within which those reports must come
 _WITHDRAW = 0.5  # s that switching off again may take
 
@@ -53,7 +53,7 @@ async def _stays_on(axis: Axis) -> None:
     status = axis.status
     words, began = status.counts["enabled"], time.monotonic()
     while True:
-        await asyncio.sleep(_LOOK)
+        await asyncio.sleep(_POLL_PERIOD)
         check_link(axis)
         check_feedback(axis)
         if not status.enabled or not axis.wanted_on:
@@ -66,7 +66,7 @@ async def _stays_on(axis: Axis) -> None:
         if since >= _STAYS and status.counts["enabled"] - words >= _WORDS:
             return
         if since > _OBSERVED:
-            raise DeviceTimeout(f"motor '{axis.name}' does not confirm that it stays enabled")
+            raise DeviceTimeout(f"motor '{axis.name}' did not confirm that it stays enabled")
 
 
 async def _withdraw(axis: Axis) -> None:

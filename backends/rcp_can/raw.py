@@ -82,7 +82,7 @@ class BusPart(Part):
         found = [
             Resource(
                 name=f"sensor/{name}/state",
-                description=f"How the controller stands with CAN bus '{bus.name}'.",
+                description=f"State of the controller of CAN bus '{bus.name}'.",
                 value=m.BusState,
                 live=True,
             ),
@@ -95,19 +95,19 @@ class BusPart(Part):
             ),
             Resource(
                 name=f"event/{name}/state",
-                description="Bus-off, restart, warnings of the controller, loss of the interface.",
+                description="Bus-off, restarts, controller warnings, loss of the interface.",
                 value=m.BusEvent,
                 live=True,
             ),
             Resource(
                 name=f"event/{name}/overflow",
-                description="Frames were lost: a queue was full, or they had waited for too long.",
+                description="Frames were dropped: a queue was full, or they expired in it.",
                 value=m.Overflow,
                 live=True,
             ),
             Resource(
                 name=self._frame,
-                description="Every frame on the bus, sent ones included; choose with `where` on `id`.",
+                description="Every frame on the bus, including sent ones; filter with `where` on `id`.",
                 value=m.Frame,
                 native=NATIVE,
                 history=1,
@@ -117,7 +117,7 @@ class BusPart(Part):
             found.append(
                 Resource(
                     name=self._send,
-                    description="Send any frame, past every check that motors have.",
+                    description="Send any frame, bypassing the checks on motors.",
                     value=m.Frame,
                     moves=True,
                     examples=({"id": 0x7DF, "data": "AgEMAAAAAAA="}, {"id": 0x123}),
@@ -135,7 +135,7 @@ class BusPart(Part):
                 ),
                 Resource(
                     name=self._stop,
-                    description="End the recording.",
+                    description="Stop the recording.",
                     output=m.LogFile,
                 ),
             ]
@@ -145,7 +145,7 @@ class BusPart(Part):
         """Return state or statistics as they are; frames are not kept."""
         match name.rpartition("/")[2]:
             case "state" if name.startswith("sensor/"):
-                return self._bus.told
+                return self._bus.reported_state
             case "statistics":
                 return self._bus.statistics()
             case _:
@@ -163,11 +163,11 @@ class BusPart(Part):
                 remedy=f"Set `fd = true` in buses.{self._bus.name}, or send a classic frame.",
             )
         if size > 8 and not value.fd:
-            raise InvalidValue("more than 8 bytes need `fd`", details={"pointer": "/data"})
+            raise InvalidValue("more than 8 bytes require `fd`", details={"pointer": "/data"})
         if size not in _FD_SIZES:
-            raise InvalidValue(f"no frame has {size} bytes", details={"pointer": "/data"})
+            raise InvalidValue(f"a frame cannot have {size} bytes", details={"pointer": "/data"})
         if value.id > 0x7FF and not value.extended:
-            raise InvalidValue("an id above 0x7FF needs `extended`", details={"pointer": "/id"})
+            raise InvalidValue("an id above 0x7FF requires `extended`", details={"pointer": "/id"})
         check_fence()
         self._bus.send(
             value.id,
@@ -200,13 +200,13 @@ class BusPart(Part):
         if name == self._start:
             if self._recording is not None:
                 raise PreconditionFailed(
-                    f"'{self._recording.file}' is being recorded already",
+                    f"'{self._recording.file}' is already being recorded",
                     remedy=f"Execute {self._stop} first.",
                 )
             directory = self._bus.config.log_directory or "."
             self._recording = await Recording.start(directory, self._bus.name, value.format)
             self._bus.taps.append(self._recording.tap)
-            return self._recording.told()
+            return self._recording.log_file()
         if self._recording is None:
             raise PreconditionFailed(
                 "nothing is being recorded", remedy=f"Execute {self._start} first."
@@ -217,7 +217,7 @@ class BusPart(Part):
         self._recording = None
         self._bus.taps.remove(recording.tap)
         await recording.stop()
-        return recording.told()
+        return recording.log_file()
 
     async def close(self) -> None:
         """End a recording that is under way."""

@@ -50,7 +50,7 @@ class Recording:
         except OSError as error:
             raise DeviceRejected(
                 f"{path} cannot be written: {error.strerror}",
-                remedy="Make `log_directory` a directory that the gateway may write to.",
+                remedy="Set `log_directory` to a directory that the gateway can write to.",
             ) from error
 
     def tap(self, message: can.Message) -> None:
@@ -77,9 +77,9 @@ class Recording:
         self._queue.put(None)
         await asyncio.get_running_loop().run_in_executor(None, self._thread.join)
         if self.error is not None:
-            raise DeviceRejected(f"the recording broke off: {self.error}")
+            raise DeviceRejected(f"the recording failed: {self.error}")
 
-    def told(self) -> LogFile:
+    def log_file(self) -> LogFile:
         """Say how far it is."""
         return LogFile(file=self.file, frames=self.frames)
 

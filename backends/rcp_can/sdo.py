@@ -25,8 +25,8 @@ ABORTS = {
     0x05040001: "command specifier not valid or unknown",
     0x05040005: "out of memory",
     0x06010000: "unsupported access",
-    0x06010001: "it can only be written",
-    0x06010002: "it can only be read",
+    0x06010001: "it is write-only",
+    0x06010002: "it is read-only",
     0x06020000: "the object does not exist",
     0x06040041: "the object cannot be mapped to the PDO",
     0x06040042: "the PDO would be longer than 8 bytes",
@@ -67,7 +67,7 @@ class Sdo:
         self._bus, self._node = bus, node
         self._lock = asyncio.Lock()
         self._answer: asyncio.Future[bytes] | None = None
-        self._asked = b""
+        self._expected = b""
         """Index and sub-index that the next answer is for."""
         self._last = b"", 0.0
         """The answer of before, and when it came."""
@@ -88,15 +88,15 @@ class Sdo:
         :raises ValueError: it is too short.
         """
         if len(message.data) < 8:
-            raise ValueError("an SDO answer has 8 bytes")
+            raise ValueError("an SDO response has 8 bytes")
         data, now = bytes(message.data), time.monotonic()
         again = data[:4] == self._last[0][:4] and now - self._last[1] < _TIMEOUT
-        if again and data[1:4] != self._asked:
+        if again and data[1:4] != self._expected:
             self.unasked += 1
         elif self._answer is not None and not self._answer.done():
             self._answer.set_result(data)
             self._last = data, now
-            self._asked = b""
+            self._expected = b""
         # Others are late, or answers to another master.
 
     async def upload(self, index: int, sub: int = 0) -> bytes:
@@ -106,14 +106,14 @@ class Sdo:
         :raises DeviceTimeout: it does not answer.
         """
         async with self._lock:
-            head = await self._ask(struct.pack("<BHBxxxx", 0x40, index, sub), index, sub)
+            head = await self._request(struct.pack("<BHBxxxx", 0x40, index, sub), index, sub)
             self._expect(head, 0x40, index, sub)
             if head[0] & 2:
                 size = 4 - (head[0] >> 2 & 3) if head[0] & 1 else 4
                 return head[4 : 4 + size]
             data, toggle = b"", 0
             while True:
-                part = await self._ask(bytes((0x60 | toggle,)).ljust(8, b"\0"), index, sub)
+                part = await self._request(bytes((0x60 | toggle,)).ljust(8, b"\0"), index, sub)
                 if part[0] & 0xF0 != toggle:
                     await self._abort(index, sub, 0x05030000)
                 data += part[1 : 8 - (part[0] >> 1 & 7)]
@@ -133,16 +133,16 @@ class Sdo:
             if 0 < len(data) <= 4:
                 command = 0x23 | (4 - len(data)) << 2
                 frame = struct.pack("<BHB", command, index, sub) + data.ljust(4, b"\0")
-                self._expect(await self._ask(frame, index, sub), 0x60, index, sub)
+                self._expect(await self._request(frame, index, sub), 0x60, index, sub)
                 return
             frame = struct.pack("<BHBI", 0x21, index, sub, len(data))
-            self._expect(await self._ask(frame, index, sub), 0x60, index, sub)
+            self._expect(await self._request(frame, index, sub), 0x60, index, sub)
             toggle = 0
             for start in range(0, max(len(data), 1), 7):
                 part = data[start : start + 7]
                 last = start + 7 >= len(data)
                 command = toggle | (7 - len(part)) << 1 | last
-                answer = await self._ask(bytes((command,)) + part.ljust(7, b"\0"), index, sub)
+                answer = await self._request(bytes((command,)) + part.ljust(7, b"\0"), index, sub)
                 if answer[0] & 0xF0 != 0x20 | toggle:
                     await self._abort(index, sub, 0x05030000)
                 toggle ^= 0x10
@@ -150,17 +150,17 @@ class Sdo:
     def _expect(self, answer: bytes, command: int, index: int, sub: int) -> None:
         if answer[0] & 0xE0 != command or struct.unpack_from("<HB", answer, 1) != (index, sub):
             raise DeviceRejected(
-                f"node {self._node} answered 0x{index:04X}:{sub:02X} with something else",
-                remedy="Is another master on this bus, or another node with this id?",
+                f"node {self._node} sent a response to 0x{index:04X}:{sub:02X} that does not match",
+                remedy="Check for another master on this bus, or another node with this id.",
             )
 
     async def _abort(self, index: int, sub: int, code: int) -> None:
         self._bus.send(0x600 + self._node, struct.pack("<BHBI", 0x80, index, sub, code))
         raise SdoAborted(self._node, index, sub, code)
 
-    async def _ask(self, frame: bytes, index: int, sub: int) -> bytes:
+    async def _request(self, frame: bytes, index: int, sub: int) -> bytes:
         self._answer = asyncio.get_running_loop().create_future()
-        self._asked = struct.pack("<HB", index, sub)
+        self._expected = struct.pack("<HB", index, sub)
         try:
             self._bus.send(0x600 + self._node, frame)
             async with asyncio.timeout(_TIMEOUT):  # `wait_for` may swallow a cancellation
@@ -171,7 +171,7 @@ class Sdo:
                     0x600 + self._node, struct.pack("<BHBI", 0x80, index, sub, _TIMED_OUT)
                 )
                 raise DeviceTimeout(
-                    f"node {self._node} did not answer for 0x{index:04X}:{sub:02X}"
+                    f"node {self._node} did not respond for 0x{index:04X}:{sub:02X}"
                 ) from None
             raise AdapterUnavailable(f"CAN bus '{self._bus.name}' is {self._bus.state}") from None
         finally:

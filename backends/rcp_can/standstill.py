@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 __all__ = ["motion_of", "motion_of_all", "rested"]
 
 _REST = 4.0  # s that a joint may need to come to rest
-_LOOK = 0.01  # s
+_POLL_PERIOD = 0.01  # s
 _REPORTS = 3  # of velocity, in a row: one or two that are under way are of before
 
 
@@ -25,15 +25,15 @@ def motion_of(axis: Axis) -> MotionState:
     """Report whether one motor is at rest."""
     energised = axis.status.energised if axis.online else None
     if not axis.met:
-        return MotionState(None, f"motor '{axis.name}' has not been heard since the start", None)
+        return MotionState(None, f"motor '{axis.name}' has sent no message since the start", None)
     if not axis.bus.up:
         return MotionState(None, f"CAN bus '{axis.bus.name}' is {axis.bus.state}", None)
     if not axis.online:
-        age = time.monotonic() - axis.heard
+        age = time.monotonic() - axis.last_message_at
         return MotionState(None, f"motor '{axis.name}': no message received for {age:.1f} s", None)
     velocity = axis.velocity
     if velocity is None or not axis.is_fresh("velocity"):
-        age = time.monotonic() - axis.status.at.get("velocity", axis.heard)
+        age = time.monotonic() - axis.status.at.get("velocity", axis.last_message_at)
         return MotionState(
             None, f"motor '{axis.name}': no velocity received for {age:.1f} s", energised
         )
@@ -75,7 +75,7 @@ async def rested(axis: Axis) -> None:
             return
         check_link(axis)
         check_feedback(axis)
-        await asyncio.sleep(_LOOK)
+        await asyncio.sleep(_POLL_PERIOD)
     raise DeviceTimeout(
         f"motor '{axis.name}' did not come to rest within {_REST:g} s",
         details={"motor": axis.name, "detail": motion_of(axis).detail},

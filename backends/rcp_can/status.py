@@ -50,7 +50,7 @@ class Status:
         """When it sent its last heartbeat, by the monotonic clock."""
         self.moved = 0
         """Counts news of the motion."""
-        self.told = 0
+        self.reports = 0
         """Counts news of anything else."""
         self.resets = 0
         """Counts boots that were seen."""

@@ -101,7 +101,7 @@ class Wire:
         elif len(self._outbox) >= self._limit:
             raise QueueFull(
                 f"{self._limit} frames are already waiting: the bus accepts none",
-                remedy="See sensor/can/<bus>/state; is another node there to acknowledge?",
+                remedy="Check sensor/can/<bus>/state, and that another node acknowledges frames.",
             )
         else:
             self._outbox.append((message, expires, now, sender))
@@ -127,7 +127,7 @@ class Wire:
             try:
                 message = recv(_RECV)
             except Exception as error:
-                self._tell(f"reading failed: {error}")
+                self._report(f"receiving failed: {error}")
                 return
             if message is None or self._is_echo(message):
                 continue
@@ -172,7 +172,7 @@ class Wire:
                     if self._closing:
                         return
                     if failures >= _FAILURES:
-                        self._tell(f"sending failed: {error}")
+                        self._report(f"sending failed: {error}")
                         return
                 finally:
                     self._sending = False
@@ -195,7 +195,7 @@ class Wire:
             del echoes[key]
         return left > 0
 
-    def _tell(self, reason: str) -> None:
+    def _report(self, reason: str) -> None:
         if not self._closing:
             self._soon(self._lost, reason)
 

@@ -18,5 +18,5 @@ __all__ = ["MavlinkBackend", "MavlinkConfig", "TwinConfig", "open_mavlink", "rcp
 @hookimpl
 def rcp_backends() -> Iterable[BackendKind]:
     """Offer the vehicles that are heard over MAVLink."""
-    text, needs = "Vehicles that speak MAVLink.", ("pymavlink", "fastcrc")
+    text, needs = "MAVLink vehicles.", ("pymavlink", "fastcrc")
     return [BackendKind("mavlink", MavlinkConfig, open_mavlink, text, needs)]

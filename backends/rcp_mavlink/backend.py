@@ -18,7 +18,7 @@ from rcp_mavlink.vehicle import Vehicle
 
 __all__ = ["MavlinkBackend", "open_mavlink"]
 
-_LOOK = 1.0  # s
+_POLL_PERIOD = 1.0  # s
 
 
 class MavlinkBackend(BaseBackend):
@@ -59,7 +59,7 @@ class MavlinkBackend(BaseBackend):
     async def poll(self) -> None:
         """Look after the vehicles, until cancelled."""
         while True:
-            await asyncio.sleep(_LOOK)
+            await asyncio.sleep(_POLL_PERIOD)
             for robot in self.robots.values():
                 robot.poll()
 
@@ -72,7 +72,7 @@ class MavlinkBackend(BaseBackend):
             branch, prefix, rest = [*name.split("/", 2), "", ""][:3]
             if prefix in self.robots:
                 return self.robots[prefix], f"{branch}/{rest}"
-        raise AdapterUnavailable(f"no vehicle for '{name}' is heard")
+        raise AdapterUnavailable(f"no vehicle connected for '{name}'")
 
     async def read(self, name: str) -> Any:
         """Return the present value."""
@@ -106,7 +106,7 @@ class MavlinkBackend(BaseBackend):
         else:
             meant = [self.robots[robot]] if robot in self.robots else []
         if not meant:
-            raise AdapterUnavailable(f"{robot or 'no vehicle'} is not heard")
+            raise AdapterUnavailable(f"{robot or 'the vehicle'} is not connected")
         return meant
 
     async def _each(self, robot: str | None, do: Callable[[Robot], Awaitable[Any]]) -> list[Any]:

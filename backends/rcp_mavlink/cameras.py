@@ -62,10 +62,10 @@ class Cameras:
                 found.append(frame)
 
         number = float(self._hub.dialect.by_name[_INFORMATION].id)
-        ask = Command(_REQUEST, (number, 0.0, 0.0, 0.0), component=component)
+        request = Command(_REQUEST, (number, 0.0, 0.0, 0.0), component=component)
         with self._vehicle.listening(_INFORMATION, take, anybody=True):
             try:
-                await self._commands.send(ask, "request of the camera")
+                await self._commands.send(request, "camera request")
             except RcpError:
                 self._vehicle.check()
                 return False
@@ -74,11 +74,11 @@ class Cameras:
 
     async def _taken(self, command: Command) -> m.Photo:
         """Send a command and return the picture of which the camera says that it was taken."""
-        told: asyncio.Future[Frame] = asyncio.get_running_loop().create_future()
+        reply: asyncio.Future[Frame] = asyncio.get_running_loop().create_future()
 
         def take(frame: Frame) -> None:
-            if not told.done():
-                told.set_result(frame)
+            if not reply.done():
+                reply.set_result(frame)
 
         vehicle = self._vehicle
         with (
@@ -86,9 +86,9 @@ class Cameras:
             vehicle.listening(_FEEDBACK, take, anybody=True),
         ):
             await self._commands.send(command, "photo")
-            if not await vehicle.until(told.done, _TAKING):
-                raise DeviceTimeout("photo: accepted, but the camera does not say so")
-        frame = told.result()
+            if not await vehicle.until(reply.done, _TAKING):
+                raise DeviceTimeout("photo: accepted, but the camera does not confirm it")
+        frame = reply.result()
         return _photo(frame.fields(), v2=frame.definition.name == _CAPTURED)
 
 

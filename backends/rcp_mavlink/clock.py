@@ -21,33 +21,33 @@ class Clock:
         self._offset: int | None = None
         """Our time (ns) when its clock was 0."""
         self._best = 0.0
-        self._asked = 0
+        self._requested = 0
 
-    def ask(self) -> int:
+    def request(self) -> int:
         """Return what `ts1` of a request is."""
-        self._asked = time.time_ns()
-        return self._asked
+        self._requested = time.time_ns()
+        return self._requested
 
-    def answered(self, theirs: int, asked: int) -> None:
+    def on_reply(self, theirs: int, requested: int) -> None:
         """Take an answer to the latest request: what took the shortest way is the nearest."""
-        took = time.time_ns() - asked
-        if theirs == 0 or asked != self._asked or not 0 <= took <= _SLOWEST:
+        took = time.time_ns() - requested
+        if theirs == 0 or requested != self._requested or not 0 <= took <= _SLOWEST:
             return
-        self._asked = 0
+        self._requested = 0
         if self._best and took > self._best * _WORSE:
             self._best *= _WORSE
             return
         self._best = max(1.0, took)
-        self._offset = asked + took // 2 - theirs
+        self._offset = requested + took // 2 - theirs
 
-    def told(self, unix: int, booted: int) -> None:
+    def on_system_time(self, unix: int, booted: int) -> None:
         """Take SYSTEM_TIME (us, ms) of a vehicle that answers no TIMESYNC."""
         if unix > _UNIX and not self._best:
             self._offset = unix * 1000 - booted * 1_000_000
 
     def forget(self) -> None:
         """Know nothing of it: it has begun anew."""
-        self._offset, self._best, self._asked = None, 0.0, 0
+        self._offset, self._best, self._requested = None, 0.0, 0
 
     def of(self, frame: Frame) -> int | None:
         """Return when a message was measured, ns since 1970; None: that is not known."""

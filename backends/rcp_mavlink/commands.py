@@ -30,17 +30,14 @@ _ACCEPTED, _BUSY, _UNSUPPORTED, _RUNNING = 0, 1, 3, 5
 _LONG_ONLY, _INT_ONLY = 7, 8
 _WORDS = {
     1: "temporarily rejected", 2: "denied", 3: "unsupported", 4: "failed", 6: "cancelled",
-    7: "taken as COMMAND_LONG only", 8: "taken as COMMAND_INT only", 9: "unsupported frame",
+    7: "accepted as COMMAND_LONG only", 8: "accepted as COMMAND_INT only", 9: "unsupported frame",
     10: "not in control",
 }  # fmt: skip
 _PATIENCE = 30.0  # s that a command may be in progress without news
 _LAST_WORDS = 0.15  # s in which the reason may come after the refusal
 _RELATIVE = 6
-_MEND = (
-    "Mend what the vehicle complains of and try again; sensor/prearm says whether it would be "
-    "armed."
-)
-_NO_REASON = "The vehicle gave no reason; see sensor/state, sensor/mode and event/statustext."
+_REMEDY = "Fix what the vehicle reports and try again; sensor/prearm shows whether it can be armed."
+_NO_REASON = "The vehicle gave no reason; check sensor/state, sensor/mode and event/statustext."
 _QUESTIONS = frozenset({401, 510, 511, 512})
 """Commands that ask for messages or reasons, and move nothing."""
 
@@ -98,19 +95,19 @@ class Commands:
         started = time.monotonic()
         async with self._turns[command.number]:
             try:
-                result = await self._ask(command, what, progress, whole=command.whole)
+                result = await self._request(command, what, progress, whole=command.whole)
             except AdapterUnavailable as lost:  # it may have heard it, and do it
-                raise DeviceTimeout(f"{what}: {lost}, and it had not answered") from None
+                raise DeviceTimeout(f"{what}: {lost}, and it had not responded") from None
             other = not command.whole
             if result in (_UNSUPPORTED, _INT_ONLY) and other:
-                again = await self._ask(command, what, progress, whole=True)
+                again = await self._request(command, what, progress, whole=True)
                 result = result if again == _UNSUPPORTED and result == _UNSUPPORTED else again
             elif result == _LONG_ONLY and command.whole:
-                result = await self._ask(command, what, progress, whole=False)
+                result = await self._request(command, what, progress, whole=False)
         if result != _ACCEPTED:
             await self._refuse(command, what, result, started)
 
-    def tell(self, command: Command) -> None:
+    def send_once(self, command: Command) -> None:
         """Send a command once, and do not wait for an answer.
 
         :raises EstopActive: the vehicle was stopped since the request that wants this.
@@ -118,7 +115,7 @@ class Commands:
         _check_fence(command)
         self._hub.send(self._vehicle, self._message(command, 0, whole=command.whole))
 
-    async def _ask(
+    async def _request(
         self,
         command: Command,
         what: str,
@@ -164,7 +161,7 @@ class Commands:
                     if progress is not None and part <= 100:
                         progress(part / 100)
         self._vehicle.check()
-        raise DeviceTimeout(f"{what}: the vehicle did not answer")
+        raise DeviceTimeout(f"{what}: the vehicle did not respond")
 
     def _message(self, c: Command, attempt: int, *, whole: bool) -> Any:
         module, vehicle = self._hub.dialect.module, self._vehicle
@@ -185,10 +182,10 @@ class Commands:
         reasons = self._vehicle.texts_since(started)
         unsaid = silent_reason(self._vehicle, command.number, command.params[0])
         why = [*reasons, *([] if unsaid is None else [unsaid.reason])]
-        said = f": {'; '.join(why)}" if why else ""
-        remedy = _MEND if reasons else _NO_REASON
+        reason = f": {'; '.join(why)}" if why else ""
+        remedy = _REMEDY if reasons else _NO_REASON
         raise DeviceRejected(
-            f"{what}: {words}{said}",
+            f"{what}: {words}{reason}",
             remedy=remedy if unsaid is None else unsaid.remedy,
             retry_after=1.0 if result == _BUSY else None,
             details={"result": words, "texts": reasons},

@@ -40,7 +40,7 @@ class LinkSpec(Struct, frozen=True):
         if (sim := _SIM.match(text)) is not None:
             return cls("sim", sim[1], 0)
         raise ValueError(
-            f"{text!r} is no link: write udpin, udpout, tcp or tcpin, host and port, "
+            f"{text!r} is not a link: use udpin, udpout, tcp or tcpin with host and port, "
             "serial:DEVICE:BAUD, or sim:copter, plane, rover or boat"
         )
 
@@ -134,10 +134,10 @@ class MavlinkConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
             LinkSpec.of(link)
         for system, name in self.names.items():
             if not (system.isdigit() and 1 <= int(system) <= 255):
-                raise ValueError(f"`names`: {system!r} is no system id: 1 to 255")
+                raise ValueError(f"`names`: {system!r} is not a system id (1 to 255)")
             if not _SEGMENT.match(name):
-                raise ValueError(f"`names`: {name!r} is no segment of a path")
+                raise ValueError(f"`names`: {name!r} cannot be a path segment")
         if self.feedback_limit * self.rate < 2:
-            raise ValueError("`feedback_timeout` is shorter than two positions at `rate`")
+            raise ValueError("`feedback_timeout` is shorter than two periods of `rate`")
         if self.discover and self.system is not None:
             raise ValueError("`discover` and `system` exclude each other")

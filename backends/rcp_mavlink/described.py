@@ -58,7 +58,7 @@ class Described:
             whole += piece.data
             if piece.end:
                 return whole
-        raise ValueError(f"{path} does not end")
+        raise ValueError(f"{path} is too large")
 
 
 def _silent(feedback: object = None, *, fraction: float | None = None) -> None:

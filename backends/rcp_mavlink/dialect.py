@@ -67,12 +67,12 @@ class Definition:
         """Its fields, in the order of the XML."""
         cls, found = self.cls, list[Field]()
         encode = getattr(self._module.MAVLink, f"{self.name.lower()}_encode", None)
-        told = dict(_LINE.findall(encode.__doc__ or "")) if encode is not None else {}
+        descriptions = dict(_LINE.findall(encode.__doc__ or "")) if encode is not None else {}
         for at, name in enumerate(cls.fieldnames):
             order = cls.orders[at]
             kind, length = cls.fieldtypes[at], cls.array_lengths[order]
             unit, factor = converted(cls.fieldunits_by_name.get(name, ""), kind)
-            description = told.get(name, "")
+            description = descriptions.get(name, "")
             place = sum(cls.lengths[:order])
             found.append(
                 Field(name, kind, unit, factor, length, self._words(name), _missing(description, kind), description, place)
@@ -196,5 +196,5 @@ def _of_pymavlink(name: str) -> Dialect:
         return Dialect(importlib.import_module(f"pymavlink.dialects.v20.{name}"))
     except ModuleNotFoundError as error:
         raise ConfigError(
-            f"`dialect`: pymavlink has no {name!r}; name one it has, or an XML file"
+            f"`dialect`: pymavlink has no {name!r}; use one of its dialects, or an XML file"
         ) from error

@@ -44,9 +44,11 @@ def crossing(
     ceiling, floor = value("FENCE_ALT_MAX"), value("FENCE_ALT_MIN")
     radius, away = value("FENCE_RADIUS"), 0.0 if home is None else distance(place, home[:2])
     if kinds & _CEILING and ceiling is not None and height > ceiling:
-        return f"{height:g} m over home is above the fence, FENCE_ALT_MAX {ceiling:g} m"
+        return f"{height:g} m above home is above the fence, FENCE_ALT_MAX {ceiling:g} m"
     if kinds & _FLOOR and floor is not None and height < floor:
-        return f"{height:g} m over home is below the fence, FENCE_ALT_MIN {floor:g} m"
+        return f"{height:g} m above home is below the fence, FENCE_ALT_MIN {floor:g} m"
     if kinds & _CIRCLE and radius is not None and away > radius:
         return f"{away:.0f} m from home is outside the fence, FENCE_RADIUS {radius:g} m"
-    return "its fence is enabled, and the place probably outside it" if kinds & _POLYGON else None
+    return (
+        "its fence is enabled, and the target is probably outside it" if kinds & _POLYGON else None
+    )

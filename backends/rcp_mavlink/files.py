@@ -136,10 +136,10 @@ class Files:
     async def list(self, given: FilePath, _: Progress) -> list[Entry]:
         """List a directory; ask for more until there is no more."""
         found: list[Entry] = []
-        path, what, at = _encoded(given.path), f"list of {given.path}", 0
+        path, what, at = _encoded(given.path), f"listing {given.path}", 0
         async with self._ftp.turn():
             while len(found) < _MOST_ENTRIES:
-                reply = await self._ftp.ask(Op.LIST, 0, at, path)
+                reply = await self._ftp.request(Op.LIST, 0, at, path)
                 if reply.error == _END:
                     break
                 if reply.error:
@@ -153,7 +153,7 @@ class Files:
 
     async def read(self, given: FileRange, progress: Progress) -> FilePiece:
         """Return a part of a file."""
-        what, path = f"read of {given.path}", _encoded(given.path)
+        what, path = f"reading {given.path}", _encoded(given.path)
         ftp = self._ftp
         async with ftp.turn(), ftp.opened(Op.OPEN_TO_READ, path, what) as (session, size):
             # Files that are made while they are read say 0, or more than they have.
@@ -166,7 +166,7 @@ class Files:
 
     async def write(self, given: FileWrite, progress: Progress) -> Written:
         """Write a part of a file; done when the vehicle's own sum agrees, where it counts one."""
-        what, path = f"write of {given.path}", _encoded(given.path)
+        what, path = f"writing {given.path}", _encoded(given.path)
         ftp, data = self._ftp, given.data
         op = Op.OPEN_TO_WRITE if given.offset else Op.CREATE
         async with ftp.turn():
@@ -176,7 +176,7 @@ class Files:
                 )
             crc = await self._crc(path, what)
         if crc is not None and not given.offset and crc != checksum(data):
-            raise DeviceRejected(f"{what}: what is on board now is not what was sent")
+            raise DeviceRejected(f"{what}: the file on board differs from the data sent")
         return Written(given.path, given.offset + len(data), crc)
 
     async def _crc(self, path: bytes, what: str) -> int | None:
@@ -188,7 +188,7 @@ class Files:
 
     async def crc(self, given: FilePath, _: Progress) -> Check:
         """Have the vehicle count the sum of a file."""
-        what = f"sum of {given.path}"
+        what = f"CRC of {given.path}"
         async with self._ftp.turn():
             reply = await self._ftp.do(Op.CRC, what, _encoded(given.path), wait=_COUNTING)
         return Check(given.path, int.from_bytes(reply.data[:4], "little"))
@@ -196,18 +196,20 @@ class Files:
     async def remove(self, given: Remove, _: Progress) -> None:
         """Remove a file, or an empty directory."""
         op = Op.REMOVE_DIRECTORY if given.directory else Op.REMOVE
-        await self._simple(op, f"removal of {given.path}", _encoded(given.path))
+        await self._simple(op, f"removing {given.path}", _encoded(given.path))
 
     async def mkdir(self, given: FilePath, _: Progress) -> None:
         """Make a directory."""
-        await self._simple(Op.MAKE_DIRECTORY, f"directory {given.path}", _encoded(given.path))
+        await self._simple(
+            Op.MAKE_DIRECTORY, f"creating directory {given.path}", _encoded(given.path)
+        )
 
     async def rename(self, given: Rename, _: Progress) -> None:
         """Call a file otherwise."""
         both = _encoded(given.path) + b"\0" + _encoded(given.to)
         if len(both) > PIECE:
             raise InvalidValue(f"both paths together are longer than {PIECE - 1} bytes")
-        await self._simple(Op.RENAME, f"renaming of {given.path}", both)
+        await self._simple(Op.RENAME, f"renaming {given.path}", both)
 
     async def _simple(self, op: int, what: str, data: bytes) -> None:
         async with self._ftp.turn():
@@ -217,7 +219,9 @@ class Files:
 def _encoded(path: str) -> bytes:
     data = path.encode()
     if len(data) > PIECE - 1:
-        raise InvalidValue(f"a path has {PIECE - 1} bytes at most", details={"pointer": "/path"})
+        raise InvalidValue(
+            f"a path can have at most {PIECE - 1} bytes", details={"pointer": "/path"}
+        )
     return data
 
 

@@ -55,14 +55,14 @@ class Flights:
         start = (await located(vehicle)).height
         async with holding(self._motion):
 
-            def tell() -> bool:
+            def report() -> bool:
                 now = fix_of(vehicle).height
                 progress(m.Height(now), fraction=part(now - start, altitude - start))
                 return now >= altitude - max(0.3, 0.03 * altitude)
 
-            with unanswered(tell):
+            with unanswered(report):
                 await self._rise(altitude)
-            await self._motion.follow(tell, "take-off", stays=lambda: vehicle.armed)
+            await self._motion.follow(report, "take-off", stays=lambda: vehicle.armed)
         return m.Height(fix_of(vehicle).height)
 
     async def _rise(self, altitude: float) -> None:
@@ -96,24 +96,24 @@ class Flights:
     async def _come_down(self, mode: str, what: str, progress: Progress) -> m.Height:
         vehicle, family = self._vehicle, self._vehicle.family
         if vehicle.landed and not vehicle.armed and family.flies:
-            raise PreconditionFailed(f"{what}: the vehicle stands on the ground already")
+            raise PreconditionFailed(f"{what}: the vehicle is already on the ground")
         first = self._left(await located(vehicle), what)
         near = 0.0
         if what == "return" and family.kind != "copter":
             near = reach(vehicle, self._parameters, _HOME)
         async with holding(self._motion):
 
-            def tell() -> bool:
+            def report() -> bool:
                 now = fix_of(vehicle)
                 left = self._left(now, what)
-                told = m.OnItsWay(left, now.height, vehicle.mode)
-                progress(told, fraction=part(first - left, first))
+                feedback = m.OnItsWay(left, now.height, vehicle.mode)
+                progress(feedback, fraction=part(first - left, first))
                 down = vehicle.landed is True and not vehicle.armed
                 return down or self._from_home(now) < near
 
-            with unanswered(tell):
+            with unanswered(report):
                 await self._motion.to_mode(mode)
-            await self._motion.follow(tell, what, stays=lambda: vehicle.mode == mode)
+            await self._motion.follow(report, what, stays=lambda: vehicle.mode == mode)
         return m.Height(fix_of(vehicle).height)
 
     def _from_home(self, fix: Fix) -> float:

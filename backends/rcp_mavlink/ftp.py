@@ -33,9 +33,9 @@ _BURST_FROM = 4 * PIECE  # bytes that are worth a burst
 _END_OF_FILE, _ERRNO, _NO_SESSION, _UNKNOWN = 6, 2, 5, 7
 _EXISTS, _NOT_FOUND = 8, 10
 _WORDS = {
-    1: "failed", 2: "failed", 3: "invalid size", 4: "no such session", 5: "no session is free",
-    6: "end of file", 7: "not supported", 8: "it exists already", 9: "it is write-protected",
-    10: "there is no such file or directory",
+    1: "failed", 2: "failed", 3: "invalid size", 4: "no such session", 5: "no free session",
+    6: "end of file", 7: "not supported", 8: "it already exists", 9: "it is write-protected",
+    10: "no such file or directory",
 }  # fmt: skip
 _ENOENT, _EEXIST = 2, 17
 _PATIENT = 15  # times that it is asked for what takes long
@@ -54,7 +54,7 @@ class Reply(NamedTuple):
     seq: int
     session: int
     opcode: int
-    asked: int
+    request_opcode: int
     complete: bool
     """Of a burst."""
     offset: int
@@ -63,8 +63,10 @@ class Reply(NamedTuple):
     @classmethod
     def of(cls, payload: bytes) -> Reply:
         """Take a payload apart."""
-        seq, session, opcode, size, asked, complete, offset = _HEAD.unpack_from(payload)
-        return cls(seq, session, opcode, asked, bool(complete), offset, payload[12 : 12 + size])
+        seq, session, opcode, size, request_opcode, complete, offset = _HEAD.unpack_from(payload)
+        return cls(
+            seq, session, opcode, request_opcode, bool(complete), offset, payload[12 : 12 + size]
+        )
 
     @property
     def error(self) -> int:
@@ -102,10 +104,10 @@ class Ftp:
         reply = Reply.of(bytes(fields["payload"]))
         if reply.opcode not in (_ACK, _NAK):
             return
-        waiting = self._waiting.get((reply.seq, reply.asked))
+        waiting = self._waiting.get((reply.seq, reply.request_opcode))
         if waiting is not None and not waiting.done():
             waiting.set_result(reply)
-        elif reply.asked == Op.BURST and self._burst is not None:
+        elif reply.request_opcode == Op.BURST and self._burst is not None:
             self._burst(reply)
 
     def _send(self, seq: int, op: int, session: int, offset: int, data: bytes, size: int) -> None:
@@ -121,7 +123,7 @@ class Ftp:
         self._seq = (self._seq + 2) & 0xFFFF
         return self._seq
 
-    async def ask(
+    async def request(
         self,
         op: int,
         session: int = 0,
@@ -151,8 +153,8 @@ class Ftp:
             del self._waiting[wanted]
         self._vehicle.check()
         raise DeviceTimeout(
-            "the vehicle did not answer over FTP",
-            remedy="Look at sensor/links; a vehicle without FTP never answers.",
+            "the vehicle did not respond over FTP",
+            remedy="Check sensor/links; a vehicle without FTP never responds.",
         )
 
     async def do(
@@ -170,10 +172,10 @@ class Ftp:
         :raises InvalidValue: there is no such file.
         :raises DeviceRejected: it is refused.
         """
-        reply = await self.ask(op, session, offset, data, wait=wait)
+        reply = await self.request(op, session, offset, data, wait=wait)
         if reply.error == _NO_SESSION:  # one that another client, or this one before, left open
-            await self.ask(Op.RESET)
-            reply = await self.ask(op, session, offset, data)
+            await self.request(Op.RESET)
+            reply = await self.request(op, session, offset, data)
         if reply.error:
             raise _refusal(reply, what)
         return reply
@@ -188,23 +190,23 @@ class Ftp:
         except BaseException:  # whoever is cancelled waits for nothing more
             self._send(self._next(), Op.TERMINATE, reply.session, 0, b"", 0)
             raise
-        ended = await self.ask(Op.TERMINATE, reply.session)
+        ended = await self.request(Op.TERMINATE, reply.session)
         if ended.error:
             raise _refusal(ended, what)
 
     # Reading
 
     async def read(
-        self, session: int, gaps: Gaps, what: str, told: Callable[[float], None]
+        self, session: int, gaps: Gaps, what: str, on_progress: Callable[[float], None]
     ) -> None:
         """Fill the gaps: by bursts where much is missing, by single requests where little is."""
         gently = False
         while (gap := gaps.first()) is not None:
             start, stop = gap
             if stop - start >= _BURST_FROM and not gently:
-                gently = not await self._one_burst(session, start, gaps, told)
+                gently = not await self._one_burst(session, start, gaps, on_progress)
                 continue
-            reply = await self.ask(Op.READ, session, start, size=min(PIECE, stop - start))
+            reply = await self.request(Op.READ, session, start, size=min(PIECE, stop - start))
             if reply.error == _END_OF_FILE or (not reply.error and not reply.data):
                 gaps.end(start)
                 continue
@@ -212,14 +214,14 @@ class Ftp:
                 raise _refusal(reply, what)
             gaps.add(start, reply.data)
             gently = False
-            told(gaps.part)
+            on_progress(gaps.part)
 
     async def _one_burst(
-        self, session: int, start: int, gaps: Gaps, told: Callable[[float], None]
+        self, session: int, start: int, gaps: Gaps, on_progress: Callable[[float], None]
     ) -> bool:
         """Have the vehicle send all it can from a place on; tell whether more of that is wanted."""
         seq = self._next()
-        news, over = asyncio.Event(), False
+        arrived, over = asyncio.Event(), False
         fresh = 0
 
         def take(reply: Reply) -> None:
@@ -232,22 +234,22 @@ class Ftp:
             else:
                 fresh += gaps.add(reply.offset, reply.data)
                 over = reply.complete
-            news.set()
+            arrived.set()
 
         self._burst = take
         try:
             self._vehicle.check()
             self._send(seq, Op.BURST, session, start, b"", PIECE)
             while not over and gaps.first() is not None:
-                news.clear()
+                arrived.clear()
                 try:
                     async with asyncio.timeout(self._hub.config.timeout):
-                        await news.wait()
+                        await arrived.wait()
                 except TimeoutError:
                     self._seq = (self._seq + _LATE) & 0xFFFF
                     self._vehicle.check()
                     break
-                told(gaps.part)
+                on_progress(gaps.part)
         finally:
             self._burst = None
         return fresh > 0
@@ -255,7 +257,12 @@ class Ftp:
     # Writing
 
     async def write(
-        self, session: int, offset: int, data: bytes, what: str, told: Callable[[float], None]
+        self,
+        session: int,
+        offset: int,
+        data: bytes,
+        what: str,
+        on_progress: Callable[[float], None],
     ) -> None:
         """Write at a place; several pieces are on their way at once."""
         written = 0
@@ -266,7 +273,7 @@ class Ftp:
                 piece = data[at : at + PIECE]
                 await self.do(Op.WRITE, what, piece, offset + at, session)
                 written += len(piece)
-                told(written / len(data))
+                on_progress(written / len(data))
 
         pieces = iter(range(0, len(data), PIECE))
         try:
@@ -286,7 +293,7 @@ def _refusal(reply: Reply, what: str) -> RcpError:
     if code == _NOT_FOUND:
         return InvalidValue(
             f"{what}: {words}",
-            remedy="service/ftp/list says what there is.",
+            remedy="List existing files with service/ftp/list.",
             details={**details, "pointer": "/path"},
         )
     if code == _UNKNOWN:

@@ -151,8 +151,8 @@ class Gimbals:
             release()
         if not seen:
             now = looks()
-            where = "it does not report where it points" if now is None else (
-                f"it looks to {now.pitch:.2f}, {now.yaw:.2f} rad"
+            where = "it does not report its direction" if now is None else (
+                f"it points to {now.pitch:.2f}, {now.yaw:.2f} rad"
             )  # fmt: skip
             raise DeviceTimeout(f"gimbal: accepted, but {where}")
         return looks() or given
@@ -161,6 +161,6 @@ class Gimbals:
 def _check(angle: float, least: float, most: float, what: str) -> None:
     if least < most and not least - _CLOSE <= angle <= most + _CLOSE:
         raise OutOfRange(
-            f"the gimbal turns its {what} from {least:.2f} to {most:.2f} rad",
+            f"the gimbal's {what} range is {least:.2f} to {most:.2f} rad",
             details={"pointer": f"/{what}"},
         )

@@ -133,7 +133,7 @@ class Hub:
                 due = now + _BEAT
                 self.beat()
             for vehicle in self.vehicles.values():
-                if not vehicle.lost and now - vehicle.heard > self.config.silence:
+                if not vehicle.lost and now - vehicle.last_message_at > self.config.silence:
                     vehicle.lose(self.silent(vehicle))
                     self.changed(vehicle)
             await asyncio.sleep(min(_BEAT, self.config.silence) / 4)
@@ -142,7 +142,7 @@ class Hub:
         """Say that nothing is heard of a vehicle, and what is known of why."""
         errors = [f"{link.text}: {link.error}" for link in self.links if link.error]
         why = f" ({'; '.join(errors)})" if errors else ""
-        return f"nothing heard of vehicle {vehicle.system} for {self.config.silence:g} s{why}"
+        return f"no message from vehicle {vehicle.system} for {self.config.silence:g} s{why}"
 
     async def first(self) -> None:
         """Wait for the first vehicle.
@@ -153,13 +153,15 @@ class Hub:
             async with asyncio.timeout(self._patience):
                 await self._first.wait()
         except TimeoutError:
-            who = "no vehicle" if self.config.system is None else f"no vehicle {self.config.system}"
+            which = (
+                "no vehicle" if self.config.system is None else f"no vehicle {self.config.system}"
+            )
             errors = [f"{link.text}: {link.error}" for link in self.links if link.error]
             stats = [link.framer.stats for link in self.links]
             if (rejected := sum(s.unsigned + s.rejected for s in stats)) > 0:
                 errors.append(f"{rejected} messages were not signed with `key`")
             where = "; ".join(errors) or ", ".join(self.config.links)
-            raise NotReady(f"{who} is heard ({where})") from None
+            raise NotReady(f"{which} is connected ({where})") from None
 
 
 @asynccontextmanager

@@ -21,7 +21,7 @@ class Intervals:
     def __init__(self, vehicle: Vehicle, commands: Commands, base: dict[str, float]) -> None:
         self._vehicle, self._commands, self._base = vehicle, commands, base
         self._wishes: dict[str, list[float]] = {}
-        self._told: dict[str, float] = {}
+        self._requested: dict[str, float] = {}
         self._tasks: dict[str, asyncio.Task[None]] = {}
         self._closed = False
         self.refused: set[str] = set()
@@ -47,25 +47,25 @@ class Intervals:
 
     def begin(self) -> None:
         """Ask for everything, at first and when the vehicle has begun anew."""
-        self._told.clear()
+        self._requested.clear()
         self.refused.clear()
         for message in {*self._base, *self._wishes}:
             self._adjust(message)
 
     def _adjust(self, message: str) -> None:
         """Have the vehicle told, if it is not being told already."""
-        settled = self._told.get(message, 0.0) == self._rate(message)
+        settled = self._requested.get(message, 0.0) == self._rate(message)
         if self._closed or settled or message in self._tasks:
             return
-        task = asyncio.get_running_loop().create_task(self._tell(message))
+        task = asyncio.get_running_loop().create_task(self._request(message))
         self._tasks[message] = task
         task.add_done_callback(lambda _: self._tasks.pop(message, None))
 
-    async def _tell(self, message: str) -> None:
+    async def _request(self, message: str) -> None:
         number = self._vehicle.dialect.by_name[message].id
         while not self._vehicle.lost:
             rate = self._rate(message)
-            if self._told.get(message, 0.0) == rate:
+            if self._requested.get(message, 0.0) == rate:
                 return
             microseconds = round(1e6 / rate) if rate else 0
             command = Command(_SET_MESSAGE_INTERVAL, (number, microseconds, 0.0, 0.0))
@@ -73,7 +73,7 @@ class Intervals:
                 await self._commands.send(command, f"{message} at {rate:g} Hz")
             except RcpError:
                 self.refused.add(message)
-            self._told[message] = rate
+            self._requested[message] = rate
 
     async def request(self, message: str) -> None:
         """Ask for one message now.
@@ -82,7 +82,7 @@ class Intervals:
         """
         number = self._vehicle.dialect.by_name[message].id
         await self._commands.send(
-            Command(_REQUEST_MESSAGE, (number, 0.0, 0.0, 0.0)), f"request of {message}"
+            Command(_REQUEST_MESSAGE, (number, 0.0, 0.0, 0.0)), f"request for {message}"
         )
 
     async def close(self) -> None:
@@ -91,6 +91,6 @@ class Intervals:
         for task in list(self._tasks.values()):
             task.cancel()
         await asyncio.gather(*self._tasks.values(), return_exceptions=True)
-        for message in self._told:
+        for message in self._requested:
             number = self._vehicle.dialect.by_name[message].id
-            self._commands.tell(Command(_SET_MESSAGE_INTERVAL, (number, 0.0, 0.0, 0.0)))
+            self._commands.send_once(Command(_SET_MESSAGE_INTERVAL, (number, 0.0, 0.0, 0.0)))

@@ -72,7 +72,7 @@ class Journeys:
         way = max(away(vehicle, fix, lat, lon, altitude), 0.1)
         pace = Pace(vehicle, goal.speed, goal.yaw)
 
-        def tell() -> bool:
+        def report() -> bool:
             now = fix_of(vehicle)
             left = away(vehicle, now, lat, lon, altitude)
             progress(m.OnItsWay(left, now.height, vehicle.mode), fraction=part(way - left, way))
@@ -84,15 +84,15 @@ class Journeys:
             await self._prepare(goal, fix)
             since = time.monotonic()
             async with self._stopping(DeviceTimeout):  # it may have taken it all the same
-                with self._explained((lat, lon), altitude), unanswered(tell):
+                with self._explained((lat, lon), altitude), unanswered(report):
                     await self._go(goal, fix, lat, lon, altitude)
             async with self._stopping(RcpError):
-                await self._follow(goal, pace, tell)
+                await self._follow(goal, pace, report)
         now = fix_of(vehicle)
         error = away(vehicle, now, lat, lon, altitude)
         return m.Arrived(now.lat, now.lon, now.height, error, pace.fastest, pace.heading)
 
-    async def _follow(self, goal: m.MoveTo, pace: Pace, tell: Callable[[], bool]) -> None:
+    async def _follow(self, goal: m.MoveTo, pace: Pace, report: Callable[[], bool]) -> None:
         """Wait until it is there; end it where it is not as it was asked for."""
         vehicle, guided = self._vehicle, self._vehicle.family.guided
         if goal.yaw is not None and not vehicle.family.px4:
@@ -103,7 +103,7 @@ class Journeys:
             return vehicle.mode == guided and pace.fault is None
 
         try:
-            await self._motion.follow(tell, "move_to", stays=stays)
+            await self._motion.follow(report, "move_to", stays=stays)
         except DeviceRejected as error:
             raise self._failure(pace, error) from None
 
@@ -115,15 +115,15 @@ class Journeys:
         family = self._vehicle.family
         if goal.yaw is not None and (family.drives or family.circles):
             raise InvalidValue(
-                f"move_to: a {family.kind} looks where it goes to, and takes no yaw",
-                remedy="Leave `yaw` out.",
+                f"move_to: a {family.kind} faces its direction of travel and accepts no yaw",
+                remedy="Remove `yaw`.",
                 details={"pointer": "/yaw"},
             )
         if goal.speed is not None and family.circles and not family.px4:
             least, most = self._value(_LEAST) or 0.0, self._value(_MOST) or math.inf
             if not least <= goal.speed <= most:
                 raise OutOfRange(
-                    f"move_to: its airspeed is {least:g} to {most:g} m/s, not {goal.speed:g}",
+                    f"move_to: its airspeed range is {least:g} to {most:g} m/s, not {goal.speed:g}",
                     details={"pointer": "/speed"},
                 )
 
@@ -225,8 +225,7 @@ class Journeys:
                 raise
             raise DeviceRejected(
                 f"{error}: {why}",
-                remedy="Choose a place inside the fence; service/fence/download and param/FENCE_* "
-                "say where it is.",
+                remedy="Choose a target inside the fence: see service/fence/download, param/FENCE_*.",
                 details={**known, "fence": why},
             ) from None
 

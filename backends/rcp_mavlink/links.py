@@ -37,7 +37,7 @@ class Link:
         self.framers: dict[Any, Framer] = {}
         """Of each address; datagrams and connections of different senders do not mix."""
         self._transports: dict[Any, Any] = {}
-        self._heard: dict[Any, float] = {}
+        self._last_seen: dict[Any, float] = {}
         self._datagrams: asyncio.DatagramTransport | None = None
         self._server: asyncio.Server | None = None
         self._task: asyncio.Task[None] | None = None
@@ -148,7 +148,7 @@ class Link:
             framer.stats = self.framer.stats
             self._room()
             self.framers[address] = framer
-        self._heard[address] = time.monotonic()
+        self._last_seen[address] = time.monotonic()
         return framer
 
     def _room(self) -> None:
@@ -156,9 +156,9 @@ class Link:
         if self._datagrams is None:
             return
         now = time.monotonic()
-        for address, heard in list(self._heard.items()):
-            if now - heard > _FORGET or len(self._heard) >= _MOST_ADDRESSES:
-                del self._heard[address]
+        for address, seen_at in list(self._last_seen.items()):
+            if now - seen_at > _FORGET or len(self._last_seen) >= _MOST_ADDRESSES:
+                del self._last_seen[address]
                 self.framers.pop(address, None)
 
     def send(self, frame: bytes, address: Any) -> None:
@@ -181,8 +181,8 @@ class Link:
             self.send(frame, address)
         if self._datagrams is not None:
             now = time.monotonic()
-            for address, heard in list(self._heard.items()):
-                if now - heard < _FORGET:
+            for address, seen_at in list(self._last_seen.items()):
+                if now - seen_at < _FORGET:
                     self.send(frame, address)
 
 

@@ -58,7 +58,7 @@ class Logs:
         self._turn = asyncio.Lock()
 
     async def list(self, _: None, progress: Progress) -> list[OnBoard]:
-        """List the logs on board."""
+        """List the on-board logs."""
         async with self._turn:
             return await self._entries()
 
@@ -66,7 +66,7 @@ class Logs:
         vehicle, module = self._vehicle, self._hub.dialect.module
         found: dict[int, OnBoard] = {}
         count: int | None = None
-        news = asyncio.Event()
+        arrived = asyncio.Event()
 
         def take(frame: Frame) -> None:
             nonlocal count
@@ -74,27 +74,29 @@ class Logs:
             count = f["num_logs"]
             if count:
                 found[f["id"]] = OnBoard(f["id"], f["size"], f["time_utc"])
-            news.set()
+            arrived.set()
 
-        ask = module.MAVLink_log_request_list_message(vehicle.system, vehicle.component, 0, 0xFFFF)
+        request = module.MAVLink_log_request_list_message(
+            vehicle.system, vehicle.component, 0, 0xFFFF
+        )
         with vehicle.listening("LOG_ENTRY", take):
             for _ in range(self._hub.config.retries + 1):
-                self._hub.send(vehicle, ask)
-                while (count is None or len(found) < count) and await self._more(news):
+                self._hub.send(vehicle, request)
+                while (count is None or len(found) < count) and await self._more(arrived):
                     continue
                 if count is not None and len(found) >= count:
                     return [found[number] for number in sorted(found)]
         raise DeviceTimeout("the vehicle did not list its logs")
 
-    async def _more(self, news: asyncio.Event) -> bool:
+    async def _more(self, arrived: asyncio.Event) -> bool:
         """Wait for news; tell whether any came.
 
         :raises AdapterUnavailable: the vehicle is lost.
         """
-        news.clear()
+        arrived.clear()
         try:
             async with asyncio.timeout(self._hub.config.timeout):
-                await news.wait()
+                await arrived.wait()
         except TimeoutError:
             self._vehicle.check()
             return False
@@ -111,7 +113,7 @@ class Logs:
             if log is None:
                 raise InvalidValue(
                     f"there is no log {given.id}",
-                    remedy="service/log/list says which there are.",
+                    remedy="List existing logs with service/log/list.",
                     details={"pointer": "/id"},
                 )
             end = min(log.size, given.offset + given.count)
@@ -120,7 +122,7 @@ class Logs:
 
     async def _range(self, number: int, start: int, end: int, progress: Progress) -> bytes:
         data, missing = bytearray(end - start), set(range(start, end, _PIECE))
-        news = asyncio.Event()
+        arrived = asyncio.Event()
 
         def take(frame: Frame) -> None:
             f = frame.fields()
@@ -129,7 +131,7 @@ class Logs:
                 piece = bytes(f["data"])[: min(f["count"], end - at)]
                 data[at - start : at - start + len(piece)] = piece
                 missing.discard(at)
-                news.set()
+                arrived.set()
 
         vehicle, module = self._vehicle, self._hub.dialect.module
         to = (vehicle.system, vehicle.component)
@@ -139,11 +141,13 @@ class Logs:
                 if not missing:
                     break
                 first = min(missing)
-                ask: Any = module.MAVLink_log_request_data_message(*to, number, first, end - first)
-                self._hub.send(vehicle, ask)
-                while missing and await self._more(news):
+                request: Any = module.MAVLink_log_request_data_message(
+                    *to, number, first, end - first
+                )
+                self._hub.send(vehicle, request)
+                while missing and await self._more(arrived):
                     progress(fraction=1 - len(missing) / whole)
             self._hub.send(vehicle, module.MAVLink_log_request_end_message(*to))
         if missing:
-            raise DeviceTimeout(f"{len(missing)} pieces of log {number} did not come")
+            raise DeviceTimeout(f"{len(missing)} pieces of log {number} did not arrive")
         return bytes(data)

@@ -45,14 +45,14 @@ class Measurement:
     # Its state, by heartbeats
 
     @property
-    def heard(self) -> bool:
+    def has_heartbeat(self) -> bool:
         """Whether its mode and its armed bit are known."""
         return not self._vehicle.lost and self.age("HEARTBEAT") <= self._silence
 
     @property
     def disarmed(self) -> bool:
         """Whether it is known to be disarmed."""
-        return self.heard and not self._vehicle.armed
+        return self.has_heartbeat and not self._vehicle.armed
 
     @property
     def standing(self) -> bool:
@@ -110,7 +110,7 @@ class Measurement:
     def unknown(self) -> str:
         """Say why its speed is not known."""
         if not self.estimated:
-            return "the autopilot has no estimate of its velocity"
+            return "the autopilot has no velocity estimate"
         age = self.position_age
         return "no position received" if math.isinf(age) else f"no position for {age:.1f} s"
 
@@ -130,7 +130,7 @@ class Measurement:
         Where nothing is heard at all, it is the link that is lost, and that ends what runs.
         """
         last = max(self._vehicle.came.get(name, -math.inf) for name in _POSITIONS)
-        return self.stale() and self._vehicle.heard - last >= self.limit
+        return self.stale() and self._vehicle.last_message_at - last >= self.limit
 
     def check(self, *, strict: bool = True) -> None:
         """Refuse to move what cannot be seen to move.
@@ -139,9 +139,9 @@ class Measurement:
         """
         if self.stale(strict=strict):
             raise PreconditionFailed(
-                f"{self.unknown()}, and at most {self.limit:g} s are allowed",
-                remedy="The vehicle is heard, but its position is not: look at sensor/links and "
-                "sensor/ekf. action/land, action/rtl and service/hold are accepted meanwhile.",
+                f"{self.unknown()}; at most {self.limit:g} s are allowed",
+                remedy="The vehicle is connected but sends no position: check sensor/links and "
+                "sensor/ekf. action/land, action/rtl and service/hold are still accepted.",
             )
 
     # Rest
@@ -150,8 +150,8 @@ class Measurement:
         """Report whether it is where a step of the stop is to bring it."""
         vehicle = self._vehicle
         if vehicle.lost:
-            return MotionState(None, f"vehicle {vehicle.system} is not heard")
-        if not self.heard:
+            return MotionState(None, f"vehicle {vehicle.system} is not connected")
+        if not self.has_heartbeat:
             age = self.age("HEARTBEAT")
             since = "since it returned" if math.isinf(age) else f"for {age:.1f} s"
             return MotionState(None, f"no heartbeat {since}")
@@ -180,7 +180,7 @@ class Measurement:
             return MotionState(at_rest=True, detail=f"circles in {mode}", energised=True)
         still = self.still_for
         if still < _SETTLED:
-            moves = "comes to rest" if still else f"moves at {speed:.1f} m/s"
+            moves = "coming to rest" if still else f"moves at {speed:.1f} m/s"
             detail = f"{moves} in {mode}"
             return MotionState(at_rest=False, detail=detail, energised=True)
         if mode not in family.resting:

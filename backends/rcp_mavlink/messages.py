@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal
 
 from msgspec import Meta, Struct, defstruct
 
-__all__ = ["Arm", "Armed", "Arrived", "Attitude", "Calibrate", "Calibrated", "Gimbal", "Height", "Item", "Items", "LinkState", "MissionProgress", "ModeChange", "MoveTo", "OnItsWay", "ParamValue", "Photo", "Prearm", "Reached", "ReadParam", "Said", "SetMode", "TakeOff", "Uploaded", "VehicleInfo", "Velocity", "drive", "velocity"]  # fmt: skip
+__all__ = ["Arm", "Armed", "Arrived", "Attitude", "Calibrate", "Calibrated", "Gimbal", "Height", "Item", "Items", "LinkState", "MissionProgress", "ModeChange", "MoveTo", "OnItsWay", "ParamValue", "Photo", "Prearm", "Reached", "ReadParam", "SetMode", "StatusText", "TakeOff", "Uploaded", "VehicleInfo", "Velocity", "drive", "velocity"]  # fmt: skip
 
 Latitude = Annotated[float, Meta(ge=-90, le=90, extra_json_schema={"unit": "deg"})]
 Longitude = Annotated[float, Meta(ge=-180, le=180, extra_json_schema={"unit": "deg"})]
@@ -29,7 +29,7 @@ class Arm(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Armed(Struct, frozen=True):
-    """Whether the motors may turn."""
+    """Whether the vehicle is armed."""
 
     armed: bool
     mode: str
@@ -227,7 +227,7 @@ class LinkState(Struct, frozen=True):
     sent: Count
 
 
-class Said(Struct, frozen=True):
+class StatusText(Struct, frozen=True):
     """What the vehicle said in words."""
 
     severity: str

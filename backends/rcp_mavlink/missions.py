@@ -64,9 +64,9 @@ class Missions:
                 _STARTING,
             )
             if not started:
-                raise DeviceTimeout("mission: accepted, but the vehicle does not fly it")
+                raise DeviceTimeout("mission: accepted, but the vehicle does not start it")
 
-            def tell() -> bool:
+            def report() -> bool:
                 nonlocal flew
                 flew = flew or vehicle.landed is False
                 now = self._now()
@@ -76,7 +76,7 @@ class Missions:
                 over = vehicle.landed is True and not vehicle.armed
                 return now["mission_state"] == _COMPLETE or (flew and over)
 
-            await self._motion.follow(tell, "mission", stays=lambda: vehicle.mode == auto)
+            await self._motion.follow(report, "mission", stays=lambda: vehicle.mode == auto)
         except asyncio.CancelledError:
             await self._motion.shielded(self._motion.hold)
             raise
@@ -87,10 +87,10 @@ class Missions:
         return m.MissionProgress(now["seq"], now.get("total", 0), self._vehicle.mode)
 
     async def pause(self, _: None, progress: Progress) -> m.MissionProgress:
-        """Stop where it is, to go on later."""
+        """Stop at the current position, to resume later."""
         vehicle = self._vehicle
         if vehicle.mode != vehicle.family.auto:
-            raise PreconditionFailed(f"mission: none is flown, the mode is {vehicle.mode}")
+            raise PreconditionFailed(f"mission: none is running, the mode is {vehicle.mode}")
         if vehicle.family.px4:  # it pauses by leaving the mode, and knows where it was
             await self._motion.to_mode(vehicle.family.hold)
         else:
@@ -113,5 +113,5 @@ class Missions:
         if not await self._vehicle.until(
             lambda: self._now()["mission_state"] == _ACTIVE, _STARTING
         ):
-            raise DeviceTimeout("resume: accepted, but the vehicle does not go on")
+            raise DeviceTimeout("resume: accepted, but the vehicle does not continue")
         return self._progress()

@@ -50,7 +50,7 @@ class Motion:
         try:
             await self._arm(progress, on=True, force=given is not None and given.force)
         except asyncio.CancelledError:
-            await self.shielded(lambda: self._arm(_untold, on=False, force=False))
+            await self.shielded(lambda: self._arm(_ignore_progress, on=False, force=False))
             raise
         return m.Armed(self._vehicle.armed, self._vehicle.mode)
 
@@ -88,10 +88,10 @@ class Motion:
         command, number = mode_command(family, name), family.number(name)
         if self._vehicle.mode_number == number and not surely:
             return
-        told = _untold if progress is None else progress
-        with unanswered(told):
+        on_progress = _ignore_progress if progress is None else progress
+        with unanswered(on_progress):
             await self._commands.send(command, f"mode {name}")
-        told()
+        on_progress()
         await self.seen(lambda: self._vehicle.mode_number == number, f"mode {name}")
 
     async def seen(self, holds: Callable[[], bool], what: str) -> None:
@@ -101,24 +101,26 @@ class Motion:
         """
         if not holds():  # a heartbeat comes once a second, and sooner if it is asked for
             with suppress(DeviceRejected, DeviceTimeout):
-                await self._commands.send(Command(512), "request of HEARTBEAT")
+                await self._commands.send(Command(512), "request for HEARTBEAT")
         if not await self._vehicle.until(holds, _SETTLE):
-            raise DeviceTimeout(f"{what}: accepted, but the vehicle does not show it")
+            raise DeviceTimeout(f"{what}: accepted, but telemetry does not confirm it")
 
-    async def follow(self, tell: Callable[[], bool], what: str, stays: Callable[[], bool]) -> None:
+    async def follow(
+        self, report: Callable[[], bool], what: str, stays: Callable[[], bool]
+    ) -> None:
         """Wait for `tell`, which reports, and see that the vehicle stays at it.
 
         :raises DeviceRejected: it does something else, with what it said meanwhile.
         :raises DeviceTimeout: its position has not come for longer than is allowed.
         """
         began = time.monotonic()
-        told, done = 0.0, False
+        reported, done = 0.0, False
 
         def poll() -> bool:
-            nonlocal told, done
-            if (now := time.monotonic()) - told >= _FEEDBACK:
-                told = now
-                done = tell()
+            nonlocal reported, done
+            if (now := time.monotonic()) - reported >= _FEEDBACK:
+                reported = now
+                done = report()
             else:
                 done = False
             return done or not stays()
@@ -126,12 +128,12 @@ class Motion:
         while not await self._vehicle.until(poll, _FEEDBACK):
             if what not in _WAY_DOWN and self.measurement.blind:
                 await self._blind(what)
-        if done or tell():
+        if done or report():
             return
         reasons = self._vehicle.texts_since(began, severity=4)
-        said = f": {'; '.join(reasons[-3:])}" if reasons else ""
+        reason = f": {'; '.join(reasons[-3:])}" if reasons else ""
         raise DeviceRejected(
-            f"{what}: the vehicle left it for mode {self._vehicle.mode}{said}",
+            f"{what}: the vehicle changed to mode {self._vehicle.mode}{reason}",
             details={"mode": self._vehicle.mode, "texts": reasons},
         )
 
@@ -164,7 +166,7 @@ class Motion:
         family, hovering = vehicle.family, vehicle.hovering
         modes = family.holding(hovering=hovering) + family.level(hovering=hovering)
         if not modes:
-            raise NotImplementedByRobot(f"a {family.kind} has no mode to hold in")
+            raise NotImplementedByRobot(f"a {family.kind} has no holding mode")
         for mode in modes[:-1]:
             try:
                 await self._hold_in(mode)
@@ -176,7 +178,7 @@ class Motion:
     async def _hold_in(self, mode: str) -> None:
         await self.to_mode(mode, surely=True)
         if self._vehicle.family.px4:
-            self._commands.tell(PAUSE_PX4)
+            self._commands.send_once(PAUSE_PX4)
 
     async def shielded(self, do: Callable[[], Awaitable[Any]]) -> None:
         """Do it although the command that asks is being cancelled.
@@ -197,20 +199,20 @@ class Motion:
             raise DeviceTimeout("the vehicle did not confirm that it holds") from None
 
 
-def _untold(feedback: Any = None, *, fraction: float | None = None) -> None:
+def _ignore_progress(feedback: Any = None, *, fraction: float | None = None) -> None:
     """Tell nobody: what a command does while it is being cancelled is no progress of it."""
 
 
 @contextmanager
-def unanswered(tell: Callable[[], object]) -> Generator[None]:
-    """Have `tell` report progress where the vehicle has not answered for a while.
+def unanswered(progress: Callable[[], object]) -> Generator[None]:
+    """Report progress if the vehicle has not responded for a while.
 
-    It may have begun by then: without progress the loss of its link would count as a refusal.
+    It may have started by then: without progress, a lost link would count as a refusal.
     """
 
     def report() -> None:
         with suppress(RcpError):
-            tell()
+            progress()
 
     timer = asyncio.get_running_loop().call_later(_UNANSWERED, report)
     try:

@@ -57,14 +57,14 @@ class Pace:
         return math.hypot(f["vx"], f["vy"]) / 100, heading
 
     def _watch_speed(self, speed: float, now: float) -> None:
-        asked = self._speed
-        if asked is None or now < self._settled or speed <= max(asked * _OVER, asked + _MARGIN):
+        limit = self._speed
+        if limit is None or now < self._settled or speed <= max(limit * _OVER, limit + _MARGIN):
             self._fast_since = None
             return
         if self._fast_since is None:
             self._fast_since = now
         if now - self._fast_since > _TOO_LONG:
-            self.fault = f"{asked:g} m/s was asked for, and it moves at {speed:.1f} m/s"
+            self.fault = f"{limit:g} m/s requested, but it moves at {speed:.1f} m/s"
 
     def _aligned(self, now: float) -> bool:
         """Tell whether it looks where it should, or whether nobody cares."""
@@ -75,8 +75,10 @@ class Pace:
             if abs(off) <= _ALIGNED:
                 return True
         if self._there_since is not None and now - self._there_since > _TURNING:
-            looks = (
-                "says no heading" if self.heading is None else f"looks to {self.heading:.2f} rad"
+            heading = (
+                "reports no heading"
+                if self.heading is None
+                else f"its heading is {self.heading:.2f} rad"
             )
-            self.fault = f"it is there, but {looks}, not to {self._yaw:.2f} rad"
+            self.fault = f"it is at the target, but {heading}, not {self._yaw:.2f} rad"
         return False

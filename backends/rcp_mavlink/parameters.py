@@ -24,8 +24,8 @@ _NOT_THERE = 1
 _UNLISTED = 0xFFFF
 """The place of a value that is said by itself, and not in a list."""
 _ERRORS = {
-    2: "out of its range", 3: "not permitted", 4: "no such component", 5: "read-only",
-    6: "a type that it does not know", 7: "another type", 8: "cannot be read",
+    2: "out of range", 3: "not permitted", 4: "no such component", 5: "read-only",
+    6: "unknown type", 7: "wrong type", 8: "cannot be read",
 }  # fmt: skip
 
 
@@ -39,10 +39,10 @@ class Parameter(NamedTuple):
 
 
 class Parameters:
-    """The parameters of one vehicle; `told` is called with each name whose value came."""
+    """The parameters of one vehicle; `on_value` is called with the name of each value received."""
 
-    def __init__(self, hub: Hub, vehicle: Vehicle, told: Callable[[str], None]) -> None:
-        self._hub, self._vehicle, self._told = hub, vehicle, told
+    def __init__(self, hub: Hub, vehicle: Vehicle, on_value: Callable[[str], None]) -> None:
+        self._hub, self._vehicle, self._on_value = hub, vehicle, on_value
         self.known: dict[str, Parameter] = {}
         self.count: int | None = None
         self._last = 0.0
@@ -62,7 +62,7 @@ class Parameters:
         self.count = fields["param_count"] or self.count
         if self.count is not None and len(self.known) >= self.count:
             self.complete.set()
-        self._told(name)
+        self._on_value(name)
 
     async def list(self) -> None:
         """Have the vehicle say all of them, and again those that are lost on the way."""
@@ -100,12 +100,14 @@ class Parameters:
         if value is not None:
             return value
         if name in self.known:
-            raise DeviceTimeout(f"the vehicle did not say {name}")
+            raise DeviceTimeout(f"the vehicle did not report {name}")
         raise self._unknown(name)
 
     def _unknown(self, name: str) -> UnknownPath:
         near = difflib.get_close_matches(name.upper(), self.known, 3, 0.6)
-        remedy = f"Did you mean {' or '.join(near)}?" if near else "param/* lists those it has."
+        remedy = (
+            f"Did you mean {' or '.join(near)}?" if near else "See param/* for existing parameters."
+        )
         return UnknownPath(f"the vehicle has no parameter {name}", remedy=remedy)
 
     async def write(self, name: str, value: float) -> float:
@@ -116,18 +118,18 @@ class Parameters:
         vehicle, before = self._vehicle, self.known[name]
         limits = bounds(before.type)
         if limits is not None and not limits[0] <= value <= limits[1]:
-            raise OutOfRange(f"{name} holds {limits[0]} to {limits[1]}, not {value:g}")
+            raise OutOfRange(f"{name} must be {limits[0]} to {limits[1]}, not {value:g}")
         to = (vehicle.system, vehicle.component)
         message, wanted = param_set(
             self._hub.dialect.module, to, name, value, before.type, bytewise=vehicle.bytewise
         )
         # One that was said a moment before, and is on its way yet, is no answer.
-        now = await self._exchange(name, message, lambda told: told in (wanted, value))
+        now = await self._exchange(name, message, lambda reported: reported in (wanted, value))
         if now is None:
             raise DeviceTimeout(f"the vehicle did not confirm {name}")
         if now != wanted and now == before.value:
-            said = vehicle.texts_since(time.monotonic() - 1.0)
-            raise DeviceRejected(f"the vehicle keeps {name} at {now:g}", details={"texts": said})
+            texts = vehicle.texts_since(time.monotonic() - 1.0)
+            raise DeviceRejected(f"the vehicle keeps {name} at {now:g}", details={"texts": texts})
         return now
 
     async def _exchange(
@@ -152,9 +154,9 @@ class Parameters:
                 answered.set_result(0)
 
         with ExitStack() as stack:
-            for told in ("PARAM_VALUE", "PARAM_ERROR"):
-                if told in self._hub.dialect.by_name:
-                    stack.enter_context(self._vehicle.listening(told, take))
+            for kind in ("PARAM_VALUE", "PARAM_ERROR"):
+                if kind in self._hub.dialect.by_name:
+                    stack.enter_context(self._vehicle.listening(kind, take))
             for _ in range(1 if once else config.retries + 1):
                 self._hub.send(self._vehicle, message)
                 done, _pending = await asyncio.wait({answered}, timeout=config.timeout)
@@ -176,12 +178,12 @@ class Parameters:
         return decoded(raw, type_, bytewise=self._vehicle.bytewise)
 
 
-def _kept_type(listed: int, told: int, value: float) -> int:
+def _kept_type(listed: int, reported: int, value: float) -> int:
     """Return the type of a parameter, of what the list said and a single value says.
 
     ArduPilot says REAL32 of an integer that was set to the default that it had already.
     """
     limits = bounds(listed)
-    if told != REAL or limits is None or not value.is_integer():
-        return told
-    return listed if limits[0] <= value <= limits[1] else told
+    if reported != REAL or limits is None or not value.is_integer():
+        return reported
+    return listed if limits[0] <= value <= limits[1] else reported

@@ -12,7 +12,7 @@ from rcp_mavlink.vehicle import Fix, Vehicle
 
 __all__ = ["away", "fix_of", "located", "part", "place_of", "reach"]
 
-_LOOKING = 3.0  # s
+_POSITION_TIMEOUT = 3.0  # s
 _CIRCLE = 80.0  # m of radius, of a plane that does not say
 _RADII = ("WP_LOITER_RAD", "NAV_LOITER_RAD")
 _ROUND = 1.5  # radii off the place it circles round that count as there
@@ -20,7 +20,7 @@ _ROUND = 1.5  # radii off the place it circles round that count as there
 
 async def located(vehicle: Vehicle) -> Fix:
     """Return where it is, after what was asked for a moment before has come."""
-    await vehicle.until(lambda: vehicle.fix is not None, _LOOKING)
+    await vehicle.until(lambda: vehicle.fix is not None, _POSITION_TIMEOUT)
     return fix_of(vehicle)
 
 
@@ -32,7 +32,7 @@ def fix_of(vehicle: Vehicle) -> Fix:
     fix = vehicle.fix
     if fix is None:
         raise PreconditionFailed(
-            "the vehicle does not know where it is", remedy="Wait for GPS: see sensor/gps."
+            "the vehicle has no position", remedy="Wait for GPS: see sensor/gps."
         )
     return fix
 
@@ -45,7 +45,7 @@ def place_of(vehicle: Vehicle, goal: m.MoveTo, fix: Fix) -> tuple[float, float]:
         raise InvalidValue("give latitude and longitude, or north and east, not both")
     if degrees:
         if goal.latitude is None or goal.longitude is None:
-            raise InvalidValue("latitude and longitude go together")
+            raise InvalidValue("latitude and longitude must be given together")
         return goal.latitude, goal.longitude
     if not metres:
         return fix.lat, fix.lon

@@ -21,7 +21,7 @@ MISSION, FENCE, RALLY = 0, 1, 2
 _FRAMES = {"relative": 6, "absolute": 5, "terrain": 11, "mission": 2}
 _WORDS = {0: "absolute", 2: "mission", 3: "relative", 5: "absolute", 6: "relative", 10: "terrain", 11: "terrain"}  # fmt: skip
 _RESULTS = {
-    1: "failed", 2: "unsupported frame", 3: "a command that it does not know", 4: "no space left",
+    1: "failed", 2: "unsupported frame", 3: "unknown command", 4: "no space left",
     5: "invalid item", 6: "invalid parameter 1", 7: "invalid parameter 2", 8: "invalid parameter 3",
     9: "invalid parameter 4", 10: "invalid latitude", 11: "invalid longitude",
     12: "invalid altitude", 13: "invalid sequence", 14: "denied", 15: "cancelled",
@@ -100,17 +100,21 @@ class Plans:
             vehicle.system, vehicle.component, len(messages), kind
         )
         async with self._turn:
-            news: asyncio.Queue[tuple[str, dict[str, Any]]] = asyncio.Queue()
-            with _following(vehicle, news, "MISSION_REQUEST", "MISSION_REQUEST_INT", "MISSION_ACK"):
+            received: asyncio.Queue[tuple[str, dict[str, Any]]] = asyncio.Queue()
+            with _following(
+                vehicle, received, "MISSION_REQUEST", "MISSION_REQUEST_INT", "MISSION_ACK"
+            ):
                 last = count
                 while True:
-                    name, fields = await self._news(news, last, kind, "upload")
+                    name, fields = await self._next_message(received, last, kind, "upload")
                     if name == "MISSION_ACK":
                         self._check(fields["type"], "the plan is refused")
                         return len(items)
                     seq = fields["seq"]
                     if seq >= len(messages):
-                        raise DeviceRejected(f"the vehicle asks for item {seq}, which is not there")
+                        raise DeviceRejected(
+                            f"the vehicle requested item {seq}, which does not exist"
+                        )
                     last = messages[seq]
                     self._hub.send(vehicle, last)
                     if progress is not None:
@@ -122,17 +126,19 @@ class Plans:
         to = (vehicle.system, vehicle.component)
         found: list[Item] = []
         async with self._turn:
-            news: asyncio.Queue[tuple[str, dict[str, Any]]] = asyncio.Queue()
-            with _following(vehicle, news, "MISSION_COUNT", "MISSION_ITEM_INT", "MISSION_ACK"):
-                ask = module.MAVLink_mission_request_list_message(*to, kind)
-                self._hub.send(vehicle, ask)
-                _, count = await self._news(news, ask, kind, "download", "MISSION_COUNT")
+            received: asyncio.Queue[tuple[str, dict[str, Any]]] = asyncio.Queue()
+            with _following(vehicle, received, "MISSION_COUNT", "MISSION_ITEM_INT", "MISSION_ACK"):
+                request = module.MAVLink_mission_request_list_message(*to, kind)
+                self._hub.send(vehicle, request)
+                _, count = await self._next_message(
+                    received, request, kind, "download", "MISSION_COUNT"
+                )
                 for seq in range(count["count"]):
-                    ask = module.MAVLink_mission_request_int_message(*to, seq, kind)
-                    self._hub.send(vehicle, ask)
+                    request = module.MAVLink_mission_request_int_message(*to, seq, kind)
+                    self._hub.send(vehicle, request)
                     while True:
-                        _, fields = await self._news(
-                            news, ask, kind, "download", "MISSION_ITEM_INT"
+                        _, fields = await self._next_message(
+                            received, request, kind, "download", "MISSION_ITEM_INT"
                         )
                         if fields["seq"] == seq:
                             break
@@ -148,21 +154,21 @@ class Plans:
         name = self._names.get(f["command"], str(f["command"]))
         return Item(name, f["x"] / scale, f["y"] / scale, f["z"], frame, params)
 
-    async def _news(
-        self, news: asyncio.Queue[tuple[str, dict[str, Any]]], ask: Any, kind: int, what: str, wanted: str | None = None
+    async def _next_message(
+        self, received: asyncio.Queue[tuple[str, dict[str, Any]]], request: Any, kind: int, what: str, wanted: str | None = None
     ) -> tuple[str, dict[str, Any]]:  # fmt: skip
         """Return the next message of this transfer; what was sent last is sent again meanwhile.
 
         :raises DeviceTimeout: nothing comes.
         """
         config = self._hub.config
-        if wanted is None and "COUNT" in ask.get_type():
-            self._hub.send(self._vehicle, ask)
+        if wanted is None and "COUNT" in request.get_type():
+            self._hub.send(self._vehicle, request)
         for _ in range(config.retries + 1):
             try:
                 async with asyncio.timeout(config.timeout):
                     while True:
-                        name, fields = await news.get()
+                        name, fields = await received.get()
                         if fields.get("mission_type", 0) != kind:
                             continue
                         if name == "MISSION_ACK" and wanted is not None:
@@ -172,8 +178,8 @@ class Plans:
                             return name, fields
             except TimeoutError:
                 self._vehicle.check()
-                self._hub.send(self._vehicle, ask)
-        raise DeviceTimeout(f"the vehicle fell silent in the {what} of a plan")
+                self._hub.send(self._vehicle, request)
+        raise DeviceTimeout(f"the vehicle stopped responding during the {what} of a plan")
 
     @staticmethod
     def _check(result: int, what: str) -> None:
@@ -182,12 +188,12 @@ class Plans:
 
 
 def _following(
-    vehicle: Vehicle, news: asyncio.Queue[tuple[str, dict[str, Any]]], *names: str
+    vehicle: Vehicle, received: asyncio.Queue[tuple[str, dict[str, Any]]], *names: str
 ) -> Any:
     stack = ExitStack()
 
     def take(frame: Frame) -> None:
-        news.put_nowait((frame.definition.name, frame.fields()))
+        received.put_nowait((frame.definition.name, frame.fields()))
 
     for name in names:
         stack.enter_context(vehicle.listening(name, take))

@@ -25,8 +25,8 @@ class Recovery:
         :raises DeviceTimeout: telemetry does not show that it does what it was told.
         """
         vehicle, measurement = self._vehicle, self._motion.measurement
-        if not await vehicle.until(lambda: measurement.heard, _KNOWN):
-            raise DeviceTimeout("the vehicle is heard, but sends no heartbeat")
+        if not await vehicle.until(lambda: measurement.has_heartbeat, _KNOWN):
+            raise DeviceTimeout("the vehicle sends messages, but no heartbeat")
         if not vehicle.armed:
             return "disarmed: nothing to do"
         if measurement.standing:
@@ -42,6 +42,6 @@ class Recovery:
             except DeviceRejected as error:
                 refused = f"{error}; "
             else:
-                return f"told to {policy}: in {mode}"
+                return f"commanded to {policy}: in {mode}"
         await self._stop.hold()
         return f"{refused}holds in {vehicle.mode}"

@@ -22,7 +22,7 @@ _IN_AIR_DISARM = Reason(
     "the vehicle is in the air",
     "Land it first with action/land; action/disarm with `force` lets it fall.",
 )
-_IN_AIR_TAKEOFF = Reason("the vehicle is in the air already", "Use action/move_to to climb.")
+_IN_AIR_TAKEOFF = Reason("the vehicle is already in the air", "Use action/move_to to climb.")
 _NOT_ARMED = Reason("the vehicle is not armed", "Arm it first.")
 _ARMED = Reason("the vehicle is armed", "Disarm it first.")
 

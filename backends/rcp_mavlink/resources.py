@@ -94,21 +94,21 @@ def parameter(path: str, name: str, type_: int, published: Mapping[str, About]) 
 def _made() -> list[Resource]:
     return [
         Resource(name="sensor/mode", description="The flight mode, by the autopilot's own name.", value=str, live=True, deadline=_STALE, examples=("GUIDED",)),
-        Resource(name="sensor/armed", description="Whether the motors may turn.", value=bool, live=True, deadline=_STALE),
-        Resource(name="sensor/prearm", description="Whether it would let itself be armed, and what it complains of.", value=m.Prearm, live=True, examples=({"ready": False, "reasons": ["Need Position Estimate"], "mode": "GUIDED"},)),
-        Resource(name="sensor/links", description="What came and went over the links, and what was damaged or missing.", value=list[m.LinkState], live=True),
-        Resource(name="sensor/vehicle", description="System id, kind and flight modes of what is behind the link.", value=m.VehicleInfo, live=True),
+        Resource(name="sensor/armed", description="Whether the vehicle is armed.", value=bool, live=True, deadline=_STALE),
+        Resource(name="sensor/prearm", description="Whether it can be armed, and the reasons if not.", value=m.Prearm, live=True, examples=({"ready": False, "reasons": ["Need Position Estimate"], "mode": "GUIDED"},)),
+        Resource(name="sensor/links", description="Messages received and sent over each link, damaged and lost ones.", value=list[m.LinkState], live=True),
+        Resource(name="sensor/vehicle", description="System id, type and flight modes of the vehicle.", value=m.VehicleInfo, live=True),
     ]  # fmt: skip
 
 
 def _events() -> list[Resource]:
     return [
-        Resource(name="event/statustext", description="What the vehicle says in words.", value=m.Said, live=True, examples=({"severity": "critical", "text": "PreArm: AHRS: waiting for home"},)),
-        Resource(name="event/failsafe", description="A failsafe acted or the fence was crossed, in the vehicle's words.", value=m.Said, live=True),
-        Resource(name="event/mode", description="The flight mode changed, whoever changed it.", value=m.ModeChange, live=True),
+        Resource(name="event/statustext", description="Status texts of the vehicle.", value=m.StatusText, live=True, examples=({"severity": "critical", "text": "PreArm: AHRS: waiting for home"},)),
+        Resource(name="event/failsafe", description="A failsafe acted or the fence was breached, as reported by the vehicle.", value=m.StatusText, live=True),
+        Resource(name="event/mode", description="The flight mode changed, for any reason.", value=m.ModeChange, live=True),
         Resource(name="event/armed", description="The motors were armed or disarmed.", value=m.Armed, live=True),
         Resource(name="event/mission", description="An item of the mission was reached.", value=m.Reached, live=True),
-        Resource(name="event/boot", description="The vehicle has started anew.", value=m.Said, live=True),
+        Resource(name="event/boot", description="The vehicle has rebooted.", value=m.StatusText, live=True),
     ]  # fmt: skip
 
 
@@ -119,7 +119,7 @@ def _actuators(hub: Hub, family: Family) -> list[Resource]:
     return [
         Resource(
             name="actuator/velocity",
-            description=f"Velocity in the vehicle's own axes: x forward, y left, z up; in {family.led} only.",
+            description=f"Velocity in the body frame: x forward, y left, z up; in {family.led} only.",
             value=m.drive(most) if family.drives else m.velocity(most),
             examples=({"x": min(2.0, most)}, turning if family.drives else climbing),
             live=True, max_age=1.0, valid_for=0.5, safe={},
@@ -142,46 +142,46 @@ def _action(name: str, description: str, timeout: float, **rest: Any) -> Resourc
 
 def _actions() -> list[Resource]:
     return [
-        _action("arm", "Start the motors, if the vehicle's own checks allow it.", 15, input=m.Arm | None, output=m.Armed, examples=(None, {}), energises=True),
-        _action("disarm", "Stop the motors; refused in the air unless forced.", 15, input=m.Arm | None, output=m.Armed, examples=(None, {})),
-        _action("takeoff", "Rise to a height over home; it has to be armed.", 180, input=m.TakeOff | None, output=m.Height, feedback=m.Height, examples=({"altitude": 10.0},)),
-        _action("land", "Come down where it is, and disarm.", 600, output=m.Height, feedback=m.OnItsWay),
-        _action("rtl", "Come home: a copter lands and disarms, a plane circles there, a rover stops.", 1800, output=m.Height, feedback=m.OnItsWay),
-        _action("move_to", "Go to a place, given by latitude and longitude or by metres from home; a plane circles round it.", 1800, input=m.MoveTo, output=m.Arrived, feedback=m.OnItsWay, examples=({"north": 20.0, "east": 5.0, "altitude": 15.0}, {"latitude": -35.3630, "longitude": 149.1652})),
+        _action("arm", "Arm the motors, if the vehicle's own checks allow it.", 15, input=m.Arm | None, output=m.Armed, examples=(None, {}), energises=True),
+        _action("disarm", "Disarm the motors; refused in the air unless forced.", 15, input=m.Arm | None, output=m.Armed, examples=(None, {})),
+        _action("takeoff", "Climb to a height above home; the vehicle must be armed.", 180, input=m.TakeOff | None, output=m.Height, feedback=m.Height, examples=({"altitude": 10.0},)),
+        _action("land", "Land at the current position and disarm.", 600, output=m.Height, feedback=m.OnItsWay),
+        _action("rtl", "Return home: a copter lands and disarms, a plane circles there, a rover stops.", 1800, output=m.Height, feedback=m.OnItsWay),
+        _action("move_to", "Go to a position, given by latitude and longitude or in metres from home; a plane circles around it.", 1800, input=m.MoveTo, output=m.Arrived, feedback=m.OnItsWay, examples=({"north": 20.0, "east": 5.0, "altitude": 15.0}, {"latitude": -35.3630, "longitude": 149.1652})),
         _action("set_mode", "Change the flight mode.", 15, input=m.SetMode, output=m.SetMode, examples=({"mode": "GUIDED"},)),
         _action("mission/upload", "Replace the mission.", 300, input=m.Items, output=m.Uploaded, examples=(_WAYPOINTS,)),
-        _action("mission/run", "Fly the mission to its end; it has to be armed.", 7200, output=m.MissionProgress, feedback=m.MissionProgress),
-        _action("mission/pause", "Stop where it is, to go on later.", 30, output=m.MissionProgress),
-        _action("mission/resume", "Go on with a mission that was paused.", 30, output=m.MissionProgress),
-        _action("gimbal", "Turn the camera.", 30, input=m.Gimbal, output=m.Gimbal, examples=({"pitch": -0.5},)),
+        _action("mission/run", "Run the mission to its end; the vehicle must be armed.", 7200, output=m.MissionProgress, feedback=m.MissionProgress),
+        _action("mission/pause", "Stop at the current position, to resume later.", 30, output=m.MissionProgress),
+        _action("mission/resume", "Resume a paused mission.", 30, output=m.MissionProgress),
+        _action("gimbal", "Point the camera.", 30, input=m.Gimbal, output=m.Gimbal, examples=({"pitch": -0.5},)),
         _action("camera/photo", "Take a picture.", 30, output=m.Photo),
-        _action("calibrate", "Calibrate a sensor while it stands still.", 120, input=m.Calibrate | None, output=m.Calibrated, examples=(None, {"what": "gyro"})),
+        _action("calibrate", "Calibrate a sensor; the vehicle must not move.", 120, input=m.Calibrate | None, output=m.Calibrated, examples=(None, {"what": "gyro"})),
     ]  # fmt: skip
 
 
 def _services() -> list[Resource]:
     return [
-        Resource(name="service/mission/download", description="Return the mission that the vehicle has, without home.", output=m.Items, timeout=120),
-        Resource(name="service/mission/clear", description="Take the mission away.", output=m.Uploaded, timeout=30),
+        Resource(name="service/mission/download", description="Return the vehicle's mission, without home.", output=m.Items, timeout=120),
+        Resource(name="service/mission/clear", description="Clear the mission.", output=m.Uploaded, timeout=30),
         Resource(name="service/fence/upload", description="Replace the geofence: polygons and circles.", input=m.Items, output=m.Uploaded, examples=(_FENCE,), timeout=120),
-        Resource(name="service/fence/download", description="Return the geofence that the vehicle has.", output=m.Items, timeout=120),
+        Resource(name="service/fence/download", description="Return the vehicle's geofence.", output=m.Items, timeout=120),
         Resource(name="service/rally/upload", description="Replace the rally points.", input=m.Items, output=m.Uploaded, examples=(_RALLY,), timeout=120),
-        Resource(name="service/rally/download", description="Return the rally points that the vehicle has.", output=m.Items, timeout=120),
-        Resource(name="service/log/list", description="List the logs on board.", output=list[OnBoard], timeout=30),
-        Resource(name="service/log/read", description="Return a part of a log on board, 1 MiB at most.", input=LogRange, output=LogPiece, timeout=600),
-        Resource(name="service/param/read", description="Ask for any parameter by name, also one without a path.", input=m.ReadParam, output=m.ParamValue, examples=({"name": "RTL_ALT"},)),
-        Resource(name="service/param/save", description="Have the vehicle keep its parameters."),
-        Resource(name="service/reboot", description="Start the autopilot anew; refused while armed.", timeout=90),
+        Resource(name="service/rally/download", description="Return the vehicle's rally points.", output=m.Items, timeout=120),
+        Resource(name="service/log/list", description="List the on-board logs.", output=list[OnBoard], timeout=30),
+        Resource(name="service/log/read", description="Return a part of an on-board log, at most 1 MiB.", input=LogRange, output=LogPiece, timeout=600),
+        Resource(name="service/param/read", description="Read any parameter by name, also one without a path.", input=m.ReadParam, output=m.ParamValue, examples=({"name": "RTL_ALT"},)),
+        Resource(name="service/param/save", description="Save the parameters permanently on the vehicle."),
+        Resource(name="service/reboot", description="Reboot the autopilot; refused while armed.", timeout=90),
     ]  # fmt: skip
 
 
 def _files() -> list[Resource]:
     return [
-        Resource(name="service/ftp/list", description="List a directory on board.", input=FilePath, output=list[Entry], timeout=60),
-        Resource(name="service/ftp/read", description="Return a part of a file on board, 4 MiB at most.", input=FileRange, output=FilePiece, timeout=1800),
-        Resource(name="service/ftp/write", description="Write a part of a file on board, 4 MiB at most; from its beginning, the file is made anew.", input=FileWrite, output=Written, timeout=1800),
-        Resource(name="service/ftp/crc", description="Have the vehicle count the CRC-32 of a file.", input=FilePath, output=Check, timeout=60),
-        Resource(name="service/ftp/remove", description="Remove a file on board, or an empty directory.", input=Remove, timeout=30),
-        Resource(name="service/ftp/mkdir", description="Make a directory on board.", input=FilePath, timeout=30),
-        Resource(name="service/ftp/rename", description="Call a file on board otherwise.", input=Rename, timeout=30),
+        Resource(name="service/ftp/list", description="List an on-board directory.", input=FilePath, output=list[Entry], timeout=60),
+        Resource(name="service/ftp/read", description="Return a part of an on-board file, at most 4 MiB.", input=FileRange, output=FilePiece, timeout=1800),
+        Resource(name="service/ftp/write", description="Write a part of an on-board file, at most 4 MiB; offset 0 replaces the file.", input=FileWrite, output=Written, timeout=1800),
+        Resource(name="service/ftp/crc", description="Return the CRC-32 of a file, computed by the vehicle.", input=FilePath, output=Check, timeout=60),
+        Resource(name="service/ftp/remove", description="Remove an on-board file or an empty directory.", input=Remove, timeout=30),
+        Resource(name="service/ftp/mkdir", description="Create an on-board directory.", input=FilePath, timeout=30),
+        Resource(name="service/ftp/rename", description="Rename an on-board file.", input=Rename, timeout=30),
     ]  # fmt: skip

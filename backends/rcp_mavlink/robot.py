@@ -45,13 +45,13 @@ from rcp_mavlink.sensors import BASE, ESTIMATOR, sensors
 from rcp_mavlink.setpoints import Setpoints
 from rcp_mavlink.stop import Stop
 from rcp_mavlink.stop_plan import GuardPlan
-from rcp_mavlink.telling import Telling
+from rcp_mavlink.telemetry_events import TelemetryEvents
 from rcp_mavlink.vehicle import Vehicle
 from rcp_mavlink.watchdogs import Watchdogs
 
 __all__ = ["Robot"]
 
-_ASKED_AGAIN = 3.0  # s without a message that is wanted
+_RETRY_AFTER = 3.0  # s without a message that is wanted
 _GLOBAL = 33
 _REBOOTED = 10.0  # s by which the vehicle's clock has gone back
 _TIMES = (2, 111)
@@ -82,7 +82,7 @@ class Robot:
         self.measurement = Measurement(vehicle, config)
         self.motion = Motion(vehicle, self._commands, self.measurement)
         self.plans = Plans(hub, vehicle)
-        self.parameters = Parameters(hub, vehicle, self._parameter_told)
+        self.parameters = Parameters(hub, vehicle, self._on_parameter)
         self.setpoints = Setpoints(hub, vehicle, self.motion, self.intervals.request)
         self.stop = Stop(
             hub, vehicle, self._commands, self.measurement,
@@ -106,10 +106,12 @@ class Robot:
         self._closed = False
         self._booted = 0  # ms that its clock said last
         self._clock = Clock()
-        self._looks = 0
-        self.telling = Telling(hub, vehicle, self._publish, self._run_prearm_checks)
+        self._polls = 0
+        self.telemetry_events = TelemetryEvents(
+            hub, vehicle, self._publish, self._run_prearm_checks
+        )
         self._heeded: dict[int, Callable[[Frame], None]] = {
-            **dict.fromkeys(Telling.heeded, self.telling.frame),
+            **dict.fromkeys(TelemetryEvents.heeded, self.telemetry_events.frame),
             **dict.fromkeys(_TIMES, self._timed),
             0: self._heartbeat,
             22: self.parameters.take,  # PARAM_VALUE
@@ -169,10 +171,10 @@ class Robot:
         found = resources(self._hub, self.vehicle, list(self._sensors.values()), self.name)
         self._declare(found)
         self.vehicle.on_frame.append(self._frame)
-        self.vehicle.on_text.append(self.telling.text)
-        self.telling.begin()
+        self.vehicle.on_text.append(self.telemetry_events.text)
+        self.telemetry_events.begin()
         self.intervals.begin()
-        self._ask_time()
+        self._request_time()
         for message in ("AUTOPILOT_VERSION", "HOME_POSITION"):
             self._start(self._first(message))
         self._start(self._list_parameters())
@@ -200,7 +202,7 @@ class Robot:
             task.cancel()
         await asyncio.gather(*self._tasks, return_exceptions=True)
         await self.intervals.close()
-        self.vehicle.lose("the gateway has let go of the vehicle")
+        self.vehicle.lose("the gateway has released the vehicle")
         self.vehicle.on_frame.clear()
         self.vehicle.on_text.clear()
 
@@ -232,20 +234,20 @@ class Robot:
             heed(frame)
 
     def _heartbeat(self, frame: Frame) -> None:
-        self.telling.frame(frame)
+        self.telemetry_events.frame(frame)
         self.guard.renew()
 
     def _timed(self, frame: Frame) -> None:
         f = frame.fields()
         if "tc1" in f:
-            self._clock.answered(f["tc1"], f["ts1"])
+            self._clock.on_reply(f["tc1"], f["ts1"])
         else:
-            self._clock.told(f["time_unix_usec"], f["time_boot_ms"])
+            self._clock.on_system_time(f["time_unix_usec"], f["time_boot_ms"])
 
-    def _ask_time(self) -> None:
+    def _request_time(self) -> None:
         module = self._hub.dialect.module
         if "TIMESYNC" in self._hub.dialect.by_name and not self.vehicle.lost:
-            self._hub.send(self.vehicle, module.MAVLink_timesync_message(0, self._clock.ask()))
+            self._hub.send(self.vehicle, module.MAVLink_timesync_message(0, self._clock.request()))
 
     def _positioned(self, frame: Frame) -> None:
         self.measurement.take_position()
@@ -256,7 +258,7 @@ class Robot:
         """See by its clock whether it has begun anew, and has forgotten what it was asked for."""
         clock = int.from_bytes(frame.payload[:4], "little")
         if clock + _REBOOTED * 1000 < self._booted:
-            self.telling.boot()
+            self.telemetry_events.boot()
             self._clock.forget()
             self.intervals.begin()
         self._booted = clock
@@ -264,19 +266,19 @@ class Robot:
     def poll(self) -> None:
         """Ask again for what is wanted and does not come; called now and then."""
         now = time.monotonic()
-        came = self.vehicle.came.get("GLOBAL_POSITION_INT", self.vehicle.heard - 1)
-        if not self.vehicle.lost and now - came > _ASKED_AGAIN:
+        came = self.vehicle.came.get("GLOBAL_POSITION_INT", self.vehicle.last_message_at - 1)
+        if not self.vehicle.lost and now - came > _RETRY_AFTER:
             self.intervals.begin()
         if self.vehicle.lost:  # the way to it may work although the way back does not
             self.stop_if_latched()
-        self.telling.links()
+        self.telemetry_events.links()
         self.guard.renew()
-        if self._looks < _TIMED_AT_FIRST or self._looks % _TIMED == 0:
-            self._ask_time()
-        self._looks += 1
+        if self._polls < _TIMED_AT_FIRST or self._polls % _TIMED == 0:
+            self._request_time()
+        self._polls += 1
 
     def _run_prearm_checks(self) -> None:
-        self._commands.tell(Command(401))
+        self._commands.send_once(Command(401))
 
     # Parameters
 
@@ -293,9 +295,9 @@ class Robot:
         if made:
             self._declare(made)
         for name in names:
-            self._parameter_told(name)
+            self._on_parameter(name)
 
-    def _parameter_told(self, name: str) -> None:
+    def _on_parameter(self, name: str) -> None:
         full = self.name(f"param/{name}")
         if full in self._declared:
             self._host.publish(full, self._value(name))
@@ -329,14 +331,14 @@ class Robot:
             return vehicle.came["HEARTBEAT"] > since + 0.5
 
         try:
-            heard = await vehicle.until(back, _COMING_BACK)
+            returned = await vehicle.until(back, _COMING_BACK)
         except AdapterUnavailable:
             async with asyncio.timeout(_COMING_BACK):
                 while vehicle.lost:  # noqa: ASYNC110 - whoever is lost wakes nobody
                     await asyncio.sleep(0.1)
-            heard = True
-        if not heard:
-            raise DeviceTimeout("reboot: accepted, and nothing is heard since")
+            returned = True
+        if not returned:
+            raise DeviceTimeout("reboot: accepted, but the vehicle has not come back")
         self.intervals.begin()
 
     async def _set_mode(self, given: m.SetMode, progress: Progress) -> m.SetMode:
@@ -388,9 +390,9 @@ class Robot:
             own = name.removeprefix("param/")
             await self.parameters.read(own)
             return self._value(own)
-        value = self.telling.value(name)
+        value = self.telemetry_events.value(name)
         if value is None:
-            raise AdapterUnavailable(f"nothing has come of '{name}' yet")
+            raise AdapterUnavailable(f"no value for '{name}' received yet")
         return value
 
     async def write(self, name: str, value: Any) -> Any:

@@ -22,33 +22,33 @@ class Sensor(NamedTuple):
 
 _SENSORS = (
     Sensor("sensor/attitude", "ATTITUDE", "Roll, pitch and yaw with their rates; forward, right, down."),
-    Sensor("sensor/position/global", "GLOBAL_POSITION_INT", "Where it is by the estimator: degrees, height over the sea and over home, velocity north, east, down.", live=True),
-    Sensor("sensor/position/local", "LOCAL_POSITION_NED", "Metres and velocity north, east and down of the estimator's origin."),
-    Sensor("sensor/velocity", "VFR_HUD", "Speed over ground and through the air, climb, heading and throttle."),
-    Sensor("sensor/gps", "GPS_RAW_INT", "What the GPS receiver says: fix, satellites, accuracy."),
-    Sensor("sensor/battery", "BATTERY_STATUS", "Voltage of the cells, current, charge left."),
-    Sensor("sensor/rc", "RC_CHANNELS", "The sticks and switches of the transmitter, as pulses."),
+    Sensor("sensor/position/global", "GLOBAL_POSITION_INT", "Estimated position: degrees, height above sea level and above home, velocity north, east, down.", live=True),
+    Sensor("sensor/position/local", "LOCAL_POSITION_NED", "Estimated position in metres and velocity, north, east and down from the estimator's origin."),
+    Sensor("sensor/velocity", "VFR_HUD", "Ground speed, airspeed, climb rate, heading and throttle."),
+    Sensor("sensor/gps", "GPS_RAW_INT", "GPS receiver: fix, satellites, accuracy."),
+    Sensor("sensor/battery", "BATTERY_STATUS", "Cell voltages, current, remaining charge."),
+    Sensor("sensor/rc", "RC_CHANNELS", "Sticks and switches of the transmitter, as pulse widths."),
     Sensor("sensor/rangefinder", "DISTANCE_SENSOR", "Distance measured by the range finder."),
     Sensor("sensor/health", "SYS_STATUS", "Sensors present, enabled and healthy as bits; load, battery.", live=True),
-    Sensor("sensor/landed", "EXTENDED_SYS_STATE", "Whether it stands, takes off, flies or lands.", live=True),
-    Sensor("sensor/home", "HOME_POSITION", "Where home is."),
-    Sensor("sensor/mission", "MISSION_CURRENT", "The item that is flown, of how many, and the state of the mission.", live=True),
-    Sensor("sensor/servos", "SERVO_OUTPUT_RAW", "What the servos and motors are told, as pulses."),
-    Sensor("sensor/vibration", "VIBRATION", "Vibration, and how often the accelerometers clipped."),
-    Sensor("sensor/navigation", "NAV_CONTROLLER_OUTPUT", "Where the controller steers to, and how far it is off."),
-    Sensor("sensor/fence", "FENCE_STATUS", "Whether the geofence was crossed, how often and which."),
+    Sensor("sensor/landed", "EXTENDED_SYS_STATE", "Landed state: on the ground, taking off, in the air or landing.", live=True),
+    Sensor("sensor/home", "HOME_POSITION", "Home position."),
+    Sensor("sensor/mission", "MISSION_CURRENT", "Current mission item, number of items, and state of the mission.", live=True),
+    Sensor("sensor/servos", "SERVO_OUTPUT_RAW", "Outputs to servos and motors, as pulse widths."),
+    Sensor("sensor/vibration", "VIBRATION", "Vibration, and clipping counts of the accelerometers."),
+    Sensor("sensor/navigation", "NAV_CONTROLLER_OUTPUT", "Target of the navigation controller, and its errors."),
+    Sensor("sensor/fence", "FENCE_STATUS", "Geofence breaches: state, count and type."),
 )  # fmt: skip
 _ARDUPILOT = (
-    Sensor("sensor/imu", "RAW_IMU", "Acceleration, turning rate and magnetic field."),
-    Sensor("sensor/ekf", "EKF_STATUS_REPORT", "What the estimator is sure of: flags and variances."),
-    Sensor("sensor/wind", "WIND", "Where the wind comes from, and how fast."),
-    Sensor("sensor/gimbal", "MOUNT_STATUS", "Where the camera looks, in hundredths of a degree."),
+    Sensor("sensor/imu", "RAW_IMU", "Acceleration, angular rate and magnetic field."),
+    Sensor("sensor/ekf", "EKF_STATUS_REPORT", "Status of the estimator: flags and variances."),
+    Sensor("sensor/wind", "WIND", "Wind direction (where it comes from) and speed."),
+    Sensor("sensor/gimbal", "MOUNT_STATUS", "Direction of the camera, in hundredths of a degree."),
 )  # fmt: skip
 _PX4 = (
-    Sensor("sensor/imu", "HIGHRES_IMU", "Acceleration, turning rate, magnetic field, pressure."),
-    Sensor("sensor/ekf", "ESTIMATOR_STATUS", "What the estimator is sure of: flags and ratios."),
+    Sensor("sensor/imu", "HIGHRES_IMU", "Acceleration, angular rate, magnetic field, pressure."),
+    Sensor("sensor/ekf", "ESTIMATOR_STATUS", "Status of the estimator: flags and ratios."),
     Sensor("sensor/wind", "WIND_COV", "The wind, north, east and down."),
-    Sensor("sensor/gimbal", "GIMBAL_DEVICE_ATTITUDE_STATUS", "Where the camera looks, as a quaternion."),
+    Sensor("sensor/gimbal", "GIMBAL_DEVICE_ATTITUDE_STATUS", "Direction of the camera, as a quaternion."),
 )  # fmt: skip
 
 BASE = ("GLOBAL_POSITION_INT", "EXTENDED_SYS_STATE", "SYS_STATUS", "MISSION_CURRENT")

@@ -31,7 +31,7 @@ class SerialPort:
 
         speed = getattr(termios, f"B{self._baud}", None)
         if speed is None:
-            raise OSError(f"{self._device} has no {self._baud} bits a second")
+            raise OSError(f"{self._device} does not support {self._baud} bit/s")
         fd = os.open(self._device, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
         try:
             tty.setraw(fd)
@@ -41,7 +41,7 @@ class SerialPort:
             termios.tcsetattr(fd, termios.TCSANOW, settings)
         except termios.error as error:
             os.close(fd)
-            raise OSError(f"{self._device} is no serial line: {error}") from error
+            raise OSError(f"{self._device} is not a serial port: {error}") from error
         self._fd, self._loop = fd, loop
         loop.add_reader(fd, self._read)
         self._protocol.connection_made(self)  # pyright: ignore[reportArgumentType]

@@ -82,14 +82,14 @@ class Setpoints:
         )
         await self._lead(message, None)
 
-    async def _heading(self, asked: float | None) -> float:
+    async def _heading(self, requested: float | None) -> float:
         """Return the heading to hold: an attitude always has one, and 0 would be north.
 
         :raises PreconditionFailed: the present one is to be kept, and the vehicle does not say it.
         """
-        if asked is not None:
+        if requested is not None:
             self._kept = None
-            return asked
+            return requested
         if self._kept is None:
             self._kept = await self._present()
         return self._kept
@@ -108,7 +108,7 @@ class Setpoints:
             if heading != _NO_HEADING:
                 return math.radians(heading / 100)
         raise PreconditionFailed(
-            "the vehicle does not say which heading it has", remedy="Give `yaw` with the attitude."
+            "the vehicle reports no heading", remedy="Give `yaw` with the attitude."
         )
 
     def _leads(self) -> bool:
@@ -127,8 +127,8 @@ class Setpoints:
         if vehicle.mode not in modes or not vehicle.armed:
             wanted = " or ".join(sorted(modes))
             raise ModeForbids(
-                f"in {vehicle.mode}{'' if vehicle.armed else ', disarmed,'} the vehicle follows no set-point",
-                remedy=f"Arm it and bring it into {wanted} by action/set_mode.",
+                f"in {vehicle.mode}{'' if vehicle.armed else ', disarmed,'} the vehicle accepts no set-points",
+                remedy=f"Arm it and set mode {wanted} with action/set_mode.",
             )  # fmt: skip
         if vehicle.landed is True and family.flies:
             raise PreconditionFailed("the vehicle is on the ground", remedy="Take off first.")
@@ -160,7 +160,9 @@ class Setpoints:
         before = self._vehicle.mode
         await asyncio.sleep(_LEADING / _RATE)
         if self._vehicle.mode != before:
-            raise ModeForbids(f"somebody else brought the vehicle into {self._vehicle.mode}")
+            raise ModeForbids(
+                f"another operator or a failsafe changed the mode to {self._vehicle.mode}"
+            )
         await self._motion.to_mode(self._vehicle.family.led)
 
     async def offboard(self) -> None:

@@ -41,7 +41,7 @@ _LEVEL = 3.0  # s for a mode without a position to prove that it holds
 _LANDING = 600.0  # s
 _DISARMING = 2.0  # s for a vehicle on the ground to disarm when told to
 _FORGOTTEN = 2.0  # s without a call, after which the next stop begins with the first step
-_LOOK = 0.05  # s
+_POLL_PERIOD = 0.05  # s
 _ARM, _TERMINATE, _LOITER, _REQUEST = 400, 185, 17, 512
 _POSITION, _HEARTBEAT = 33.0, 0.0
 _ACCEPTED, _IN_PROGRESS = 0, 5
@@ -83,7 +83,7 @@ class Stop:
         self._at = 0
         """The step that has been reached: those before it were refused or did not do."""
         self._tried: list[str] = []
-        self._called = self._sent = self._asked = self._failed = -math.inf
+        self._called = self._sent = self._requested = self._failed = -math.inf
         self._shown = -math.inf
         """A heartbeat from before it proves nothing."""
         self._was_latched = False
@@ -173,8 +173,8 @@ class Stop:
             elif self._vehicle.armed and self._measurement.standing:
                 if now - self._sent >= _AGAIN:
                     self._send(self.rung)
-            elif self._vehicle.armed and now - self._asked >= _REMIND:
-                self._ask(_HEARTBEAT)
+            elif self._vehicle.armed and now - self._requested >= _REMIND:
+                self._request(_HEARTBEAT)
 
     def doubt(self) -> None:
         """Believe nothing that was known of it: it was not heard for a while."""
@@ -234,12 +234,14 @@ class Stop:
         check_fence()
         self._vehicle.check()
         self._end_setpoints()
-        if self._measurement.disarmed or (self._measurement.heard and self._measurement.standing):
+        if self._measurement.disarmed or (
+            self._measurement.has_heartbeat and self._measurement.standing
+        ):
             return
         family = self._vehicle.family
         rungs = ladder(("hold", "level"), family, hovering=self._vehicle.hovering)
         if not rungs:
-            raise NotImplementedByRobot(f"a {family.kind} has no mode to hold in")
+            raise NotImplementedByRobot(f"a {family.kind} has no holding mode")
         self._shown = time.monotonic()
         at, tried = await self._climb(rungs, 0, lambda *_: None, pause=True)
         if at is None:
@@ -301,7 +303,7 @@ class Stop:
                 if attempt.refusals >= _REFUSALS:
                     return await self._reasons(attempt.began)
                 before = self._signature(attempt)
-                await vehicle.until(lambda b=before: self._signature(attempt) != b, _LOOK)
+                await vehicle.until(lambda b=before: self._signature(attempt) != b, _POLL_PERIOD)
 
     def _check(self, attempt: _Attempt, now: float) -> str | None:
         """Go on with a step by what is known; return the empty text at rest, or why it failed."""
@@ -322,7 +324,7 @@ class Stop:
             attempt.refusals = 0
             if attempt.taken is None:
                 attempt.taken, self._taken = now, self._taken or not attempt.pause
-                self._ask(_POSITION)
+                self._request(_POSITION)
             if self._rests(rung, since=attempt.taken):
                 return ""
             return self._too_long(rung, now - attempt.taken)
@@ -338,7 +340,7 @@ class Stop:
         if pause:
             check_fence()
             if self.running:
-                raise EstopActive("the vehicle was stopped meanwhile")
+                raise EstopActive("the vehicle was stopped in the meantime")
             return
         latched = self._latched()
         if self._was_latched and not latched:
@@ -352,8 +354,8 @@ class Stop:
 
     async def _reasons(self, since: float) -> str:
         await asyncio.sleep(_LATE_ANSWERS)
-        said = self._vehicle.texts_since(since)
-        return f"refused ({said[-1]})" if said else "refused"
+        texts = self._vehicle.texts_since(since)
+        return f"refused ({texts[-1]})" if texts else "refused"
 
     def _too_long(self, rung: Rung, seconds: float) -> str | None:
         """Say why a step that is in force does not do; None: it may yet.
@@ -373,7 +375,7 @@ class Stop:
             return None
         detail = measurement.rest(rung).detail
         if rung.group == "hold" and measurement.estimated and measurement.speed is None:
-            raise DeviceTimeout(f"{rung.word} is in force, but {detail}")
+            raise DeviceTimeout(f"{rung.word} is active, but {detail}")
         return f"after {seconds:.0f} s: {detail}"
 
     # Evidence
@@ -388,7 +390,7 @@ class Stop:
         return self._vehicle.came.get("HEARTBEAT", -math.inf) > self._shown
 
     def _in_force(self, rung: Rung) -> bool:
-        shown = self._measurement.heard and self._heartbeat_counts()
+        shown = self._measurement.has_heartbeat and self._heartbeat_counts()
         return shown and bool(rung.mode) and self._vehicle.mode == rung.mode
 
     def _lands_itself(self, rung: Rung) -> bool:
@@ -398,7 +400,9 @@ class Stop:
         """
         held = self._taken and rung.group in ("hold", "level")
         land = self._vehicle.family.land
-        return held and bool(land) and self._vehicle.mode == land and self._measurement.heard
+        return (
+            held and bool(land) and self._vehicle.mode == land and self._measurement.has_heartbeat
+        )
 
     def _rests(self, rung: Rung | None = None, since: float = -math.inf) -> bool:
         rung = rung or self.rung
@@ -418,20 +422,20 @@ class Stop:
         One that is disarmed, as far as is known, is asked only: a mode would outlast the stop.
         """
         vehicle, now = self._vehicle, time.monotonic()
-        if vehicle.armed and self._asks_first(now):
-            self._ask(_HEARTBEAT)
+        if vehicle.armed and self._needs_mode_first(now):
+            self._request(_HEARTBEAT)
             return
         self._sent = now
         if vehicle.armed and not self._lands_itself(rung):
             standing = self._measurement.standing
-            self._commands.tell(_STAND if standing else _command(rung, vehicle))
+            self._commands.send_once(_STAND if standing else _command(rung, vehicle))
             if not standing and vehicle.family.px4 and rung.group == "hold":
-                self._commands.tell(PAUSE_PX4)
+                self._commands.send_once(PAUSE_PX4)
             if rung.group == "terminate":
-                self._commands.tell(_FALL)
-        self._ask(_HEARTBEAT)
+                self._commands.send_once(_FALL)
+        self._request(_HEARTBEAT)
 
-    def _asks_first(self, now: float) -> bool:
+    def _needs_mode_first(self, now: float) -> bool:
         """Tell whether its mode has to be known first: it may have begun to land by itself.
 
         Only once the stop was in force, and not for long: it may not answer.
@@ -445,9 +449,9 @@ class Stop:
             self._unsure = now
         return now - self._unsure < _ANSWER
 
-    def _ask(self, message: float) -> None:
-        self._asked = time.monotonic()
-        self._commands.tell(Command(_REQUEST, (message, 0.0, 0.0, 0.0)))
+    def _request(self, message: float) -> None:
+        self._requested = time.monotonic()
+        self._commands.send_once(Command(_REQUEST, (message, 0.0, 0.0, 0.0)))
 
 
 def _command(rung: Rung, vehicle: Vehicle) -> Command:

@@ -39,7 +39,7 @@ class GuardPlan:
         why = self._why_not(self._address())
         if why:
             return Watchdog(f"guard process: none, {why}", None, robot=self._robot)
-        return Watchdog("guard process: the mode that holds, over UDP", _WITHIN, robot=self._robot)
+        return Watchdog("guard process: holding mode, over UDP", _WITHIN, robot=self._robot)
 
     def renew(self) -> None:
         """Give the guard another plan where the address, the vehicle or the stop has changed."""
@@ -95,7 +95,7 @@ class GuardPlan:
 
     def _why_not(self, address: tuple[str, int] | None) -> str:
         if self._hub.config.key is not None:
-            return "the link is signed, and frames cannot be signed beforehand"
+            return "the link is signed, and frames cannot be signed in advance"
         return "" if address is not None else "the link is not UDP"
 
     def _frames(self, rung: Rung) -> list[bytes]:

@@ -40,5 +40,5 @@ class Texts:
     def _note(self, vehicle: Vehicle, severity: int, text: str) -> None:
         said = Text(time.monotonic(), severity, text)
         vehicle.texts.append(said)
-        for tell in vehicle.on_text:
-            tell(said)
+        for callback in vehicle.on_text:
+            callback(said)

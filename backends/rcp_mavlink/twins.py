@@ -54,12 +54,12 @@ async def keep_twin(options: dict[str, object], port: int, failed: Callable[[str
         assert process.stderr is not None
         try:
             process.stdin.write(line + b"\n")
-            said = await process.stderr.read()
+            output = await process.stderr.read()
             status = await process.wait()
         finally:
             await _end(process)
-        last = said.decode(errors="replace").strip().rpartition("\n")[2]
-        failed(f"the simulated vehicle ended with {status}: {last}")
+        last = output.decode(errors="replace").strip().rpartition("\n")[2]
+        failed(f"the simulated vehicle exited with {status}: {last}")
         await asyncio.sleep(_AGAIN)
 
 

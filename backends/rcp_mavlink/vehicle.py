@@ -56,7 +56,7 @@ class Vehicle:
         self.came: dict[str, float] = {}
         """When the latest of each message came, on the monotonic clock."""
         self._stamps: dict[str, bytes] = {}
-        self.heard = time.monotonic()
+        self.last_message_at = time.monotonic()
         self.routes: dict[tuple[int, Any], tuple[Any, Any, float]] = {}
         """Links and addresses it was heard over, with the time."""
         self.texts: deque[Text] = deque(maxlen=_TEXTS)
@@ -78,7 +78,7 @@ class Vehicle:
         definition = frame.definition
         name, number = definition.name, definition.id
         self.latest[name] = frame
-        self.heard = now
+        self.last_message_at = now
         if not self._is_repeated(name, frame):
             self.came[name] = now
         if number == 0:
@@ -87,8 +87,8 @@ class Vehicle:
         if listeners:
             for listener in list(listeners):
                 listener(frame)
-        for tell in self.on_frame:
-            tell(frame)
+        for callback in self.on_frame:
+            callback(frame)
         if self._waiters:
             self._poll()
 
@@ -213,7 +213,7 @@ class Vehicle:
         :raises AdapterUnavailable: it is not.
         """
         if self.lost:
-            raise AdapterUnavailable(f"nothing is heard of vehicle {self.system}")
+            raise AdapterUnavailable(f"no message from vehicle {self.system}")
 
     async def until(self, holds: Callable[[], bool], seconds: float | None = None) -> bool:
         """Wait until something holds, looked at with each frame; tell whether it came to.

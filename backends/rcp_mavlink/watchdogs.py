@@ -96,7 +96,9 @@ class Watchdogs:
         log.info("watchdog_set", vehicle=self._vehicle.system, parameter=name, value=value)
         return name, value
 
-    def _told(self, what: str, failsafe: _Failsafe, switch: tuple[str, float] | None) -> Watchdog:
+    def _described(
+        self, what: str, failsafe: _Failsafe, switch: tuple[str, float] | None
+    ) -> Watchdog:
         if switch is None:
             return Watchdog(
                 f"{what}: the vehicle has no {failsafe.switches[0]}", None, robot=self._robot
@@ -115,8 +117,8 @@ class Watchdogs:
         kind = self._vehicle.family.kind
         actions = {"copter": _COPTER, "sub": _SUB}.get(kind, _ENABLED)
         failsafe = _Failsafe(_STATION, _STATION_TIMERS, 5.0, actions)
-        told = self._told("ArduPilot GCS failsafe", failsafe, await self._on(failsafe))
-        found = [self._limited(told)]
+        watchdog = self._described("ArduPilot GCS failsafe", failsafe, await self._on(failsafe))
+        found = [self._limited(watchdog)]
         if (timeout := self._value("GUID_TIMEOUT")) is not None:
             found.append(
                 Watchdog(
@@ -129,42 +131,42 @@ class Watchdogs:
             found.append(Watchdog(text, 3.0, robot=self._robot))
         return found
 
-    def _limited(self, told: Watchdog) -> Watchdog:
+    def _limited(self, watchdog: Watchdog) -> Watchdog:
         """Take a failsafe for none that does not listen to this gateway, or does nothing."""
-        if told.within is None:
-            return told
+        if watchdog.within is None:
+            return watchdog
         own, obeyed = self._config.source_system, self._value(*_OBEYED)
         if obeyed is not None:
             last = self._value(_OBEYED_TO)
             most = max(obeyed[1], 0.0 if last is None else last[1])
             if not obeyed[1] <= own <= most:
                 return Watchdog(
-                    f"{told.mechanism}, but it heeds another ground station ({obeyed[0]}="
+                    f"{watchdog.mechanism}, but it accepts another ground station ({obeyed[0]}="
                     f"{obeyed[1]:g}, the gateway is {own})", None, verified=True, robot=self._robot,
                 )  # fmt: skip
         for name in ("FS_LONG_ACTN", "FS_ACTION"):
             action = self._value(name)
             if action is not None and not action[1] and self._vehicle.family.kind != "copter":
-                text = f"{told.mechanism}, but it does nothing ({name}=0)"
+                text = f"{watchdog.mechanism}, but it does nothing ({name}=0)"
                 return Watchdog(text, None, verified=True, robot=self._robot)
         options = self._value("FS_OPTIONS")
         if options is None or self._vehicle.family.kind != "copter":
-            return told
+            return watchdog
         excepted = {
-            _CONTINUE_IN_AUTO: "a mission goes on",
-            _CONTINUE_IF_PILOTED: "one that holds (BRAKE, LOITER) goes on holding",
+            _CONTINUE_IN_AUTO: "a mission continues",
+            _CONTINUE_IF_PILOTED: "a vehicle in BRAKE or LOITER keeps holding",
         }
         but = [why for bit, why in excepted.items() if int(options[1]) & bit]
         if but:
-            text = f"{told.mechanism}, but {' and '.join(but)} (FS_OPTIONS={options[1]:g})"
-            return Watchdog(text, told.within, verified=True, robot=self._robot)
-        return told
+            text = f"{watchdog.mechanism}, but {' and '.join(but)} (FS_OPTIONS={options[1]:g})"
+            return Watchdog(text, watchdog.within, verified=True, robot=self._robot)
+        return watchdog
 
     # PX4
 
     async def _of_px4(self) -> list[Watchdog]:
         link = _Failsafe(("NAV_DLL_ACT",), ("COM_DL_LOSS_T",), 10.0, _PX4)
-        found = [self._told("PX4 data link loss", link, await self._on(link))]
+        found = [self._described("PX4 data link loss", link, await self._on(link))]
         timer, action = self._value("COM_OF_LOSS_T"), self._value("COM_OBL_RC_ACT", "COM_OBL_ACT")
         if timer is not None:
             does = "" if action is None else f", {action[0]}={action[1]:g}"

@@ -18,13 +18,13 @@ from rcp_kernel.errors import ConfigError
 __all__ = ["module_of"]
 
 _PATIENCE = 120.0  # s
-_TOLD = 400  # characters of what the generator complains of
+_EXCERPT = 400  # characters of what the generator complains of
 _GENERATE = """
 import sys
 from pymavlink.generator import mavgen
 xml, out = sys.argv[1:]
 options = mavgen.Opts(out, wire_protocol="2.0", language="Python3", validate=True)
-sys.exit(0 if mavgen.mavgen(options, [xml]) else "ERROR: names or ids are given twice")
+sys.exit(0 if mavgen.mavgen(options, [xml]) else "ERROR: duplicate names or ids")
 """
 _WORD = re.compile(r"\W")
 _made = itertools.count()
@@ -38,7 +38,7 @@ def module_of(path: Path) -> Any:
     :raises ConfigError: it is not there, or is no dialect.
     """
     if not path.is_file():
-        raise ConfigError(f"`dialect`: there is no file {path}")
+        raise ConfigError(f"`dialect`: no such file: {path}")
     with tempfile.TemporaryDirectory(prefix="rcp-dialect-") as folder:
         room = Path(folder)
         for own in files("pymavlink.dialects.v20").iterdir():
@@ -58,18 +58,18 @@ def _generate(path: Path, copy: Path, out: Path) -> None:
             command, capture_output=True, text=True, timeout=_PATIENCE, check=False
         )
     except subprocess.TimeoutExpired as error:
-        raise ConfigError(f"`dialect`: {path} was not read in {_PATIENCE:g} s") from error
+        raise ConfigError(f"`dialect`: reading {path} took longer than {_PATIENCE:g} s") from error
     if done.returncode != 0 or not out.is_file():
         why = _complaint(f"{done.stdout}\n{done.stderr}".replace(str(copy.parent) + "/", ""))
         raise ConfigError(f"`dialect`: {path} is not a dialect: {why}")
 
 
-def _complaint(said: str) -> str:
+def _complaint(output: str) -> str:
     """Return the lines that tell what is wrong, without the way that led there."""
-    lines = [line.strip() for line in said.splitlines()]
+    lines = [line.strip() for line in output.splitlines()]
     lines = [line for line in lines if line and not line.startswith('File "')]
     wrong = [line for line in lines if "ERROR" in line.upper()]
-    return "; ".join(wrong[-3:] or lines[-1:])[:_TOLD]
+    return "; ".join(wrong[-3:] or lines[-1:])[:_EXCERPT]
 
 
 def _imported(path: Path, out: Path) -> Any:

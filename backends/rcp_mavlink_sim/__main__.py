@@ -16,38 +16,44 @@ from rcp_mavlink_sim.parameters_table import table
 def _arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(
         prog="python -m rcp_mavlink_sim",
-        description="A simulated vehicle of ArduPilot that speaks MAVLink 2, without any hardware.",
+        description="A simulated ArduPilot vehicle that speaks MAVLink 2.",
     )
     parser.add_argument(
         "--link",
         action="append",
         metavar="KIND:HOST:PORT",
-        help="udpout (call a ground station), udpin or tcpin (wait for one); may be given more "
-        "than once; default udpout:127.0.0.1:14550 and tcpin:127.0.0.1:5760",
+        help="udpout (connect to a ground station), udpin or tcpin (listen for one); repeatable; "
+        "default udpout:127.0.0.1:14550 and tcpin:127.0.0.1:5760",
     )
     parser.add_argument("--vehicle", choices=tuple(KINDS), default="copter")
-    parser.add_argument("--system", type=int, default=1, help="MAVLink system id of the first one")
     parser.add_argument(
-        "--count", type=int, default=1, help="so many vehicles; they share udpout links only"
+        "--system", type=int, default=1, help="MAVLink system id of the first vehicle"
+    )
+    parser.add_argument(
+        "--count", type=int, default=1, help="number of vehicles; they share udpout links only"
     )
     parser.add_argument(
         "--home", default="-35.3632621,149.1652374,584", help="lat,lon,height (deg, m)"
     )
     parser.add_argument("--heading", type=float, default=0.0, help="deg")
-    parser.add_argument("--speed", type=float, default=1.0, help="simulated seconds in a real one")
     parser.add_argument(
-        "--warmup", type=float, default=40.0, help="simulated s until it can be armed"
+        "--speed", type=float, default=1.0, help="simulated seconds per real second"
     )
-    parser.add_argument("--wind", default="0,0", help="where it blows to, m/s north,east")
-    parser.add_argument("--charge", type=float, default=1.0, help="of the battery, 0 to 1")
     parser.add_argument(
-        "--noise", type=float, default=1.0, help="of the sensors, times the usual one"
+        "--warmup", type=float, default=40.0, help="simulated seconds until it can be armed"
     )
-    parser.add_argument("--seed", type=int, default=0, help="of the noise")
+    parser.add_argument("--wind", default="0,0", help="direction it blows towards, m/s north,east")
+    parser.add_argument(
+        "--charge", type=float, default=1.0, help="initial charge of the battery, 0 to 1"
+    )
+    parser.add_argument("--noise", type=float, default=1.0, help="scale of the sensor noise")
+    parser.add_argument("--seed", type=int, default=0, help="seed of the noise")
     parser.add_argument("--param", action="append", default=[], metavar="NAME=VALUE")
-    parser.add_argument("--streaming", action="store_true", help="send telemetry unasked")
-    parser.add_argument("--latency", type=float, default=0.0, help="of all it sends, s")
-    parser.add_argument("--key", help="passphrase to sign with, as ground stations take it")
+    parser.add_argument("--streaming", action="store_true", help="send telemetry without a request")
+    parser.add_argument(
+        "--latency", type=float, default=0.0, help="delay of everything it sends, s"
+    )
+    parser.add_argument("--key", help="passphrase for signing, as in ground stations")
     return parser.parse_args()
 
 

@@ -19,4 +19,4 @@ __all__ = ["PROFILE", "Mapping", "Qos", "Ros2Backend", "Ros2Config", "open_ros2"
 @hookimpl
 def rcp_backends() -> Iterable[BackendKind]:
     """Offer the graph of a ROS 2 domain."""
-    return [BackendKind("ros2", Ros2Config, open_ros2, "Robots that speak ROS 2.")]
+    return [BackendKind("ros2", Ros2Config, open_ros2, "ROS 2 robots.")]

@@ -59,7 +59,7 @@ class Run(Binding):
             **common(
                 name,
                 mapping,
-                f"Runs action {mapping.target} ({type_name}).",
+                f"Action {mapping.target} ({type_name}).",
                 action=mapping.target,
                 type=type_name,
             ),
@@ -98,13 +98,13 @@ class Run(Binding):
         await self.shared.present("action", self.mapping.target)
         if await self.shared.ros.call(self._is_silent):
             raise AdapterUnavailable(
-                f"the node that offers action {self.mapping.target} does not answer any more",
-                remedy="Check the robot's node; it may have crashed, or be busy for too long.",
+                f"the node of action {self.mapping.target} no longer responds",
+                remedy="Check the robot's node; it may have crashed or be blocked.",
             )
         end = time.monotonic() + _MATCH
         while not await self.shared.ros.call(self.is_ready):
             if time.monotonic() >= end:
-                raise AdapterUnavailable(f"no server of {self.mapping.target} can be reached")
+                raise AdapterUnavailable(f"no server of {self.mapping.target} is available")
             await asyncio.sleep(_PAUSE)
 
     async def need_feedback(self) -> None:
@@ -115,13 +115,13 @@ class Run(Binding):
         if self.mapping.feedback is None:
             return
 
-        def heard() -> bool:
+        def has_feedback() -> bool:
             return self.feedback is not None and self.feedback.is_fresh()
 
-        if not await self.shared.until(heard, self.shared.settling):
+        if not await self.shared.until(has_feedback, self.shared.settling):
             why = self.feedback.missing() if self.feedback is not None else "no feedback yet"
             raise AdapterUnavailable(
-                f"{why}: {self.mapping.target} gets no goal without it",
+                f"{why}: {self.mapping.target} accepts no goals without feedback",
                 remedy="Check the node that publishes it.",
             )
 
@@ -187,11 +187,11 @@ class Goal:
         self._answers = 0
         """How often the node had answered when it was first asked about this goal."""
         self._servers: frozenset[bytes] = frozenset()
-        self._heard = time.monotonic()
+        self._last_message_at = time.monotonic()
         self._seen: Any = None
         """The goal's handle, as the ROS thread has it."""
         self._sent = False
-        self._asked = False
+        self._result_requested = False
         self._abandoned = False
         self._stopping = False
         self._id = uuid.uuid4().bytes
@@ -229,9 +229,9 @@ class Goal:
         if not handle.accepted:
             raise DeviceRejected(
                 f"the server of {self._name} rejected the goal",
-                remedy="Send a goal that the robot can reach from where it is.",
+                remedy="Send a goal that the robot can reach from its current position.",
             )
-        await self._ros.call(self._ask_result, handle)
+        await self._ros.call(self._request_result, handle)
 
     async def _follow(self) -> Any:
         pause = _FIRST_POLL
@@ -266,18 +266,19 @@ class Goal:
         if self._result.done:
             return
         if not ready:
-            raise AdapterUnavailable(f"the server of {self._name} has gone while it ran the goal")
+            raise AdapterUnavailable(
+                f"the server of {self._name} disappeared while it ran the goal"
+            )
         pulse = self._pulse
         if pulse is None:
             return
-        silent = time.monotonic() - max(self._heard, pulse.heard)
+        silent = time.monotonic() - max(self._last_message_at, pulse.last_response)
         # A server that blocks its node while it works cannot answer, and is not dead for that:
         # only one that has answered while it ran this goal is missed.
         if pulse.answers > self._answers and silent > self._run.silence:
             raise DeviceTimeout(
-                f"the server of {self._name} has fallen silent for {silent:.1f} s while it ran "
-                "the goal",
-                remedy="Check the robot's node; look at the robot's state before the next goal.",
+                f"the server of {self._name} sent nothing for {silent:.1f} s while it ran the goal",
+                remedy="Check the robot's node, and the robot's state before the next goal.",
             )
 
     def _outcome(self, status: int, value: Any) -> Any:
@@ -286,17 +287,17 @@ class Goal:
         details = {"result": msgspec.to_builtins(value)} if value is not None else None
         if status == _ABORTED:
             words = ("error_msg", "error_message", "error_string", "message", "status_message")
-            said = next((w for w in (getattr(value, key, None) for key in words) if w), None)
-            why = f": {said}" if said else ""
+            reason = next((w for w in (getattr(value, key, None) for key in words) if w), None)
+            why = f": {reason}" if reason else ""
             raise DeviceRejected(f"{self._name} aborted the goal{why}", details=details)
         if status == _CANCELED:
             if self._stopping:
                 raise Cancelled(f"{self._name} was stopped")
             raise DeviceRejected(
-                f"{self._name} cancelled the goal by itself, or for somebody else", details=details
+                f"{self._name} cancelled the goal itself, or for another client", details=details
             )
         raise AdapterUnavailable(
-            f"the server of {self._name} was restarted and does not know the goal any more"
+            f"the server of {self._name} was restarted and no longer knows the goal"
         )
 
     async def _cancelled(self) -> tuple[Any] | None:
@@ -318,22 +319,24 @@ class Goal:
         if not await self._accepted.wait(_LATE):
             self._abandon()
             raise DeviceTimeout(
-                f"the server of {self._name} has not answered to the goal yet",
-                remedy="The goal is cancelled as soon as it is accepted; look at the robot's node.",
+                f"the server of {self._name} has not responded to the goal yet",
+                remedy="The goal will be cancelled as soon as it is accepted; check the robot's node.",
             )
         handle = self._accepted.result()
         if not handle.accepted:
             return False
         answer = Ticket(self._run.shared.host)
-        await self._ros.call(self._ask_cancel, handle, answer)
+        await self._ros.call(self._request_cancel, handle, answer)
         end = time.monotonic() + _REST
         await answer.wait(_REST)
         if answer.done and _is_refused(answer.result()) and not await self._result.wait(_RACE):
-            raise DeviceRejected(f"the server of {self._name} refuses to cancel; the goal goes on")
+            raise DeviceRejected(
+                f"the server of {self._name} refuses to cancel; the goal continues"
+            )
         if not await self._result.wait(max(0.0, end - time.monotonic())):
             self._abandon()
             raise DeviceTimeout(
-                f"the cancel of {self._name} was sent and is not confirmed",
+                f"the cancel of {self._name} was sent but is not confirmed",
                 remedy="Check the robot: it may still be moving. Use the e-stop if in doubt.",
             )
         return True
@@ -351,7 +354,7 @@ class Goal:
         self._run.shared.sent(id_)
         future = self._run.client.send_goal_async(
             self._message,
-            feedback_callback=hearing(self._fed_back),
+            feedback_callback=hearing(self._on_feedback),
             goal_uuid=UUID(uuid=list(id_)),
         )
         future.add_done_callback(hearing(self._admitted))
@@ -373,8 +376,8 @@ class Goal:
         if handle is not None and handle.accepted and self._run.client is not None:
             handle.cancel_goal_async()
 
-    def _ask_result(self, handle: Any) -> None:
-        self._asked = True
+    def _request_result(self, handle: Any) -> None:
+        self._result_requested = True
         read = self._run.read_result
 
         def convert(response: Any) -> tuple[int, Any]:
@@ -382,13 +385,13 @@ class Goal:
 
         self._result.follow(handle.get_result_async(), convert)
 
-    def _ask_cancel(self, handle: Any, answer: Ticket) -> None:
+    def _request_cancel(self, handle: Any, answer: Ticket) -> None:
         answer.follow(handle.cancel_goal_async())
-        if not self._asked:  # the cancel came between acceptance and this question
-            self._ask_result(handle)
+        if not self._result_requested:  # the cancel came between acceptance and this question
+            self._request_result(handle)
 
-    def _fed_back(self, message: Any) -> None:
-        self._heard = time.monotonic()
+    def _on_feedback(self, message: Any) -> None:
+        self._last_message_at = time.monotonic()
         if self._run.read_feedback is not None:
             self._ros.host.call_soon(self._progress, self._run.read_feedback(message.feedback))
 
@@ -396,9 +399,9 @@ class Goal:
         servers = self._run.servers()
         if servers - self._servers:  # a new server knows nothing of this goal, and says so
             self._servers |= servers
-            self._ask_result(self._seen)
+            self._request_result(self._seen)
         pulse = self._run.pulse()
         if pulse is not self._pulse and pulse is not None:
             self._pulse, self._answers = pulse, pulse.answers
-            pulse.ask()
+            pulse.ping()
         return self._run.is_ready()

@@ -56,7 +56,7 @@ class Fetch(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         Meta(
             min_length=1,
             max_length=1024,
-            description="As the robot's description has it, or of a file that one of those names: "
+            description="URI from the robot's description, or from a file that it refers to: "
             "package://my_robot/meshes/base.stl.",
         ),
     ]
@@ -84,20 +84,22 @@ def find(uri: str, packages: Iterable[str], config: AssetsConfig) -> Path:
     """
     found = _URI.fullmatch(uri)
     if found is None:
-        raise _wrong(f"{uri!r} is no package://<package>/<file>", "Write it as the description.")
+        raise _wrong(
+            f"{uri!r} is not package://<package>/<file>", "Use a URI from the robot's description."
+        )
     package, rest = found.groups()
     parts = rest.split("/")
     if not all(part.strip(". ") for part in parts):  # nothing empty, and neither `.` nor `..`
-        raise _wrong(f"{uri!r} is no plain way to a file", "Leave out `.`, `..` and empty parts.")
+        raise _wrong(f"{uri!r} is not a plain path to a file", "Remove `.`, `..` and empty parts.")
     if package not in packages:
         named = ", ".join(sorted(packages)) or "none"
         raise _wrong(
-            f"the robot's description does not name the package '{package}'",
-            f"Ask for files of those that it names: {named}.",
+            f"the robot's description does not refer to the package '{package}'",
+            f"Request files of the packages in the description: {named}.",
         )
     if PurePosixPath(parts[-1]).suffix.lower() not in MEDIA:
         raise _wrong(
-            f"'{parts[-1]}' is no mesh or texture", f"Ask for one of these: {', '.join(MEDIA)}."
+            f"'{parts[-1]}' is not a mesh or texture", f"Supported types: {', '.join(MEDIA)}."
         )
     return _within(_folder(package, config), rest, package, config.size)
 
@@ -114,13 +116,13 @@ def _within(folder: Path, rest: str, package: str, most: int) -> Path:
     if not there or file.suffix.lower() not in MEDIA:
         raise DeviceRejected(
             f"the package '{package}' has no file '{rest}'",
-            remedy=f"Look into its folder; where that is linked together from others, name the "
-            f"folder of the files themselves in assets.paths.{package}.",
+            remedy=f"Check its folder; if it consists of links, set the "
+            f"folder with the files themselves in assets.paths.{package}.",
         )
     if size > most:
         raise PayloadTooLarge(
-            f"'{rest}' has {size} bytes, and {most} are allowed",
-            remedy="Make the mesh smaller, or raise `assets.size` of the backend.",
+            f"'{rest}' has {size} bytes; the limit is {most}",
+            remedy="Reduce the mesh, or raise `assets.size` of the backend.",
             details={"size": size, "limit": most},
         )
     return file
@@ -137,7 +139,7 @@ def _folder(package: str, config: AssetsConfig) -> Path:
     except (ImportError, LookupError, ValueError, OSError) as error:
         raise AdapterUnavailable(
             f"the package '{package}' is not on the gateway's machine: {error}",
-            remedy=f'Install it there, or say where its files are: assets.paths.{package} = "…".',
+            remedy=f'Install it there, or set the folder of its files: assets.paths.{package} = "…".',
         ) from None
 
 
@@ -172,7 +174,7 @@ class Fetching(Binding):
         """Those that the description names; None before it was heard."""
         self._follows = False
         self._key = f"{mapping.target} assets"
-        text = f"Returns a mesh or texture of a package that {mapping.target} names"
+        text = f"Return a mesh or texture of a package that {mapping.target} refers to"
         facts = common(name, mapping, text, topic=mapping.topic)
         super().__init__(shared, Resource(input=Fetch, output=Asset, **facts), mapping)
 
@@ -200,8 +202,8 @@ class Fetching(Binding):
         patience = self.shared.settling + self.timeout
         if not await self.shared.until(lambda: self._packages is not None, patience):
             raise DeviceTimeout(
-                f"nobody told {self.mapping.target} within {patience:.1f} s",
-                remedy="Start the node that publishes it, such as robot_state_publisher.",
+                f"no {self.mapping.target} received within {patience:.1f} s",
+                remedy="Start the node that publishes it, for example robot_state_publisher.",
             )
         packages = self._packages or ()
         file = await asyncio.to_thread(find, value.uri, packages, self.shared.config.assets)

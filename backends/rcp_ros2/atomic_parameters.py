@@ -30,7 +30,7 @@ class AtomicParameters(Binding):
         self._node = node
         self._kinds = {f"p{n}": one for n, one in enumerate(described)}
         """A parameter's name need not be one of Python's."""
-        text = f"Sets parameters of {node.node} together: all of them, or none"
+        text = f"Set parameters of {node.node} atomically: all of them, or none"
         facts = common(name, mapping, text, node=node.node)
         super().__init__(shared, Resource(input=self._input(mapping), **facts), mapping)
 
@@ -59,6 +59,6 @@ class AtomicParameters(Binding):
         }
         if not wanted:
             raise InvalidValue(
-                "no parameter is named", remedy="Name at least one, with its new value."
+                "no parameter given", remedy="Give at least one parameter with its new value."
             )
         await self._node.set_together(wanted)

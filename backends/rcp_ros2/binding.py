@@ -87,7 +87,7 @@ class Binding:
 
     def late(self, what: str) -> DeviceTimeout:
         """Say that an answer did not come."""
-        return DeviceTimeout(f"{what} did not answer within {self.timeout:g} s")
+        return DeviceTimeout(f"{what} did not respond within {self.timeout:g} s")
 
 
 class Absent(Binding):

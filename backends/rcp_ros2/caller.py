@@ -51,13 +51,13 @@ class Caller:
         """
         await self._link.present(*self._presence)
         until = time.monotonic() + min(limit, _MATCH)
-        while (answer := await self._ask(request, limit)) is _UNMATCHED:
+        while (answer := await self._request(request, limit)) is _UNMATCHED:
             if time.monotonic() >= until:
-                raise AdapterUnavailable(f"no server of {self._name} can be reached")
+                raise AdapterUnavailable(f"no server of {self._name} is available")
             await asyncio.sleep(_PAUSE)
         return answer
 
-    async def _ask(self, request: Any, limit: float) -> Any:
+    async def _request(self, request: Any, limit: float) -> Any:
         """Go to the thread once, to look for the server and to ask it: a turn costs 0.1 ms."""
         ticket = Ticket(self._link.host)
         sent: list[Any] = []
@@ -74,8 +74,8 @@ class Caller:
             if await ticket.wait(min(left, _POLL)):
                 return ticket.result()
             if not self._link.graph.has(*self._presence):
-                raise AdapterUnavailable(f"the node that offers {self._name} has gone")
-        raise DeviceTimeout(f"service {self._name} did not answer within {limit:g} s")
+                raise AdapterUnavailable(f"the node that offers {self._name} has disappeared")
+        raise DeviceTimeout(f"service {self._name} did not respond within {limit:g} s")
 
     def _send(self, request: Any, ticket: Ticket, sent: list[Any]) -> None:
         try:

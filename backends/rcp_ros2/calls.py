@@ -91,9 +91,9 @@ def calls_of(shared: Shared, name: str, mapping: Mapping, type_: str) -> Binding
     """
     service = mapping.target
     event = load(f"{type_}_Event", "srv")
-    text = f"What service {service} is asked and answers, by whomever."
+    text = f"Calls of service {service} and their responses, from any client."
     facts = common(name, mapping, text, service=service, type=type_)
     codec = _Steps(load(type_, "srv"), event)
     resource = Resource(value=codec.type, native=f"{type_}_Event", live=True, **facts)
-    told = msgspec.structs.replace(mapping, service=None, topic=f"{service}{CALLS}")
-    return Observed(shared, resource, told, event, codec)
+    observed = msgspec.structs.replace(mapping, service=None, topic=f"{service}{CALLS}")
+    return Observed(shared, resource, observed, event, codec)

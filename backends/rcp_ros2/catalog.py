@@ -79,7 +79,7 @@ class Catalog:
             Pictures(shared, self.bindings),
             Assets(shared, wanted.matters),
         )
-        shared.look_again = lambda: self.update(shared.graph)
+        shared.refresh = lambda: self.update(shared.graph)
 
         self._gone: dict[str, float] = {}
         """Exposed names that the graph does not have any more, with the time it was noticed."""
@@ -91,7 +91,7 @@ class Catalog:
         """When to try again what could not be made."""
         self._building: set[str] = set()
         self._tasks: set[asyncio.Task[None]] = set()
-        self._asking = asyncio.Semaphore(_AT_ONCE)
+        self._queries = asyncio.Semaphore(_AT_ONCE)
         self.complete = asyncio.Event()
         """Set once every mapping has its binding, and what is exposed has stopped growing."""
         self._placed = 0.0
@@ -196,7 +196,7 @@ class Catalog:
             binding = self._absent(name, mapping, str(error), error.remedy)
         except ConfigError as error:
             log.warning("ros_mapping_wrong", resource=name, detail=str(error))
-            binding = self._absent(name, mapping, str(error), "Mend the mapping of this path.")
+            binding = self._absent(name, mapping, str(error), "Correct the mapping of this path.")
         except RcpError as error:
             self._later[name] = time.monotonic() + _AGAIN
             if not isinstance(self.bindings.get(name), Absent | None):
@@ -248,7 +248,7 @@ class Catalog:
         missing = set() if every else set(wanted) - {one.name for one in found}
         if missing or not found:
             raise AdapterUnavailable(
-                f"{node.node} has no parameter '{', '.join(sorted(missing))}', or no value for it "
+                f"{node.node} has no parameter '{', '.join(sorted(missing))}', or it has no value "
                 "yet",
                 remedy="Check the name with `ros2 param list`.",
             )
@@ -271,7 +271,7 @@ class Catalog:
         prefix = self._shared.naming.path("param", name) + "/"
         key = f"node {name}"
         try:
-            async with self._asking:
+            async with self._queries:
                 node = await self._node(name)
                 found = await node.describe(await node.names())
         except RcpError as error:
@@ -310,7 +310,7 @@ class Catalog:
     def _absent(self, name: str, mapping: Mapping, why: str, remedy: str) -> Absent:
         resource = Resource(
             name=name,
-            description=f"The {mapping.noun} {mapping.target}, which cannot be used now.",
+            description=f"The {mapping.noun} {mapping.target}, which is currently not available.",
             value=Any,
             input=Any,
             output=Any,
@@ -384,7 +384,7 @@ class Catalog:
             binding.close()
 
 
-_START_IT = "Start the node that has it, or name its `type` in the mapping."
+_START_IT = "Start the node that provides it, or set its `type` in the mapping."
 
 
 def _note(into: set[str], noun: str, found: Iterable[Mapping]) -> None:
@@ -394,5 +394,5 @@ def _note(into: set[str], noun: str, found: Iterable[Mapping]) -> None:
 
 def _not_seen(mapping: Mapping) -> str:
     if mapping.node is not None:
-        return f"the node {mapping.node} is not there, so that its parameters are not known yet"
-    return f"no node offers the {mapping.noun} {mapping.target}, so that its type is not known yet"
+        return f"the node {mapping.node} is not running, so its parameters are not known yet"
+    return f"no node offers the {mapping.noun} {mapping.target}, so its type is not known yet"

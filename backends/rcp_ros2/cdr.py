@@ -49,7 +49,7 @@ class Codec:
         try:
             return decoder(data)
         except (struct.error, IndexError) as error:
-            raise Malformed(f"{len(data)} bytes are no {self.name}: {error}") from None
+            raise Malformed(f"cannot decode {len(data)} bytes as {self.name}: {error}") from None
 
     def stamp(self, data: bytes) -> int | None:
         """Return the time of the message's header, ns since the epoch; None if it has none."""
@@ -122,7 +122,7 @@ class _Module:
         source = (
             "def decode(b):\n    e = len(b)\n    p = 4\n"
             + body.text()
-            + "    if p > e: raise Malformed('the message is cut short')\n"
+            + "    if p > e: raise Malformed('the message is truncated')\n"
             + f"    return {result}\n"
         )
         exec("\n".join([*self._sources, source]), self.names)  # noqa: S102 - made from types alone
@@ -285,7 +285,7 @@ class _Function:
         v = self._fresh("v")
         if is_bytes(item):
             self._lines.append(f"{v} = b[p:p + {n}]; p += {n}")
-            self._lines.append(f"if len({v}) != {n}: raise Malformed('the message is cut short')")
+            self._lines.append(f"if len({v}) != {n}: raise Malformed('the message is truncated')")
             self._mod, self._rest = 1, 0
             return v
         letter, width = WIDTHS[item.name]

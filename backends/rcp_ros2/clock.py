@@ -62,8 +62,8 @@ class Clock:
         now = time.sec * 1_000_000_000 + time.nanosec
         before, self.now = self.now, now
         if before is not None and now < before:
-            for tell in self.on_jump:
-                tell()
+            for callback in self.on_jump:
+                callback()
             jump = ClockJump(before / 1e9, now / 1e9)
             self._shared.host.call_soon(self._shared.host.publish, _EVENT, jump, now)
 
@@ -72,7 +72,7 @@ class Clock:
         if not self._wanted:
             return {}
         if not self._shared.settling:
-            text = "`use_sim_time` is set and no node publishes /clock"
+            text = "`use_sim_time` is set, but no node publishes /clock"
             runs = graph.publishers.get(_TOPIC)
             self._shared.trouble("clock", None if runs else text)
         return {
@@ -88,13 +88,13 @@ class Jumps(Binding):
     """The event that time has gone back."""
 
     def __init__(self, shared: Shared, mapping: Mapping) -> None:
-        text = "The robot's time has gone back: what is remembered by it is forgotten"
+        text = "The robot's time went back: history kept by that time is cleared"
         facts = common(_EVENT, mapping, text, topic=_TOPIC)
         super().__init__(shared, Resource(value=ClockJump, live=True, **facts), mapping)
 
     async def read(self) -> Any:
         """Say that it has not; the kernel would have answered with the last time it did."""
         raise AdapterUnavailable(
-            "the robot's time has not gone back yet",
-            remedy="Subscribe to it, and wait for it to happen.",
+            "the robot's time has not gone back so far",
+            remedy="Subscribe to it to receive the next one.",
         )

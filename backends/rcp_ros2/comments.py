@@ -111,8 +111,8 @@ def parsed(text: str) -> Comments:
     fields: dict[str, list[str]] = {}
     values: list[tuple[str, str]] = []
     for line in text.splitlines():
-        code, sign, said = line.partition("#")
-        words = said.strip("#! \t")
+        code, sign, comment = line.partition("#")
+        words = comment.strip("#! \t")
         field = _FIELD.match(code)
         if field is not None:
             if whole is None:  # what stands right above the first is said of all of it
@@ -131,8 +131,12 @@ def parsed(text: str) -> Comments:
             last.append(words)
         else:
             above.append(words)
-    joined = {name: _joined([*said, *_choices(name, values)]) for name, said in fields.items()}
-    return Comments(_joined(whole or []), {name: said for name, said in joined.items() if said})
+    joined = {
+        name: _joined([*comment, *_choices(name, values)]) for name, comment in fields.items()
+    }
+    return Comments(
+        _joined(whole or []), {name: comment for name, comment in joined.items() if comment}
+    )
 
 
 def _choices(field: str, values: list[tuple[str, str]]) -> Iterator[str]:

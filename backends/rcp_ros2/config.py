@@ -99,15 +99,15 @@ class Mapping(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
 
     def __post_init__(self) -> None:
         if self.feedback_timeout is not None and self.feedback is None:
-            raise ValueError("`feedback_timeout` goes together with `feedback`")
+            raise ValueError("`feedback_timeout` requires `feedback`")
         words = ("topic", "service", "action", "parameter", "parameters")
         if len([word for word in words if getattr(self, word)]) != 1:
             raise ValueError(
-                "say exactly one of `topic`, `service`, `action`, or `node` with `parameter` or "
+                "set exactly one of `topic`, `service`, `action`, or `node` with `parameter` or "
                 "`parameters`"
             )
         if (self.node is None) != (self.parameter is None and not self.parameters):
-            raise ValueError("`node` goes together with `parameter` or `parameters`")
+            raise ValueError("`node` requires `parameter` or `parameters`, and they require `node`")
 
     @property
     def target(self) -> str:
@@ -168,7 +168,7 @@ class Transforms(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     def __post_init__(self) -> None:
         for path in self.names:
             if not path.startswith(("sensor/", "/sensor/")):
-                raise ValueError(f"{path!r} is no sensor, and a transform is")
+                raise ValueError(f"{path!r} is not a sensor, but a transform must be one")
 
 
 class StopService(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -274,7 +274,9 @@ class Ros2Config(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
         for name, text in self.types.items():
             parse(name, text)
         if any("**" in pattern for pattern in self.robots):
-            raise ValueError("`**` in `robots` would not say where a robot's namespace ends")
+            raise ValueError(
+                "`robots` cannot contain `**`: the end of a robot's namespace would be ambiguous"
+            )
         for path, mapping in self.map.items():
             try:
                 kind = kind_of(path.removeprefix("/"))

@@ -88,7 +88,7 @@ def define_described(description: Any, sources: Iterable[Any] = ()) -> None:
 def _define(name: str, parts: list[Part]) -> None:
     bad = next((word for word in (name, *(p.name for p in parts)) if not _WORD.match(word)), None)
     if bad is not None:  # a node can say anything
-        raise MissingType(name, f"{bad[:80]!r} is no name")
+        raise MissingType(name, f"{bad[:80]!r} is not a valid name")
     package, _, leaf = name.split("/")
     kind = type(f"Metaclass_{leaf}", (_Made,), {})  # one for each type holds its support
     define_class(kind(leaf, (), {"__module__": f"{package}.msg", "parts": parts}))
@@ -130,7 +130,7 @@ def _part(type_name: str, line: str) -> Part | None:
     """Return the field of a line; None for a constant."""
     found = _LINE.match(line)
     if found is None:
-        raise BadText(f"{line!r} in the text of {type_name} is no line of a .msg file")
+        raise BadText(f"{line!r} in the text of {type_name} is not valid in a .msg file")
     if found["rest"].strip().startswith("="):
         return None
     size = int(found["size"]) if found["size"] else None
@@ -173,7 +173,7 @@ def _described(field: Any) -> Part:
         wide, bounded = _STRINGS[id_]
         text = Text(type_.string_capacity if bounded else None, wide)
         return Part(field.name, "bool", _shape(kind, size, text))
-    raise MissingType(field.name, f"the gateway does not know fields of kind {type_.type_id}")
+    raise MissingType(field.name, f"unsupported field type {type_.type_id}")
 
 
 define_text(TF_MESSAGE, "geometry_msgs/TransformStamped[] transforms")

@@ -50,7 +50,7 @@ class _Status:
     path: str
     diagnosis: Diagnosis
     stamp: int | None
-    heard: float
+    updated_at: float
     """In monotonic time."""
 
 
@@ -87,7 +87,7 @@ class _Board:
         """Changes from before the event was declared."""
         self._mapping = Mapping(topic=topic)
         self._offers = {self.event: Offer(self._mapping, self._change)}
-        shared.ros.post(shared.listen, topic, ARRAY, f"{topic} statuses", self._heard)
+        shared.ros.post(shared.listen, topic, ARRAY, f"{topic} statuses", self._on_array)
 
     def offers(self) -> dict[str, Offer]:
         """Return the paths that the topic has brought so far."""
@@ -96,7 +96,7 @@ class _Board:
     def _change(self) -> Binding:
         return Changes(self, self.event, self._mapping)
 
-    def _heard(self, array: Any) -> None:
+    def _on_array(self, array: Any) -> None:
         stamp = array.header.stamp.sec * 1_000_000_000 + array.header.stamp.nanosec
         found = [_diagnosis(status) for status in array.status]
         self.shared.host.call_soon(self._take, found, stamp if stamp > 0 else None)
@@ -113,14 +113,14 @@ class _Board:
                 self._changed(status, None)
             else:
                 was, status.diagnosis = status.diagnosis.level, diagnosis
-                status.stamp, status.heard = stamp, time.monotonic()
+                status.stamp, status.updated_at = stamp, time.monotonic()
                 self._publish(status, was)
         if fresh:
             self._full()
-            self.shared.look_again()
+            self.shared.refresh()
 
     def _full(self) -> None:
-        text = f"{self.topic} has more than {_MOST} statuses: the rest is left out"
+        text = f"{self.topic} has more than {_MOST} statuses: the others are ignored"
         self.shared.trouble(f"{self.topic} full", text if len(self.statuses) >= _MOST else None)
 
     def _new(self, diagnosis: Diagnosis, stamp: int | None) -> _Status:
@@ -159,9 +159,9 @@ class _Board:
         oldest = time.monotonic() - limit
         for status in self.statuses.values():
             was = status.diagnosis.level
-            if status.heard < oldest and was != "stale":
-                said = f"nothing heard for {limit:g} s; it was {was}"
-                text = f"{said}: {status.diagnosis.message}" if status.diagnosis.message else said
+            if status.updated_at < oldest and was != "stale":
+                text = f"no update for {limit:g} s; it was {was}"
+                text = f"{text}: {status.diagnosis.message}" if status.diagnosis.message else text
                 status.diagnosis = msgspec.structs.replace(
                     status.diagnosis, level="stale", message=text
                 )
@@ -183,7 +183,7 @@ class StatusOf(Binding):
         facts = common(
             status.path,
             mapping,
-            f"Diagnostics of {status.diagnosis.name or 'a part without a name'}.",
+            f"Diagnostics of {status.diagnosis.name or 'an unnamed component'}.",
             topic=board.topic,
             status=status.diagnosis.name,
             hardware_id=status.diagnosis.hardware_id or None,
@@ -204,9 +204,7 @@ class Changes(Binding):
     """The changes of the levels on one topic."""
 
     def __init__(self, board: _Board, name: str, mapping: Mapping) -> None:
-        text = (
-            f"A status on {board.topic} that has changed its level, or is not well from the first."
-        )
+        text = f"A status on {board.topic} changed its level, or was not OK in its first report."
         facts = common(name, mapping, text, topic=board.topic)
         super().__init__(board.shared, Resource(value=DiagnosisChange, live=True, **facts), mapping)
         self.placed = board.placed
@@ -214,6 +212,6 @@ class Changes(Binding):
     async def read(self) -> Any:
         """Say that nothing changed; the kernel would have answered with the last one."""
         raise AdapterUnavailable(
-            "no status has changed its level yet",
-            remedy="Subscribe to it, and wait for it to happen.",
+            "no status has changed its level so far",
+            remedy="Subscribe to it to receive the next one.",
         )

@@ -11,10 +11,10 @@ from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 from rcp_kernel.spi import MotionState
+from rcp_ros2.link import RosLink
 from rcp_ros2.cdr import Codec, Malformed, Value
 from rcp_ros2.config import Qos
 from rcp_ros2.idl import MissingType, load
-from rcp_ros2.link import RosLink
 from rcp_ros2.topics import Tap
 
 __all__ = ["ODOMETRY", "Feedback", "Feedbacks"]
@@ -85,7 +85,7 @@ class Feedback:
         """
         if type_ not in _MEASURES:
             known = ", ".join(sorted(_MEASURES))
-            raise ValueError(f"{type_} tells no velocity; feedback is one of {known}")
+            raise ValueError(f"{type_} contains no velocity; supported types for feedback: {known}")
         field, self._measure = _MEASURES[type_]
         cls = load(type_)
         codec = Codec(cls, field)
@@ -143,7 +143,7 @@ class Feedback:
             moving = f"{speed:.2f} m/s" if speed > self._limits[0] else f"{turn:.2f} rad/s"
             return MotionState(False, f"moves at {moving} ({self.topic})")
         if at - max(rest, since or rest) < _SETTLE:
-            return MotionState(False, f"comes to rest ({self.topic})")
+            return MotionState(False, f"coming to rest ({self.topic})")
         return MotionState(True)
 
 

@@ -51,7 +51,7 @@ class Extrapolation(Exception):
     """A frame was not known yet, or is not known any more, at the time asked for."""
 
     def __init__(self, child: str, at: int, first: int, last: int) -> None:
-        super().__init__(f"the frame '{child}' is known for other times")
+        super().__init__(f"the frame '{child}' is known at other times")
         self.child = child
         self.at = at
         self.first = first
@@ -206,7 +206,7 @@ class Frames:
             chain.append((name, place))
             name = parent
             if len(chain) > _DEEP:
-                raise NotConnected(f"the frames above '{name}' hang from each other in a ring")
+                raise NotConnected(f"the parents of frame '{name}' form a cycle")
         chain.append((name, _HERE))
         return chain
 

@@ -80,15 +80,15 @@ class Goals:
 def goals_of(shared: Shared, name: str, mapping: Mapping) -> Binding:
     """Make the sensor of an action's goals; in the ROS thread."""
     action = mapping.target
-    text = f"The goals of action {action}, the newest first, whoever sent them."
+    text = f"Goals of action {action} from any client, newest first."
     facts = common(name, mapping, text, action=action)
     codec = _Statuses(shared)
     resource = Resource(value=codec.type, native=_TYPE, **facts)
     status = msgspec.structs.replace(mapping, action=None, topic=f"{action}{GOALS}")
-    return _Told(shared, resource, status, load(_TYPE), codec)
+    return _Goals(shared, resource, status, load(_TYPE), codec)
 
 
-class _Told(Observed):
+class _Goals(Observed):
     """The goals; a server that was never sent one says nothing at all."""
 
     @property

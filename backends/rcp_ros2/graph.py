@@ -74,11 +74,11 @@ class GraphWatch:
     """Looks at the graph, and tells the event loop."""
 
     def __init__(
-        self, ros: Ros, matters: Callable[[str], bool], told: Callable[[Graph], None]
+        self, ros: Ros, matters: Callable[[str], bool], on_change: Callable[[Graph], None]
     ) -> None:
         self._ros = ros
         self._matters = matters
-        self._told = told
+        self._on_change = on_change
         self._next = 0.0
         self._settled = 0.0
         self._chosen: dict[str, str] = {}
@@ -99,7 +99,7 @@ class GraphWatch:
         self._next = now + (self._ros.config.poll - _FAST / 2 if settled else 0.0)
         for poll in self.on_poll:
             guarded(poll)()  # what one thing runs into is not the others' fault
-        self._ros.host.call_soon(self._told, self._snapshot())
+        self._ros.host.call_soon(self._on_change, self._snapshot())
 
     def _snapshot(self) -> Graph:
         node: Any = self._ros.node
@@ -168,5 +168,5 @@ class GraphWatch:
             chosen = self._chosen[name] = offered[0]
         if len(offers) > 1:
             each = ", ".join(f"{type_} by {who}" for type_, who in sorted(offers.items()))
-            disputed[name] = f"{name} is published as {each}: only {chosen} is read"
+            disputed[name] = f"{name} is published as {each}; only {chosen} is read"
         return chosen

@@ -56,7 +56,7 @@ class MissingType(Exception):
         super().__init__(f"the type {name} is not installed: {why}")
         self.remedy = (
             f"Install it (`pip install ros-{package.replace('_', '-')}`), or source the workspace "
-            "that has it before the gateway starts."
+            "that contains it before starting the gateway."
         )
 
 
@@ -169,4 +169,4 @@ def _translate(slot: Any) -> Type:
         case "NamespacedType":
             return Ref(load("/".join((*slot.namespaces, slot.name))))
         case _:
-            raise MissingType(kind, "the gateway does not know this kind of field")
+            raise MissingType(kind, "unsupported field type")

@@ -35,17 +35,17 @@ def compress(image: Any, quality: int) -> bytes:
     if how is None:
         raise DeviceRejected(
             f"cannot convert an image with encoding '{image.encoding}' to JPEG",
-            remedy="Subscribe to the image itself: its values are not colours, or not known.",
+            remedy="Subscribe to the image itself: its pixel format is unsupported or has no colours.",
             details={"encoding": image.encoding, "supported": list(SUPPORTED)},
         )
     width, height = image.width, image.height
     if not (0 < width <= _EDGE and 0 < height <= _EDGE):
-        raise DeviceRejected(f"no JPEG is {width} x {height} pixels")
+        raise DeviceRejected(f"a JPEG cannot have {width} x {height} pixels")
     make, channels, depth = how
     row = width * channels * depth
     if image.step < row or len(image.data) < image.step * height:
         raise DeviceRejected(
-            f"{len(image.data)} bytes in rows of {image.step} are no {width} x {height} pixels "
+            f"{len(image.data)} bytes in rows of {image.step} do not contain {width} x {height} pixels "
             f"of '{image.encoding}'"
         )
     return make(_pixels(image, channels, depth), quality)
@@ -96,7 +96,7 @@ def _mosaic(pattern: str) -> Callable[[Any, int], bytes]:
 
         grey = pixels[: len(pixels) // 2 * 2, : pixels.shape[1] // 2 * 2, 0]
         if not grey.size:
-            raise DeviceRejected("a mosaic of less than 2 x 2 pixels has no colours")
+            raise DeviceRejected("a Bayer image needs at least 2 x 2 pixels")
         square = [grey[i // 2 :: 2, i % 2 :: 2] for i in range(4)]
         mean = (square[green].astype(np.uint16) + square[green_too]) // 2
         small = np.stack([square[red], mean.astype(np.uint8), square[blue]], axis=-1)
@@ -115,7 +115,7 @@ def _packed(luma: int) -> Callable[[Any, int], bytes]:
         flat = pixels.reshape(len(pixels), -1)
         flat = flat[:, : flat.shape[1] // 4 * 4]
         if not flat.size:
-            raise DeviceRejected("an image in 4:2:2 has at least two columns")
+            raise DeviceRejected("a 4:2:2 image needs at least two columns")
         planes = [flat[:, luma::2], flat[:, 1 - luma :: 4], flat[:, 3 - luma :: 4]]
         y, u, v = (np.ascontiguousarray(plane) for plane in planes)
         return simplejpeg.encode_jpeg_yuv_planes(y, u, v, quality=quality)

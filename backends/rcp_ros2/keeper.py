@@ -52,7 +52,7 @@ class Keeper:
         """By robot; None is what belongs to none of several."""
         self._timer: Any = None
         self._poll_due = 0.0
-        self._told: dict[str, tuple[str, ...]] = {}
+        self._reported: dict[str, tuple[str, ...]] = {}
 
     # -- from the event loop ---------------------------------------------------------------------
 
@@ -88,10 +88,10 @@ class Keeper:
         if found is None:
             return
         if found.latched:
-            raise EstopActive("the robot was stopped before this reached it")
+            raise EstopActive("the robot was stopped before this was sent")
         del self.holds[robot]
 
-    def told(self, server: ActionServer) -> None:
+    def on_goals(self, server: ActionServer) -> None:
         """Cancel the goals of a stopped robot as soon as they appear."""
         if server.robot in self.holds:
             server.cancel()
@@ -113,7 +113,7 @@ class Keeper:
         for name in self.servers.keys() - names.keys():
             self.servers.pop(name).close()
         for name in names.keys() - self.servers.keys():
-            server = ActionServer(self._link, name, names[name], self.told)
+            server = ActionServer(self._link, name, names[name], self.on_goals)
             self.servers[name] = server
             if server.robot in self.holds:
                 server.cancel()
@@ -124,8 +124,8 @@ class Keeper:
             server.poll()
         for rest in self.rests:
             rest.poll()
-            if rest.others != self._told.get(rest.topic, ()):
-                self._told[rest.topic] = rest.others
+            if rest.others != self._reported.get(rest.topic, ()):
+                self._reported[rest.topic] = rest.others
                 log.info("ros_other_publishers", topic=rest.topic, nodes=list(rest.others))
 
     def _begin(self, robot: str | None) -> None:
@@ -133,7 +133,7 @@ class Keeper:
         for rest in self.rests:
             if rest.robot == robot:
                 rest.begin(now)
-                self._link.pulses.ask(rest.outlet.nodes)
+                self._link.pulses.ping(rest.outlet.nodes)
         for server in self.servers.values():
             if server.robot == robot:
                 server.cancel()
@@ -168,7 +168,7 @@ class Keeper:
                 if due:
                     rest.poll()
                     rest.listen()
-                    self._link.pulses.ask(rest.outlet.nodes)
+                    self._link.pulses.ping(rest.outlet.nodes)
             else:
                 rest.leave()
                 if rest.is_bursting:

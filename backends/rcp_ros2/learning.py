@@ -5,11 +5,11 @@ from __future__ import annotations
 from typing import Any
 
 from rcp_kernel.errors import RcpError
-from rcp_ros2.caller import Caller
+from rcp_ros2.link import RosLink
 from rcp_ros2.definitions import define_described
 from rcp_ros2.idl import load
-from rcp_ros2.link import RosLink
 from rcp_ros2.pulse import node_of
+from rcp_ros2.caller import Caller
 
 __all__ = ["learn"]
 
@@ -23,7 +23,7 @@ async def learn(link: RosLink, topic: str, type_: str) -> bool:
     :raises MissingType: it has a field of a kind that the gateway does not know.
     """
     for node, digest in await link.ros.call(_nodes, link, topic):
-        response = await _ask(link, topic, node, type_, digest)
+        response = await _request_type(link, topic, node, type_, digest)
         if response is not None and response.successful:
             define_described(response.type_description, response.type_sources)
             return True
@@ -41,7 +41,7 @@ def _nodes(link: RosLink, topic: str) -> list[tuple[str, str]]:
     return [(node, digest) for node, digest in named.items() if node and node != own][:_TRIES]
 
 
-async def _ask(link: RosLink, topic: str, node: str, type_: str, digest: str) -> Any:
+async def _request_type(link: RosLink, topic: str, node: str, type_: str, digest: str) -> Any:
     srv = await link.ros.call(load, "type_description_interfaces/srv/GetTypeDescription")
     caller = Caller(link, srv, f"{node}/get_type_description", presence=("topic", topic))
     request = srv.Request(type_name=type_, type_hash=digest, include_type_sources=True)

@@ -21,11 +21,11 @@ from rcp_kernel.errors import (
 from rcp_kernel.model import Resource
 from rcp_kernel.spi import Progress, check_fence
 from rcp_ros2.binding import Binding, Offer, Shared, common
-from rcp_ros2.caller import Caller
 from rcp_ros2.cdr import Codec, Value
 from rcp_ros2.config import Mapping, Qos
 from rcp_ros2.graph import Graph
 from rcp_ros2.idl import load
+from rcp_ros2.caller import Caller
 from rcp_ros2.topics import Tap
 
 __all__ = ["Lifecycles"]
@@ -117,7 +117,7 @@ class _Question:
         )
         self.close = self._caller.close
 
-    async def ask(self, limit: float) -> LifecycleState:
+    async def get_state(self, limit: float) -> LifecycleState:
         """Return the state; a question whose answer is lost while both sides meet is put again.
 
         :raises AdapterUnavailable: the node is not there.
@@ -142,7 +142,7 @@ class StateOf(Binding):
         self._event = load("lifecycle_msgs/msg/TransitionEvent")
         self._codec = Codec(self._event)
         self._topic = f"{node}/transition_event"
-        self._asking: asyncio.Task[None] | None = None
+        self._query: asyncio.Task[None] | None = None
         facts = common(name, mapping, f"State of the lifecycle node {node}.", node=node)
         facts["timeout"] = shared.config.timeout + _MARGIN
         facts["deadline"] = _MISSES * shared.config.poll + _MARGIN
@@ -150,36 +150,36 @@ class StateOf(Binding):
 
     async def read(self) -> Any:
         """Ask the node."""
-        return await self._question.ask(self.timeout)
+        return await self._question.get_state(self.timeout)
 
     def watched(self, rate: float) -> None:
         """Publish the state, and each change of it."""
-        if self._asking is None:
-            tap = Tap(self.resource.name, self._codec, taker=self._told)
+        if self._query is None:
+            tap = Tap(self.resource.name, self._codec, taker=self._on_transition)
             self.shared.ros.post(
                 self.shared.subscriptions.tap, self._topic, self._event, Qos(), tap
             )
-            self._asking = asyncio.ensure_future(self._ask())
+            self._query = asyncio.ensure_future(self._query_state())
 
     def unwatched(self) -> None:
         """Publish no more."""
-        if self._asking is not None:
-            self._asking.cancel()
-            self._asking = None
+        if self._query is not None:
+            self._query.cancel()
+            self._query = None
             self.shared.ros.post(self.shared.subscriptions.untap, self._topic, self.resource.name)
 
-    async def _ask(self) -> None:
+    async def _query_state(self) -> None:
         while True:
             with contextlib.suppress(RcpError):  # it goes stale
                 self._publish(await self.read())
             await asyncio.sleep(self.shared.config.poll)
 
-    def _told(self, event: Value) -> None:
+    def _on_transition(self, event: Value) -> None:
         label = event.decode().goal_state.label
         self.shared.host.call_soon(self._publish, _state(label))
 
     def _publish(self, state: LifecycleState) -> None:
-        if self._asking is not None:
+        if self._query is not None:
             self.shared.host.publish(self.resource.name, state)
 
     def close(self) -> None:
@@ -204,7 +204,7 @@ class ChangeOf(Binding):
         facts = common(
             name,
             mapping,
-            f"Leads the lifecycle node {node} to another state, and returns the state it is in then.",
+            f"Change the state of the lifecycle node {node}, and return the resulting state.",
             node=node,
         )
         facts["timeout"] = shared.config.transition_timeout + shared.config.timeout + _MARGIN
@@ -232,10 +232,10 @@ class ChangeOf(Binding):
         energises = transition in _ENERGISING
         if energises and self.shared.host.is_latched(self.resource.robot):
             raise EstopActive(
-                f"an e-stop is latched: {self._node} cannot be told to {transition}",
+                f"an e-stop is latched: {self._node} is not allowed to {transition}",
                 remedy="Reset the e-stop first; `deactivate`, `cleanup` and `shutdown` are allowed.",
             )
-        before = (await self._question.ask(self.timeout)).state
+        before = (await self._question.get_state(self.timeout)).state
         possible = _POSSIBLE.get(before, {})
         if transition not in possible:
             raise self._impossible(transition, before)
@@ -245,9 +245,8 @@ class ChangeOf(Binding):
         after = await self._after(transition, succeeded=response.success)
         if not response.success:
             raise DeviceRejected(
-                f"{self._node} did not succeed to {transition}: it was {before} and is "
-                f"{after.state} now",
-                remedy="Look at the node's log for its reason.",
+                f"{self._node} failed to {transition}: it was {before} and is now {after.state}",
+                remedy="See the node's log for the reason.",
                 details={"before": before, "state": after.state, "transitions": after.transitions},
             )
         return after
@@ -255,16 +254,16 @@ class ChangeOf(Binding):
     def _impossible(self, transition: Transition, state: State) -> DeviceRejected:
         possible = list(_POSSIBLE.get(state, ()))
         return DeviceRejected(
-            f"{self._node} is {state} and cannot {transition} from there",
+            f"{self._node} is {state} and cannot {transition} from this state",
             remedy=f"From {state} it can {' or '.join(possible)}."
             if possible
-            else f"Wait until it has left the state {state}, or start the node again.",
+            else f"Wait until it has left the state {state}, or restart the node.",
             details={"state": state, "transitions": possible},
         )
 
     async def _after(self, transition: Transition, *, succeeded: bool) -> LifecycleState:
         try:
-            return await self._question.ask(self.timeout)
+            return await self._question.get_state(self.timeout)
         except (AdapterUnavailable, DeviceTimeout):
             # Many end with their shutdown.
             return _state(_GOALS[transition] if succeeded else "unknown")

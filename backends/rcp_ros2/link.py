@@ -44,7 +44,7 @@ class RosLink:
         self.pulses = Pulses(ros, self.complain)
         self.on_poll: list[Callable[[], None]] = []
         """Called in the ROS thread at each look at the graph."""
-        self.look_again: Callable[[], None] = lambda: None
+        self.refresh: Callable[[], None] = lambda: None
         """Has the paths made that a construct has found since the last look; on the event loop."""
         self.needed: set[str] = set()
         """Names that matter though no path stands on them."""
@@ -98,7 +98,7 @@ class RosLink:
         try:
             cls = load(type_)
         except MissingType as error:
-            self.complain(key, f"{topic} cannot be followed: {error}. {error.remedy}")
+            self.complain(key, f"{topic} cannot be subscribed to: {error}. {error.remedy}")
             return
         tap = Tap(key, Codec(cls), taker=lambda value: taker(value.decode()))
         self.subscriptions.tap(topic, cls, qos, tap)
@@ -120,8 +120,8 @@ class RosLink:
         if await self.until(lambda: self.graph.has(noun, name), self.settling):
             return
         raise AdapterUnavailable(
-            f"the {noun} {name} is not there"
+            f"the {noun} {name} is not running"
             if noun.endswith("node")
             else f"no node offers {noun} {name}",
-            remedy="Start the node that has it; the gateway finds it by itself.",
+            remedy="Start the node that provides it; the gateway discovers it automatically.",
         )

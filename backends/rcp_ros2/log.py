@@ -88,24 +88,24 @@ class Records(Binding):
         facts = common(
             _NAME,
             mapping,
-            f"What the robot's nodes log, from level {level} on.",
+            f"Log records of the robot's nodes, at level {level} and above.",
             topic=_TOPIC,
             type="rcl_interfaces/msg/Log",
         )
         resource = Resource(value=LogRecord, live=True, native="rcl_interfaces/msg/Log", **facts)
         super().__init__(shared, resource, mapping)
-        tap = Tap(_NAME, self._codec, taker=self._heard)
+        tap = Tap(_NAME, self._codec, taker=self._on_record)
         shared.subscriptions.tap(_TOPIC, cls, Qos(depth=_DEPTH), tap)
 
-    def _heard(self, value: Value) -> None:
+    def _on_record(self, value: Value) -> None:
         if value.data[_LEVEL_AT] >= self._least:
             self.shared.outbox.put(_NAME, value, self._codec.stamp(value.data))
 
     async def read(self) -> Any:
         """Say that nothing came; the kernel would have answered with the last one."""
         raise AdapterUnavailable(
-            "no node has logged anything of this level yet",
-            remedy="Subscribe to it, and wait for it to happen.",
+            "no node has logged at this level so far",
+            remedy="Subscribe to it to receive the next one.",
         )
 
     def close(self) -> None:

@@ -8,12 +8,12 @@ from typing import Any
 import msgspec
 
 from rcp_kernel.errors import AdapterUnavailable, DeviceRejected
-from rcp_ros2.caller import Caller
+from rcp_ros2.link import RosLink
 from rcp_ros2.config import Qos, StopService, StopTopic
 from rcp_ros2.filler import filler
 from rcp_ros2.idl import MissingType, fields_of, load
-from rcp_ros2.link import RosLink
 from rcp_ros2.outlet import Outlet
+from rcp_ros2.caller import Caller
 from rcp_ros2.types import inward
 
 __all__ = ["StopCall", "StopSignal"]
@@ -35,7 +35,7 @@ class StopSignal:
         self.data = serialised(self.stopped)
         """What says that it is stopped, in CDR."""
         self.engaged = False
-        self._heard = True
+        self._delivered = True
         released = config.released
         self._released = None if released is None else fill(msgspec.convert(released, type_))
         self._outlet = Outlet(link, self.topic, cls, _QOS)
@@ -61,7 +61,9 @@ class StopSignal:
 
     def trouble(self) -> str | None:
         """Say that nobody heard that the robot is stopped, or None."""
-        return None if self._heard or not self.engaged else f"no node subscribes to {self.topic}"
+        return (
+            None if self._delivered or not self.engaged else f"no node subscribes to {self.topic}"
+        )
 
     def poll(self) -> None:
         """Suit those who listen now."""
@@ -69,9 +71,9 @@ class StopSignal:
 
     def _send(self, message: Any) -> None:
         try:
-            self._heard = self._outlet.send(message, anyhow=True) != "nobody"
+            self._delivered = self._outlet.send(message, anyhow=True) != "nobody"
         except AdapterUnavailable:  # told as a complaint of the outlet
-            self._heard = False
+            self._delivered = False
 
     def close(self) -> None:
         """Let go of the publisher."""
@@ -152,8 +154,8 @@ class StopCall:
         request = _filled(self._srv.Request, plain)
         response = await self._caller.call(request, self._link.config.timeout)
         if getattr(response, "success", True) is False:
-            said = getattr(response, "message", "") or "success: false"
-            raise DeviceRejected(f"{self.name} answered {said!r}")
+            answer = getattr(response, "message", "") or "success: false"
+            raise DeviceRejected(f"{self.name} responded {answer!r}")
 
     def close(self) -> None:
         """Let go of the client."""

@@ -24,8 +24,8 @@ def check_middleware() -> None:
     :raises ConfigError: the environment asks for a middleware that is not there.
     :raises NotReady: that could not be found out in time.
     """
-    asked = " ".join(f"{name}={os.environ[name]}" for name in _NAMES if os.environ.get(name))
-    if not asked or "rclpy" in sys.modules:
+    requested = " ".join(f"{name}={os.environ[name]}" for name in _NAMES if os.environ.get(name))
+    if not requested or "rclpy" in sys.modules:
         return
     try:
         found = subprocess.run(
@@ -36,11 +36,11 @@ def check_middleware() -> None:
             check=False,
         )
     except (OSError, subprocess.TimeoutExpired) as error:
-        raise NotReady(f"whether {asked} can be loaded was not found out: {error}") from None
+        raise NotReady(f"cannot determine whether {requested} can be loaded: {error}") from None
     if found.returncode:
-        said = [line for line in found.stderr.splitlines() if line.strip()]
-        why = said[-1].strip() if said else f"exit code {found.returncode}"
+        lines = [line for line in found.stderr.splitlines() if line.strip()]
+        why = lines[-1].strip() if lines else f"exit code {found.returncode}"
         raise ConfigError(
-            f"the ROS 2 middleware that the environment asks for ({asked}) cannot be loaded: {why}; "
+            f"the ROS 2 middleware selected by the environment ({requested}) cannot be loaded: {why}; "
             "install it, or unset the variable"
         )

@@ -6,10 +6,10 @@ import contextlib
 from typing import Any, Literal
 
 from rcp_kernel.errors import AdapterUnavailable
-from rcp_ros2.config import Qos
 from rcp_ros2.link import RosLink
+from rcp_ros2.config import Qos
 from rcp_ros2.pulse import node_of
-from rcp_ros2.qos import Profile, deaf, for_publisher
+from rcp_ros2.qos import Profile, for_publisher, unreached_subscribers
 
 __all__ = ["Hearing", "Outlet"]
 
@@ -49,7 +49,9 @@ class Outlet:
         self._nodes = frozenset(named - {node.get_fully_qualified_name()})  # it may listen itself
         self._pulses.want(f"topic {self._topic}", self._nodes)
         profile = for_publisher(endpoints, self._wanted)
-        self._complain(f"publisher {self._topic}", deaf(self._topic, profile, endpoints))
+        self._complain(
+            f"publisher {self._topic}", unreached_subscribers(self._topic, profile, endpoints)
+        )
         if profile == self._profile:
             return
         self._drop()
@@ -63,7 +65,7 @@ class Outlet:
             )
         except Exception as error:
             self._profile = None
-            why = f"{self._topic} cannot be published: {error}"
+            why = f"cannot publish {self._topic}: {error}"
             self._complain(f"publisher {self._topic}", why)
             raise AdapterUnavailable(why) from error
 

@@ -13,10 +13,10 @@ from rcp_kernel.errors import AdapterUnavailable, DeviceRejected, RcpError
 from rcp_kernel.model import Operation, Resource
 from rcp_kernel.types import NONFINITE
 from rcp_ros2.binding import Binding, Shared, common
-from rcp_ros2.caller import Caller
 from rcp_ros2.config import Mapping
 from rcp_ros2.names import is_internal_parameter
 from rcp_ros2.ros import hearing
+from rcp_ros2.caller import Caller
 
 __all__ = ["Described", "Events", "NodeParameters", "Setting"]
 
@@ -182,12 +182,12 @@ class Events:
         self._followers: dict[str, Callable[[dict[str, int]], None]] = {}
         self._subscription: Any = None
 
-    def follow(self, node: str, told: Callable[[dict[str, int]], None]) -> None:
+    def follow(self, node: str, on_change: Callable[[dict[str, int]], None]) -> None:
         """Have a function called, on the event loop, with the kinds of what a node has changed.
 
         Kind 0 is a parameter that is gone.
         """
-        self._followers[node] = told
+        self._followers[node] = on_change
         self._shared.ros.post(self._open)
 
     def leave(self, node: str) -> None:
@@ -199,9 +199,9 @@ class Events:
         """Tell those who follow a node that it does not have a parameter any more."""
         self._shared.host.call_soon(self._follow, node, {parameter: 0})
 
-    def listen(self, node: str, parameter: str, told: Callable[[Any], None]) -> None:
+    def listen(self, node: str, parameter: str, on_change: Callable[[Any], None]) -> None:
         """Have a function called, on the event loop, with each new ParameterValue."""
-        self._listeners[node, parameter] = told
+        self._listeners[node, parameter] = on_change
         self._shared.ros.post(self._open)
 
     def ignore(self, node: str, parameter: str) -> None:
@@ -219,7 +219,7 @@ class Events:
         self._subscription = self._shared.ros.node.create_subscription(
             ParameterEvent,
             "/parameter_events",
-            hearing(self._heard),
+            hearing(self._on_event),
             qos_profile_parameter_events,
             event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False),
         )
@@ -229,25 +229,27 @@ class Events:
             self._shared.ros.node.destroy_subscription(self._subscription)
             self._subscription = None
 
-    def _heard(self, event: Any) -> None:
-        told = (*event.new_parameters, *event.changed_parameters)
+    def _on_event(self, event: Any) -> None:
+        on_change = (*event.new_parameters, *event.changed_parameters)
         if event.node in self._followers:
-            kinds = {p.name: p.value.type for p in told}
+            kinds = {p.name: p.value.type for p in on_change}
             kinds |= {p.name: 0 for p in event.deleted_parameters}
             self._shared.host.call_soon(self._follow, event.node, kinds)
-        for parameter in told:
+        for parameter in on_change:
             if (event.node, parameter.name) in self._listeners:
-                self._shared.host.call_soon(self._tell, event.node, parameter.name, parameter.value)
+                self._shared.host.call_soon(
+                    self._notify, event.node, parameter.name, parameter.value
+                )
 
     def _follow(self, node: str, kinds: dict[str, int]) -> None:
         follower = self._followers.get(node)
         if follower is not None:
             follower(kinds)
 
-    def _tell(self, node: str, name: str, value: Any) -> None:
-        told = self._listeners.get((node, name))
-        if told is not None:
-            told(value)
+    def _notify(self, node: str, name: str, value: Any) -> None:
+        on_change = self._listeners.get((node, name))
+        if on_change is not None:
+            on_change(value)
 
 
 class Setting(Binding):
@@ -281,7 +283,7 @@ class Setting(Binding):
         if value is None:  # not every node tells that it takes one back
             name = self.described.name
             self._events.lost(self._node.node, name)
-            raise AdapterUnavailable(f"{self._node.node} has no parameter '{name}' any more")
+            raise AdapterUnavailable(f"{self._node.node} no longer has a parameter '{name}'")
         return value
 
     async def write(self, value: Any) -> Any:

@@ -67,7 +67,7 @@ class Picture(Binding):
             name=of.name + _LEAF,
             value=self._codec.type,
             native=_COMPRESSED,
-            description=f"JPEG of {of.name}, at most {self._rate:g} a second.",
+            description=f"JPEG of {of.name}, at most {self._rate:g} per second.",
             timeout=of.timeout,
             deadline=of.deadline,
             meta={"topic": source.topic, "type": _COMPRESSED},

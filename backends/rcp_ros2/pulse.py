@@ -37,20 +37,20 @@ class Pulse:
         self._ros = ros
         self._client: Any = ros.node.create_client(GetParameters, f"{node}/get_parameters")
         self._pending: Any = None
-        self._asked = 0.0
+        self._requested_at = 0.0
         self.answers = 0
         """How often the node has answered."""
-        self.heard = 0.0
+        self.last_response = 0.0
         """When it last did, in monotonic time."""
 
-    def ask(self) -> None:
+    def ping(self) -> None:
         """Send a question; an older one is forgotten, unless it may still be answered."""
         now = time.monotonic()
         if not self._client.service_is_ready():
             return
-        if self._pending is not None and now - self._asked < _DUE:
+        if self._pending is not None and now - self._requested_at < _DUE:
             return
-        self._asked = now
+        self._requested_at = now
         if self._pending is not None:
             self._client.remove_pending_request(self._pending)
         self._pending = self._client.call_async(self._client.srv_type.Request())
@@ -60,14 +60,14 @@ class Pulse:
         if future is self._pending:
             self._pending = None
         self.answers += 1
-        self.heard = time.monotonic()
+        self.last_response = time.monotonic()
 
     @property
     def silence(self) -> float:
         """Seconds since its last answer, while one is due; 0 for a node that never gave one."""
         if not self.answers or self._pending is None:
             return 0.0
-        return time.monotonic() - self.heard
+        return time.monotonic() - self.last_response
 
     def close(self) -> None:
         """Let go of the client."""
@@ -104,11 +104,11 @@ class Pulses:
         """Return the pulse of a node that is wanted."""
         return self._pulses.get(node)
 
-    def ask(self, nodes: Iterable[str]) -> None:
+    def ping(self, nodes: Iterable[str]) -> None:
         """Ask some nodes now: whoever answers is alive."""
         for node in nodes:
             if (pulse := self._pulses.get(node)) is not None:
-                pulse.ask()
+                pulse.ping()
 
     def poll(self) -> None:
         """Ask every node, and say which have stopped answering."""
@@ -120,8 +120,8 @@ class Pulses:
             if pulse.answers and not due:  # the first answer is wanted soon
                 continue
             gone = self.is_silent(node)
-            self._complain(node, f"the node {node} has stopped answering" if gone else None)
-            pulse.ask()
+            self._complain(node, f"the node {node} no longer responds" if gone else None)
+            pulse.ping()
 
     def is_silent(self, node: str) -> bool:
         """Tell whether a node used to answer and does not any more."""

@@ -11,10 +11,10 @@ __all__ = [
     "Profile",
     "Terms",
     "clash",
-    "deaf",
     "for_publisher",
     "for_subscription",
     "mismatches",
+    "unreached_subscribers",
 ]
 
 _DEPTH = 10
@@ -93,13 +93,13 @@ def for_publisher(subscriptions: Iterable[Any], wanted: Qos) -> Profile:
 
     A deadline or lease that is not kept is told to whoever asked for it: better than silence.
     """
-    asked = [Terms.of(endpoint) for endpoint in subscriptions]
+    requested = [Terms.of(endpoint) for endpoint in subscriptions]
     matched = Profile(
         reliable=True,
-        latched=any(ask.latched for ask in asked),
-        deadline=min((ask.deadline for ask in asked), default=_EVER),
-        manual=any(ask.manual for ask in asked),
-        lease=min((ask.lease for ask in asked), default=_EVER),
+        latched=any(request.latched for request in requested),
+        deadline=min((request.deadline for request in requested), default=_EVER),
+        manual=any(request.manual for request in requested),
+        lease=min((request.lease for request in requested), default=_EVER),
     )
     return _override(wanted, matched)
 
@@ -127,16 +127,16 @@ def _ns(seconds: float | None) -> int | None:
 
 def clash(topic: str, ours: Profile, publishers: Iterable[Any]) -> str | None:
     """Say which publishers a subscription will never hear, and why; None if it hears all."""
-    asked = ours.terms("the gateway")
-    lost = [words for offer in publishers for words in mismatches(Terms.of(offer), asked)]
-    return f"{topic} is not heard in full: {'; '.join(lost)}" if lost else None
+    requested = ours.terms("the gateway")
+    lost = [words for offer in publishers for words in mismatches(Terms.of(offer), requested)]
+    return f"{topic} is not received from every publisher: {'; '.join(lost)}" if lost else None
 
 
-def deaf(topic: str, ours: Profile, subscriptions: Iterable[Any]) -> str | None:
+def unreached_subscribers(topic: str, ours: Profile, subscriptions: Iterable[Any]) -> str | None:
     """Say which subscribers will never hear a publisher, and why; None if all do."""
     offered = ours.terms("the gateway")
-    lost = [words for ask in subscriptions for words in mismatches(offered, Terms.of(ask))]
-    return f"{topic} does not reach everybody: {'; '.join(lost)}" if lost else None
+    lost = [words for request in subscriptions for words in mismatches(offered, Terms.of(request))]
+    return f"{topic} does not reach every subscriber: {'; '.join(lost)}" if lost else None
 
 
 class Terms(NamedTuple):
@@ -165,37 +165,37 @@ class Terms(NamedTuple):
         )
 
 
-def mismatches(offer: Terms, ask: Terms) -> list[str]:
+def mismatches(offer: Terms, request: Terms) -> list[str]:
     """Say in words why a subscriber hears nothing of a publisher, and how to mend it."""
-    here, there = offer.node, ask.node
+    here, there = offer.node, request.node
     found: list[str] = []
-    if ask.reliable and not offer.reliable:
+    if request.reliable and not offer.reliable:
         found.append(
-            f"{here} publishes best effort and {there} asks for reliable "
-            f"(have {here} publish reliable, or {there} ask for best effort)"
+            f"{here} publishes best effort and {there} requests reliable "
+            f"(let {here} publish reliable, or {there} request best effort)"
         )
-    if ask.latched and not offer.latched:
+    if request.latched and not offer.latched:
         found.append(
-            f"{here} publishes volatile and {there} asks for transient local "
-            f"(have {here} publish transient local, or {there} ask for volatile)"
+            f"{here} publishes volatile and {there} requests transient local "
+            f"(let {here} publish transient local, or {there} request volatile)"
         )
-    if offer.deadline > ask.deadline:
+    if offer.deadline > request.deadline:
         found.append(
-            f"{there} asks for a message every {ask.deadline / 1e9:g} s and {here} promises "
-            f"{_every(offer.deadline)} (give {here} a deadline that is as short, or {there} none)"
+            f"{there} requests a deadline of {request.deadline / 1e9:g} s and {here} offers "
+            f"{_every(offer.deadline)} (set a deadline at least as short for {here}, or none for {there})"
         )
-    if ask.manual and not offer.manual:
+    if request.manual and not offer.manual:
         found.append(
-            f"{there} asks for a liveliness by topic and {here} offers an automatic one "
-            f"(have {here} offer it by topic, or {there} ask for automatic)"
+            f"{there} requests liveliness by topic and {here} offers automatic "
+            f"(let {here} offer it by topic, or {there} request automatic)"
         )
-    if offer.lease > ask.lease:
+    if offer.lease > request.lease:
         found.append(
-            f"{there} asks for a sign of life every {ask.lease / 1e9:g} s and {here} promises "
-            f"{_every(offer.lease)} (give {here} a lease that is as short, or {there} none)"
+            f"{there} requests a liveliness lease of {request.lease / 1e9:g} s and {here} offers "
+            f"{_every(offer.lease)} (set a lease at least as short for {here}, or none for {there})"
         )
     return found
 
 
 def _every(span: int) -> str:
-    return "none" if span >= _EVER else f"one every {span / 1e9:g} s"
+    return "none" if span >= _EVER else f"{span / 1e9:g} s"

@@ -14,10 +14,10 @@ from typing import Any
 import msgspec
 
 from rcp_kernel.errors import AdapterUnavailable
+from rcp_ros2.link import RosLink
 from rcp_ros2.cdr import Codec, Malformed, Value
 from rcp_ros2.config import Qos
 from rcp_ros2.idl import full_name
-from rcp_ros2.link import RosLink
 from rcp_ros2.outlet import Outlet
 from rcp_ros2.pulse import node_of
 from rcp_ros2.topics import Tap
@@ -57,7 +57,7 @@ class Rest:
         """The nodes that publish the topic too."""
         self.commanded = False
         """Whether the last that the gateway published was not the safe value."""
-        self.heard_at: float | None = None
+        self.delivered_at: float | None = None
         """When the safe value was last published with a node to hear it, monotonic."""
         self.data = message if isinstance(message, bytes) else _serialised(message)
         """It in CDR."""
@@ -96,18 +96,18 @@ class Rest:
         rate = self.contested()
         names = ", ".join(self.others)
         if rate:
-            return f"{names} commands {self.topic} at {rate:.0f} Hz"
+            return f"{names} publishes on {self.topic} at {rate:.0f} Hz"
         return f"{names} may publish on {self.topic} too"
 
     # -- ROS thread ------------------------------------------------------------------------------
 
-    def sent(self, *, rests: bool, published: bool, heard: bool) -> None:
+    def sent(self, *, rests: bool, published: bool, delivered: bool) -> None:
         """Note what the gateway has published of its own accord."""
         if not published:
             return
         now = time.monotonic()
-        if rests and heard:
-            self.heard_at = now
+        if rests and delivered:
+            self.delivered_at = now
         if rests and self.commanded:  # the dead-man, or a client that lets go
             self._burst, self._due = _BURST - 1, now + _QUICK
             self._wake()
@@ -133,12 +133,12 @@ class Rest:
         self._due = now + (_QUICK if self._burst else 1 / rate)
         try:
             self.acked = self.outlet.acked()
-            heard = self.outlet.send(self._message, anyhow=True)
+            delivered = self.outlet.send(self._message, anyhow=True)
         except AdapterUnavailable:  # told as a complaint of the outlet
             return
         self.commanded = False
-        if heard != "nobody":
-            self.heard_at = now
+        if delivered != "nobody":
+            self.delivered_at = now
 
     def hold(self, now: float) -> None:
         """Publish it again when it is time."""
@@ -149,7 +149,7 @@ class Rest:
         """Find out who else publishes, and listen to them."""
         node = self._link.ros.node
         found = Counter(
-            node_of(endpoint) or "a node without a name"
+            node_of(endpoint) or "an unnamed node"
             for endpoint in node.get_publishers_info_by_topic(self.topic)
         )
         own = node.get_fully_qualified_name()
@@ -160,7 +160,7 @@ class Rest:
         """Listen to others while the robot is stopped, to answer each of their commands."""
         if self.others and self._tap is None:
             self._foreign.clear()
-            self._tap = Tap(f"stop {self.topic} {id(self)}", self._codec, taker=self._hear)
+            self._tap = Tap(f"stop {self.topic} {id(self)}", self._codec, taker=self._on_message)
             self._link.subscriptions.tap(self.topic, self._cls, Qos(), self._tap)
 
     def leave(self) -> None:
@@ -170,7 +170,7 @@ class Rest:
             self._tap = None
             self._foreign.clear()
 
-    def _hear(self, value: Value) -> None:
+    def _on_message(self, value: Value) -> None:
         if value.data == self.data or self.is_rest(value.data):
             return
         now = time.monotonic()

@@ -137,8 +137,8 @@ class Ros:
         self.submit(run)
         if not await ticket.wait(_PATIENCE):
             raise DeviceTimeout(
-                f"the ROS 2 side of the gateway did not answer for {_PATIENCE:g} s",
-                remedy="Look at the gateway's log and load; the robot was not asked.",
+                f"the gateway's ROS 2 thread did not respond for {_PATIENCE:g} s",
+                remedy="Check the gateway's log and load; nothing was sent to the robot.",
             )
         return ticket.result()
 
@@ -156,7 +156,7 @@ class Ros:
         :raises AdapterUnavailable: the thread has ended.
         """
         if self.died is not None or self._executor is None:
-            raise AdapterUnavailable(self.died or "ROS 2 is not started")
+            raise AdapterUnavailable(self.died or "ROS 2 is not running")
         # The permit of the request goes along, for `check_fence` just before something is sent.
         self._executor.create_task(copy_context().run, run, *args)
 
@@ -169,7 +169,7 @@ class Ros:
             self.died = str(error)
             self._close()
             self._ready.fail(_explained(error))
-            self._tell_end()
+            self._report_end()
             return
         self._ready.give(None)
         try:
@@ -180,9 +180,9 @@ class Ros:
         else:
             self.died = "ROS 2 was shut down"
         self._close()
-        self._tell_end()
+        self._report_end()
 
-    def _tell_end(self) -> None:
+    def _report_end(self) -> None:
         with contextlib.suppress(RuntimeError):
             self.host.call_soon(self.ended.set)
 
@@ -242,7 +242,7 @@ def _explained(error: BaseException) -> BaseException:
         return error
     if isinstance(error, ImportError):
         return ConfigError(
-            f"ROS 2 is not here ({error}): pip install 'rcp-gateway[ros2]', or source a ROS 2 "
+            f"ROS 2 is not available ({error}): pip install 'rcp-gateway[ros2]', or source a ROS 2 "
             "installation (source /opt/ros/<distro>/setup.bash) before the gateway starts"
         )
     if name in ("InvalidNodeNameException", "InvalidNamespaceException"):

@@ -115,14 +115,14 @@ class Observed(Binding):
         """Return what `read` does, still serialised."""
         if self.resource.live:  # the kernel would have answered with the last one
             raise AdapterUnavailable(
-                f"nothing has come on {self.topic} yet",
-                remedy="Subscribe to it, and wait for it to happen.",
+                f"no message received on {self.topic} yet",
+                remedy="Subscribe to it to receive the next one.",
             )
         shared = self.shared
         if not await shared.until(self._is_published, shared.settling):
             raise AdapterUnavailable(
                 f"no node publishes {self.topic}",
-                remedy="Start the node that does; the gateway finds it by itself.",
+                remedy="Start the node that publishes it; the gateway discovers it automatically.",
             )
         next_ = Ticket(shared.host)
         tap = Tap(f"{self.resource.name} read {id(next_)}", self.codec, taker=next_.give)
@@ -132,8 +132,8 @@ class Observed(Binding):
         try:
             if not await next_.wait(self.timeout):
                 raise DeviceTimeout(
-                    f"no message came on {self.topic} within {self.timeout:g} s",
-                    remedy="Check that the node that publishes it runs; subscribe to wait longer.",
+                    f"no message received on {self.topic} within {self.timeout:g} s",
+                    remedy="Check that its publisher is running; subscribe to wait longer.",
                 )
             return next_.result()
         finally:
@@ -146,13 +146,13 @@ class Observed(Binding):
 def _about(message: Any, mapping: Mapping) -> str:
     type_name, field = full_name(message), mapping.field
     if field is None:
-        return f"{type_name} on topic {mapping.target}{_said(comments_of(message).whole)}."
+        return f"{type_name} on topic {mapping.target}{_suffix(comments_of(message).whole)}."
     holder = part_of(message, field)[0]
-    said = _said(comments_of(holder).fields.get(field.rpartition(".")[2], ""))
-    return f"{field} of {type_name} on topic {mapping.target}{said}."
+    suffix = _suffix(comments_of(holder).fields.get(field.rpartition(".")[2], ""))
+    return f"{field} of {type_name} on topic {mapping.target}{suffix}."
 
 
-def _said(comment: str) -> str:
+def _suffix(comment: str) -> str:
     sentence = first_sentence(comment)
     return f": {sentence[0].lower()}{sentence[1:]}" if sentence else ""
 
@@ -179,7 +179,7 @@ class Commanded(Binding):
             **common(
                 name,
                 mapping,
-                f"Publishes {type_name} on topic {self.topic}{_said(comments_of(cls).whole)}.",
+                f"Publishes {type_name} on topic {self.topic}{_suffix(comments_of(cls).whole)}.",
                 topic=self.topic,
                 type=type_name,
             ),
@@ -188,9 +188,7 @@ class Commanded(Binding):
         self.rest: Rest | None = None
         if self._safe is not None and self.is_barred:
             message = self._fill(self._safe)
-            self.rest = Rest(
-                shared, self.topic, cls, self._outlet, message, wake=shared.keeper.wake
-            )
+            self.rest = Rest(shared, self.topic, cls, self._outlet, message, wake=shared.keeper.wake)
             self.rest.needed = mapping.require_subscriber
         shared.ros.post(self._outlet.poll)
         shared.on_poll.append(self._outlet.poll)
@@ -231,13 +229,13 @@ class Commanded(Binding):
         if self.mapping.feedback is None:
             return
 
-        def heard() -> bool:
+        def delivered() -> bool:
             return self.feedback is not None and self.feedback.is_fresh()
 
-        if not await self.shared.until(heard, self.shared.settling):
+        if not await self.shared.until(delivered, self.shared.settling):
             why = self.feedback.missing() if self.feedback is not None else "no feedback yet"
             raise AdapterUnavailable(
-                f"{why}: {self.topic} is not commanded without it",
+                f"{why}: {self.topic} accepts no commands without feedback",
                 remedy="Check the node that publishes it.",
             )
 
@@ -258,12 +256,12 @@ class Commanded(Binding):
     def _unheard(self, hearing: Hearing) -> AdapterUnavailable:
         if hearing == "silent":
             return AdapterUnavailable(
-                f"the node that subscribes to {self.topic} does not answer any more",
-                remedy="Check the robot's node; it may have crashed, or be busy for too long.",
+                f"the node that subscribes to {self.topic} no longer responds",
+                remedy="Check the robot's node; it may have crashed or be blocked.",
             )
         return AdapterUnavailable(
-            f"no node subscribes to {self.topic}: nobody would hear the command",
-            remedy="Start the robot's node, or map it with `require_subscriber = false`.",
+            f"no node subscribes to {self.topic}: the command would be lost",
+            remedy="Start the robot's node, or set `require_subscriber = false` in its mapping.",
         )
 
     async def read(self) -> Any:
@@ -274,7 +272,7 @@ class Commanded(Binding):
         if self._written is None:
             raise AdapterUnavailable(
                 f"nothing has been written to {self.resource.name} yet",
-                remedy="Write a value first; a topic does not tell what others command.",
+                remedy="Write a value first; commands of other publishers are not visible here.",
             )
         return self._written
 
@@ -287,7 +285,7 @@ class Commanded(Binding):
         hearing = self._outlet.send(message, anyhow=anyhow)
         if self.rest is not None:
             unheard = hearing != "heard" and not anyhow
-            self.rest.sent(rests=rests, published=not unheard, heard=hearing != "nobody")
+            self.rest.sent(rests=rests, published=not unheard, delivered=hearing != "nobody")
         return hearing
 
     async def _until_matched(self, message: Any, *, rests: bool) -> Hearing:

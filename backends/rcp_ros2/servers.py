@@ -6,15 +6,15 @@ Everything here runs in the ROS thread, but for what only tells.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from functools import partial
+from collections.abc import Callable
 from typing import Any
 
+from rcp_ros2.link import RosLink
 from rcp_ros2.cdr import Codec, Malformed, Value
 from rcp_ros2.config import Qos
 from rcp_ros2.graph import GOALS
 from rcp_ros2.idl import load
-from rcp_ros2.link import RosLink
 from rcp_ros2.ros import hearing
 from rcp_ros2.topics import Tap
 
@@ -38,7 +38,7 @@ class ActionServer:
         link: RosLink,
         name: str,
         robot: str | None,
-        appeared: Callable[[ActionServer], None],
+        on_goals: Callable[[ActionServer], None],
     ) -> None:
         from action_msgs.srv import CancelGoal
 
@@ -51,18 +51,18 @@ class ActionServer:
         self.refused = False
         """Whether it lately let a goal go on that it was told to cancel."""
         self._link = link
-        self._appeared = appeared
-        """Told when a goal goes on that is not being cancelled."""
+        self._on_goals = on_goals
+        """Called when a goal goes on that is not being cancelled."""
         self._srv = CancelGoal
         self._client: Any = link.ros.node.create_client(CancelGoal, f"{name}/_action/cancel_goal")
         self._pending: dict[bytes, Any] = {}
-        self._asked = 0.0
+        self._requested_at = 0.0
         self._abandoned: set[bytes] = set()
         """Goals of the gateway that it has given up: they must not go on."""
         self._servers: frozenset[bytes] = frozenset()
         """Who published the statuses that are known."""
         codec = Codec(load(_STATUSES))
-        self._tap = Tap(f"stop {name}", codec, taker=self._told)
+        self._tap = Tap(f"stop {name}", codec, taker=self._on_status)
         link.subscriptions.tap(f"{name}{GOALS}", load(_STATUSES), Qos(), self._tap)
 
     # -- what it tells, to any thread ------------------------------------------------------------
@@ -77,13 +77,13 @@ class ActionServer:
         goals = "1 goal" if count == 1 else f"{count} goals"
         if self.refused:
             return f"{self.name} refuses to cancel {goals}"
-        return f"{goals} of {self.name} not ended yet"
+        return f"{goals} of {self.name} still active"
 
     # -- ROS thread ------------------------------------------------------------------------------
 
     def cancel(self, goal: bytes = _NONE) -> None:
         """Cancel one goal, or every goal; it is sent again by `press` if that has no effect."""
-        self._asked = time.monotonic()
+        self._requested_at = time.monotonic()
         if not self._client.service_is_ready():
             return
         if (old := self._pending.pop(goal, None)) is not None:
@@ -95,7 +95,7 @@ class ActionServer:
 
     def press(self, now: float, since: float) -> None:
         """Cancel again whatever goes on; ask again a server that has not answered since a stop."""
-        if now - self._asked < _AGAIN:
+        if now - self._requested_at < _AGAIN:
             return
         running = [goal for goal, status in self.goals.items() if status != _CANCELING]
         if running:  # each by itself: rclpy's server passes over some when it refuses others
@@ -135,7 +135,7 @@ class ActionServer:
         elif goal not in {bytes(info.goal_id.uuid) for info in response.goals_canceling}:
             self.refused = self.goals[goal] != _CANCELING
 
-    def _told(self, value: Value) -> None:
+    def _on_status(self, value: Value) -> None:
         try:
             statuses = value.decode().status_list
         except Malformed:
@@ -148,7 +148,7 @@ class ActionServer:
             self.refused = False
         self._end_abandoned()
         if any(status != _CANCELING for status in self.goals.values()):
-            self._appeared(self)
+            self._on_goals(self)
 
     def _publishers(self) -> frozenset[bytes]:
         infos = self._link.ros.node.get_publishers_info_by_topic(f"{self.name}{GOALS}")

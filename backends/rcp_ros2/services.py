@@ -66,7 +66,7 @@ class Called(Binding):
         facts = common(
             name,
             mapping,
-            f"Calls service {mapping.target} ({type_name}).",
+            f"Service {mapping.target} ({type_name}).",
             service=mapping.target,
             type=type_name,
         )
@@ -98,8 +98,8 @@ class Called(Binding):
 
 def _refusal(name: str, result: Any) -> DeviceRejected:
     words = ("message", "status_message", "error_message", "reason")
-    said = next((w for w in (getattr(result, key, None) for key in words) if w), None)
+    reason = next((w for w in (getattr(result, key, None) for key in words) if w), None)
     return DeviceRejected(
-        f"{name} refused: {said}" if said else f"{name} answered that it did not succeed",
+        f"{name} refused: {reason}" if reason else f"{name} reported failure",
         details={"result": msgspec.to_builtins(result)},
     )

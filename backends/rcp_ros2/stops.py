@@ -40,7 +40,7 @@ _RIDDEN = {
     "ackermann_msgs/msg/AckermannDriveStamped",
 }
 """Types that drive a base, whose odometry measures what they do."""
-_NO_WATCHDOG = "none that can be read: whether the robot's nodes stop by themselves is not known"
+_NO_WATCHDOG = "none that can be read: it is unknown whether the robot's nodes stop by themselves"
 
 
 class Stops:
@@ -137,11 +137,11 @@ class Stops:
         worst = _worst(states)
         if worst.at_rest is None:
             raise AdapterUnavailable(
-                f"told to stop, but not known to be at rest: {worst.detail}",
-                remedy="Look at the robot; use its own emergency stop if in doubt.",
+                f"commanded to stop, but not known to be at rest: {worst.detail}",
+                remedy="Check the robot; use its own emergency stop if in doubt.",
             )
         raise DeviceTimeout(
-            f"told to stop, but not at rest: {worst.detail}",
+            f"commanded to stop, but not at rest: {worst.detail}",
             remedy="Use the robot's own emergency stop.",
         )
 
@@ -222,7 +222,7 @@ class Stops:
         if rest.commanded:
             return MotionState(False, f"{rest.topic} was commanded to move")
         if rate := rest.contested():
-            return MotionState(None, f"others command {rest.topic} at {rate:.0f} Hz")
+            return MotionState(None, f"other nodes publish on {rest.topic} at {rate:.0f} Hz")
         nodes, pulses = rest.outlet.nodes, self._shared.pulses
         if not rest.needed and not nodes:
             return MotionState(True)
@@ -230,18 +230,24 @@ class Stops:
             return MotionState(None, f"no node subscribes to {rest.topic}")
         if since is None:
             if all(map(pulses.is_silent, nodes)):
-                return MotionState(None, f"the node that subscribes to {rest.topic} is silent")
+                return MotionState(
+                    None, f"the node that subscribes to {rest.topic} does not respond"
+                )
             if rest.others:
-                return MotionState(None, f"nothing measures what others do by {rest.topic}")
+                return MotionState(
+                    None, f"nothing measures the effect of other publishers on {rest.topic}"
+                )
             return MotionState(True)
-        if rest.heard_at is None or rest.heard_at < since:
-            return MotionState(None, f"no node has heard the safe value of {rest.topic} yet")
+        if rest.delivered_at is None or rest.delivered_at < since:
+            return MotionState(None, f"no node has received the safe value of {rest.topic} yet")
         known = [p for node in nodes if (p := pulses.of(node)) is not None and p.answers]
-        silent = [p for p in known if p.heard < since or p.silence > self._shared.config.silence]
+        silent = [
+            p for p in known if p.last_response < since or p.silence > self._shared.config.silence
+        ]
         if silent or (len(known) < len(nodes) and not rest.acked):
-            return MotionState(None, f"the node that subscribes to {rest.topic} does not answer")
+            return MotionState(None, f"the node that subscribes to {rest.topic} does not respond")
         if rest.others and time.monotonic() - since < _LINGER:
-            return MotionState(None, f"others may publish on {rest.topic}")
+            return MotionState(None, f"other nodes may publish on {rest.topic}")
         return MotionState(True)
 
     def _goals(self, robot: str | None, since: float | None) -> list[MotionState]:
@@ -252,7 +258,7 @@ class Stops:
             if server.active():
                 found.append(MotionState(False, server.trouble()))
             elif since is not None and server.answered_at < since:
-                found.append(MotionState(None, f"the server of {server.name} does not answer"))
+                found.append(MotionState(None, f"the server of {server.name} does not respond"))
         return found
 
     def _missing(self, robot: str | None) -> str | None:
@@ -266,7 +272,7 @@ class Stops:
         if robot is None and shared.config.robots and not own:
             return None  # none of them is there
         if not any(shared.graph.has(b.mapping.noun, b.mapping.target) for b in own):
-            return "no node of the robot is there"
+            return "no node of the robot is running"
         return None
 
     def _absent(self, robot: str | None) -> list[MotionState]:
@@ -282,7 +288,7 @@ class Stops:
             if kind is Kind.ACTUATOR and isinstance(binding, Absent):
                 found.append(MotionState(None, f"no node subscribes to {mapping.target}"))
             elif kind is Kind.ACTION and mapping.target not in self.keeper.servers:
-                found.append(MotionState(None, f"no node serves {mapping.target}"))
+                found.append(MotionState(None, f"no node offers {mapping.target}"))
         return found
 
     def watchdogs(self) -> list[Watchdog]:
@@ -328,7 +334,7 @@ class Stops:
                     binding.rest.measured = True
                 one.max_age = binding.mapping.feedback_timeout or one.max_age
         self._make_means()
-        self._tell_guard()
+        self._update_guard()
 
     def _each(self, name: str) -> list[tuple[str, str | None]]:
         """Return a configured name in full, for each robot if it is relative."""
@@ -392,7 +398,7 @@ class Stops:
         for binding in self._bindings():
             if isinstance(binding, Commanded):
                 binding.check_feedback_while_moving()
-        self._tell_contest()
+        self._report_contest()
 
     def release(self, robot: str | None) -> None:
         """Let a robot move again: its e-stop was reset."""
@@ -401,7 +407,7 @@ class Stops:
             if call.robot == robot:
                 call.release()
 
-    def _tell_contest(self) -> None:
+    def _report_contest(self) -> None:
         """Say who commands a robot that is stopped."""
         for rest in self.keeper.rests:
             contested = rest.robot in self.keeper.holds and rest.contested() > 0
@@ -449,7 +455,7 @@ class Stops:
 
     # -- the guard -------------------------------------------------------------------------------
 
-    def _tell_guard(self) -> None:
+    def _update_guard(self) -> None:
         """Renew what the guard process sends when the gateway's loop has stopped."""
         latched = {robot for robot, hold in self.keeper.holds.items() if hold.latched}
         publishers = [

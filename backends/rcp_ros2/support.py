@@ -74,7 +74,7 @@ def forge(cls: Any, fields: Any) -> Any:
     try:
         lent, library = _lent()
     except (OSError, AttributeError, ValueError) as error:
-        raise MissingType(name, f"and no stand-in can be made for it: {error}") from error
+        raise MissingType(name, f"and no substitute can be created for it: {error}") from error
     borrowed = ctypes.cast(lent.data, ctypes.POINTER(_Callbacks)).contents
     callbacks = _Callbacks(f"{package}::{middle}".encode(), leaf.encode(), borrowed.functions, None)
     digest = _Hash(1, (ctypes.c_uint8 * 32)(*type_hash(name, fields)))

@@ -149,7 +149,7 @@ class TopicSubscriptions:
         taps = subscription.taps
         monotonic = time.monotonic
 
-        def heard(data: bytes) -> None:
+        def on_message(data: bytes) -> None:
             try:
                 subscription.last = data
                 if len(data) > _LARGE and not subscription.advised:
@@ -163,7 +163,7 @@ class TopicSubscriptions:
             except Exception as error:  # it would end the executor
                 log.error("ros_callback_failed", topic=subscription.topic, exc_info=error)
 
-        return heard
+        return on_message
 
     def _send(self, tap: Tap, data: bytes, now: float) -> None:
         tap.held = None
@@ -205,14 +205,14 @@ def _advise(subscription: TopicSubscription, size: int) -> None:
         "ros_messages_may_be_lost",
         topic=subscription.topic,
         bytes=size,
-        detail="best effort, and larger than the shared memory of Fast DDS takes by itself: most "
-        "of them are lost unless the node that publishes them has more",
-        remedy=f"Start that node with {_PROFILES}={PROFILE}, or have it publish reliable.",
+        detail="best effort, and too large for the default shared memory of Fast DDS: most "
+        "of them are lost unless the publishing node configures more",
+        remedy=f"Start that node with {_PROFILES}={PROFILE}, or let it publish reliable.",
     )
 
 
 def _subscribe(
-    node: Any, cls: Any, topic: str, heard: Callable[[bytes], None], profile: Profile
+    node: Any, cls: Any, topic: str, on_message: Callable[[bytes], None], profile: Profile
 ) -> Any:
     from rclpy.event_handler import SubscriptionEventCallbacks
 
@@ -221,7 +221,7 @@ def _subscribe(
     return node.create_subscription(
         cls,
         topic,
-        heard,
+        on_message,
         profile.to_ros(),
         event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False),
         raw=True,

@@ -41,8 +41,12 @@ _REP105 = {
 class Lookup(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Which frame is wanted in which, and when."""
 
-    target: Annotated[str, Meta(min_length=1, description="Frame to give the place in.")]
-    source: Annotated[str, Meta(min_length=1, description="Frame whose place is wanted.")]
+    target: Annotated[
+        str, Meta(min_length=1, description="Target frame, in which the result is expressed.")
+    ]
+    source: Annotated[
+        str, Meta(min_length=1, description="Source frame, whose position is requested.")
+    ]
     time: (
         Annotated[
             float, Meta(description="Seconds since the epoch.", extra_json_schema={"unit": "s"})
@@ -116,7 +120,7 @@ class Tree:
                 stamped.child_frame_id, stamped.header.frame_id, time, place, static=static
             )
         if self.frames.version != version:
-            self.shared.host.call_soon(self.shared.look_again)
+            self.shared.host.call_soon(self.shared.refresh)
 
     def offers(self) -> dict[str, Offer]:
         """Return the lookup, and a sensor for each frame in each that matters."""
@@ -126,7 +130,7 @@ class Tree:
         topic = f"{self.space}/tf"
         mapping = Mapping(topic=topic)
         name = self.shared.naming.path("service", f"{self.space}/lookup_transform")
-        offers = {name: Offer(mapping, partial(LookUp, self, name, mapping))}
+        offers = {name: Offer(mapping, partial(LookupTransform, self, name, mapping))}
         pairs = self._pairs()
         more = len(pairs) > _MOST
         text = f"{topic} connects more than {_MOST} pairs of frames: use {name} for the rest"
@@ -205,9 +209,9 @@ def _unknown(error: UnknownFrame, target: str) -> InvalidValue:
     names = ", ".join(error.near or error.known[:_SHOWN])
     return InvalidValue(
         str(error),
-        remedy=f"Use one of the frames there are: {names}."
+        remedy=f"Known frames: {names}."
         if names
-        else "Start the nodes that publish transforms; no frame is known yet.",
+        else "No frame is known yet: start the nodes that publish transforms.",
         details={
             "pointer": "/target" if f"'{target.lstrip('/')}'" in str(error) else "/source",
             "near": error.near,
@@ -220,9 +224,9 @@ def _out_of_range(error: Extrapolation) -> OutOfRange:
     late = error.at > error.last
     by = (error.at - error.last if late else error.first - error.at) / 1e9
     return OutOfRange(
-        f"the frame '{error.child}' is known from {first:.6f} to {last:.6f} s; the time asked for "
+        f"the frame '{error.child}' is known from {first:.6f} to {last:.6f} s; the requested time "
         f"is {by:.6f} s {'after' if late else 'before'} that",
-        remedy="Leave `time` out for the latest, or ask for a time inside.",
+        remedy="Omit `time` for the latest, or use a time in this range.",
         details={"pointer": "/time", "frame": error.child, "value": error.at / 1e9}
         | {"first": first, "last": last},
     )
@@ -279,10 +283,10 @@ class Moved(Binding):
     def __init__(self, tree: Tree, name: str, mapping: Mapping, target: str, source: str) -> None:
         self._tree = tree
         self._pair = target, source
-        self._telling: asyncio.Task[None] | None = None
+        self._publishing: asyncio.Task[None] | None = None
         type_ = _pair_type(target, source)
         self._make = _maker(type_)
-        text = f"Where the frame {source} is in {target}"
+        text = f"Transform of the frame {source} in {target}"
         if known := _REP105.get(target):
             text += f", which is {known}"
         facts = common(name, mapping, text, target=target, source=source)
@@ -306,9 +310,9 @@ class Moved(Binding):
         """Publish whatever is new, so many times a second at most."""
         self.unwatched()
         pause = 1 / min(rate, self.shared.config.tf.rate)
-        self._telling = asyncio.ensure_future(self._tell(pause))
+        self._publishing = asyncio.ensure_future(self._publish_all(pause))
 
-    async def _tell(self, pause: float) -> None:
+    async def _publish_all(self, pause: float) -> None:
         last: Any = None
         while True:
             with contextlib.suppress(AdapterUnavailable):  # a part of the tree is gone for now
@@ -320,16 +324,16 @@ class Moved(Binding):
 
     def unwatched(self) -> None:
         """Publish no more."""
-        if self._telling is not None:
-            self._telling.cancel()
-            self._telling = None
+        if self._publishing is not None:
+            self._publishing.cancel()
+            self._publishing = None
 
     def close(self) -> None:
         """Publish no more."""
         self.unwatched()
 
 
-class LookUp(Binding):
+class LookupTransform(Binding):
     """Where any frame is in any other, at any time that is remembered."""
 
     def __init__(self, tree: Tree, name: str, mapping: Mapping) -> None:
@@ -337,7 +341,7 @@ class LookUp(Binding):
         output = outward(load(_STAMPED))
         self._make = _maker(output)
         span = tree.shared.config.tf.buffer
-        text = f"Where one frame is in another, now or at a time within the last {span:g} s"
+        text = f"Transform of one frame in another, now or at a time within the last {span:g} s"
         resource = Resource(
             input=Lookup,
             output=output,

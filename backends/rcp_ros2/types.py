@@ -123,12 +123,12 @@ def _struct(cls: Any, *, out: bool, unit: str | None) -> type[Struct]:
     if key in _made:
         return _made[key]
     name = full_name(cls)
-    said = comments_of(cls)
+    comments = comments_of(cls)
     sample = None if out or is_defined(cls) else cls()
     fields: list[Any] = []
     for field in fields_of(cls):
         typed = _typed(field.type, out=out, unit=unit_of(name, field.name) or unit)
-        text = said.fields.get(field.name)
+        text = comments.fields.get(field.name)
         shown = typed if text is None else Annotated[typed, Meta(description=text)]
         if out:
             fields.append((field.name, shown))
@@ -141,7 +141,7 @@ def _struct(cls: Any, *, out: bool, unit: str | None) -> type[Struct]:
         cls.__name__ + suffix,
         fields,
         module=".".join(name.split("/")[:2]),
-        namespace={"__doc__": said.whole or None},
+        namespace={"__doc__": comments.whole or None},
         frozen=True,
         gc=False,
         forbid_unknown_fields=True,

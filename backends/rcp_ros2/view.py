@@ -155,9 +155,7 @@ class View(Binding):
     def _topic(self, node: Any, name: str, types: list[str]) -> Topic:
         publishers = node.get_publishers_info_by_topic(name)
         subscribers = node.get_subscriptions_info_by_topic(name)
-        wrong = (
-            [f"its nodes do not agree on its type: {', '.join(types)}"] if len(types) > 1 else []
-        )
+        wrong = [f"its nodes disagree on its type: {', '.join(types)}"] if len(types) > 1 else []
         for publisher in publishers:
             for subscriber in subscribers:
                 wrong += mismatches(Terms.of(publisher), Terms.of(subscriber))

@@ -73,7 +73,7 @@ class SimBackend(BaseBackend):
         """Return a fresh value."""
         await self.device.reach(name)
         if self.device.faults.stopped(name):
-            raise DeviceTimeout(f"{name} has fallen silent")
+            raise DeviceTimeout(f"{name} has stopped publishing")
         value = self.device.publisher.make(name, now())
         return await super().read(name) if value is None else value
 
@@ -181,7 +181,7 @@ class SimBackend(BaseBackend):
     async def _ride(self, trip: Trip, progress: Progress) -> None:
         """See a trip to its end; a cancellation brakes the rover before it passes on."""
         device = self.device
-        device.told(trip, "started", f"Set out for a goal {trip.length:.1f} m away.")
+        device.told(trip, "started", f"Driving to a goal {trip.length:.1f} m away.")
         try:
             while not trip.done:
                 self._tell(trip, progress)

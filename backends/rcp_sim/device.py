@@ -55,15 +55,15 @@ class Device:
         try:
             await run_ticks(self.tick, self._rate)
         except Exception as error:
-            self._host.report(f"the simulated rover broke down: {error}", down=True)
+            self._host.report(f"the simulated rover failed: {error}", down=True)
             raise
         finally:
-            self.waiting.close("the simulated rover is gone")
+            self.waiting.close("the simulated rover has stopped")
 
     def tick(self, stamp: int) -> None:
         """Let one period pass; `stamp` is its time in ns of UTC."""
         if self.faults.crash:
-            raise RuntimeError("crash, as was asked for")
+            raise RuntimeError("crash, as requested")
         self._ticks += 1
         self.uptime = self._ticks / self._rate
         while self._awaiting and self._awaiting[0][0] <= self.uptime:
@@ -75,7 +75,7 @@ class Device:
             and self.hears
             and (self.sim.trip is not None or self.sim.velocity != (0.0, 0.0))
         ):
-            self.sim.stop("no odometry comes from the rover", hard=True)
+            self.sim.stop("the rover sends no odometry", hard=True)
         self.publisher.tick(self.uptime, stamp)
         for fault, active, message in self.sim.happenings:
             self._event(FaultEvent(fault, active, message, None, iso(stamp)))
@@ -84,7 +84,7 @@ class Device:
 
     def boot(self, reason: Literal["power_on", "reset"] = "power_on") -> None:
         """Announce that the rover is up, with a first value of everything it sends by itself."""
-        text = "The rover is up." if reason == "power_on" else "The rover was reset."
+        text = "The rover is ready." if reason == "power_on" else "The rover was reset."
         came = Boot(reason, "simulated rover", text, iso(now()))
         self.publisher.event("event/boot", came, now())
         if reason == "power_on":
@@ -111,7 +111,7 @@ class Device:
             if self.faults.lose_stop():
                 given_up = self.uptime + _ANSWER
                 await self.waiting.until(lambda: self.uptime >= given_up)
-                raise DeviceTimeout("the stop went missing on its way to the rover")
+                raise DeviceTimeout("the stop was lost on its way to the rover")
         elif self.faults.refused(name):
             raise DeviceRejected(
                 f"the rover refuses {name}",
@@ -135,8 +135,8 @@ class Device:
         """
         if self.blind:
             raise PreconditionFailed(
-                "the rover sends no odometry, so that nothing shows how it moves",
-                remedy="Execute service/clear_faults, or wait until sensor/odometry comes again.",
+                "the rover sends no odometry, so its motion is unknown",
+                remedy="Execute service/clear_faults, or wait until sensor/odometry is published again.",
             )
 
     def _need_link(self) -> None:
@@ -168,7 +168,7 @@ class Device:
         return len(ended)
 
     def _over(self, spec: FaultSpec) -> None:
-        message = f"Over: {_text(spec)}"
+        message = f"Cleared: {_text(spec)}"
         self._event(FaultEvent(spec.fault, False, message, spec.target, iso(now())))
         self._report()
 
@@ -198,14 +198,14 @@ class Device:
 def _text(spec: FaultSpec) -> str:
     match spec.fault:
         case "sensor_stop":
-            return f"{spec.target or 'Every sensor'} has fallen silent."
+            return f"{spec.target or 'Every sensor'} has stopped publishing."
         case "refuse":
             return f"The rover refuses {spec.target or 'every command'}."
         case "slow":
-            return f"{spec.target or 'Everything'} is answered {spec.delay:g} s late."
+            return f"Responses of {spec.target or 'everything'} are {spec.delay:g} s late."
         case "link_lost":
             return "The link is lost."
         case "stop_lost":
-            return f"The next {spec.count} stops go missing."
+            return f"The next {spec.count} stops are lost."
         case "crash":
-            return "The rover breaks down."
+            return "The rover crashes."

@@ -48,8 +48,10 @@ def unknown_target(spec: FaultSpec) -> str | None:
     if spec.target is None or spec.target in known:
         return None
     if not known:
-        return f"fault '{spec.fault}' takes no target"
-    return f"fault '{spec.fault}' cannot strike '{spec.target}'; it can strike {', '.join(known)}"
+        return f"fault '{spec.fault}' has no target"
+    return (
+        f"fault '{spec.fault}' cannot affect '{spec.target}'; possible targets: {', '.join(known)}"
+    )
 
 
 class FaultBoard:
@@ -122,7 +124,7 @@ class FaultBoard:
         seen = [
             f"{spec.target or 'every sensor'} has stopped"
             if spec.fault == "sensor_stop"
-            else f"{spec.target or 'the rover'} answers {spec.delay} s late"
+            else f"{spec.target or 'the rover'} responds {spec.delay} s late"
             for _, spec in self._active
             if spec.fault in ("sensor_stop", "slow")
         ]

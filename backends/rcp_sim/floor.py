@@ -31,17 +31,17 @@ class Floor:
         """
         if len(self.placed) >= MAX_PLACED:
             raise DeviceRejected(
-                f"{MAX_PLACED} boxes stand already",
+                f"there are already {MAX_PLACED} boxes",
                 remedy="Remove one first: service/remove_obstacle.",
             )
         if not self.world.bounds.holds(box.x, box.y):
-            raise DeviceRejected("that place is outside the hall")
+            raise DeviceRejected("that position is outside the warehouse")
         outline = Rect.of(box)
         x, y = rover
         dx = max(outline.left - x, x - outline.right, 0.0)
         dy = max(outline.bottom - y, y - outline.top, 0.0)
         if math.hypot(dx, dy) < MARGIN:
-            raise DeviceRejected("the rover stands there", remedy="Place it elsewhere.")
+            raise DeviceRejected("the rover is there", remedy="Place it elsewhere.")
         self._boxes += 1
         name = f"box-{self._boxes}"
         self._rebuild({**self.placed, name: box})
@@ -53,7 +53,7 @@ class Floor:
         :raises DeviceRejected: there is none of that name.
         """
         if name not in self.placed:
-            raise DeviceRejected(f"no box is named '{name}'")
+            raise DeviceRejected(f"there is no box '{name}'")
         self._rebuild({key: box for key, box in self.placed.items() if key != name})
 
     def clear(self) -> int:

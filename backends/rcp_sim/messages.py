@@ -67,13 +67,15 @@ _Energy = Annotated[float, Meta(ge=0, extra_json_schema={"unit": "W.h"})]
 _Amperes = Annotated[
     float, Meta(description="Negative while discharging.", extra_json_schema={"unit": "A"})
 ]
-_Cell = Annotated[float, Meta(gt=0, description="Edge of a cell.", extra_json_schema={"unit": "m"})]
+_Cell = Annotated[
+    float, Meta(gt=0, description="Edge length of a cell.", extra_json_schema={"unit": "m"})
+]
 _Tolerance = Annotated[
     float,
     Meta(
         ge=0.02,
         le=2,
-        description="How near to the goal counts as there.",
+        description="Position tolerance at the goal.",
         extra_json_schema={"unit": "m"},
     ),
 ]
@@ -86,7 +88,7 @@ _Delay = Annotated[
     Meta(
         gt=0,
         le=60,
-        description="By how much `slow` delays every answer.",
+        description="Delay of every response with `slow`.",
         extra_json_schema={"unit": "s"},
     ),
 ]
@@ -95,7 +97,7 @@ _Losses = Annotated[
     Meta(
         ge=1,
         le=100,
-        description="How many stops `stop_lost` loses.",
+        description="Number of stops lost with `stop_lost`.",
         extra_json_schema={"unit": "1"},
     ),
 ]
@@ -191,7 +193,7 @@ class MoveTo(Struct, frozen=True, forbid_unknown_fields=True):
     ] = None
     tolerance: _Tolerance = 0.1
     speed: Annotated[
-        _TripSpeed | None, Meta(description="At most this fast; the speed limit stands as well.")
+        _TripSpeed | None, Meta(description="Maximum speed; the speed limit applies as well.")
     ] = None
 
 
@@ -199,7 +201,7 @@ class MoveFeedback(Struct, frozen=True, forbid_unknown_fields=True):
     """How a drive is going."""
 
     distance_remaining: _Distance
-    eta: Annotated[_Duration | None, Meta(description="None while the speed limit is 0.")]
+    eta: Annotated[_Duration | None, Meta(description="None if the speed limit is 0.")]
     phase: Literal["turning", "driving", "aligning", "braking", "done"]
     position: Point
 
@@ -232,8 +234,8 @@ class ResetSystem(Struct, frozen=True, forbid_unknown_fields=True):
     faults: bool = True
     obstacles: bool = True
     speed_limit: bool = True
-    pose: Annotated[bool, Meta(description="Carry the rover back to where it started.")] = False
-    battery: Annotated[bool, Meta(description="Change the battery for a full one.")] = False
+    pose: Annotated[bool, Meta(description="Put the rover back at its start.")] = False
+    battery: Annotated[bool, Meta(description="Replace the battery with a full one.")] = False
 
 
 class ResetResult(Struct, frozen=True, forbid_unknown_fields=True):
@@ -271,11 +273,13 @@ class FaultSpec(Struct, frozen=True, forbid_unknown_fields=True):
     fault: Literal["sensor_stop", "refuse", "slow", "link_lost", "stop_lost", "crash"]
     target: Annotated[
         str | None,
-        Meta(description="The one resource that suffers (`sensor/scan`); none: all that can."),
+        Meta(
+            description="The affected resource (`sensor/scan`). Default: all that support the fault."
+        ),
     ] = None
     seconds: Annotated[
         _Seconds | None,
-        Meta(description="How long; none: until cleared, or 10 s for `link_lost`."),
+        Meta(description="Duration. Default: until cleared, or 10 s for `link_lost`."),
     ] = None
     delay: _Delay = 1.0
     count: _Losses = 1

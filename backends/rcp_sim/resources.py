@@ -30,7 +30,7 @@ def _sensors(config: SimConfig) -> list[Resource]:
     return [
         Resource(
             name="sensor/pose",
-            description="Where the rover is on the map, position in metres and heading.",
+            description="Position (in metres) and heading of the rover on the map.",
             value=PoseStamped,
             examples=(
                 {
@@ -45,7 +45,7 @@ def _sensors(config: SimConfig) -> list[Resource]:
         ),
         Resource(
             name="sensor/odometry",
-            description="Where the wheels say the rover is, with its speeds; it drifts.",
+            description="Position and speeds from the wheel odometry; it drifts.",
             value=m.Odometry,
             examples=({"pose": {"position": position}, "twist": {"linear": {"x": 0.5}}},),
             live=True,
@@ -53,7 +53,7 @@ def _sensors(config: SimConfig) -> list[Resource]:
         ),
         Resource(
             name="sensor/imu",
-            description="Turning rate and acceleration of the rover's body, and its heading.",
+            description="Angular rate and acceleration of the rover's body, and its heading.",
             value=m.Imu,
             examples=(
                 {
@@ -91,7 +91,7 @@ def _sensors(config: SimConfig) -> list[Resource]:
         ),
         Resource(
             name="sensor/camera",
-            description="What the rover's forward camera sees, as a small PNG picture.",
+            description="Image of the rover's forward camera, as a small PNG.",
             value=m.Image,
             examples=({"width": 160, "height": 120, "data": "iVBORw0KGgo="},),
             deadline=2.5,
@@ -99,7 +99,7 @@ def _sensors(config: SimConfig) -> list[Resource]:
         ),
         Resource(
             name="sensor/map",
-            description="The map of the hall as a grid of free and occupied cells.",
+            description="Map of the warehouse as a grid of free and occupied cells.",
             value=m.OccupancyGrid,
             examples=(
                 {
@@ -124,7 +124,7 @@ def _seen() -> list[Resource]:
     return [
         Resource(
             name="sensor/points",
-            description="What the depth camera ahead measures, as coloured points in its frame.",
+            description="Point cloud of the forward depth camera, as coloured points in its frame.",
             value=PointCloud,
             examples=(
                 {
@@ -143,7 +143,7 @@ def _seen() -> list[Resource]:
         ),
         Resource(
             name="sensor/transforms",
-            description="Where the rover's frames are: map, odom, base_link, laser and camera.",
+            description="Transforms of the rover's frames: map, odom, base_link, laser and camera.",
             value=Transforms,
             examples=({"transforms": [place]},),
             deadline=2.5,
@@ -151,7 +151,7 @@ def _seen() -> list[Resource]:
         ),
         Resource(
             name="sensor/joint_states",
-            description="How far the wheels have turned, and how fast they do.",
+            description="Angles and angular velocities of the wheels.",
             value=JointState,
             examples=(
                 {
@@ -181,7 +181,7 @@ def _settings() -> list[Resource]:
     return [
         Resource(
             name="actuator/cmd_vel",
-            description="Velocity to drive with, forward and turning, until the next one.",
+            description="Commanded velocity, linear and angular, in force until the next one.",
             value=m.Drive,
             examples=({"linear": {"x": 0.4}, "angular": {"z": 0.2}}, rest),
             live=True,
@@ -191,7 +191,7 @@ def _settings() -> list[Resource]:
         ),
         Resource(
             name="param/speed_limit",
-            description="The highest speed the rover drives at, by whatever command.",
+            description="Maximum speed of the rover, for every command.",
             value=m.SpeedLimit,
             examples=(1.0, 0.5),
             live=True,
@@ -203,7 +203,7 @@ def _actions() -> list[Resource]:
     return [
         Resource(
             name="action/move_to",
-            description="Drive to a position on the map, round whatever stands in the way.",
+            description="Drive to a position on the map, around obstacles.",
             input=m.MoveTo,
             output=m.MoveResult,
             feedback=m.MoveFeedback,
@@ -216,7 +216,7 @@ def _actions() -> list[Resource]:
         ),
         Resource(
             name="action/dock",
-            description="Drive to the charger, which stands at the start, and begin to charge.",
+            description="Drive to the charger, which is at the start, and start charging.",
             input=m.Dock | None,
             output=m.DockResult,
             feedback=m.MoveFeedback,
@@ -238,22 +238,22 @@ def _services() -> list[Resource]:
         ),
         Resource(
             name="service/place_obstacle",
-            description="Put a box on the floor; the map, the scan and the ways change with it.",
+            description="Put a box on the floor; the map, the scan and planned paths change accordingly.",
             input=m.Box,
             output=m.ObstacleId,
             examples=(_BOX,),
         ),
         Resource(
             name="service/remove_obstacle",
-            description="Take a placed box away again.",
+            description="Remove a placed box.",
             input=m.ObstacleId,
             output=m.Obstacles,
             examples=({"id": "box-1"},),
         ),
         Resource(
             name="service/inject_fault",
-            description="Make the simulated rover fail in a chosen way, to see what follows. While its"
-            " link is lost nothing reaches it, not even the end of that: it comes back by itself.",
+            description="Inject a fault into the simulated rover. While its"
+            " link is lost, nothing reaches it, not even `clear_faults`: the link is restored by itself.",
             input=m.FaultSpec,
             output=m.FaultsActive,
             examples=(
@@ -276,21 +276,21 @@ def _events() -> list[Resource]:
     return [
         Resource(
             name="event/boot",
-            description="The rover came up, after power-on or a reset.",
+            description="The rover started, after power-on or a reset.",
             value=m.Boot,
             examples=({"reason": "power_on", "model": "rover", "message": "Ready."},),
             live=True,
         ),
         Resource(
             name="event/fault",
-            description="A fault of the rover came or went.",
+            description="A fault of the rover appeared or cleared.",
             value=m.FaultEvent,
             examples=({"fault": "collision", "active": True, "message": "Bumper touched."},),
             live=True,
         ),
         Resource(
             name="event/task",
-            description="A task of the rover began, was completed, cancelled, or failed.",
+            description="A task of the rover started, completed, failed or was cancelled.",
             value=m.TaskEvent,
             examples=({"task": "move_to", "state": "completed", "message": "Arrived."},),
             live=True,

@@ -164,7 +164,7 @@ class Simulation:
             )
         way = self.floor.planner.way((self.rover.x, self.rover.y), (x, y))
         if way is None:
-            raise DeviceRejected(f"no way leads to ({x:g}, {y:g})")
+            raise DeviceRejected(f"no path to ({x:g}, {y:g})")
         return way
 
     def dock(self) -> Trip:
@@ -212,7 +212,7 @@ class Simulation:
             return
         way = planner.way(here, follower.goal)
         if way is None:
-            self.stop("the way is blocked")
+            self.stop("the path is blocked")
         else:
             follower.reroute(way)
 
@@ -222,7 +222,7 @@ class Simulation:
         :raises DeviceRejected: the start is taken.
         """
         if pose and not self.floor.planner.free(self._start.x, self._start.y):
-            raise DeviceRejected("a placed box stands where the rover started")
+            raise DeviceRejected("a placed box is at the rover's start")
         self.stop("the system was reset", hard=True)
         if pose:
             self.rover = Rover(self._start.x, self._start.y, self._start.yaw)

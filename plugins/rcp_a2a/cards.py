@@ -186,7 +186,7 @@ class Cards:
         if proofs.bearer:
             schemes["bearer"] = SecurityScheme(
                 http_auth_security_scheme=HTTPAuthSecurityScheme(
-                    scheme="Bearer", description="An API key, or a JSON Web Token."
+                    scheme="Bearer", description="An API key or a JSON Web Token."
                 )
             )
         for number, issuer in enumerate(proofs.issuers):

@@ -16,7 +16,7 @@ _SERIES: Node = {
     "required": ["path", "capacity", "now", "series"],
     "properties": {
         "path": {"type": "string"},
-        "capacity": {"type": "integer", "description": "Samples kept of each field."},
+        "capacity": {"type": "integer", "description": "Samples kept per field."},
         "now": {"type": "number", "description": "The gateway's clock, s since the epoch."},
         "series": {
             "type": "array",
@@ -24,9 +24,15 @@ _SERIES: Node = {
                 "type": "object",
                 "required": ["field", "samples", "times", "values"],
                 "properties": {
-                    "field": {"type": "string", "description": "Empty: the value itself."},
-                    "samples": {"type": "integer", "description": "In the window."},
-                    "times": {**_NUMBERS, "description": "Of the source, s since the epoch."},
+                    "field": {
+                        "type": "string",
+                        "description": "Field name; empty for the value itself.",
+                    },
+                    "samples": {
+                        "type": "integer",
+                        "description": "Number of samples in the window.",
+                    },
+                    "times": {**_NUMBERS, "description": "Source times, s since the epoch."},
                     "values": _NUMBERS,
                 },
             },
@@ -47,7 +53,10 @@ _LATEST: Node = {
                     "path": {"type": "string"},
                     "status": {"type": "string"},
                     "body": {},
-                    "omitted": {"type": "integer", "description": "Bytes, of what is too long."},
+                    "omitted": {
+                        "type": "integer",
+                        "description": "Size in bytes of a value that is too long.",
+                    },
                     "seq": {"type": "integer"},
                     "timestamp": {"type": "string"},
                     "state": {"enum": ["fresh", "stale"]},
@@ -56,12 +65,12 @@ _LATEST: Node = {
                 },
             },
         },
-        "truncated": {"type": "boolean", "description": "There is more: send the `cursor`."},
+        "truncated": {"type": "boolean", "description": "There are more: continue with `cursor`."},
         "cursor": {"type": "string"},
     },
 }
 _PATH = ("path", "string", "A resource.")
-_QUALITY = ("quality", "integer", "Of JPEGs that are made of raw pixels, 1 to 100.")
+_QUALITY = ("quality", "integer", "Quality of JPEGs converted from raw pixels, 1 to 100.")
 
 
 async def described(_: Session) -> Node:
@@ -73,7 +82,7 @@ async def described(_: Session) -> Node:
     stream: Node = {"multipart/x-mixed-replace": {"schema": {"type": "string"}}}
     layout: Node = {"application/json": {"schema": {}}}
     none: Node = {"204": {"description": "Done."}, "default": _REFUSED}
-    save = {"summary": "Keep the caller's layout.", "requestBody": {"content": layout}}
+    save = {"summary": "Save the caller's layout.", "requestBody": {"content": layout}}
     return {
         "paths": {
             "/dashboard/api/series": {
@@ -81,37 +90,49 @@ async def described(_: Session) -> Node:
                     "Fields over time, down-sampled.",
                     _json(_SERIES),
                     _PATH,
-                    ("field", "string", "A field that is a number; may be given again."),
-                    ("window", "number", "s, up to `until`."),
-                    ("until", "string", "ISO 8601 or s since the epoch; else the newest sample."),
-                    ("points", "integer", "At most so many, 4 to 5000; without it 600."),
+                    ("field", "string", "A numeric field; repeatable."),
+                    ("window", "number", "Length of the window before `until`, in s."),
+                    (
+                        "until",
+                        "string",
+                        "End of the window, ISO 8601 or s since the epoch. Default: the newest sample.",
+                    ),
+                    ("points", "integer", "Maximum number of points, 4 to 5000. Default: 600."),
                     ("method", "string", "`minmax` (no extreme is lost) or `lttb`."),
                 )
             },
             "/dashboard/api/latest": {
                 "get": _call(
-                    "Present values.",
+                    "Current values.",
                     _json(_LATEST),
                     ("path", "string", "A path or pattern."),
-                    ("max_bytes", "integer", "Longer values are left out; without it 4096."),
-                    ("cursor", "string", "Of the last answer, if that was `truncated`."),
+                    (
+                        "max_bytes",
+                        "integer",
+                        "Maximum bytes per value; longer ones are omitted. Default: 4096.",
+                    ),
+                    (
+                        "cursor",
+                        "string",
+                        "`cursor` from the previous reply, if it was `truncated`.",
+                    ),
                 )
             },
-            "/dashboard/api/camera": {"get": _call("The newest picture.", image, _PATH, _QUALITY)},
+            "/dashboard/api/camera": {"get": _call("The latest image.", image, _PATH, _QUALITY)},
             "/dashboard/api/camera/stream": {
                 "get": _call(
-                    "Pictures until one side closes.",
+                    "Images, until one side closes the connection.",
                     stream,
                     _PATH,
                     _QUALITY,
-                    ("rate", "number", "At most so many a second."),
+                    ("rate", "number", "Maximum images per second."),
                 )
             },
             "/dashboard/api/layout": {
                 "get": _call("The caller's layout.", layout),
                 "put": {**save, "tags": ["dashboard"], "responses": none},
                 "delete": {
-                    "summary": "Forget the caller's layout.",
+                    "summary": "Delete the caller's layout.",
                     "tags": ["dashboard"],
                     "responses": none,
                 },

@@ -177,7 +177,7 @@ def _fixed(
 
 
 _TEXT, _OBJECT, _LIST = {"type": "string"}, {"type": "object"}, {"type": "array"}
-_VALUE: dict[str, Any] = {"description": "As the path's schema says."}
+_VALUE: dict[str, Any] = {"description": "Matches the path's schema."}
 _SAMPLE: dict[str, Any] = {
     "type": "object",
     "properties": {

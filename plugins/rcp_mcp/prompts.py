@@ -64,7 +64,7 @@ PROMPTS = [
     types.Prompt(
         name="inspect",
         title="Inspect a robot",
-        description="Look at everything, move nothing, and report.",
+        description="Read all of its state, move nothing, and report.",
         arguments=[_ROBOT],
     ),
     types.Prompt(
@@ -79,7 +79,7 @@ PROMPTS = [
     types.Prompt(
         name="diagnose",
         title="Find out what is wrong",
-        description="Look for the cause of a fault; change nothing.",
+        description="Find the cause of a fault; change nothing.",
         arguments=[_argument("symptom", "What does not work, in words."), _ROBOT],
     ),
 ]

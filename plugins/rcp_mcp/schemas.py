@@ -9,7 +9,7 @@ from rcp_kernel._plain import is_list, is_map
 __all__ = ["Arguments", "arguments", "result", "worded"]
 
 _DEFS = "$defs"
-_ANY_VALUE = {"description": "Anything that JSON carries."}
+_ANY_VALUE = {"description": "Any JSON value."}
 ERROR: dict[str, Any] = {
     "type": "object",
     "description": "`code`, `message`, and `remedy`: what to do next.",

@@ -100,7 +100,7 @@ class Tasks:
         if not takes_tasks(ctx):
             raise MCPError(
                 types.MISSING_REQUIRED_CLIENT_CAPABILITY,
-                "the client does not take tasks",
+                "the client does not support tasks",
                 {"requiredCapabilities": {"extensions": {TASKS: {}}}},
             )
         request: Any = ctx.request

@@ -19,14 +19,14 @@ OPTIONS: dict[str, dict[str, Any]] = {
         "exclusiveMinimum": 0,
         "maximum": 86400,
         "unit": "s",
-        "description": "Give up, and stop, if it is not done by then.",
+        "description": "Maximum time; after it, the command fails and the robot stops.",
     },
     "wait": {
         "type": "number",
         "minimum": 0,
         "maximum": 3600,
         "unit": "s",
-        "description": "Answer after that long, while it goes on.",
+        "description": "Return after this time, while the command continues.",
     },
     "dry_run": {
         "type": "boolean",
@@ -84,17 +84,17 @@ def _words(facts: dict[str, Any], config: McpConfig, *, stops: bool) -> str:
         )
     if facts["kind"] == "action":
         said.append(
-            f"It takes a while: after {config.wait:g} s (or `wait`) the answer is `in_progress` "
+            f"Long-running: after {config.wait:g} s (or `wait`) it returns `in_progress` "
             "with a command id for `status` and `cancel`."
         )
         said.append(
             "Cancelling the call stops the robot."
             if stops
-            else "Cancelling the call does not stop the robot: it goes on; use `cancel` for that."
+            else "Cancelling the call does not cancel the command; use `cancel` for that."
         )
     if envelopes := facts.get("envelopes"):
         names = ", ".join(str(one.get("name")) for one in envelopes)
-        said.append(f"Held to limits of the gateway: {names}.")
+        said.append(f"Motion limits that apply: {names}.")
     said.append(f"Path {facts['path']}.")
     return " ".join(said)
 

@@ -161,7 +161,7 @@ async def test_what_matters_is_told_to_those_who_do_not_look(tab: Watched, runni
     await form.get_by_role("button", name="JSON").click()
     await form.get_by_label("Value as JSON").fill('{"x": 900, "y": 900, "size_x": 1, "size_y": 1}')
     await form.get_by_role("button", name="Execute", exact=True).click()
-    await expect(form.get_by_role("alert")).to_contain_text("outside the hall")
+    await expect(form.get_by_role("alert")).to_contain_text("outside the warehouse")
     await page.keyboard.press("F9")
     await expect(page.get_by_role("alert").filter(has_text="Emergency stop")).to_be_visible()
     admin = {"authorization": f"Bearer {running.admin}"}

@@ -57,7 +57,7 @@ async def test_what_the_robot_refuses_is_told_in_place_with_the_way_out(tab: Wat
     await form.get_by_label("Value as JSON").fill('{"x": 900, "y": 900, "size_x": 1, "size_y": 1}')
     await form.get_by_role("button", name="Execute", exact=True).click()
     refusal = form.get_by_test_id("refusal")
-    await expect(refusal).to_contain_text("outside the hall")
+    await expect(refusal).to_contain_text("outside the warehouse")
     await expect(refusal).to_have_attribute("data-code", "device_rejected")
     await tab.shoot("explore-refused")
 

@@ -84,7 +84,7 @@ def _schemes(client_api: ClientApi) -> dict[str, Any]:
         found["bearer"] = {
             "type": "http",
             "scheme": "bearer",
-            "description": "A key, a token of `rcpd token`, or a JSON Web Token of an issuer.",
+            "description": "An API key, a token created by `rcpd token`, or a JSON Web Token from a configured issuer.",
         }
     if client_api.proofs.certificates:
         found["certificate"] = {"type": "mutualTLS", "description": "A client certificate."}

@@ -128,16 +128,16 @@ def _body(schema: Node | None, examples: list[Any]) -> Node:
 
 
 _ACCEPTED: Node = {
-    "description": "Accepted, and not at its end yet; `Location` names the command.",
+    "description": "Accepted and still running; `Location` is the command.",
     "headers": {"Location": {"required": True, "schema": {"type": "string"}}},
     "content": _content({"$ref": "#/components/schemas/Reply"}),
 }
 _PARTS: Node = {
     "206": {
-        "description": "The part of a value of bytes that `Range` asked for.",
+        "description": "The part of a bytes value requested by `Range`.",
         "content": {"application/octet-stream": {}},
     },
-    "304": {"description": "What `If-None-Match` names has not changed."},
+    "304": {"description": "Not changed since the `ETag` in `If-None-Match`."},
 }
 
 

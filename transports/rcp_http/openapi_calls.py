@@ -55,7 +55,7 @@ REPLY: Node = {
         "state": {"enum": ["fresh", "stale"]},
         "truncated": {
             "type": "boolean",
-            "description": "The body is one page of the answer; `cursor` leads to the next.",
+            "description": "The body is one page of the result; use `cursor` to get the next.",
         },
         "cursor": {"type": "string", "description": "Send it to get the next page."},
         "timestamp": _TEXT,
@@ -118,26 +118,36 @@ def _envelope() -> Node:
 def calls() -> Node:
     """Describe the calls."""
     accepted = {"202": {"$ref": "#/components/responses/202"}}
-    post = _call("Send any one envelope, or a batch of them.", statuses=COMMAND, extra=accepted) | {
+    post = _call("Send any single envelope, or a batch.", statuses=COMMAND, extra=accepted) | {
         "requestBody": {
             "required": True,
             "content": {"application/json": {"schema": _envelope()}},
         }
     }
-    unchanged: Node = {"304": {"description": "What `If-None-Match` names has not changed."}}
+    unchanged: Node = {"304": {"description": "Not changed since the `ETag` in `If-None-Match`."}}
     discovery = _call(
-        "List what there is, with schemas and examples.",
+        "List resources, with schemas and examples.",
         _query("path", _PATH, "A path or pattern."),
-        _query("kind", {"enum": [kind.value for kind in Kind]}, "Only this kind."),
-        _query("op", {"enum": _OPERATIONS}, "Only what the caller may do this with."),
-        _query("q", {"type": "string", "maxLength": 200}, "Words in path or description."),
-        _query("limit", _COUNT, "In one page."),
-        _query("cursor", {"type": "string", "maxLength": LONGEST}, "Of the last page."),
-        _query("schemas", {"type": "boolean"}, "Whether schemas are written out."),
+        _query("kind", {"enum": [kind.value for kind in Kind]}, "Only resources of this kind."),
+        _query(
+            "op",
+            {"enum": _OPERATIONS},
+            "Only resources on which the caller may use this operation.",
+        ),
+        _query(
+            "q",
+            {"type": "string", "maxLength": 200},
+            "Words that must occur in the path or description.",
+        ),
+        _query("limit", _COUNT, "Items per page."),
+        _query(
+            "cursor", {"type": "string", "maxLength": LONGEST}, "`cursor` from the previous page."
+        ),
+        _query("schemas", {"type": "boolean"}, "Whether to include schemas."),
         extra=unchanged,
     )
     many = _call(
-        "Read everything that a pattern reaches, page by page.",
+        "Read every resource that matches a pattern, page by page.",
         {
             "name": "pattern",
             "in": "path",
@@ -145,10 +155,14 @@ def calls() -> Node:
             "schema": _PATH,
             "description": "`*` is one segment, `**` any number: `param/**`.",
         },
-        _query("fields", _TEXT, "Only these fields of the values, separated by commas."),
-        _query("fresh", {"type": "boolean"}, "Ask the robot, even where a sample is at hand."),
-        _query("limit", _COUNT, "Items in one page."),
-        _query("cursor", _CURSOR, "Of the last page."),
+        _query("fields", _TEXT, "Only these fields of the values, comma-separated."),
+        _query(
+            "fresh",
+            {"type": "boolean"},
+            "Read from the robot, even if a recent sample is available.",
+        ),
+        _query("limit", _COUNT, "Items per page."),
+        _query("cursor", _CURSOR, "`cursor` from the previous page."),
         statuses=READ,
         extra=unchanged,
     )
@@ -157,23 +171,23 @@ def calls() -> Node:
         "/rcp/v1/messages": {"post": post},
         "/rcp/v1/discovery": {"get": discovery},
         "/rcp/v1/status": {"get": _call("Report health of the gateway and its robots.")},
-        "/rcp/v1/schemas": {"get": _call("List the schemas of what the caller may see.")},
+        "/rcp/v1/schemas": {"get": _call("List the schemas that the caller may see.")},
         "/rcp/v1/schemas/{id}": {"get": _call("Return one schema.", _ID)},
         "/rcp/v1/commands": {
             "get": _call(
-                "List commands, the newest first.",
+                "List commands, newest first.",
                 _query(
                     "status",
                     {"enum": sorted((*_STATUSES, "running"))},
-                    "Only those of this status, or `running`.",
+                    "Only commands with this status, or `running`.",
                 ),
-                _query("path", _TEXT, "Only those of this path."),
-                _query("limit", _COUNT, "In one page."),
-                _query("cursor", _CURSOR, "Of the last page."),
+                _query("path", _TEXT, "Only commands on this path."),
+                _query("limit", _COUNT, "Items per page."),
+                _query("cursor", _CURSOR, "`cursor` from the previous page."),
             )
         },
         "/rcp/v1/commands/{id}": {
             "get": _call("Return a command with its history.", _ID),
-            "delete": _call("Have a command cancelled.", _ID, statuses=COMMAND),
+            "delete": _call("Cancel a command.", _ID, statuses=COMMAND),
         },
     }

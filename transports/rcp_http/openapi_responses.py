@@ -15,13 +15,13 @@ READ = (*CALL, 416, 502)
 COMMAND = (*CALL, 409, 413, 423, 499, 502)
 _ELSE = {
     414: "`payload_too_large`: the URL is longer than the limit.",
-    416: "`bad_request`: the range lies outside of the value.",
+    416: "`bad_request`: the range is outside the value.",
     431: "`payload_too_large`: the headers are longer than the limit.",
 }
 """Statuses that HTTP has for what is one code of the contract."""
 _HEADERS: dict[int, tuple[str, str]] = {
-    401: ("WWW-Authenticate", "How to prove who asks."),
-    405: ("Allow", "The methods that the resource takes."),
+    401: ("WWW-Authenticate", "How to authenticate."),
+    405: ("Allow", "The methods that the resource supports."),
 }
 
 
@@ -52,7 +52,7 @@ def _response(status: int, text: str) -> Node:
         }
     if status in (429, 503):
         headers["Retry-After"] = {
-            "description": "Seconds, where it is known when to come again.",
+            "description": "Seconds to wait before a retry, if known.",
             "schema": {"type": "integer", "minimum": 1},
         }
     return found | ({"headers": headers} if headers else {})

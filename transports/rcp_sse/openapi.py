@@ -9,17 +9,17 @@ from rcp_kernel.clients.session import Session
 __all__ = ["described"]
 
 _OPTIONS = {
-    "rate": "At most so many updates a second, for each path.",
+    "rate": "Maximum updates per second and path.",
     "on": "`sample` or `change`.",
     "deadband": "A number, a percentage, or a JSON object of field to either.",
     "where": "A condition, as JSON.",
-    "fields": "Only these fields, separated by commas.",
-    "history": "Replay first: a number of samples, or a duration.",
-    "initial": "Whether the present value comes at once.",
+    "fields": "Only these fields, comma-separated.",
+    "history": "Samples to replay first: a number, or a duration.",
+    "initial": "Whether to send the current value at once.",
     "qos": "Quality of service, as JSON.",
     "duration": "Seconds after which the stream ends.",
     "count": "Updates after which the stream ends.",
-    "last_event_id": "Like the header `Last-Event-ID`.",
+    "last_event_id": "The same as the header `Last-Event-ID`.",
 }
 
 
@@ -36,7 +36,7 @@ def _stream(summary: str, parameters: list[dict[str, Any]]) -> dict[str, Any]:
             "parameters": parameters,
             "responses": {
                 "200": {
-                    "description": "Events until one side closes.",
+                    "description": "Events, until one side closes the connection.",
                     "content": {"text/event-stream": {"schema": {"type": "string"}}},
                 },
                 "default": {"description": "Refused, with an envelope."},
@@ -48,7 +48,7 @@ def _stream(summary: str, parameters: list[dict[str, Any]]) -> dict[str, Any]:
 async def described(_: Session) -> dict[str, Any]:
     """Describe the calls; they are the same for everybody."""
     options = [_parameter(name, "query", text) for name, text in _OPTIONS.items()]
-    path = _parameter("path", "query", "A path or pattern; may be given again.", required=True)
+    path = _parameter("path", "query", "A path or pattern; repeatable.", required=True)
     id_ = _parameter("id", "path", "The command.", required=True)
     return {
         "paths": {

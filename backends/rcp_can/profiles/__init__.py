@@ -32,7 +32,7 @@ def profile(name: str) -> Profile:
     try:
         found = getattr(import_module(f"{__name__}.{module}" if own else module), attribute)
     except (ImportError, AttributeError, ValueError) as error:
-        raise ConfigError(f"there is no profile {name!r}: {error}") from error
+        raise ConfigError(f"unknown profile {name!r}: {error}") from error
     if not isinstance(found, Profile):
-        raise ConfigError(f"{name!r} is no profile, but a {type(found).__name__}")
+        raise ConfigError(f"{name!r} is not a profile but a {type(found).__name__}")
     return found

@@ -76,12 +76,12 @@ class Cia402Drive(Drive):
         self._goal = self._rate = self._torque = 0
         self._nmt: int | None = None
         self._moving = False
-        self._heard = 0
+        self._statuswords = 0
         self._configured = self._watched = False
         self._sync = options.sync
         self._probes = 0
         self._stop_began = self._stop_last = 0.0
-        self._told: Counter[str] = Counter()
+        self._reported: Counter[str] = Counter()
         self._emergencies: dict[int, Fault] = {}
         self._pdos = eds_map(options.eds, node) if options.eds else own_map(node)
         carried = self._pdos.commanded
@@ -129,10 +129,10 @@ class Cia402Drive(Drive):
             return True
         cob = message.arbitration_id - self.node
         if cob == _ANSWER and bytes(message.data[:4]) in _CONTROL_WRITTEN:
-            self.status.told += 1  # to a stop that went past the SDO client
+            self.status.reports += 1  # to a stop that went past the SDO client
         elif cob == _ANSWER and self._probes and not self.sdo.busy:
             self._probes -= 1
-            self.status.told += 1
+            self.status.reports += 1
         elif cob == _ANSWER:
             unasked = self.sdo.unasked
             self.sdo.take(message)
@@ -160,7 +160,7 @@ class Cia402Drive(Drive):
                 self._configured = False
                 status.enabled = status.holding = None
                 status.resets += 1
-        status.told += 1
+        status.reports += 1
 
     def _on_emergency(self, code: int) -> None:
         if code == 0:
@@ -175,11 +175,11 @@ class Cia402Drive(Drive):
         if not faults and self.state in _FAULTS:
             faults = (Fault("fault", "the drive is in fault"),)
         self.status.faults = faults
-        self.status.told += 1
+        self.status.reports += 1
 
     def _on_pdo(self, values: dict[str, float]) -> None:
         status, scale = self.status, self._scale
-        self._told.update(values.keys())
+        self._reported.update(values.keys())
         for name, value in values.items():
             match name:
                 case "position":
@@ -199,7 +199,7 @@ class Cia402Drive(Drive):
     def _on_state(self, statusword: int) -> None:
         status = self.status
         self._statusword = statusword
-        self._heard += 1
+        self._statuswords += 1
         was, self.state = self.state, state_of(statusword)
         status.enabled = self.state == "enabled"
         status.holding = self.state in _POWERED
@@ -233,21 +233,21 @@ class Cia402Drive(Drive):
         self._control = COMMANDS["disable_voltage"]
         self._nmt_command(_START)
         self._nmt = None
-        self._told.clear()
+        self._reported.clear()
         mapped = {name for layout in self._pdos.feedback.values() for name in layout.names}
         due = mapped & _CONTROLLED
         try:
             await self.until(
-                lambda: due <= self._told.keys(),
+                lambda: due <= self._reported.keys(),
                 "sending its PDOs",
                 again=self._start_again,
                 seconds=_ARRIVE,
             )
         except DeviceTimeout:
-            missing = ", ".join(sorted(due - self._told.keys()))
+            missing = ", ".join(sorted(due - self._reported.keys()))
             raise DeviceTimeout(
-                f"node {self.node} accepted its PDOs, and {missing} did not arrive",
-                remedy="Take the PDOs that it has: map_pdos = false, with its EDS.",
+                f"node {self.node} accepted its PDO mapping, but {missing} did not arrive",
+                remedy="Use the drive's own PDO mapping: map_pdos = false, with its EDS.",
             ) from None
         self.status.beat = time.monotonic()
         self._configured = True
@@ -265,8 +265,8 @@ class Cia402Drive(Drive):
     def poll(self, tick: int) -> None:
         """Send SYNC and the gateway's heartbeat, where they are wanted; look for a silent node."""
         options, bus = self.options, self.bus
-        who = f"heartbeat {options.master}"
-        if self._watched and self.watchdog and bus.paced(who, self.watchdog / _BEATS):
+        name = f"heartbeat {options.master}"
+        if self._watched and self.watchdog and bus.paced(name, self.watchdog / _BEATS):
             bus.send(_HEARTBEAT + options.master, bytes((_OPERATIONAL,)), lifetime=_FAST)
         if not self._configured:
             if self._nmt is None and not self.sdo.busy and bus.paced(f"probe {self.node}", _PROBE):
@@ -277,7 +277,7 @@ class Cia402Drive(Drive):
         if self._sync and bus.paced("sync", 0.9 * self._sync / 1000):
             bus.send(0x080, lifetime=_FAST)
 
-    def _say(self, *names: str, urgent: bool = False) -> None:
+    def _transmit(self, *names: str, urgent: bool = False) -> None:
         """Send the PDOs that carry some objects, as those now are."""
         lifetime = None if urgent else _FAST
         values: dict[str, float] = {
@@ -298,7 +298,7 @@ class Cia402Drive(Drive):
 
     def _push(self, control: int, *, urgent: bool = False) -> None:
         self._control = control
-        self._say("target_position", "mode", "controlword", urgent=urgent)
+        self._transmit("target_position", "mode", "controlword", urgent=urgent)
 
     def _step(self) -> None:
         """Take the next step of the way to operation enabled (CiA 402-2, figure 5)."""
@@ -316,7 +316,7 @@ class Cia402Drive(Drive):
         self._rate = self._torque = 0
         self._goal = round((self.status.position or 0.0) * self._scale)
         self._mode = self._modes("velocity")
-        self._say(*_RATES)
+        self._transmit(*_RATES)
         if self.state == "quick_stop":
             await self.until(
                 lambda: self.state == "switch_on_disabled", "switched off", again=self._step
@@ -328,21 +328,21 @@ class Cia402Drive(Drive):
     async def disable(self) -> None:
         """Switch the voltage off."""
         self._rate = self._torque = 0
-        heard = self._heard + _UNDER_WAY  # a statusword under way is of before
+        stale = self._statuswords + _UNDER_WAY  # a statusword under way is of before
         until = time.monotonic() + _PATIENCE
 
-        def ask() -> None:
+        def request() -> None:
             self._push(COMMANDS["disable_voltage"])
             if time.monotonic() > until:
                 self._push_by_sdo(COMMANDS["disable_voltage"])
 
         await self.until(
             lambda: (
-                self._heard > heard
+                self._statuswords > stale
                 and self.state in ("switch_on_disabled", "ready", "fault", "not_ready")
             ),
             "disabled",
-            again=ask,
+            again=request,
             faults=False,
         )
 
@@ -392,7 +392,7 @@ class Cia402Drive(Drive):
         error = self._statusword & _HOMING_ERROR
         self._goal = round((self.status.position or 0.0) * self._scale)
         self._mode, self._rate = self._modes("velocity"), 0
-        self._say(*_RATES)
+        self._transmit(*_RATES)
         self._push(COMMANDS["enable"])
         if error:
             raise DeviceRejected("homing failed: the drive reports a homing error")
@@ -409,7 +409,7 @@ class Cia402Drive(Drive):
                 self._rate = round(value * self._scale * self.options.velocity_scale)
             else:
                 self._torque = round(value / self.options.rated_torque * 1000)
-            self._say(*_RATES)
+            self._transmit(*_RATES)
         wanted = self._modes(mode)
         if mode == "position" or wanted != self._mode or wanted != self._shown:
             self._mode = wanted
@@ -425,10 +425,10 @@ class Cia402Drive(Drive):
         self._goal = round((self.status.position or 0.0) * self._scale)
         shown, enable = MODES["profile_position"], COMMANDS["enable"]
         # A statusword under way is of before: an acknowledgement in it is of an older set-point.
-        heard = self._heard + _UNDER_WAY
+        stale = self._statuswords + _UNDER_WAY
         await self.until(
             lambda: (
-                self._heard > heard
+                self._statuswords > stale
                 and self._shown == shown
                 and not self._statusword & _ACKNOWLEDGED
             ),
@@ -471,7 +471,7 @@ def _control_request(control: int) -> bytes:
 
 PROFILE = Profile(
     "cia402",
-    "Drives of CiA 402 on CANopen.",
+    "CiA 402 drives on CANopen.",
     Cia402Options,
     Cia402Drive,
     "rcp_can.sim.cia402:Cia402Twin",

@@ -44,4 +44,4 @@ class Cia402Options(Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
 
     def __post_init__(self) -> None:
         if self.eds and self.map_pdos:
-            raise ValueError("`eds` has no use unless `map_pdos = false`")
+            raise ValueError("`eds` requires `map_pdos = false`")

@@ -110,7 +110,9 @@ def _field(word: int) -> Field:
     """Return a mapped object's place; what the profile does not know is passed over."""
     bits = word & 0xFF
     if bits % 8:
-        raise ConfigError(f"0x{word:08X} is mapped with {bits} bits, which are no whole bytes")
+        raise ConfigError(
+            f"0x{word:08X} is mapped with {bits} bits, which is not a whole number of bytes"
+        )
     name, code = _NAMES.get((word >> 16, word >> 8 & 0xFF), ("", ""))
     if not name or 8 * struct.calcsize(code) != bits:
         return Field("", f"{bits // 8}x")

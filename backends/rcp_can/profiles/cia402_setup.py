@@ -65,7 +65,7 @@ async def _protection(sdo: Sdo, master: int) -> Protection:
     if reaction is None:
         text = f"heartbeat consumer 0x1016 = {period} ms; no 0x6007, so the drive's own reaction"
         return Protection(text, period / 1000)
-    done = ABORT_CONNECTION.get(reaction, "the maker's own")
+    done = ABORT_CONNECTION.get(reaction, "manufacturer-specific")
     text = f"heartbeat consumer 0x1016 = {period} ms, abort connection 0x6007 = {reaction} ({done})"
     return Protection(text, period / 1000, reaction in ABORT_CONNECTION)
 
@@ -139,8 +139,8 @@ async def _verify(sdo: Sdo, mapping: int, words: list[int]) -> None:
     if found != words:
         kept = ", ".join(f"0x{word:08X}" for word in found) or "nothing"
         raise DeviceRejected(
-            f"the drive accepted the PDO mapping 0x{mapping:04X} and has {kept} in it",
-            remedy="Take the mapping that it has: map_pdos = false, with its EDS.",
+            f"the drive accepted the PDO mapping 0x{mapping:04X} but contains {kept}",
+            remedy="Use the drive's own PDO mapping: map_pdos = false, with its EDS.",
         )
 
 

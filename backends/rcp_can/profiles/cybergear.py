@@ -93,7 +93,7 @@ class CyberGearDrive(ImpedanceDrive):
         )
         self.answered()
         status.moved += 1
-        status.told += 1
+        status.reports += 1
         return True
 
     def _on_parameter(self, failed: int, data: bytes) -> bool:
@@ -103,14 +103,14 @@ class CyberGearDrive(ImpedanceDrive):
         if not failed:
             index, value = struct.unpack("<HxxI", data[:8])
             self._parameters[index] = value
-        self.status.told += 1
+        self.status.reports += 1
         return True
 
-    def _say(
+    def _transmit(
         self, kind: int, data: bytes = bytes(8), *, word: int | None = None, **more: bool
     ) -> None:
         middle = self.options.host if word is None else word
-        self.asked()
+        self.count_query()
         urgent = more.get("urgent", False)
         self.send(
             kind << 24 | middle << 8 | self.node,
@@ -133,36 +133,36 @@ class CyberGearDrive(ImpedanceDrive):
         """Send one set-point."""
         word = int.from_bytes(TORQUE.encode(torque=torque), "big")
         data = COMMAND.encode(position=position, velocity=velocity, kp=kp, kd=kd)
-        self._say(_CONTROL, data, word=word, urgent=urgent)
+        self._transmit(_CONTROL, data, word=word, urgent=urgent)
 
-    def ask(self) -> None:
+    def query(self) -> None:
         """Tell what is stopped to stop: it answers."""
-        self._say(_STOP)
+        self._transmit(_STOP)
 
     def _parameter(self, index: int, value: bytes) -> None:
-        self._say(_WRITE, struct.pack("<Hxx", index) + value.ljust(4, b"\0"))
+        self._transmit(_WRITE, struct.pack("<Hxx", index) + value.ljust(4, b"\0"))
 
     async def configure(self) -> None:
         """Arm the watchdog, in 50 µs, and read it back; older firmware has none."""
         wanted = None if self.watchdog is None else round(self.watchdog * _TICKS)
         self._parameters.clear()
 
-        def ask() -> None:
+        def query() -> None:
             if wanted is not None:
                 self._parameter(_CAN_TIMEOUT, struct.pack("<I", wanted))
-            self._say(_READ, struct.pack("<Hxxxxxx", _CAN_TIMEOUT))
+            self._transmit(_READ, struct.pack("<Hxxxxxx", _CAN_TIMEOUT))
 
-        def told() -> bool:
+        def reported() -> bool:
             found = self._parameters.get(_CAN_TIMEOUT)
             return found is not None and wanted in (None, found)
 
         try:
             await self.until(
-                told, "telling its canTimeout", again=ask, seconds=_ANSWERS, faults=False
+                reported, "reporting its canTimeout", again=query, seconds=_ANSWERS, faults=False
             )
         except DeviceTimeout:
             self.protection = Protection(
-                "canTimeout (0x7028) was not taken: older firmware has none"
+                "canTimeout (0x7028) was not accepted: older firmware has none"
             )
             return
         if seconds := self._parameters[_CAN_TIMEOUT] / _TICKS:
@@ -174,16 +174,16 @@ class CyberGearDrive(ImpedanceDrive):
     async def enable(self) -> None:
         """Choose operation control, and run, limp."""
 
-        def ask() -> None:
+        def query() -> None:
             self._parameter(_RUN_MODE, b"\0")
-            self._say(_ENABLE)
+            self._transmit(_ENABLE)
 
-        await self.until(lambda: bool(self.status.enabled), "enabled", again=ask)
+        await self.until(lambda: bool(self.status.enabled), "enabled", again=query)
 
     async def disable(self) -> None:
         """Stop."""
         await self.until(
-            lambda: self.status.enabled is False, "disabled", again=self.ask, faults=False
+            lambda: self.status.enabled is False, "disabled", again=self.query, faults=False
         )
 
     def stop_frames(self) -> Sequence[StopFrame]:
@@ -197,13 +197,13 @@ class CyberGearDrive(ImpedanceDrive):
         await self.until(
             lambda: not self.status.faults and not self.status.enabled,
             "free of faults",
-            again=lambda: self._say(_STOP, b"\1" + bytes(7)),
+            again=lambda: self._transmit(_STOP, b"\1" + bytes(7)),
             faults=False,
         )
 
     async def set_zero(self) -> None:
-        """Make the present position zero."""
-        self._say(_ZERO, b"\1" + bytes(7))
+        """Set the current position as zero."""
+        self._transmit(_ZERO, b"\1" + bytes(7))
         await self.until(lambda: abs(self.status.position or 0.0) < 0.05, "at zero")
 
 

@@ -59,11 +59,11 @@ class ImpedanceDrive(Drive):
         """Send one set-point."""
         raise NotImplementedError
 
-    def ask(self) -> None:
+    def query(self) -> None:
         """Have a drive that is switched off say how it stands, without moving it."""
         raise NotImplementedError
 
-    def asked(self) -> None:
+    def count_query(self) -> None:
         """Count a frame that will be answered."""
         self._spoken = True
         self._owed = min(self._owed + 1, _UNDER_WAY)
@@ -86,7 +86,7 @@ class ImpedanceDrive(Drive):
         if self.status.enabled:
             self.impede(kd=self._gains.kd)
         else:
-            self.ask()
+            self.query()
         self._spoken = False
 
     def command(self, mode: Mode, value: float, velocity: float) -> None:

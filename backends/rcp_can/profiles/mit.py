@@ -92,7 +92,7 @@ class MitOptions(Gains, frozen=True, forbid_unknown_fields=True, kw_only=True):
     def __post_init__(self) -> None:
         if self.ranges is None and self.model not in MODELS:
             raise ValueError(
-                f"no model {self.model!r}; give its ranges, or one of {', '.join(MODELS)}"
+                f"unknown model {self.model!r}; set `ranges`, or use one of {', '.join(MODELS)}"
             )
 
     @property
@@ -115,7 +115,7 @@ class MitDrive(ImpedanceDrive):
         self._command, self._reply = command_codec(self.span), reply_codec(self.span, *self.extra)
         self._on = False
         self._answers = 0
-        self.protection = Protection("no watchdog: it keeps to its last set-point")
+        self.protection = Protection("no watchdog: it keeps its last set-point")
 
     def routes(self) -> tuple[Route, ...]:
         """Take the answers of all drives that answer to one id; the first byte says whose it is."""
@@ -139,7 +139,7 @@ class MitDrive(ImpedanceDrive):
         self.answered()
         self._answers += 1
         status.moved += 1
-        status.told += 1
+        status.reports += 1
         return True
 
     def _mine(self, identifier: int) -> bool:
@@ -149,7 +149,7 @@ class MitDrive(ImpedanceDrive):
         """Read what a make adds."""
 
     def _special(self, code: int, *, urgent: bool = False) -> None:
-        self.asked()
+        self.count_query()
         self.send(self.node, b"\xff" * 7 + bytes((code,)), urgent=urgent)
 
     def impede(
@@ -166,10 +166,10 @@ class MitDrive(ImpedanceDrive):
         data = self._command.encode(
             position=position, velocity=velocity, kp=kp, kd=kd, torque=torque
         )
-        self.asked()
+        self.count_query()
         self.send(self.node, data, urgent=urgent, lifetime=None if urgent else FAST)
 
-    def ask(self) -> None:
+    def query(self) -> None:
         """Send a set-point without gains or torque: it answers, on or off."""
         self.impede()
 
@@ -177,7 +177,7 @@ class MitDrive(ImpedanceDrive):
         """Damp it as a quick stop does: a drive that is off takes no notice."""
         return (StopFrame(self.node, self._command.encode(kd=self._gains.brake)),)
 
-    async def _told(self, code: int, what: str, *, on: bool) -> None:
+    async def _switch(self, code: int, what: str, *, on: bool) -> None:
         answers = self._answers
         self._on = on
         await self.until(
@@ -190,14 +190,14 @@ class MitDrive(ImpedanceDrive):
     async def enable(self) -> None:
         """Enter motor mode, limp."""
         try:
-            await self._told(_ENABLE, "enabled", on=True)
+            await self._switch(_ENABLE, "enabled", on=True)
         except BaseException:
             self._on = False
             raise
 
     async def disable(self) -> None:
         """Leave motor mode."""
-        await self._told(_DISABLE, "disabled", on=False)
+        await self._switch(_DISABLE, "disabled", on=False)
 
     async def clear_faults(self) -> None:
         """Leave motor mode: there is nothing else to clear faults by, and in fault it is off."""
@@ -212,7 +212,7 @@ class MitDrive(ImpedanceDrive):
     clearing = _DISABLE
 
     async def set_zero(self) -> None:
-        """Make the present position zero."""
+        """Set the current position as zero."""
         self._special(_ZERO)
         await self.until(lambda: abs(self.status.position or 0.0) < 0.05, "at zero")
 
@@ -278,7 +278,7 @@ class DamiaoDrive(MitDrive):
         wanted = self._register
         if len(data) == 8 and data[0] == self.node & 0xFF and (data[2], data[3]) == wanted:
             self._register, self._value = None, int.from_bytes(data[4:8], "little")
-            self.status.told += 1
+            self.status.reports += 1
             return True
         return super().take(message)
 
@@ -314,14 +314,14 @@ class DamiaoDrive(MitDrive):
         self._register = command, register
         await self.until(
             lambda: self._register is None,
-            "answering for its registers",
+            "responding with its registers",
             again=lambda: self._access(command, register, value),
             faults=False,
         )
 
-    def ask(self) -> None:
+    def query(self) -> None:
         """Ask for its state."""
-        self.asked()
+        self.count_query()
         self._access(_REFRESH)
 
 

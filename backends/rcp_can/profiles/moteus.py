@@ -19,20 +19,20 @@ __all__ = ["PROFILE", "MoteusDrive", "MoteusOptions"]
 
 TURN = 2 * math.pi  # rad: moteus counts turns
 _FAST = 0.05  # s: a set-point that could not leave within this is not worth sending
-_ASKED = (
+_QUERIED = (
     *(("mode", Width.INT8), ("position", Width.FLOAT), ("velocity", Width.FLOAT)),
     *(("torque", Width.FLOAT), ("q_current", Width.FLOAT), ("motor_temperature", Width.INT16)),
     *(("trajectory_complete", Width.INT8), ("voltage", Width.INT16)),
     *(("temperature", Width.INT16), ("fault", Width.INT8)),
     *(("watchdog", Width.FLOAT), ("milliseconds", Width.INT32)),
 )
-_QUERY = build(Access(Kind.READ, REGISTERS[name].number, width) for name, width in _ASKED)
+_QUERY = build(Access(Kind.READ, REGISTERS[name].number, width) for name, width in _QUERIED)
 _STILL = {"command_position": math.nan, "command_velocity": 0.0}
 """Hold velocity zero where it is."""
 _NAMES = {register.number: name for name, register in REGISTERS.items()}
 _ON = frozenset((Mode.POSITION, Mode.ZERO_VELOCITY, Mode.BRAKE, 13, 14))
 _OWN_TIMEOUT = 0.1  # s: servo.default_timeout_s as it comes
-_OWN = "servo.default_timeout_s, 0.1 s unless it was set otherwise: zero velocity, damped"
+_OWN = "servo.default_timeout_s, 0.1 s unless configured otherwise: zero velocity, damped"
 _WRAPS = 2**31 - 60_000  # ms: nearer to its end the clock may begin anew by itself
 _UNDER_WAY = 64  # questions that may have been lost, or wait to be sent
 _TOO_MANY = 4  # answers that nobody asked for
@@ -45,7 +45,7 @@ _FAULTS = {
     36: "not configured",
     37: "PWM cycle overrun",
     38: "over-temperature",
-    39: "outside of its limits",
+    39: "outside its limits",
     40: "under-voltage",
     41: "configuration changed",
     42: "theta invalid",
@@ -110,7 +110,7 @@ class MoteusDrive(Drive):
         done = values.get("trajectory_complete", 0)
         status.reached = bool(done) if self._moving and self._mode == Mode.POSITION else None
         status.moved += 1
-        status.told += 1
+        status.reports += 1
         return True
 
     def _look_at_the_watchdog(self, seconds: float) -> None:
@@ -225,7 +225,7 @@ class MoteusDrive(Drive):
         )
 
     async def set_zero(self) -> None:
-        """Make the present position zero."""
+        """Set the current position as zero."""
         self._write({"set_output": 0.0})
         await self.until(
             lambda: abs(self.status.position or 0.0) < 0.05,

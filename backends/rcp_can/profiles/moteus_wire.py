@@ -199,7 +199,7 @@ def parse(data: bytes) -> list[Access]:
                 found.append(Access(Kind(head), register, Width.INT8, float(error)))
                 continue
             if head >= 0x30:
-                raise ValueError(f"no subframe begins with 0x{head:02X}")
+                raise ValueError(f"unknown subframe 0x{head:02X}")
             kind, width, count = Kind(head & 0xF0), Width(head >> 2 & 3), head & 3
             if count == 0:
                 count, place = _number(data, place)
@@ -215,7 +215,7 @@ def parse(data: bytes) -> list[Access]:
                 value = None if raw is None else _value(number, width, raw)
                 found.append(Access(kind, number, width, value))
     except (IndexError, struct.error) as error:
-        raise ValueError("the payload breaks off") from error
+        raise ValueError("the payload is truncated") from error
     return found
 
 

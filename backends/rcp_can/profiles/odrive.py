@@ -27,7 +27,7 @@ _PASSTHROUGH, _TRAPEZOID = 1, 5
 _SLOW = 0.4  # s between two requests for a state, which take their time
 _BEATS = 0.5  # s within which a heartbeat must come
 _ENCODER, _HEARTBEAT = 0.02, 0.1  # s: periods of the drive's reports, which are 10 and 100 ms
-_FED = 0.1  # s without a message that feeds the drive's watchdog, after which one is sent
+_FEED_PERIOD = 0.1  # s without a message that feeds the drive's watchdog, after which one is sent
 _FAST = 0.05  # s: a set-point that could not leave within this is not worth sending
 
 
@@ -127,8 +127,8 @@ class OdriveDrive(Drive):
         self._fed = 0.0
         self._input: tuple[str, dict[str, float]] = ("velocity", {})
         self.protection = Protection(
-            "the axis's own watchdog is set by odrivetool only (axis.config.enable_watchdog, "
-            "watchdog_timeout) and cannot be read by CANSimple; the gateway feeds it"
+            "the axis watchdog is configured by odrivetool only (axis.config.enable_watchdog, "
+            "watchdog_timeout) and cannot be read over CANSimple; the gateway feeds it"
         )
         self._read = {
             MESSAGES[name][0]: (MESSAGES[name][1], getattr(self, f"_on_{name}"))
@@ -157,8 +157,8 @@ class OdriveDrive(Drive):
             return False
         known = self._read.get(message.arbitration_id & 0x1F)
         if known is not None:
-            layout, told = known
-            told(**layout.decode(message.data))
+            layout, handler = known
+            handler(**layout.decode(message.data))
         return known is not None
 
     def _on_heartbeat(self, error: int, state: int, result: int, done: int) -> None:
@@ -172,11 +172,11 @@ class OdriveDrive(Drive):
         status.faults = _faults(error) if error else ()
         if result not in (0, 1, 3) and not error:  # 1 busy, 3 cancelled
             status.faults = (Fault("procedure", f"the last procedure ended with {result}", result),)
-        status.told += 1
+        status.reports += 1
 
     def _on_error(self, active: int, disarm_reason: int) -> None:
         self.status.faults = _faults(active)
-        self.status.told += 1
+        self.status.reports += 1
 
     def _on_address(self, node: int, serial_low: int, serial_high: int) -> None:
         serial = serial_low, serial_high
@@ -206,7 +206,7 @@ class OdriveDrive(Drive):
         """Tell what floats can say with millimetric feed-forward left aside."""
         return Reach(position=1e5)
 
-    def _say(
+    def _transmit(
         self, name: str, *, urgent: bool = False, stale: float | None = None, **values: float
     ) -> None:
         command, layout = MESSAGES[name]
@@ -218,7 +218,12 @@ class OdriveDrive(Drive):
         """Feed its watchdog; ask for temperatures and supply, and now and then who answers."""
         name, values = self._input
         again = self._moving or not any(values.values())  # no old set-point makes it move
-        if self._ours and again and self.status.enabled and time.monotonic() - self._fed > _FED:
+        if (
+            self._ours
+            and again
+            and self.status.enabled
+            and time.monotonic() - self._fed > _FEED_PERIOD
+        ):
             self._feed(name, values)
         slow = tick % 64
         if slow in (1, 17, 33):
@@ -230,13 +235,13 @@ class OdriveDrive(Drive):
         self._mode = None
         self._moving = False
 
-        def ask() -> None:
+        def request() -> None:
             self._control("velocity", _PASSTHROUGH)
-            self._say("velocity")
-            self._say("state", state=_CLOSED_LOOP)
+            self._transmit("velocity")
+            self._transmit("state", state=_CLOSED_LOOP)
 
         self._input = "velocity", {}
-        await self.until(lambda: self._state == _CLOSED_LOOP, "enabled", again=ask, every=_SLOW)
+        await self.until(lambda: self._state == _CLOSED_LOOP, "enabled", again=request, every=_SLOW)
         self._ours = True
 
     async def disable(self) -> None:
@@ -245,7 +250,7 @@ class OdriveDrive(Drive):
         await self.until(
             lambda: self._state == _IDLE,
             "disabled",
-            again=lambda: self._say("state", state=_IDLE),
+            again=lambda: self._transmit("state", state=_IDLE),
             every=_SLOW,
             faults=False,
         )
@@ -255,7 +260,7 @@ class OdriveDrive(Drive):
         await self.until(
             lambda: not self.status.faults,
             "free of faults",
-            again=lambda: self._say("clear"),
+            again=lambda: self._transmit("clear"),
             faults=False,
         )
 
@@ -264,13 +269,13 @@ class OdriveDrive(Drive):
         await self.until(
             lambda: abs(self.status.position or 0.0) < 0.02,
             "at zero (older firmware cannot be set to zero)",
-            again=lambda: self._say("absolute"),
+            again=lambda: self._transmit("absolute"),
         )
 
     async def home(self) -> None:
         """Run the drive's own homing, and return to closed loop."""
         self._moving = False
-        self._say("state", state=_HOMING)
+        self._transmit("state", state=_HOMING)
         await self.until(lambda: self._state == _HOMING, "homing")
         await self.until(
             lambda: self._state != _HOMING, "done with homing", seconds=self.options.home_timeout
@@ -282,7 +287,7 @@ class OdriveDrive(Drive):
     def _control(self, mode: Mode, input_mode: int) -> None:
         wanted = _CONTROL[mode], input_mode
         if wanted != self._mode:
-            self._say("mode", control=wanted[0], input=wanted[1])
+            self._transmit("mode", control=wanted[0], input=wanted[1])
             self._mode = wanted
 
     def command(self, mode: Mode, value: float, velocity: float) -> None:
@@ -297,14 +302,16 @@ class OdriveDrive(Drive):
 
     def _feed(self, name: str, values: dict[str, float], *, stale: float | None = _FAST) -> None:
         """Send an input, which feeds the watchdog, and keep it to be sent again."""
-        self._say(name, urgent=False, stale=stale, **values)
+        self._transmit(name, urgent=False, stale=stale, **values)
         self._fed, self._input = time.monotonic(), (name, values)
 
     async def move(self, position: float, velocity: float, acceleration: float | None) -> None:
         """Follow a trapezoidal trajectory."""
-        self._say("trap_velocity", velocity=velocity)
+        self._transmit("trap_velocity", velocity=velocity)
         if acceleration is not None:
-            self._say("trap_acceleration", acceleration=acceleration, deceleration=acceleration)
+            self._transmit(
+                "trap_acceleration", acceleration=acceleration, deceleration=acceleration
+            )
         self._control("position", _TRAPEZOID)
         self._feed("position", {"position": position}, stale=None)
         self._moving = True
@@ -315,8 +322,8 @@ class OdriveDrive(Drive):
         self._moving = False
         self._mode = _CONTROL["velocity"], _PASSTHROUGH
         self._fed, self._input = time.monotonic(), ("velocity", {})
-        self._say("velocity", urgent=True)
-        self._say("mode", urgent=True, control=self._mode[0], input=self._mode[1])
+        self._transmit("velocity", urgent=True)
+        self._transmit("mode", urgent=True, control=self._mode[0], input=self._mode[1])
 
     def stop_frames(self) -> Sequence[StopFrame]:
         """Velocity zero without a ramp, as `stop`: its emergency stop would drop a load."""

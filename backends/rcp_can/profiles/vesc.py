@@ -75,8 +75,8 @@ class VescDrive(Drive):
         super().__init__(node, options, bus)
         self._on = False
         self.protection = Protection(
-            "the application's timeout, 1 s unless VESC Tool has set another: it releases the "
-            "motor, which runs out; not readable by these messages",
+            "the application timeout, 1 s unless configured otherwise in VESC Tool: it "
+            "releases the motor, which coasts; cannot be read over CAN",
             _TIMEOUT,
         )
         self._read = {
@@ -98,10 +98,10 @@ class VescDrive(Drive):
         known = self._read.get(message.arbitration_id >> 8)
         if known is None:
             return False
-        layout, told = known
-        told(**layout.decode(message.data))
+        layout, handler = known
+        handler(**layout.decode(message.data))
         self.status.enabled = self._on
-        self.status.told += 1
+        self.status.reports += 1
         return True
 
     def _on_status(self, erpm: float, current: float, duty: float) -> None:
@@ -119,7 +119,7 @@ class VescDrive(Drive):
         self.status.voltage = voltage
         self.status.moved += 1
 
-    def _say(self, name: str, *, urgent: bool = False, **values: float) -> None:
+    def _transmit(self, name: str, *, urgent: bool = False, **values: float) -> None:
         command, layout = MESSAGES[name]
         self.send(
             command << 8 | self.node,
@@ -131,14 +131,14 @@ class VescDrive(Drive):
 
     async def enable(self) -> None:
         """Begin to take set-points, with the motor released."""
-        self._say("current")
+        self._transmit("current")
         self._on = True
         await self.until(lambda: bool(self.status.enabled), "heard")
 
     async def disable(self) -> None:
         """Release the motor."""
         self._on = False
-        self._say("current", urgent=True)
+        self._transmit("current", urgent=True)
         await self.until(lambda: self.status.enabled is False, "heard", faults=False)
 
     async def clear_faults(self) -> None:
@@ -147,13 +147,13 @@ class VescDrive(Drive):
     def command(self, mode: Mode, value: float, velocity: float) -> None:
         """Send a set-point."""
         if mode == "velocity":
-            self._say("rpm", erpm=value / self._per_erpm)
+            self._transmit("rpm", erpm=value / self._per_erpm)
         else:
-            self._say("current", current=value / self.options.torque_constant)
+            self._transmit("current", current=value / self.options.torque_constant)
 
     def stop(self) -> None:
         """Brake."""
-        self._say("brake", urgent=True, current=self.options.brake_current)
+        self._transmit("brake", urgent=True, current=self.options.brake_current)
 
     def stop_frames(self) -> Sequence[StopFrame]:
         """Brake: a braking current turns nothing that stands."""

@@ -22,7 +22,7 @@ def _twin(text: str) -> Twin:
         nodes = profile(name).nodes
     except ConfigError as error:
         known = ", ".join(PROFILES)
-        raise argparse.ArgumentTypeError(f"{error}; there are {known}") from error
+        raise argparse.ArgumentTypeError(f"{error}; known profiles: {known}") from error
     if not node.isdecimal() or int(node) not in nodes:
         raise argparse.ArgumentTypeError(f"{text!r} is not <profile>:<node>")
     return make_twin(name, int(node))
@@ -32,18 +32,20 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """Parse the command line and run until interrupted, or for `--seconds`."""
     parser = argparse.ArgumentParser(prog="python -m rcp_can.sim", description=__doc__)
     parser.add_argument("drives", nargs="+", type=_twin, metavar="PROFILE:NODE")
-    parser.add_argument("--interface", default="udp_multicast", help="of python-can")
+    parser.add_argument("--interface", default="udp_multicast", help="a python-can interface")
     parser.add_argument("--channel", default="239.74.163.2")
-    parser.add_argument("--fd", action="store_true", help="CAN FD, which moteus needs")
-    parser.add_argument("--seconds", type=float, help="how long; for ever without it")
-    asked = parser.parse_args(arguments)
-    more = {} if asked.interface == "virtual" else {"fd": asked.fd}
-    bus = can.Bus(asked.channel, asked.interface, ignore_config=True, **more)
-    with Bench(bus, asked.drives):
-        sys.stdout.write(f"{len(asked.drives)} drives on {bus.channel_info}\n")
+    parser.add_argument("--fd", action="store_true", help="use CAN FD, as moteus requires")
+    parser.add_argument(
+        "--seconds", type=float, help="how long to run, in s; without it, until stopped"
+    )
+    options = parser.parse_args(arguments)
+    more = {} if options.interface == "virtual" else {"fd": options.fd}
+    bus = can.Bus(options.channel, options.interface, ignore_config=True, **more)
+    with Bench(bus, options.drives):
+        sys.stdout.write(f"{len(options.drives)} drives on {bus.channel_info}\n")
         sys.stdout.flush()
         try:
-            threading.Event().wait(asked.seconds)
+            threading.Event().wait(options.seconds)
         except KeyboardInterrupt:
             return
 

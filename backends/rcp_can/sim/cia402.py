@@ -71,7 +71,7 @@ class Cia402Twin(Twin):
         self._acknowledged = self._homed = False
         self._controlled: int | None = None
         self._homing = 0.0
-        self._heard_master: float | None = None
+        self._master_seen: float | None = None
         self._now = 0.0
         self.keeps_mapping = False
         """Accepts any PDO mapping, tells it back, and goes on with its own: statusword only."""
@@ -108,7 +108,7 @@ class Cia402Twin(Twin):
         self.local.data_store.clear()
         self.state, self._control, self.emergency = "switch_on_disabled", 0, 0
         self._acknowledged = self._homed = False
-        self._heard_master = None
+        self._master_seen = None
         self.local.nmt._state = 0x7F  # noqa: SLF001
         self._hello = True
 
@@ -144,7 +144,7 @@ class Cia402Twin(Twin):
             self.boot()
         consumer = self.get_raw(0x1016, 1)
         if consumer and identifier == 0x700 + (consumer >> 16 & 0x7F):
-            self._heard_master = self._now
+            self._master_seen = self._now
         if identifier == 0x080:
             self._send_pdos(lambda _, kind, __: kind <= 240)
         if self.operational:
@@ -361,8 +361,8 @@ class Cia402Twin(Twin):
             self.send(0x700 + self.node, bytes((self.local.nmt._state,)))  # noqa: SLF001
         self._send_pdos(lambda index, kind, t: kind >= 254 and t and self.every(f"{index}", t, now))
         timeout = (self.get_raw(0x1016, 1) & 0xFFFF) / 1000
-        if timeout and self._heard_master is not None and now - self._heard_master > timeout:
-            self._heard_master = None  # until the next one, the master is not missed again
+        if timeout and self._master_seen is not None and now - self._master_seen > timeout:
+            self._master_seen = None  # until the next one, the master is not missed again
             self._miss_master()
         self._end_quick_stop()
         if self._homing > 0:

@@ -35,7 +35,7 @@ class OdriveTwin(Twin):
         """Start anew."""
         super().boot()
         self.error, self.state = 0, 0
-        self._say("heartbeat")
+        self._transmit("heartbeat")
         self.state = 1
 
     def break_down(self) -> None:
@@ -51,13 +51,13 @@ class OdriveTwin(Twin):
         if name is None:
             return
         if message.is_remote_frame:
-            self._say(name)
+            self._transmit(name)
             return
-        told = getattr(self, f"_on_{name}", None)
-        if told is not None:
+        handler = getattr(self, f"_on_{name}", None)
+        if handler is not None:
             layout = MESSAGES[name][1]
             try:
-                told(**layout.decode(message.data.ljust(layout.size, b"\0")))
+                handler(**layout.decode(message.data.ljust(layout.size, b"\0")))
             except ValueError:
                 return
 
@@ -124,12 +124,12 @@ class OdriveTwin(Twin):
                 self.state, self.plant.position = 8, 0.0
                 self.plant.hold()
         if not self.heartless and self.every("heartbeat", self._heartbeat, now):
-            self._say("heartbeat")
+            self._transmit("heartbeat")
         if not self.blind and self.every("feedback", self._feedback, now):
-            self._say("encoder")
+            self._transmit("encoder")
         if self.every("current", 0.05, now):
-            self._say("current")
-            self._say("torques")
+            self._transmit("current")
+            self._transmit("torques")
 
     def _values(self, name: str) -> dict[str, float] | None:
         plant = self.plant
@@ -156,7 +156,7 @@ class OdriveTwin(Twin):
             case _:
                 return None
 
-    def _say(self, name: str) -> None:
+    def _transmit(self, name: str) -> None:
         values = self._values(name)
         if values is not None:
             command, layout = MESSAGES[name]

@@ -127,7 +127,7 @@ class Bench:
         while not self._stopping:
             now = time.monotonic()
             if now < due:
-                self._hear(due - now)
+                self._receive(due - now)
                 continue
             due = max(due + self._tick, now)
             while self._orders:
@@ -138,7 +138,7 @@ class Bench:
                     twin.tick(now)
             last = now
 
-    def _hear(self, timeout: float) -> None:
+    def _receive(self, timeout: float) -> None:
         message = self.bus.recv(timeout)
         if message is None or message.is_error_frame or (self.loses is not None and self.loses()):
             return

@@ -63,12 +63,12 @@ class VescTwin(Twin):
         plant = self.plant
         if not self.blind and self.every("status", 0.02, now):
             current = plant.torque / self.constant
-            self._say("status", erpm=plant.velocity / self._per_erpm, current=current)
+            self._transmit("status", erpm=plant.velocity / self._per_erpm, current=current)
             turns = plant.position / (2 * math.pi)
-            self._say("status_5", tachometer=turns * 6 * self.poles, voltage=24.0)
+            self._transmit("status_5", tachometer=turns * 6 * self.poles, voltage=24.0)
         if self.every("status_4", 0.1, now):
-            self._say("status_4", drive=32.0, motor=plant.temperature)
+            self._transmit("status_4", drive=32.0, motor=plant.temperature)
 
-    def _say(self, name: str, **values: float) -> None:
+    def _transmit(self, name: str, **values: float) -> None:
         command, layout = MESSAGES[name]
         self.send(command << 8 | self.node, layout.encode(**values), is_extended_id=True)

@@ -27,12 +27,12 @@ class DashboardHook(BuildHookInterface):
             done = subprocess.run(_BUILD, check=False)  # noqa: S603 - our own file
             if done.returncode:
                 told = (
-                    "the dashboard's pages could not be built: npm did not get its packages, or "
-                    "Vite refused the sources (see above)"
+                    "the dashboard's pages could not be built: npm could not install its packages, or "
+                    "Vite failed (see above)"
                 )
                 if version != "editable":
-                    raise SystemExit(f"{told}. RCP_DASHBOARD=off makes a wheel without them.")
-                self.app.display_warning(f"{told}. `make dashboard` tries again.")
+                    raise SystemExit(f"{told}. RCP_DASHBOARD=off builds a wheel without them.")
+                self.app.display_warning(f"{told}. To retry, run `make dashboard`.")
 
 
 def _off() -> bool:

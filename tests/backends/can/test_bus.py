@@ -155,7 +155,7 @@ async def test_bus_off_restarts_the_bus_and_is_told() -> None:
                 ("error_active", "bus_off"),
                 ("bus_off", "error_active"),
             ]
-            assert "off the bus" in (rig.host.reports[0] or "")
+            assert "bus-off" in (rig.host.reports[0] or "")
             assert rig.host.reports[-1] is None
             await rig.write("actuator/can/can0/frame", {"id": 7})
             await node.hears(lambda m: m.arbitration_id == 7)

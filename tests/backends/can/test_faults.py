@@ -139,7 +139,7 @@ async def test_a_second_drive_with_its_id_stops_it_and_it_is_not_enabled_until_t
         await rig.host.until(lambda: "duplicate_node" in rig.faults())
         await rig.until(lambda: abs(rig.twin.plant.velocity) < 0.1)
         for call in (rig.write("actuator/m/velocity", 1.0), rig.execute("service/m/enable")):
-            with pytest.raises(ModeForbids, match="two drives answer") as caught:
+            with pytest.raises(ModeForbids, match="two drives respond") as caught:
                 await call
             assert "clear_faults" in caught.value.remedy
         await rig.ordered(lambda: setattr(other, "silent", True))
@@ -185,7 +185,7 @@ async def test_an_action_whose_set_points_do_not_leave_ends_with_that_reason() -
         await rig.enable()
         moving = asyncio.ensure_future(rig.execute("action/m/move_to", {"position": 9.0}))
         await rig.until(lambda: rig.twin.plant.velocity > 1.0)
-        with rig.jammed(), pytest.raises(QueueFull, match="takes no frames"):
+        with rig.jammed(), pytest.raises(QueueFull, match="accepts no frames"):
             await asyncio.wait_for(moving, 20)
         await rig.until(lambda: abs(rig.twin.plant.velocity) < 0.1)
 

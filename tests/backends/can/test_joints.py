@@ -326,7 +326,7 @@ def test_joints_must_be_motors(joints: list[str], words: str) -> None:
 async def test_a_motor_that_takes_no_positions_is_no_joint() -> None:
     bus = {"interface": "virtual", "channel": channel()}
     table = {"buses": {"can0": bus}, "motors": {"m": {"bus": "can0", "profile": "vesc", "node": 1}}}
-    with pytest.raises(ConfigError, match=r"'m' \(vesc\) takes no positions"):
+    with pytest.raises(ConfigError, match=r"'m' \(vesc\) has no position control"):
         async with opened({**table, "joint_groups": {"arm": {"joints": ["m"]}}}):
             pass
 

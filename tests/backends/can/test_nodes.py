@@ -185,7 +185,7 @@ async def test_a_node_that_refuses_or_is_silent_is_told(tmp_path: Path) -> None:
         text = eds.read_text().replace("[2003]", "[2fff]")
         eds.write_text(text)
         async with opened(table("nobody-" + channel(), eds)) as silent:
-            with pytest.raises(DeviceTimeout, match="node 9 did not answer"):
+            with pytest.raises(DeviceTimeout, match="node 9 did not respond"):
                 await silent.backend.read("param/io/trim")
         config = table(rig.backend.buses["can0"].config.channel, eds)
         async with opened(config) as other:

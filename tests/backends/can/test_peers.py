@@ -159,7 +159,7 @@ async def test_a_node_that_is_not_there_does_not_answer() -> None:
     async with line(channel()) as bus:
         sdo = Sdo(bus, 9)
         bus.listen(sdo.take, sdo.route)
-        with pytest.raises(DeviceTimeout, match="node 9 did not answer"):
+        with pytest.raises(DeviceTimeout, match="node 9 did not respond"):
             await sdo.upload(0x1000)
 
 

@@ -14,7 +14,7 @@ import pytest
 
 from backends.can import test_motors as model
 from backends.can.rig import MOTORS, channel, motor, opened
-from rcp_can.config_motor import HOUSE, MotorConfig
+from rcp_can.config_motor import BUILTIN_PROFILES, MotorConfig
 from rcp_can.profiles import PROFILES
 from rcp_can.sim.__main__ import main
 from rcp_kernel.errors import ConfigError
@@ -105,6 +105,6 @@ async def test_a_profile_that_there_is_not_is_a_configuration_error(
 
 
 def test_a_word_that_is_no_profile_is_told_those_there_are() -> None:
-    assert tuple(PROFILES) == HOUSE
+    assert tuple(PROFILES) == BUILTIN_PROFILES
     with pytest.raises(msgspec.ValidationError, match="cia402, odrive"):
         msgspec.convert({"bus": "can0", "profile": "steam", "node": 1}, MotorConfig)

@@ -13,14 +13,14 @@ from rcp_can.config import BusConfig, CanConfig
 from rcp_can.config_device import DeviceConfig
 from rcp_can.config_diff_drive import DiffDriveConfig
 from rcp_can.config_joints import JointGroupConfig
-from rcp_can.config_motor import HOUSE, MotorConfig
+from rcp_can.config_motor import BUILTIN_PROFILES, MotorConfig
 from rcp_can.config_node import NodeConfig
 from rcp_can.profiles import profile
 
 FOLDER = Path(rcp_can.__file__).parent
 README = (FOLDER / "README.md").read_text(encoding="utf-8")
 TABLES = (CanConfig, BusConfig, MotorConfig, DeviceConfig, NodeConfig)
-TABLES += (DiffDriveConfig, JointGroupConfig, *(profile(name).options for name in HOUSE))
+TABLES += (DiffDriveConfig, JointGroupConfig, *(profile(name).options for name in BUILTIN_PROFILES))
 
 
 @pytest.mark.parametrize("table", dict.fromkeys(TABLES), ids=lambda table: table.__name__)
@@ -29,7 +29,7 @@ def test_every_key_is_told(table: Any) -> None:
 
 
 def test_every_profile_is_told() -> None:
-    for name in HOUSE:
+    for name in BUILTIN_PROFILES:
         assert f"| `{name}` |" in README
 
 

@@ -56,10 +56,10 @@ def _seconds(stamp: Any) -> float:
 def test_an_answer_is_right_to_half_the_way_it_took(booted: int, took: list[int]) -> None:
     clock = Clock()
     for way in took:
-        asked = clock.ask() - way
-        clock._asked = asked
+        asked = clock.request() - way
+        clock._requested = asked
         truth = time.time_ns()
-        clock.answered(booted * 1_000_000, asked)
+        clock.on_reply(booted * 1_000_000, asked)
     at = clock.of(attitude(booted))
     assert at is not None
     assert abs(at - truth) <= max(took) + 50_000_000 * len(took)
@@ -69,12 +69,12 @@ def test_without_timesync_its_own_date_counts_and_nonsense_does_not() -> None:
     clock = Clock()
     assert clock.of(attitude(5000)) is None
     now = time.time_ns()
-    clock.told(now // 1000, 10_000)
+    clock.on_system_time(now // 1000, 10_000)
     at = clock.of(attitude(9_000))
     assert at is not None
     assert abs(now - 1_000_000_000 - at) < 10_000_000
     assert clock.of(attitude(20_000)) <= time.time_ns(), "nothing comes from the future"  # type: ignore[operator]
-    clock.told(1_600_000_000_000_000, 10_000)
+    clock.on_system_time(1_600_000_000_000_000, 10_000)
     assert clock.of(attitude(10_000)) is None, "a clock that is years off tells nothing"
     clock.forget()
     assert clock.of(attitude(9_000)) is None

@@ -91,7 +91,7 @@ async def test_messages_of_an_own_xml_are_sensors_and_nothing_waits_for_it(tmp_p
         ("<mavlink><messages>", "not a dialect"),
         (OWN.replace("uint8_t", "uint9_t"), "uint9_t"),
         (OWN.replace("beside.xml", "gone.xml"), "gone.xml"),
-        (OWN.replace("52000", "0"), "given twice"),
+        (OWN.replace("52000", "0"), "duplicate"),
         (OWN.replace("  <include>common.xml</include>\n", ""), "include common.xml"),
     ],
 )
@@ -107,7 +107,7 @@ def test_what_is_wrong_with_it_is_told(tmp_path: Path, text: str, told: str) -> 
 
 
 def test_a_file_that_is_not_there_and_a_name_that_is_none_are_told(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="there is no file"):
+    with pytest.raises(ConfigError, match="no such file"):
         dialect(str(tmp_path / "gone.xml"))
     with pytest.raises(ConfigError, match="pymavlink has no 'gone'"):
         dialect("gone")

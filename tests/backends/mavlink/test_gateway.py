@@ -175,7 +175,7 @@ async def test_a_link_that_is_cut_in_flight_is_told_and_comes_back_by_itself(pil
     pilot.twin.muted = True
     final = await pilot.client.final(id_)
     assert final["error"]["code"] == "adapter_unavailable"
-    assert "nothing heard of vehicle 1" in final["message"]
+    assert "no message from vehicle 1" in final["message"]
     pilot.twin.muted = False
     supervisor = pilot.served.supervisor
     await eventually(lambda: _is(supervisor.state == "ready"), "it is back")

@@ -116,7 +116,7 @@ async def test_a_place_outside_the_fence_is_refused_by_the_name_of_the_fence() -
         await eventually(lambda: _fenced(pilot), "the fence is seen to be on")
         for goal, why in (
             ({"north": 90.0}, "90 m from home is outside the fence, FENCE_RADIUS 50 m"),
-            ({"altitude": 80.0}, "80 m over home is above the fence, FENCE_ALT_MAX 60 m"),
+            ({"altitude": 80.0}, "80 m above home is above the fence, FENCE_ALT_MAX 60 m"),
         ):
             reply = await pilot.do("action/move_to", goal)
             assert reply["error"]["code"] == "device_rejected"
@@ -205,7 +205,7 @@ async def test_one_that_flies_faster_than_it_acknowledged_is_stopped_and_told() 
         puppet.results[REPOSITION] = lambda _: setattr(puppet, "velocity", (9.7, 0.0, 0.0)) or 0
         reply = await found.do("action/move_to", {"north": 900.0, "speed": 2.0})
         assert reply["error"]["code"] == "device_rejected", reply
-        assert "2 m/s was asked for, and it moves at 9.7 m/s" in reply["message"]
+        assert "2 m/s requested, but it moves at 9.7 m/s" in reply["message"]
         assert puppet.mode == BRAKE
 
 
@@ -214,7 +214,7 @@ async def test_one_that_is_there_and_looks_elsewhere_is_told(monkeypatch: Any) -
     async with liar() as (found, puppet):
         reply = await found.do("action/move_to", {"north": 0.0, "east": 0.0, "yaw": 2.0})
         assert reply["error"]["code"] == "device_rejected", reply
-        assert "it is there, but looks to 0.00 rad, not to 2.00 rad" in reply["message"]
+        assert "it is at the target, but its heading is 0.00 rad, not 2.00 rad" in reply["message"]
         assert puppet.mode == BRAKE
 
 

@@ -140,7 +140,7 @@ async def test_with_a_key_only_who_has_it_is_heard() -> None:
     "text", ["udp:1:2", "udpin:localhost", "tcp:h:99999", "serial:ttyS0", "udpin:h:1:2"]
 )
 def test_what_is_no_link_is_refused(text: str) -> None:
-    with pytest.raises(ValueError, match="is no link"):
+    with pytest.raises(ValueError, match="is not a link"):
         LinkSpec.of(text)
 
 

@@ -115,7 +115,7 @@ async def test_a_gimbal_that_does_not_turn_is_told() -> None:
     async with station(puppet) as found:
         reply = await found.do("action/gimbal", {"pitch": -0.5})
         assert reply["error"]["code"] == "device_timeout"
-        assert "it looks to 0.00, 0.00 rad" in reply["message"].replace("-0.00", "0.00")
+        assert "it points to 0.00, 0.00 rad" in reply["message"].replace("-0.00", "0.00")
 
 
 @pytest.mark.parametrize("apart", [False, True])

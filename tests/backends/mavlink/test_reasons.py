@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-import rcp_mavlink.telling
+import rcp_mavlink.telemetry_events
 from backends.mavlink.flying import airborne, armed, on_the_ground
 from backends.mavlink.puppet import Puppet, Station, station
 from backends.mavlink.test_gateway import Pilot, flying
@@ -52,7 +52,7 @@ async def test_a_reason_that_is_not_repeated_holds_no_longer() -> None:
 
 
 async def test_reasons_of_before_it_was_ready_are_gone(monkeypatch: Any) -> None:
-    monkeypatch.setattr(rcp_mavlink.telling, "_SETTLED", 0.2)
+    monkeypatch.setattr(rcp_mavlink.telemetry_events, "_SETTLED", 0.2)
     puppet = Unfit()
     async with station(puppet) as found:
         puppet.say("PreArm: Compass not healthy", 2)
@@ -61,7 +61,7 @@ async def test_reasons_of_before_it_was_ready_are_gone(monkeypatch: Any) -> None
         await eventually(lambda: _ready(found), "it is ready")
         await comes_to(found, [])
         await eventually(
-            lambda: _is(not found.robot.telling._complaints), "they are forgotten", 5.0
+            lambda: _is(not found.robot.telemetry_events._complaints), "they are forgotten", 5.0
         )
         puppet.health = UNFIT
 
@@ -73,7 +73,7 @@ async def test_reasons_of_before_it_was_ready_are_gone(monkeypatch: Any) -> None
 
 
 async def test_a_reason_that_the_vehicle_fell_silent_about_expires(monkeypatch: Any) -> None:
-    monkeypatch.setattr(rcp_mavlink.telling, "_COMPLAINTS", 0.5)
+    monkeypatch.setattr(rcp_mavlink.telemetry_events, "_COMPLAINTS", 0.5)
     puppet = Unfit()
     async with station(puppet) as found:
         puppet.say("PreArm: Compass not healthy", 2)

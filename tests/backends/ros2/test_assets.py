@@ -171,5 +171,5 @@ async def test_meshes_come_from_the_package_that_ament_knows(robot: Robot) -> No
     asset = await robot.execute(FETCH, {"uri": "package://seen_description/meshes/base.stl"})
     assert asset.media_type == "model/stl"
     assert asset.data == b"solid of seen_description"
-    with pytest.raises(InvalidValue, match="does not name the package 'other'"):
+    with pytest.raises(InvalidValue, match="does not refer to the package 'other'"):
         await robot.execute(FETCH, {"uri": "package://other/meshes/base.stl"})

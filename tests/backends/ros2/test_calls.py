@@ -40,7 +40,7 @@ async def test_a_service_that_says_no_is_a_refusal_with_its_reason(robot: Robot)
 
 async def test_a_slow_service_times_out_in_time(robot: Robot) -> None:
     async with asyncio.timeout(10):
-        with pytest.raises(DeviceTimeout, match=r"did not answer within 0\.5 s"):
+        with pytest.raises(DeviceTimeout, match=r"did not respond within 0\.5 s"):
             await robot.execute("service/slow")
 
 
@@ -178,7 +178,7 @@ async def test_what_is_not_there_is_an_error_with_a_way_out(domain: int, peer: o
         "sensor/misled": "has no field 'nowhere'",
         "service/gone": "no node offers service /gone",
         "action/gone": "no node offers action /gone",
-        "param/gone": "the node /gone is not there",
+        "param/gone": "the node /gone is not running",
         "param/unknown": "has no parameter 'no_such'",
     }
     async with robot_of(domain, map=absent, grace=1.5) as robot:

@@ -94,7 +94,7 @@ async def test_a_status_that_is_not_repeated_goes_stale_and_comes_back(
     robot_nodes.tell("hush", name="/base/motor: left")
     await robot.until(lambda: robot.of(MOTOR)[-1].level == "stale")
     stale = robot.of(MOTOR)[-1]
-    assert stale.message == "nothing heard for 1 s; it was ok: turns"
+    assert stale.message == "no update for 1 s; it was ok: turns"
     assert robot.of(EVENT)[-1].now == stale
     robot_nodes.tell("diagnose", name="/base/motor: left", level=0, message="turns")
     await robot.until(lambda: robot.of(MOTOR)[-1].level == "ok")

@@ -95,7 +95,7 @@ async def test_what_does_not_fit_is_in_the_graph_in_words(
         demanding.backend.watch("sensor/imu", None),
         seen.backend.watch(GRAPH, None),
     ):
-        said = "/peer publishes best effort and /demanding asks for reliable"
+        said = "/peer publishes best effort and /demanding requests reliable"
         await seen.until(
             lambda: any(said in " ".join(topic(g, "/imu").mismatches) for g in seen.of(GRAPH))
         )
@@ -106,7 +106,7 @@ async def test_an_actuator_that_does_not_reach_its_listeners_says_so(
 ) -> None:
     weak = {"topic": "/cmd_vel", "qos": {"reliability": "best_effort"}}
     async with robot_of(domain, map={"/actuator/cmd_vel": weak}, grace=1.0) as robot:
-        said = "/cmd_vel does not reach everybody"
+        said = "/cmd_vel does not reach every subscriber"
         await robot.until(lambda: robot.reports and said in (robot.reports[-1] or ""))
 
 
@@ -119,10 +119,10 @@ def test_every_policy_that_does_not_fit_is_told_with_what_mends_it() -> None:
     ask = Terms("/b", reliable=True, latched=True, deadline=S, manual=True, lease=S)
     words = mismatches(offer, ask)
     assert len(words) == 5
-    assert words[0].endswith("(have /a publish reliable, or /b ask for best effort)")
-    assert words[1].startswith("/a publishes volatile and /b asks for transient local")
-    assert "asks for a message every 1 s and /a promises one every 2 s" in words[2]
+    assert words[0].endswith("(let /a publish reliable, or /b request best effort)")
+    assert words[1].startswith("/a publishes volatile and /b requests transient local")
+    assert "requests a deadline of 1 s and /a offers 2 s" in words[2]
     assert "liveliness by topic" in words[3]
-    assert "sign of life every 1 s" in words[4]
+    assert "liveliness lease of 1 s" in words[4]
     assert mismatches(ask, offer) == []
     assert mismatches(offer, offer) == []

@@ -277,10 +277,10 @@ async def test_what_was_admitted_before_a_stop_is_not_sent_after_it(rig: Rig) ->
 async def test_a_robot_that_is_not_there_is_not_known_to_be_at_rest() -> None:
     config: dict[str, Any] = {"map": {"/action/navigate": MAP["/action/navigate"]}}
     async with robot_of(fresh_domain(), **config, grace=0.5) as robot:
-        with pytest.raises(AdapterUnavailable, match="no node serves /navigate"):
+        with pytest.raises(AdapterUnavailable, match="no node offers /navigate"):
             await estop(robot)
     async with robot_of(fresh_domain(), expose=["/**"], grace=0.5) as robot:
-        with pytest.raises(AdapterUnavailable, match="no node of the robot is there"):
+        with pytest.raises(AdapterUnavailable, match="no node of the robot is running"):
             await estop(robot)
     async with robot_of(fresh_domain(), map=MAP) as robot:  # a zero goes out when it is heard
         robot.latched.add(None)
@@ -438,7 +438,7 @@ async def test_without_feedback_a_frozen_robot_is_not_confirmed(rig: Rig) -> Non
         await released(robot)
         rig.base.freeze()
         try:
-            with pytest.raises(AdapterUnavailable, match="does not answer"):
+            with pytest.raises(AdapterUnavailable, match="does not respond"):
                 await estop(robot)
         finally:
             rig.base.thaw()

@@ -138,5 +138,5 @@ def test_every_form_of_a_field_is_read(bare: None) -> None:
 def test_a_text_that_is_none_is_refused_with_its_line() -> None:
     with pytest.raises(BadText, match=r"'float64 1x' in the text of a_msgs/msg/A"):
         parse("a_msgs/msg/A", "float64 1x")
-    with pytest.raises(ValueError, match="is no line of"):
+    with pytest.raises(ValueError, match="is not valid in"):
         Ros2Config(types={"a_msgs/msg/A": "nonsense"})

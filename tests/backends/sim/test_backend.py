@@ -348,7 +348,7 @@ async def test_boxes_come_and_go(rig: Any) -> None:
     assert left.placed == {}
     with pytest.raises(DeviceRejected, match="no box"):
         await rig.execute("service/remove_obstacle", {"id": placed.id})
-    for wrong, why in (((0.2, 0), "rover stands"), ((50, 0), "outside")):
+    for wrong, why in (((0.2, 0), "rover is there"), ((50, 0), "outside")):
         box = {"x": wrong[0], "y": wrong[1], "size_x": 1.0, "size_y": 1.0}
         with pytest.raises(DeviceRejected, match=why):
             await rig.execute("service/place_obstacle", box)
@@ -364,7 +364,7 @@ async def test_it_runs_by_itself_and_opens_again(host: Any) -> None:
             with anyio.fail_after(20):
                 await backend.execute("action/move_to", goal, lambda *_, **__: None)
                 await backend.halt()
-        with pytest.raises(AdapterUnavailable, match="gone"):
+        with pytest.raises(AdapterUnavailable, match="has stopped"):
             await backend.execute("action/move_to", goal, lambda *_, **__: None)
     assert host.reports == []
 
@@ -383,7 +383,7 @@ async def test_a_breakdown_is_reported_and_ends_the_connection(host: Any) -> Non
 
     with anyio.fail_after(20), pytest.raises(RuntimeError, match="crash"):
         await live()
-    assert host.reports == [("the simulated rover broke down: crash, as was asked for", True)]
+    assert host.reports == [("the simulated rover failed: crash, as requested", True)]
 
 
 async def test_an_error_of_the_owner_passes_through_as_it_is(host: Any) -> None:

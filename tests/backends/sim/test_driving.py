@@ -89,7 +89,7 @@ def test_a_goal_walled_in_has_no_way() -> None:
     sim = Simulation(SimConfig())
     for box in ((0, 7, 4, 1), (0, 3, 4, 1), (-2, 5, 1, 5), (2, 5, 1, 5)):
         sim.place(Box(*map(float, box)))
-    with pytest.raises(DeviceRejected, match="no way leads to"):
+    with pytest.raises(DeviceRejected, match="no path to"):
         sim.go(0, 5)
 
 
@@ -111,7 +111,7 @@ def test_a_way_shut_on_the_drive_ends_it() -> None:
         sim.step(0.02)
     for box in ((0, 7, 4, 1), (0, 3, 4, 1), (-2, 5, 1, 5), (2, 5, 1, 5)):
         sim.place(Box(*map(float, box)))
-    assert trip.failure == "the way is blocked"
+    assert trip.failure == "the path is blocked"
     for _ in range(100):
         sim.step(0.02)
     assert sim.rover.at_rest

@@ -67,7 +67,7 @@ async def test_a_slow_rover_answers_late(rig: Any) -> None:
     assert 0.5 <= rig.device.uptime - started < 0.6
     assert rig.sim.limit == 0.7
     await rig.drive(0.1)
-    assert rig.host.reports == [("param/speed_limit answers 0.5 s late", False)]
+    assert rig.host.reports == [("param/speed_limit responds 0.5 s late", False)]
 
 
 async def test_a_lost_link_carries_nothing_and_returns(rig: Any) -> None:
@@ -127,7 +127,7 @@ async def test_lost_stops_leave_the_rover_driving(rig: Any) -> None:
     await rig.fault(fault="stop_lost", count=2)
     for stop in (rig.drive(0.0), rig.backend.halt()):
         unanswered = await rig.begin(stop)
-        with pytest.raises(DeviceTimeout, match="went missing"):
+        with pytest.raises(DeviceTimeout, match="was lost"):
             await rig.turn(unanswered, seconds=2)
     assert rig.sim.rover.v == 0.5
     await rig.drive(0.0)

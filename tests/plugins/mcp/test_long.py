@@ -86,7 +86,7 @@ async def test_an_action_keeps_going_by_rule_and_its_tool_says_so() -> None:
         caller(made) as client,
     ):
         tool = (await client.tools())["action-go"]
-        assert "does not stop the robot" in tool["description"]
+        assert "does not cancel the command" in tool["description"]
         await leave(client, "action-go", x=4)
         running = (await client.call("status"))["structuredContent"]["running"]
         assert len(running) == 1

@@ -13,18 +13,18 @@ from rcp_mavlink.hub import Hub
 from rcp_mavlink.texts import SEVERITIES
 from rcp_mavlink.vehicle import Text, Vehicle
 
-__all__ = ["Telling"]
+__all__ = ["TelemetryEvents"]
 
 _FAILSAFES = ("failsafe", "breach", "crash", "ekf variance", "terminat")
 _PREARM = ("PreArm: ", "Arm: ", "Preflight Fail: ", "Arming denied: ", "Arming denied! ")
 _COMPLAINTS = 35.0  # s for which a complaint counts: the vehicle repeats them every 30 s
 _SETTLED = 1.5  # s after a complaint, in which SYS_STATUS may still be that of before it
-_ASKED_AGAIN = 10.0  # s
+_RETRY_AFTER = 10.0  # s
 _APART = 3.0  # s after which a complaint begins a new round of them
 _RECENT = 2.5  # s
 
 
-class Telling:
+class TelemetryEvents:
     """Publishes what one vehicle's messages mean; `check` has it say what speaks against arming."""
 
     heeded = frozenset({0, 1, 46})
@@ -42,7 +42,7 @@ class Telling:
         self._armed = vehicle.armed
         self._complaints: list[str] = []
         """Those of the latest round: the vehicle says all that hold, one after the other."""
-        self._complained = self._asked = -math.inf
+        self._complained = self._requested = -math.inf
 
     def begin(self) -> None:
         """Publish what is known at first."""
@@ -83,8 +83,8 @@ class Telling:
         if told.ready and now - self._complained > _SETTLED:
             self._complaints = []
         unknown = not (told.ready or told.reasons or self._vehicle.family.px4)
-        if unknown and self._vehicle.prearm is False and now - self._asked > _ASKED_AGAIN:
-            self._asked = now
+        if unknown and self._vehicle.prearm is False and now - self._requested > _RETRY_AFTER:
+            self._requested = now
             self._check()
         self._publish("sensor/prearm", told)
 
@@ -97,11 +97,11 @@ class Telling:
 
     def _links(self) -> list[m.LinkState]:
         now, routes = time.monotonic(), self._vehicle.routes.values()
-        heard = {link.number for link, _, at in routes if now - at < _RECENT}
+        active = {link.number for link, _, at in routes if now - at < _RECENT}
         found: list[m.LinkState] = []
         for link in self._hub.links:
             s = link.framer.stats
-            up = link.number in heard
+            up = link.number in active
             found.append(
                 m.LinkState(
                     link.text,
@@ -145,19 +145,19 @@ class Telling:
             self._armed = vehicle.armed
             self._publish("event/armed", m.Armed(vehicle.armed, vehicle.mode))
 
-    def text(self, said: Text) -> None:
+    def text(self, status_text: Text) -> None:
         """Publish a text, and as an event of its own where a failsafe acts."""
-        severity = SEVERITIES[min(said.severity, len(SEVERITIES) - 1)]
-        told = m.Said(severity, said.text)
+        severity = SEVERITIES[min(status_text.severity, len(SEVERITIES) - 1)]
+        told = m.StatusText(severity, status_text.text)
         self._publish("event/statustext", told)
-        if any(word in said.text.lower() for word in _FAILSAFES):
+        if any(word in status_text.text.lower() for word in _FAILSAFES):
             self._publish("event/failsafe", told)
-        start = next((start for start in _PREARM if said.text.startswith(start)), None)
+        start = next((start for start in _PREARM if status_text.text.startswith(start)), None)
         if start is not None:
-            self._complain(said.text.removeprefix(start), said.at)
+            self._complain(status_text.text.removeprefix(start), status_text.at)
             self._publish("sensor/prearm", self._prearm())
 
     def boot(self) -> None:
         """Publish that it has begun anew."""
-        self._complaints, self._asked = [], -math.inf
-        self._publish("event/boot", m.Said("notice", "The vehicle has started anew."))
+        self._complaints, self._requested = [], -math.inf
+        self._publish("event/boot", m.StatusText("notice", "The vehicle has rebooted."))
