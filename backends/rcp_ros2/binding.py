@@ -1,4 +1,4 @@
-"""What stands behind one path: the common part of topics, services, actions and parameters."""
+"""Bindings of paths to ROS: the common part of topics, services, actions and parameters."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _PAUSE = 0.05  # s between looks at something that is about to come
 
 
 class Shared:
-    """What all bindings of a backend work with."""
+    """State shared by all bindings of a backend."""
 
     keeper: Keeper
     feedbacks: Feedbacks
@@ -42,7 +42,7 @@ class Shared:
         self.config = config
         self.host = host
         self.graph = Graph()
-        """The latest look at the graph."""
+        """The latest poll of the graph."""
         self.naming = Naming(config)
         self.outbox = Outbox(host)
         self._troubles: dict[str, str] = {}
@@ -51,42 +51,42 @@ class Shared:
         self.subscriptions = TopicSubscriptions(ros, self.outbox, self.complain)
         self.pulses = Pulses(ros, self.complain)
         self.on_poll: list[Callable[[], None]] = []
-        """Called in the ROS thread at each look at the graph."""
+        """Called in the ROS thread at each poll of the graph."""
         self.refresh: Callable[[], None] = lambda: None
         """Has the paths made that a construct has found since the last look; on the event loop."""
         self.needed: set[str] = set()
-        """Names that matter though no path stands on them."""
+        """Names that are relevant although no path maps to them."""
         self.sent_goals: dict[bytes, None] = {}
-        """The ids of goals that the gateway sent, the newest last."""
+        """Ids of goals sent by the gateway, newest last."""
         self._settled = time.monotonic() + config.grace
 
     @property
     def settling(self) -> float:
-        """Seconds for which the graph is still being discovered."""
+        """Remaining time in s for the discovery of the graph."""
         return max(0.0, self._settled - time.monotonic())
 
     def trouble(self, key: str, detail: str | None) -> None:
-        """Note what is wrong with one thing, or that it is well again."""
+        """Set or clear the complaint about one thing."""
         if detail is not None:
             self._troubles[key] = detail
         else:
             self._troubles.pop(key, None)
 
     def report(self) -> None:
-        """Report what is wrong, or once that all is well again."""
+        """Report all complaints, or once that there are none."""
         detail = "; ".join(self._troubles.values()) or None
         if detail is not None or self._reported:
             self._reported = detail is not None
             self.host.report(detail)
 
     def sent(self, goal: bytes) -> None:
-        """Remember the id of a goal as one of the gateway's own."""
+        """Remember the id of a goal sent by the gateway."""
         self.sent_goals[goal] = None
         if len(self.sent_goals) > _GOALS:
             del self.sent_goals[next(iter(self.sent_goals))]
 
     def complain(self, key: str, detail: str | None) -> None:
-        """Note what is wrong, from the ROS thread; only changes are worth a wake-up."""
+        """Set a complaint from the ROS thread; only changes wake the event loop."""
         if self._complaints.get(key) != detail:
             self._complaints[key] = detail
             self.host.call_soon(self.trouble, key, detail)
@@ -99,7 +99,7 @@ class Shared:
         taker: Callable[[Any], None],
         qos: Qos = Qos(depth=_DEPTH),  # noqa: B008 - frozen
     ) -> None:
-        """Have a function called with each message of a topic; all of it in the ROS thread.
+        """Call a function with each message of a topic; in the ROS thread.
 
         A type that is not installed is a trouble, told with its remedy.
         """
@@ -112,7 +112,7 @@ class Shared:
         self.subscriptions.tap(topic, cls, qos, tap)
 
     async def until(self, holds: Callable[[], bool], seconds: float) -> bool:
-        """Wait until something about the graph holds, while that may still be discovered."""
+        """Wait for a condition on the graph, for as long as discovery may take."""
         end = time.monotonic() + seconds
         while not holds():
             if time.monotonic() >= end:
@@ -121,7 +121,7 @@ class Shared:
         return True
 
     async def present(self, noun: str, name: str) -> None:
-        """Return once somebody offers a thing.
+        """Wait until a node offers something.
 
         :raises AdapterUnavailable: nobody does.
         """
@@ -136,14 +136,14 @@ class Shared:
 
 
 class Binding:
-    """One resource and the means to serve it; refuses what a subclass does not write."""
+    """One resource and its implementation; refuses what a subclass does not override."""
 
     def __init__(self, shared: Shared, resource: Resource, mapping: Mapping) -> None:
         self.shared = shared
         self.resource = resource
         self.mapping = mapping
         self.feedback: Feedback | None = None
-        """What measures the motion that it causes, where the mapping says so."""
+        """Feedback of the motion that it causes, if mapped."""
 
     @property
     def is_barred(self) -> bool:
@@ -153,7 +153,7 @@ class Binding:
         return moves or resource.energises
 
     def admit(self) -> None:
-        """Let a command pass that moves or energises; in the ROS thread, just before it is sent.
+        """Check a command that moves or energises; in the ROS thread, just before it is sent.
 
         :raises EstopActive: the robot was stopped since.
         """
@@ -164,15 +164,15 @@ class Binding:
 
     @property
     def timeout(self) -> float:
-        """Seconds for one answer of the robot."""
+        """Time-out in s for one response of the robot."""
         return self.mapping.timeout or self.shared.config.timeout
 
     async def read(self) -> Any:
-        """Return the present value."""
+        """Return the current value."""
         raise UnsupportedOperation(f"'{self.resource.name}' cannot be read")
 
     async def write(self, value: Any) -> Any:
-        """Bring a value into force."""
+        """Write a value."""
         raise UnsupportedOperation(f"'{self.resource.name}' cannot be written")
 
     async def execute(self, value: Any, progress: Progress) -> Any:
@@ -180,27 +180,27 @@ class Binding:
         raise UnsupportedOperation(f"'{self.resource.name}' cannot be executed")
 
     def watched(self, rate: float) -> None:
-        """Publish at most so many values a second; infinity: all of them."""
+        """Publish at most `rate` values per second; infinity: all of them."""
 
     def unwatched(self) -> None:
-        """Publish no more."""
+        """Stop publishing."""
 
     def placed(self) -> None:
-        """Publish what is known, now that the resource is declared."""
+        """Publish what is already known, after the resource was declared."""
 
     async def halt(self) -> None:
-        """Bring to rest what it moves."""
+        """Stop what it moves."""
 
     def close(self) -> None:
-        """Let go of what it holds of ROS."""
+        """Release its ROS entities."""
 
     def late(self, what: str) -> DeviceTimeout:
-        """Say that an answer did not come."""
+        """Make the error for a missing response."""
         return DeviceTimeout(f"{what} did not respond within {self.timeout:g} s")
 
 
 class Absent(Binding):
-    """A mapping that cannot be served now: its type is missing, or not known yet."""
+    """A mapping that is not available: its type is missing or not known yet."""
 
     def __init__(
         self, shared: Shared, resource: Resource, mapping: Mapping, why: str, remedy: str
@@ -226,10 +226,10 @@ class Absent(Binding):
 
 
 class Offer(NamedTuple):
-    """A path that a construct of ROS brings with it."""
+    """A path provided by a ROS convention."""
 
     mapping: Mapping
-    """What it stands on."""
+    """Its mapping."""
     make: Callable[[], Binding]
     """Called in the ROS thread; raises `MissingType`."""
 
@@ -238,7 +238,7 @@ class Construct(Protocol):
     """A convention of ROS that is more than one topic or service: nodes with a lifecycle."""
 
     def find(self, graph: Graph) -> dict[str, Offer]:
-        """Return the paths there are now; on the event loop, at each look at the graph."""
+        """Return the current paths; on the event loop, at each poll of the graph."""
         ...
 
 

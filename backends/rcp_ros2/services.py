@@ -1,4 +1,4 @@
-"""Services: one cached client each, and calls that end when their server does."""
+"""Services: one cached client each; calls end if their server disappears."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ _HARMLESS = {
     "tf2_msgs/srv/FrameGraph",
     "type_description_interfaces/srv/GetTypeDescription",
 }
-"""Types of services that only tell; any other may move the robot."""
+"""Read-only service types; any other may move the robot."""
 
 
 class Caller:
@@ -74,7 +74,7 @@ class Caller:
         self._client: Any = None
 
     async def call(self, request: Any, limit: float) -> Any:
-        """Ask, and return the response, in at most `limit` seconds.
+        """Call the service, and return the response within `limit` seconds.
 
         :raises AdapterUnavailable: no node offers the service, or the one that did has gone.
         :raises DeviceTimeout: no answer came in time.
@@ -88,7 +88,7 @@ class Caller:
         return answer
 
     async def _request(self, request: Any, limit: float) -> Any:
-        """Go to the thread once, to look for the server and to ask it: a turn costs 0.1 ms."""
+        """Find the server and send the request in one turn of the thread, which costs 0.1 ms."""
         ticket = Ticket(self._shared.host)
         sent: list[Any] = []
         self._shared.ros.submit(self._send, request, ticket, sent)
@@ -131,7 +131,7 @@ class Caller:
             self._client.remove_pending_request(sent[0])
 
     def close(self) -> None:
-        """Let go of the client."""
+        """Destroy the client."""
         self._shared.ros.post(self._drop)
 
     def _drop(self) -> None:
@@ -189,7 +189,7 @@ class Called(Binding):
         return result
 
     def close(self) -> None:
-        """Let go of the client."""
+        """Destroy the client."""
         self._caller.close()
 
 
