@@ -11,10 +11,10 @@ from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 from rcp_kernel.spi import MotionState
-from rcp_ros2.binding import Shared
 from rcp_ros2.cdr import Codec, Malformed, Value
 from rcp_ros2.config import Qos
 from rcp_ros2.idl import MissingType, load
+from rcp_ros2.link import RosLink
 from rcp_ros2.topics import Tap
 
 __all__ = ["ODOMETRY", "Feedback", "Feedbacks"]
@@ -150,19 +150,19 @@ class Feedback:
 class Feedbacks:
     """All topics with a measured velocity."""
 
-    def __init__(self, shared: Shared, restored: Callable[[str | None], None]) -> None:
-        self._shared = shared
+    def __init__(self, link: RosLink, restored: Callable[[str | None], None]) -> None:
+        self._link = link
         self._restored = restored
         """Called on the event loop with the robot whose feedback returned."""
         self._all: dict[tuple[str, str | None], Feedback] = {}
 
     def follow(self, topic: str, robot: str | None, type_: str | None) -> Feedback:
         """Subscribe to a topic for a robot as soon as its type is known; on the event loop."""
-        stop = self._shared.config.stop
+        stop = self._link.config.stop
         key = (topic, robot)
         found = self._all.get(key)
         if found is None:
-            host = self._shared.host
+            host = self._link.host
             found = self._all[key] = Feedback(
                 topic,
                 robot,
@@ -174,9 +174,9 @@ class Feedbacks:
             try:
                 cls, tap = found.tap(type_)
             except (MissingType, ValueError) as error:
-                self._shared.trouble(f"feedback {topic}", f"{topic}: {error}")
+                self._link.trouble(f"feedback {topic}", f"{topic}: {error}")
                 return found
-            ros, subscriptions = self._shared.ros, self._shared.subscriptions
+            ros, subscriptions = self._link.ros, self._link.subscriptions
             ros.post(subscriptions.untap, topic, tap.name)
             ros.post(subscriptions.tap, topic, cls, Qos(), tap)
         return found
@@ -185,8 +185,8 @@ class Feedbacks:
         """Forget robots that have left for good."""
         gone = set(robots)
         for key in [key for key in self._all if key[1] in gone]:
-            self._shared.ros.post(
-                self._shared.subscriptions.untap, key[0], f"feedback {key[0]} {key[1]}"
+            self._link.ros.post(
+                self._link.subscriptions.untap, key[0], f"feedback {key[0]} {key[1]}"
             )
             del self._all[key]
 

@@ -13,7 +13,7 @@ from typing import Any
 import structlog
 
 from rcp_kernel.errors import EstopActive
-from rcp_ros2.binding import Shared
+from rcp_ros2.link import RosLink
 from rcp_ros2.means import StopSignal
 from rcp_ros2.rest import Rest
 from rcp_ros2.ros import guarded
@@ -43,8 +43,8 @@ class Hold:
 class Keeper:
     """The holds of a backend, and what they hold."""
 
-    def __init__(self, shared: Shared) -> None:
-        self._shared = shared
+    def __init__(self, link: RosLink) -> None:
+        self._link = link
         self.rests: list[Rest] = []
         self.servers: dict[str, ActionServer] = {}
         self.signals: list[StopSignal] = []
@@ -66,16 +66,16 @@ class Keeper:
         found.latched = latched
         if not found.begun:
             found.begun = True
-            self._shared.ros.submit(guarded(self._begin, robot))
+            self._link.ros.submit(guarded(self._begin, robot))
         return found
 
     def again(self, robot: str | None) -> None:
         """Send everything that stops a robot once more."""
-        self._shared.ros.submit(guarded(self._begin, robot))
+        self._link.ros.submit(guarded(self._begin, robot))
 
     def release(self, robot: str | None) -> None:
         """End a hold: the e-stop was reset."""
-        self._shared.ros.post(self._release, robot)
+        self._link.ros.post(self._release, robot)
 
     # -- ROS thread ------------------------------------------------------------------------------
 
@@ -113,7 +113,7 @@ class Keeper:
         for name in self.servers.keys() - names.keys():
             self.servers.pop(name).close()
         for name in names.keys() - self.servers.keys():
-            server = ActionServer(self._shared, name, names[name])
+            server = ActionServer(self._link, name, names[name], self.on_goals)
             self.servers[name] = server
             if server.robot in self.holds:
                 server.cancel()
@@ -133,7 +133,7 @@ class Keeper:
         for rest in self.rests:
             if rest.robot == robot:
                 rest.begin(now)
-                self._shared.pulses.ping(rest.outlet.nodes)
+                self._link.pulses.ping(rest.outlet.nodes)
         for server in self.servers.values():
             if server.robot == robot:
                 server.cancel()
@@ -150,7 +150,7 @@ class Keeper:
     def wake(self) -> None:
         """Repeat the stop of held robots."""
         if self._timer is None:
-            self._timer = self._shared.ros.node.create_timer(_TICK, guarded(self._tick))
+            self._timer = self._link.ros.node.create_timer(_TICK, guarded(self._tick))
         elif self._timer.is_canceled():
             self._timer.reset()
 
@@ -168,7 +168,7 @@ class Keeper:
                 if due:
                     rest.poll()
                     rest.listen()
-                    self._shared.pulses.ping(rest.outlet.nodes)
+                    self._link.pulses.ping(rest.outlet.nodes)
             else:
                 rest.leave()
                 if rest.is_bursting:

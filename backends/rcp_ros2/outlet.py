@@ -6,8 +6,8 @@ import contextlib
 from typing import Any, Literal
 
 from rcp_kernel.errors import AdapterUnavailable
-from rcp_ros2.binding import Shared
 from rcp_ros2.config import Qos
+from rcp_ros2.link import RosLink
 from rcp_ros2.pulse import node_of
 from rcp_ros2.qos import Profile, for_publisher, unreached_subscribers
 
@@ -20,10 +20,10 @@ Hearing = Literal["heard", "nobody", "silent"]
 class Outlet:
     """One publisher; recreated if a subscriber requests latched values."""
 
-    def __init__(self, shared: Shared, topic: str, cls: Any, wanted: Qos) -> None:
-        self._node = lambda: shared.ros.node
-        self._pulses = shared.pulses
-        self._complain = shared.complain
+    def __init__(self, link: RosLink, topic: str, cls: Any, wanted: Qos) -> None:
+        self._node = lambda: link.ros.node
+        self._pulses = link.pulses
+        self._complain = link.complain
         self._topic = topic
         self._cls = cls
         self._wanted = wanted

@@ -8,15 +8,16 @@ from __future__ import annotations
 
 import time
 from collections import Counter, deque
+from collections.abc import Callable
 from typing import Any
 
 import msgspec
 
 from rcp_kernel.errors import AdapterUnavailable
-from rcp_ros2.binding import Shared
 from rcp_ros2.cdr import Codec, Malformed, Value
 from rcp_ros2.config import Qos
 from rcp_ros2.idl import full_name
+from rcp_ros2.link import RosLink
 from rcp_ros2.outlet import Outlet
 from rcp_ros2.pulse import node_of
 from rcp_ros2.topics import Tap
@@ -35,7 +36,16 @@ _KNOWN = 20  # commands of others that their rate is taken from
 class Rest:
     """The safe value of one actuator: repeated while its robot is stopped."""
 
-    def __init__(self, shared: Shared, topic: str, cls: Any, outlet: Outlet, message: Any) -> None:
+    def __init__(
+        self,
+        link: RosLink,
+        topic: str,
+        cls: Any,
+        outlet: Outlet,
+        message: Any,
+        *,
+        wake: Callable[[], None],
+    ) -> None:
         self.topic = topic
         self.type = full_name(cls)
         self.robot: str | None = None
@@ -52,7 +62,9 @@ class Rest:
         self.data = message if isinstance(message, bytes) else _serialised(message)
         """It in CDR."""
         self.outlet = outlet
-        self._shared = shared
+        self._link = link
+        self._wake = wake
+        """Has what is held repeated."""
         self._cls = cls
         self._message = message
         self._codec = Codec(cls)
@@ -98,7 +110,7 @@ class Rest:
             self.delivered_at = now
         if rests and self.commanded:  # the dead-man, or a client that lets go
             self._burst, self._due = _BURST - 1, now + _QUICK
-            self._shared.keeper.wake()
+            self._wake()
         elif not rests:
             self._burst = 0
         self.commanded = not rests
@@ -117,7 +129,7 @@ class Rest:
         """Publish the safe value."""
         if self._burst > 0:
             self._burst -= 1
-        rate = min(_FASTEST, max(self._shared.config.stop.rate, _AHEAD * self.contested()))
+        rate = min(_FASTEST, max(self._link.config.stop.rate, _AHEAD * self.contested()))
         self._due = now + (_QUICK if self._burst else 1 / rate)
         try:
             self.acked = self.outlet.acked()
@@ -135,7 +147,7 @@ class Rest:
 
     def poll(self) -> None:
         """Detect other publishers, and subscribe to their commands."""
-        node = self._shared.ros.node
+        node = self._link.ros.node
         found = Counter(
             node_of(endpoint) or "an unnamed node"
             for endpoint in node.get_publishers_info_by_topic(self.topic)
@@ -149,12 +161,12 @@ class Rest:
         if self.others and self._tap is None:
             self._foreign.clear()
             self._tap = Tap(f"stop {self.topic} {id(self)}", self._codec, taker=self._on_message)
-            self._shared.subscriptions.tap(self.topic, self._cls, Qos(), self._tap)
+            self._link.subscriptions.tap(self.topic, self._cls, Qos(), self._tap)
 
     def leave(self) -> None:
         """Unsubscribe."""
         if self._tap is not None:
-            self._shared.subscriptions.untap(self.topic, self._tap.name)
+            self._link.subscriptions.untap(self.topic, self._tap.name)
             self._tap = None
             self._foreign.clear()
 

@@ -20,7 +20,6 @@ from rcp_ros2.config import StopTopic
 from rcp_ros2.feedback import ODOMETRY, Feedbacks
 from rcp_ros2.graph import Graph
 from rcp_ros2.idl import MissingType
-from rcp_ros2.keeper import Keeper
 from rcp_ros2.means import StopCall, StopSignal
 from rcp_ros2.names import absolute, allows
 from rcp_ros2.rest import Rest
@@ -50,8 +49,8 @@ class Stops:
     def __init__(self, shared: Shared, catalog: Catalog) -> None:
         self._shared = shared
         self._catalog = catalog
-        self.keeper = shared.keeper = Keeper(shared)
-        self.feedbacks = shared.feedbacks = Feedbacks(shared, self._restored)
+        self.keeper = shared.keeper
+        self.feedbacks = Feedbacks(shared, self._restored)
         self._calls: dict[str, StopCall] = {}
         self._signals: set[str] = set()
         self._lost: dict[str | None, set[str]] = {}
@@ -59,8 +58,8 @@ class Stops:
         self._met: dict[str | None, set[str]] = {}
         """By robot: what of it has been there."""
         self._recovered: set[str | None] = set()
-        self._contested: set[str] = set()
-        """Topics by which others command a robot that is stopped."""
+        self._contested: dict[str, tuple[str, ...] | None] = {}
+        """By topic: the nodes that command a robot that is stopped, as they were last told of."""
         self._plan: dict[str, Any] = {}
         spaces = [*shared.config.robots] or [shared.config.namespace]
         patterns = shared.config.stop.actions
@@ -412,13 +411,12 @@ class Stops:
         """Report who commands a stopped robot."""
         for rest in self.keeper.rests:
             contested = rest.robot in self.keeper.holds and rest.contested() > 0
-            if contested == (rest.topic in self._contested):
+            others = rest.others if contested else None  # whose names may be discovered later
+            if others == self._contested.get(rest.topic):
                 continue
+            self._contested[rest.topic] = others
             if contested:
-                self._contested.add(rest.topic)
                 log.warning("ros_stop_contested", topic=rest.topic, nodes=list(rest.others))
-            else:
-                self._contested.discard(rest.topic)
             text = f"stopped, but {rest.about_others()}" if contested else None
             self._shared.trouble(f"others {rest.topic}", text)
             self._shared.report()
