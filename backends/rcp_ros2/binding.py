@@ -1,4 +1,4 @@
-"""What stands behind one path: the common part of topics, services, actions and parameters."""
+"""Bindings of paths to ROS: the common part of topics, services, actions and parameters."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ class Shared(RosLink):
 
 
 class Binding:
-    """One resource and the means to serve it; refuses what a subclass does not write."""
+    """One resource and its implementation; refuses what a subclass does not override."""
 
     def __init__(self, shared: Shared, resource: Resource, mapping: Mapping) -> None:
         self.shared = shared
         self.resource = resource
         self.mapping = mapping
         self.feedback: Feedback | None = None
-        """What measures the motion that it causes, where the mapping says so."""
+        """Feedback of the motion that it causes, if mapped."""
 
     @property
     def is_barred(self) -> bool:
@@ -44,7 +44,7 @@ class Binding:
         return moves or resource.energises
 
     def admit(self) -> None:
-        """Let a command pass that moves or energises; in the ROS thread, just before it is sent.
+        """Check a command that moves or energises; in the ROS thread, just before it is sent.
 
         :raises EstopActive: the robot was stopped since.
         """
@@ -55,15 +55,15 @@ class Binding:
 
     @property
     def timeout(self) -> float:
-        """Seconds for one answer of the robot."""
+        """Time-out in s for one response of the robot."""
         return self.mapping.timeout or self.shared.config.timeout
 
     async def read(self) -> Any:
-        """Return the present value."""
+        """Return the current value."""
         raise UnsupportedOperation(f"'{self.resource.name}' cannot be read")
 
     async def write(self, value: Any) -> Any:
-        """Bring a value into force."""
+        """Write a value."""
         raise UnsupportedOperation(f"'{self.resource.name}' cannot be written")
 
     async def execute(self, value: Any, progress: Progress) -> Any:
@@ -71,27 +71,27 @@ class Binding:
         raise UnsupportedOperation(f"'{self.resource.name}' cannot be executed")
 
     def watched(self, rate: float) -> None:
-        """Publish at most so many values a second; infinity: all of them."""
+        """Publish at most `rate` values per second; infinity: all of them."""
 
     def unwatched(self) -> None:
-        """Publish no more."""
+        """Stop publishing."""
 
     def placed(self) -> None:
-        """Publish what is known, now that the resource is declared."""
+        """Publish what is already known, after the resource was declared."""
 
     async def halt(self) -> None:
-        """Bring to rest what it moves."""
+        """Stop what it moves."""
 
     def close(self) -> None:
-        """Let go of what it holds of ROS."""
+        """Release its ROS entities."""
 
     def late(self, what: str) -> DeviceTimeout:
-        """Say that an answer did not come."""
+        """Make the error for a missing response."""
         return DeviceTimeout(f"{what} did not respond within {self.timeout:g} s")
 
 
 class Absent(Binding):
-    """A mapping that cannot be served now: its type is missing, or not known yet."""
+    """A mapping that is not available: its type is missing or not known yet."""
 
     def __init__(
         self, shared: Shared, resource: Resource, mapping: Mapping, why: str, remedy: str
@@ -117,10 +117,10 @@ class Absent(Binding):
 
 
 class Offer(NamedTuple):
-    """A path that a construct of ROS brings with it."""
+    """A path provided by a ROS convention."""
 
     mapping: Mapping
-    """What it stands on."""
+    """Its mapping."""
     make: Callable[[], Binding]
     """Called in the ROS thread; raises `MissingType`."""
 
@@ -129,7 +129,7 @@ class Construct(Protocol):
     """A convention of ROS that is more than one topic or service: nodes with a lifecycle."""
 
     def find(self, graph: Graph) -> dict[str, Offer]:
-        """Return the paths there are now; on the event loop, at each look at the graph."""
+        """Return the current paths; on the event loop, at each poll of the graph."""
         ...
 
 

@@ -44,7 +44,7 @@ class Caller:
         self._client: Any = None
 
     async def call(self, request: Any, limit: float) -> Any:
-        """Ask, and return the response, in at most `limit` seconds.
+        """Call the service, and return the response within `limit` seconds.
 
         :raises AdapterUnavailable: no node offers the service, or the one that did has gone.
         :raises DeviceTimeout: no answer came in time.
@@ -58,7 +58,7 @@ class Caller:
         return answer
 
     async def _request(self, request: Any, limit: float) -> Any:
-        """Go to the thread once, to look for the server and to ask it: a turn costs 0.1 ms."""
+        """Find the server and send the request in one turn of the thread, which costs 0.1 ms."""
         ticket = Ticket(self._link.host)
         sent: list[Any] = []
         self._link.ros.submit(self._send, request, ticket, sent)
@@ -101,7 +101,7 @@ class Caller:
             self._client.remove_pending_request(sent[0])
 
     def close(self) -> None:
-        """Let go of the client."""
+        """Destroy the client."""
         self._link.ros.post(self._drop)
 
     def _drop(self) -> None:

@@ -1,4 +1,4 @@
-"""What keeps a stopped robot stopped: repeated in the ROS thread, whatever the event loop does.
+"""Keeps a stopped robot stopped: repeated in the ROS thread, independent of the event loop.
 
 A hold begins with a stop. One of an e-stop lasts until the event loop has seen the latch reset: an
 event loop that has frozen cannot reset it. One without a latch ends by itself.
@@ -28,7 +28,7 @@ _POLL = 0.25  # s between looks at who else publishes
 
 @dataclass(slots=True)
 class Hold:
-    """A robot that is stopped."""
+    """A stopped robot."""
 
     began: float
     """Monotonic."""
@@ -57,7 +57,7 @@ class Keeper:
     # -- from the event loop ---------------------------------------------------------------------
 
     def hold(self, robot: str | None, seconds: float, *, latched: bool) -> Hold:
-        """Hold a robot, or go on holding it; a new hold begins with all that stops it."""
+        """Hold a robot, or continue to hold it; a new hold begins with every means of stopping."""
         now = time.monotonic()
         found = self.holds.get(robot)
         if found is None:
@@ -97,19 +97,19 @@ class Keeper:
             server.cancel()
 
     def add(self, rest: Rest) -> None:
-        """Keep an actuator of a robot."""
+        """Add an actuator of a robot."""
         self.rests.append(rest)
         if rest.robot in self.holds:
             rest.begin(time.monotonic())
 
     def remove(self, rest: Rest) -> None:
-        """Let go of an actuator."""
+        """Remove an actuator."""
         if rest in self.rests:
             self.rests.remove(rest)
             rest.leave()
 
     def follow(self, names: dict[str, str | None]) -> None:
-        """Know the action servers of the robots: each with the robot whose it is."""
+        """Set the action servers, each with its robot."""
         for name in self.servers.keys() - names.keys():
             self.servers.pop(name).close()
         for name in names.keys() - self.servers.keys():
@@ -119,7 +119,7 @@ class Keeper:
                 server.cancel()
 
     def poll(self) -> None:
-        """Follow who else publishes, and which servers have come or gone; at each look."""
+        """Update other publishers and action servers; at each poll."""
         for server in list(self.servers.values()):
             server.poll()
         for rest in self.rests:
@@ -148,7 +148,7 @@ class Keeper:
         self.wake()
 
     def wake(self) -> None:
-        """Have what is held repeated."""
+        """Repeat the stop of held robots."""
         if self._timer is None:
             self._timer = self._link.ros.node.create_timer(_TICK, guarded(self._tick))
         elif self._timer.is_canceled():
@@ -193,7 +193,7 @@ class Keeper:
                 signal.release()
 
     def close(self) -> None:
-        """Let go of everything, in the ROS thread."""
+        """Release everything, in the ROS thread."""
         self.holds.clear()
         for server in self.servers.values():
             server.close()

@@ -1,4 +1,4 @@
-"""Types that are not installed, learnt from the nodes that have them."""
+"""Types that are not installed, requested from nodes that have them."""
 
 from __future__ import annotations
 

@@ -34,7 +34,7 @@ class RosLink:
         self.config = config
         self.host = host
         self.graph = Graph()
-        """The latest look at the graph."""
+        """The latest poll of the graph."""
         self.naming = Naming(config)
         self.outbox = Outbox(host)
         self._troubles: dict[str, str] = {}
@@ -43,42 +43,42 @@ class RosLink:
         self.subscriptions = TopicSubscriptions(ros, self.outbox, self.complain)
         self.pulses = Pulses(ros, self.complain)
         self.on_poll: list[Callable[[], None]] = []
-        """Called in the ROS thread at each look at the graph."""
+        """Called in the ROS thread at each poll of the graph."""
         self.refresh: Callable[[], None] = lambda: None
         """Has the paths made that a construct has found since the last look; on the event loop."""
         self.needed: set[str] = set()
-        """Names that matter though no path stands on them."""
+        """Names that are relevant although no path maps to them."""
         self.sent_goals: dict[bytes, None] = {}
-        """The ids of goals that the gateway sent, the newest last."""
+        """Ids of goals sent by the gateway, newest last."""
         self._settled = time.monotonic() + config.grace
 
     @property
     def settling(self) -> float:
-        """Seconds for which the graph is still being discovered."""
+        """Remaining time in s for the discovery of the graph."""
         return max(0.0, self._settled - time.monotonic())
 
     def trouble(self, key: str, detail: str | None) -> None:
-        """Note what is wrong with one thing, or that it is well again."""
+        """Set or clear the complaint about one thing."""
         if detail is not None:
             self._troubles[key] = detail
         else:
             self._troubles.pop(key, None)
 
     def report(self) -> None:
-        """Report what is wrong, or once that all is well again."""
+        """Report all complaints, or once that there are none."""
         detail = "; ".join(self._troubles.values()) or None
         if detail is not None or self._reported:
             self._reported = detail is not None
             self.host.report(detail)
 
     def sent(self, goal: bytes) -> None:
-        """Remember the id of a goal as one of the gateway's own."""
+        """Remember the id of a goal sent by the gateway."""
         self.sent_goals[goal] = None
         if len(self.sent_goals) > _GOALS:
             del self.sent_goals[next(iter(self.sent_goals))]
 
     def complain(self, key: str, detail: str | None) -> None:
-        """Note what is wrong, from the ROS thread; only changes are worth a wake-up."""
+        """Set a complaint from the ROS thread; only changes wake the event loop."""
         if self._complaints.get(key) != detail:
             self._complaints[key] = detail
             self.host.call_soon(self.trouble, key, detail)
@@ -91,7 +91,7 @@ class RosLink:
         taker: Callable[[Any], None],
         qos: Qos = Qos(depth=_DEPTH),  # noqa: B008 - frozen
     ) -> None:
-        """Have a function called with each message of a topic; all of it in the ROS thread.
+        """Call a function with each message of a topic; in the ROS thread.
 
         A type that is not installed is a trouble, told with its remedy.
         """
@@ -104,7 +104,7 @@ class RosLink:
         self.subscriptions.tap(topic, cls, qos, tap)
 
     async def until(self, holds: Callable[[], bool], seconds: float) -> bool:
-        """Wait until something about the graph holds, while that may still be discovered."""
+        """Wait for a condition on the graph, for as long as discovery may take."""
         end = time.monotonic() + seconds
         while not holds():
             if time.monotonic() >= end:
@@ -113,7 +113,7 @@ class RosLink:
         return True
 
     async def present(self, noun: str, name: str) -> None:
-        """Return once somebody offers a thing.
+        """Wait until a node offers something.
 
         :raises AdapterUnavailable: nobody does.
         """

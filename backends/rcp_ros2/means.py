@@ -23,7 +23,7 @@ _QOS = Qos(reliability="reliable", durability="transient_local", depth=1)
 
 
 class StopSignal:
-    """A topic that says that a robot is stopped; in the ROS thread."""
+    """A topic that signals that a robot is stopped; in the ROS thread."""
 
     def __init__(self, link: RosLink, config: StopTopic, robot: str | None) -> None:
         cls = load(config.type)
@@ -43,30 +43,30 @@ class StopSignal:
         self._due = 0.0
 
     def engage(self, now: float) -> None:
-        """Say that the robot is stopped."""
+        """Signal that the robot is stopped."""
         self.engaged = True
         self._due = now + _PERIOD
         self._send(self.stopped)
 
     def hold(self, now: float) -> None:
-        """Say it again when it is time."""
+        """Repeat the signal when it is due."""
         if now >= self._due:
             self.engage(now)
 
     def release(self) -> None:
-        """Say that it is free, if it was said to be stopped."""
+        """Signal the release, if the stop was signalled."""
         if self.engaged and self._released is not None:
             self._send(self._released)
         self.engaged = False
 
     def trouble(self) -> str | None:
-        """Say that nobody heard that the robot is stopped, or None."""
+        """Describe a signal without a receiver, or return None."""
         return (
             None if self._delivered or not self.engaged else f"no node subscribes to {self.topic}"
         )
 
     def poll(self) -> None:
-        """Suit those who listen now."""
+        """Adapt to the current subscribers."""
         self._outlet.poll()
 
     def _send(self, message: Any) -> None:
@@ -76,7 +76,7 @@ class StopSignal:
             self._delivered = False
 
     def close(self) -> None:
-        """Let go of the publisher."""
+        """Destroy the publisher."""
         self._outlet.close()
 
 
@@ -88,7 +88,7 @@ class StopCall:
         self.robot = robot
         self.engaged = False
         self.done = False
-        """Whether the service has answered that it succeeded, since the stop began."""
+        """Whether the service has reported success since the stop began."""
         self.error: str | None = None
         self.plan: dict[str, Any] | None = None
         """What the guard process calls, as soon as the type is known."""
@@ -104,7 +104,7 @@ class StopCall:
         return self._config.type or self._link.graph.services.get(self.name)
 
     async def engage(self) -> None:
-        """Call it; calls that come while it is called wait for the same answer.
+        """Call it; concurrent calls wait for the same response.
 
         :raises RcpError: it cannot be reached, does not answer, or says that it failed.
         """
@@ -122,7 +122,7 @@ class StopCall:
         self._link.trouble(f"stop service {self.name}", self.error)
 
     def release(self) -> None:
-        """Call it with what releases the robot, if the configuration has it."""
+        """Call it with the release request, if configured."""
         engaged, self.engaged, self.done = self.engaged, False, False
         if engaged and self._config.released is not None:
             task = asyncio.ensure_future(self._call(self._config.released))
@@ -158,7 +158,7 @@ class StopCall:
             raise DeviceRejected(f"{self.name} responded {answer!r}")
 
     def close(self) -> None:
-        """Let go of the client."""
+        """Destroy the client."""
         if self._running is not None:
             self._running.cancel()
         if self._caller is not None:

@@ -1,4 +1,4 @@
-"""A topic that a robot moves by, with the value that brings it to rest, and who else publishes it.
+"""A topic that moves a robot, its safe value, and its other publishers.
 
 A subscriber obeys whoever published last, so that a stop must keep publishing for as long as
 others do. Everything here runs in the ROS thread, but for what only tells.
@@ -50,15 +50,15 @@ class Rest:
         self.type = full_name(cls)
         self.robot: str | None = None
         self.needed = True
-        """Whether a stop that no node hears is not confirmed."""
+        """Whether a stop without a receiving node is not confirmed."""
         self.measured = False
         """Whether the configuration names what measures it."""
         self.others: tuple[str, ...] = ()
-        """The nodes that publish the topic too."""
+        """The other nodes that publish the topic."""
         self.commanded = False
         """Whether the last that the gateway published was not the safe value."""
         self.delivered_at: float | None = None
-        """When the safe value was last published with a node to hear it, monotonic."""
+        """Monotonic time when the safe value was last published to a receiving node."""
         self.data = message if isinstance(message, bytes) else _serialised(message)
         """It in CDR."""
         self.outlet = outlet
@@ -75,14 +75,14 @@ class Rest:
         """How often it is still to be sent in quick succession."""
         self._answered = 0.0
         self._foreign: deque[float] = deque(maxlen=_KNOWN)
-        """When others' commands came."""
+        """Times of others' commands."""
         self.acked = False
         """Whether every reliable subscriber has acknowledged what was published before."""
 
     # -- what it tells, to any thread ------------------------------------------------------------
 
     def contested(self) -> float:
-        """Return the rate in Hz at which others command something else; 0 if they do not."""
+        """Return the rate in Hz at which others send different commands; 0 if they do not."""
         times = list(self._foreign)
         if not times or time.monotonic() - times[-1] > _QUIET:
             return 0.0
@@ -90,7 +90,7 @@ class Rest:
         return (len(times) - 1) / span if span > 0 else 1 / _QUIET
 
     def about_others(self) -> str | None:
-        """Say who else publishes, or None."""
+        """Describe the other publishers, or return None."""
         if not self.others:
             return None
         rate = self.contested()
@@ -102,7 +102,7 @@ class Rest:
     # -- ROS thread ------------------------------------------------------------------------------
 
     def sent(self, *, rests: bool, published: bool, delivered: bool) -> None:
-        """Note what the gateway has published of its own accord."""
+        """Note what the gateway has published itself."""
         if not published:
             return
         now = time.monotonic()
@@ -141,12 +141,12 @@ class Rest:
             self.delivered_at = now
 
     def hold(self, now: float) -> None:
-        """Publish it again when it is time."""
+        """Publish it again when it is due."""
         if now >= self._due:
             self.publish(now)
 
     def poll(self) -> None:
-        """Find out who else publishes, and listen to them."""
+        """Detect other publishers, and subscribe to their commands."""
         node = self._link.ros.node
         found = Counter(
             node_of(endpoint) or "an unnamed node"
@@ -157,14 +157,14 @@ class Rest:
         self.others = tuple(sorted(name for name, count in found.items() if count > 0))
 
     def listen(self) -> None:
-        """Listen to others while the robot is stopped, to answer each of their commands."""
+        """Subscribe to others' commands while the robot is stopped, to counter each of them."""
         if self.others and self._tap is None:
             self._foreign.clear()
             self._tap = Tap(f"stop {self.topic} {id(self)}", self._codec, taker=self._on_message)
             self._link.subscriptions.tap(self.topic, self._cls, Qos(), self._tap)
 
     def leave(self) -> None:
-        """Listen no more."""
+        """Unsubscribe."""
         if self._tap is not None:
             self._link.subscriptions.untap(self.topic, self._tap.name)
             self._tap = None

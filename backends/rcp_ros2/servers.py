@@ -1,4 +1,4 @@
-"""The action servers of a robot: the goals they run, whoever sent them, and how all are cancelled.
+"""The action servers of a robot: the goals they run, from any client, and their cancellation.
 
 Everything here runs in the ROS thread, but for what only tells.
 """
@@ -31,7 +31,7 @@ _NONE = bytes(16)
 
 
 class ActionServer:
-    """One action, seen from outside."""
+    """One action server."""
 
     def __init__(
         self,
@@ -49,7 +49,7 @@ class ActionServer:
         self.answered_at = 0.0
         """When it last answered to a cancel, monotonic."""
         self.refused = False
-        """Whether it lately let a goal go on that it was told to cancel."""
+        """Whether it recently refused to cancel a goal."""
         self._link = link
         self._on_goals = on_goals
         """Called when a goal goes on that is not being cancelled."""
@@ -58,7 +58,7 @@ class ActionServer:
         self._pending: dict[bytes, Any] = {}
         self._requested_at = 0.0
         self._abandoned: set[bytes] = set()
-        """Goals of the gateway that it has given up: they must not go on."""
+        """Goals that the gateway has given up: they must not continue."""
         self._servers: frozenset[bytes] = frozenset()
         """Who published the statuses that are known."""
         codec = Codec(load(_STATUSES))
@@ -72,7 +72,7 @@ class ActionServer:
         return len(self.goals)
 
     def trouble(self) -> str:
-        """Say what keeps its goals from ending."""
+        """Describe why its goals have not ended."""
         count = len(self.goals)
         goals = "1 goal" if count == 1 else f"{count} goals"
         if self.refused:
@@ -105,7 +105,7 @@ class ActionServer:
             self.cancel()
 
     def abandon(self, goal: bytes) -> None:
-        """Cancel a goal now, or as soon as its server is heard again and runs it."""
+        """Cancel a goal now, or as soon as its server is back and runs it."""
         if len(self._abandoned) < _GIVEN_UP:
             self._abandoned.add(goal)
         self.cancel(goal)
@@ -155,6 +155,6 @@ class ActionServer:
         return frozenset(bytes(info.endpoint_gid) for info in infos)
 
     def close(self) -> None:
-        """Let go of what it holds of ROS."""
+        """Release its ROS entities."""
         self._link.subscriptions.untap(f"{self.name}{GOALS}", self._tap.name)
         self._link.ros.node.destroy_client(self._client)

@@ -40,7 +40,7 @@ _HARMLESS = {
     "tf2_msgs/srv/FrameGraph",
     "type_description_interfaces/srv/GetTypeDescription",
 }
-"""Types of services that only tell; any other may move the robot."""
+"""Read-only service types; any other may move the robot."""
 
 
 def reader(codec: Codec) -> Callable[[Any], Any]:
@@ -92,7 +92,7 @@ class Called(Binding):
         return result
 
     def close(self) -> None:
-        """Let go of the client."""
+        """Destroy the client."""
         self._caller.close()
 
 

@@ -44,7 +44,7 @@ _NO_WATCHDOG = "none that can be read: it is unknown whether the robot's nodes s
 
 
 class Stops:
-    """What stops the robots of a backend, and what is known of their motion."""
+    """Stops the robots of a backend, and reports their motion."""
 
     def __init__(self, shared: Shared, catalog: Catalog) -> None:
         self._shared = shared
@@ -54,7 +54,7 @@ class Stops:
         self._calls: dict[str, StopCall] = {}
         self._signals: set[str] = set()
         self._lost: dict[str | None, set[str]] = {}
-        """By robot: what of it is out of reach."""
+        """Unreachable parts, by robot."""
         self._met: dict[str | None, set[str]] = {}
         """By robot: what of it has been there."""
         self._recovered: set[str | None] = set()
@@ -87,7 +87,7 @@ class Stops:
     # -- stopping --------------------------------------------------------------------------------
 
     async def halt(self, robot: str | None) -> None:
-        """Bring a robot (None: all) to rest; return when that is confirmed.
+        """Stop a robot (None: all); return when rest is confirmed.
 
         :raises AdapterUnavailable: one cannot be reached, or what it does is not known.
         :raises DeviceTimeout: one was told, and has not come to rest.
@@ -111,7 +111,7 @@ class Stops:
                 raise result
 
     def hold_stop(self, robot: str | None) -> None:
-        """Keep a robot (None: all) stopped; the ROS thread repeats what does it."""
+        """Keep a robot (None: all) stopped; the ROS thread repeats the stop."""
         with contextlib.suppress(AdapterUnavailable):  # ROS has ended: the backend opens again
             for one in self._meant(robot):
                 self._hold(one)
@@ -146,7 +146,7 @@ class Stops:
         )
 
     async def recover(self, robot: str | None) -> str:
-        """Do what `on_loss` says, now that a robot is back."""
+        """Apply `on_loss` after a robot is back."""
         if self._shared.config.on_loss == "continue":
             return "continued"
         meant = self._meant(robot)
@@ -205,7 +205,7 @@ class Stops:
         return [text for text in (*calls, *signals) if text is not None]
 
     def _measured(self, robot: str | None, since: float | None) -> MotionState | None:
-        """Return what feedback says, None without any."""
+        """Return the measured state; None without feedback."""
         found = self.feedbacks.of(robot)
         if not found:
             topic = self._shared.config.stop.feedback
@@ -218,7 +218,7 @@ class Stops:
         return _worst([one.state(since) for one in (fresh or found[:1])])
 
     def _sent(self, rest: Rest, since: float | None) -> MotionState:
-        """Report what is known of an actuator that nothing measures."""
+        """Report the state of an unmeasured actuator."""
         if rest.commanded:
             return MotionState(False, f"{rest.topic} was commanded to move")
         if rate := rest.contested():
@@ -262,7 +262,7 @@ class Stops:
         return found
 
     def _missing(self, robot: str | None) -> str | None:
-        """Say that nothing of a robot is there; None for one that has nothing that moves."""
+        """Report that no part of a robot is running; None if it has nothing that moves."""
         shared = self._shared
         own = [b for b in self._bindings() if b.resource.robot == robot]
         if robot is None and shared.config.robots and not own and len(self.robots()) > 1:
@@ -300,7 +300,7 @@ class Stops:
     # -- following -------------------------------------------------------------------------------
 
     def update(self, graph: Graph) -> None:
-        """Follow a new look at the graph."""
+        """Apply a new poll of the graph."""
         config, naming = self._shared.config, self._shared.naming
         harmless = {
             b.mapping.target for b in self._bindings() if b.mapping.action and not b.is_barred
@@ -377,7 +377,7 @@ class Stops:
         self._shared.on_poll.append(signal.poll)
 
     async def follow(self) -> None:
-        """Follow the latches, and what is out of reach, for as long as the backend is open."""
+        """Monitor the latches and reachability while the backend is open."""
         while True:
             await asyncio.sleep(_FOLLOW)
             try:
@@ -408,7 +408,7 @@ class Stops:
                 call.release()
 
     def _report_contest(self) -> None:
-        """Say who commands a robot that is stopped."""
+        """Report who commands a stopped robot."""
         for rest in self.keeper.rests:
             contested = rest.robot in self.keeper.holds and rest.contested() > 0
             others = rest.others if contested else None  # whose names may be discovered later
@@ -424,7 +424,7 @@ class Stops:
     # -- links -----------------------------------------------------------------------------------
 
     def _watch(self, robot: str | None) -> None:
-        """Notice what of a robot has gone, and that it is back."""
+        """Detect lost parts of a robot, and their return."""
         there = self._there(robot)
         met = self._met.setdefault(robot, set())
         first = bool(there) and not met
@@ -456,7 +456,7 @@ class Stops:
     # -- the guard -------------------------------------------------------------------------------
 
     def _update_guard(self) -> None:
-        """Renew what the guard process sends when the gateway's loop has stopped."""
+        """Update the guard's plan, sent if the gateway's loop stops."""
         latched = {robot for robot, hold in self.keeper.holds.items() if hold.latched}
         publishers = [
             {
@@ -486,7 +486,7 @@ class Stops:
             self._shared.host.guard("ros2", plan)
 
     async def close(self) -> None:
-        """Let go of everything."""
+        """Release everything."""
         for call in self._calls.values():
             call.close()
         self._shared.ros.post(self.keeper.close)
