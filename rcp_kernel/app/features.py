@@ -79,6 +79,10 @@ class Features:
         """What they add below `/system/`."""
         return [one for _, feature in self._made for one in feature.resources]
 
+    def resources_of(self, name: str) -> list[SystemResource]:
+        """What one of them adds."""
+        return [one for own, feature in self._made if own == name for one in feature.resources]
+
     @property
     def guards(self) -> list[Guard]:
         """Their guards, in no order."""

@@ -1,7 +1,7 @@
 """The public kit: an author subclasses a suite, and the suite, not the author, wrote the tests.
 
-`BackendSuite` and `StopSuite` prove a robot's plugin, `TransportSuite` a client's wire, `loopback` and
-`serve_backend` run a real gateway without a socket for tests of one's own. Needs pytest.
+`BackendSuite` and `StopSuite` prove a robot's plugin, `TransportSuite` a client's wire, `FeatureSuite`
+a feature with its guard; `loopback` and `serve_backend` run a real gateway without a socket for tests of one's own. Needs pytest.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from rcp_kernel.testing._serve import (
 )
 from rcp_kernel.testing._suite import Suite, eventually, proves
 from rcp_kernel.testing.backend import BackendSuite, Goal, Robot
+from rcp_kernel.testing.feature import FeatureGateway, FeatureSuite
 from rcp_kernel.testing.stop import StopRig, StopSuite
 from rcp_kernel.testing.wire import REQUIREMENTS, Requirement, TransportSuite
 
@@ -31,6 +32,8 @@ __all__ = [
     "VIEWER",
     "BackendSuite",
     "Client",
+    "FeatureGateway",
+    "FeatureSuite",
     "Goal",
     "Life",
     "MemoryClient",

@@ -1,0 +1,239 @@
+"""Features: which are there, in which order their guards are asked, and what none of them can do."""
+
+from __future__ import annotations
+
+import asyncio
+import sys
+from collections.abc import Callable, Sequence
+from importlib.metadata import EntryPoint
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pytest
+
+from kernel.world import CONFIG, Client, Robot, World, prepared, world_of
+from rcp_kernel import plugins
+from rcp_kernel.app.features import active
+from rcp_kernel.app.server import prepare, running
+from rcp_kernel.config.file import parse
+from rcp_kernel.errors import ConfigError, Forbidden, PluginError
+from rcp_kernel.features import Call, Feature, FeatureHost, FeatureKind, Slot
+from rcp_kernel.features.approval import APPROVALS
+
+pytestmark = pytest.mark.anyio
+NONE = CONFIG + "\n[features]\napprovals = false\n"
+ASKS = '\n[roles.asks]\nallow = []\napprove = ["/action/go"]\n'
+
+
+class NoKeys(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Nothing to configure."""
+
+
+class Noting:
+    """A guard that notes when it is asked, and does what a test says."""
+
+    def __init__(self, name: str, slot: Slot, noted: list[str]) -> None:
+        self.name, self.slot, self.noted = name, slot, noted
+        self.active = True
+        self.act: Callable[[Call], None] = lambda _call: None
+
+    def admit(self, call: Call) -> None:
+        self.noted.append(f"{self.name} admits {call.entry.path}")
+        self.act(call)
+
+    def confirm(self, call: Call) -> None:
+        self.noted.append(f"{self.name} confirms {call.entry.path}")
+
+
+def kind_of(guard: Noting) -> FeatureKind:
+    def make(_table: NoKeys, _host: FeatureHost) -> Feature:
+        return Feature(guard=guard)
+
+    return FeatureKind(guard.name, NoKeys, make)
+
+
+async def guarded(guards: Sequence[Noting], *requests: dict[str, Any]) -> list[dict[str, Any]]:
+    """Send requests to a gateway with some guards, and return the final replies."""
+    robots: list[Robot] = []
+    config = parse(NONE, "test")
+    made = prepared(config, robots)
+    kinds = {guard.name: kind_of(guard) for guard in guards}
+    features = msgspec.structs.replace(
+        config, features=dict.fromkeys(kinds, True) | {"approvals": False}
+    )
+    made = msgspec.structs.replace(made, features=active(features, kinds, "test"))
+    async with running(made) as server:
+        client = Client(server.client_api, "operator-operator")
+        robots[-1].release.set()
+        replies = [await client.ask(**request) for request in requests]
+        replies.append({"writes": list(robots[-1].writes)})
+        return replies
+
+
+LIMIT = {"type": "write", "path": "/param/limit", "body": 1.0}
+
+
+async def test_a_gateway_without_any_feature_serves_and_stops_robots() -> None:
+    async with world_of(NONE) as world:
+        client, robot = world.client(), world.robot
+        assert world.server.client_api.service(APPROVALS) is None
+        assert (await client.ask(type="read", path="/param/limit"))["body"] == 1.5
+        assert (await client.ask(**LIMIT))["status"] == "completed"
+        assert await completes(world, client, "/action/go", 2.0)
+        plan = {"steps": [{"do": "execute", "path": "/service/echo", "value": "x"}]}
+        assert await completes(world, client, "/system/plans", plan)
+        halts = robot.halts
+        assert await completes(world, client, "/service/hold", {})
+        assert robot.halts > halts
+        assert (await client.ask(type="execute", path="/system/estop", body={}))["body"]["active"]
+        refused = await client.ask(type="execute", path="/action/go", body=2.0)
+        assert refused["error"]["code"] == "estop_active"
+        reply = await world.client("admin-admin-admin").ask(type="read", path="/system/approvals")
+        assert reply["error"]["code"] == "unknown_path"
+
+
+async def completes(world: World, client: Client, path: str, body: Any) -> bool:
+    world.robot.release.set()
+    return (await client.ask(type="execute", path=path, body=body))["status"] == "completed"
+
+
+async def test_guards_are_asked_by_slot_then_by_name_when_it_comes_in_and_when_it_acts() -> None:
+    noted: list[str] = []
+    guards = [
+        Noting("asks", Slot.APPROVAL, noted),
+        Noting("hours", Slot.POLICY, noted),
+        Noting("doors", Slot.POLICY, noted),
+    ]
+    await guarded(guards, LIMIT)
+    path = "/tenant/alpha/param/limit"
+    order = ("doors", "hours", "asks")
+    assert noted == [f"{name} {when} {path}" for when in ("admits", "confirms") for name in order]
+
+
+async def test_a_guard_that_is_not_active_is_not_asked_and_nobody_asks_one_about_a_stop() -> None:
+    noted: list[str] = []
+    idle, wakeful = Noting("idle", Slot.POLICY, noted), Noting("wakeful", Slot.POLICY, noted)
+    idle.active = False
+    await guarded(
+        [idle, wakeful],
+        {"type": "write", "path": "/actuator/drive", "body": {}},
+        {"type": "execute", "path": "/service/hold"},
+        {"type": "execute", "path": "/system/estop", "body": {}},
+        {"type": "read", "path": "/param/limit"},
+    )
+    assert noted == []
+    await guarded([idle, wakeful], LIMIT)
+    assert len(noted) == 2
+    assert all("wakeful" in one for one in noted)
+
+
+async def test_a_guard_with_a_bug_refuses_and_the_robot_is_left_alone() -> None:
+    broken = Noting("broken", Slot.POLICY, [])
+
+    def stumble(_call: Call) -> None:
+        raise ZeroDivisionError
+
+    broken.act = stumble
+    refused, robot = await guarded([broken], LIMIT)
+    assert refused["error"]["code"] == "internal"
+    assert refused["error"]["trace_id"]
+    assert robot["writes"] == []
+
+
+async def test_a_later_guard_is_not_asked_about_what_an_earlier_one_refuses() -> None:
+    noted: list[str] = []
+    strict, asks = Noting("strict", Slot.POLICY, noted), Noting("asks", Slot.APPROVAL, noted)
+
+    def refuse(call: Call) -> None:
+        raise Forbidden("closed", path=call.entry.path)
+
+    strict.act = refuse
+    refused, _ = await guarded([asks, strict], LIMIT)
+    assert refused["error"]["message"] == "closed"
+    assert noted == ["strict admits /tenant/alpha/param/limit"]
+
+
+# -- which are there -------------------------------------------------------------------------------
+
+QUIET = "transports = {asgi = false, http = false, ws = false, sse = false}\n"
+
+
+def test_a_feature_that_the_configuration_uses_cannot_be_taken_out() -> None:
+    with pytest.raises(ConfigError, match="approvals = false, but the configuration uses"):
+        parse(QUIET + ASKS + "[features]\napprovals = false\n", "f")
+
+
+def offered(monkeypatch: pytest.MonkeyPatch, folder: Path, **sources: str) -> None:
+    """Have these modules, and nothing else, be the installed features."""
+    for name, text in sources.items():
+        (folder / f"{name}.py").write_text(text)
+        monkeypatch.delitem(sys.modules, name, raising=False)
+    monkeypatch.syspath_prepend(str(folder))
+    points = [EntryPoint(name, name, "rcp.features") for name in sources]
+    monkeypatch.setattr(
+        plugins, "entry_points", lambda group: points if group == "rcp.features" else []
+    )
+
+
+def test_a_built_in_feature_that_is_not_installed_is_missed_only_where_it_is_used(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    offered(monkeypatch, tmp_path)
+    assert prepare(parse(QUIET, "f"), "f").features == ()
+    with pytest.raises(ConfigError, match="no installed plugin offers features 'approvals'"):
+        prepare(parse(QUIET + ASKS, "f"), "f")
+
+
+@pytest.mark.parametrize(
+    "source",
+    [
+        "raise SystemExit",
+        "import no_such_library",
+        "from rcp_kernel.hookspecs import hookimpl\n@hookimpl\ndef rcp_features(): return [1 / 0]",
+    ],
+)
+def test_a_feature_that_cannot_be_loaded_stops_the_start(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, source: str
+) -> None:
+    offered(monkeypatch, tmp_path, doors=source)
+    with pytest.raises(PluginError, match="the feature 'doors' cannot be loaded"):
+        prepare(parse(QUIET + "[features.doors]\n", "f"), "f")
+
+
+def test_a_feature_of_others_is_loaded_only_where_it_has_a_table(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    offered(monkeypatch, tmp_path, loud="raise SystemExit('imported')")
+    prepare(parse(QUIET, "f"), "f")
+
+
+def test_a_feature_whose_keys_are_elsewhere_has_no_table_of_its_own() -> None:
+    with pytest.raises(ConfigError, match=r"\[features.approvals\] takes no keys"):
+        prepare(parse(QUIET + "[features.approvals]\nttl = 3\n", "f"), "f")
+
+
+async def test_a_feature_lives_from_before_the_robots_until_after_them() -> None:
+    from contextlib import asynccontextmanager
+
+    robots: list[Robot] = []
+    seen: list[str] = []
+
+    @asynccontextmanager
+    async def live() -> Any:
+        seen.append(f"in, {len(robots)} robots")
+        yield
+        seen.append("out")
+
+    def make(_table: NoKeys, _host: FeatureHost) -> Feature:
+        return Feature(running=live)
+
+    kind = FeatureKind("lives", NoKeys, make)
+    config = parse(NONE, "test")
+    wanted = msgspec.structs.replace(config, features={"lives": True, "approvals": False})
+    made = prepared(config, robots)
+    made = msgspec.structs.replace(made, features=active(wanted, {"lives": kind}, "test"))
+    async with running(made):
+        await asyncio.sleep(0)
+        assert seen == ["in, 0 robots"]
+    assert seen == ["in, 0 robots", "out"]
