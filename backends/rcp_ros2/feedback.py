@@ -11,10 +11,10 @@ from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 from rcp_kernel.spi import MotionState
-from rcp_ros2.link import RosLink
 from rcp_ros2.cdr import Codec, Malformed, Value
 from rcp_ros2.config import Qos
 from rcp_ros2.idl import MissingType, load
+from rcp_ros2.link import RosLink
 from rcp_ros2.topics import Tap
 
 __all__ = ["ODOMETRY", "Feedback", "Feedbacks"]

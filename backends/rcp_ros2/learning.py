@@ -5,11 +5,11 @@ from __future__ import annotations
 from typing import Any
 
 from rcp_kernel.errors import RcpError
-from rcp_ros2.link import RosLink
+from rcp_ros2.caller import Caller
 from rcp_ros2.definitions import define_described
 from rcp_ros2.idl import load
+from rcp_ros2.link import RosLink
 from rcp_ros2.pulse import node_of
-from rcp_ros2.caller import Caller
 
 __all__ = ["learn"]
 

@@ -21,11 +21,11 @@ from rcp_kernel.errors import (
 from rcp_kernel.model import Resource
 from rcp_kernel.spi import Progress, check_fence
 from rcp_ros2.binding import Binding, Offer, Shared, common
+from rcp_ros2.caller import Caller
 from rcp_ros2.cdr import Codec, Value
 from rcp_ros2.config import Mapping, Qos
 from rcp_ros2.graph import Graph
 from rcp_ros2.idl import load
-from rcp_ros2.caller import Caller
 from rcp_ros2.topics import Tap
 
 __all__ = ["Lifecycles"]

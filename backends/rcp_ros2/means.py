@@ -8,12 +8,12 @@ from typing import Any
 import msgspec
 
 from rcp_kernel.errors import AdapterUnavailable, DeviceRejected
-from rcp_ros2.link import RosLink
+from rcp_ros2.caller import Caller
 from rcp_ros2.config import Qos, StopService, StopTopic
 from rcp_ros2.filler import filler
 from rcp_ros2.idl import MissingType, fields_of, load
+from rcp_ros2.link import RosLink
 from rcp_ros2.outlet import Outlet
-from rcp_ros2.caller import Caller
 from rcp_ros2.types import inward
 
 __all__ = ["StopCall", "StopSignal"]

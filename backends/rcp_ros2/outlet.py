@@ -6,8 +6,8 @@ import contextlib
 from typing import Any, Literal
 
 from rcp_kernel.errors import AdapterUnavailable
-from rcp_ros2.link import RosLink
 from rcp_ros2.config import Qos
+from rcp_ros2.link import RosLink
 from rcp_ros2.pulse import node_of
 from rcp_ros2.qos import Profile, for_publisher, unreached_subscribers
 

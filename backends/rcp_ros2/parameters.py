@@ -13,10 +13,10 @@ from rcp_kernel.errors import AdapterUnavailable, DeviceRejected, RcpError
 from rcp_kernel.model import Operation, Resource
 from rcp_kernel.types import NONFINITE
 from rcp_ros2.binding import Binding, Shared, common
+from rcp_ros2.caller import Caller
 from rcp_ros2.config import Mapping
 from rcp_ros2.names import is_internal_parameter
 from rcp_ros2.ros import hearing
-from rcp_ros2.caller import Caller
 
 __all__ = ["Described", "Events", "NodeParameters", "Setting"]
 

@@ -14,10 +14,10 @@ from typing import Any
 import msgspec
 
 from rcp_kernel.errors import AdapterUnavailable
-from rcp_ros2.link import RosLink
 from rcp_ros2.cdr import Codec, Malformed, Value
 from rcp_ros2.config import Qos
 from rcp_ros2.idl import full_name
+from rcp_ros2.link import RosLink
 from rcp_ros2.outlet import Outlet
 from rcp_ros2.pulse import node_of
 from rcp_ros2.topics import Tap

@@ -188,7 +188,9 @@ class Commanded(Binding):
         self.rest: Rest | None = None
         if self._safe is not None and self.is_barred:
             message = self._fill(self._safe)
-            self.rest = Rest(shared, self.topic, cls, self._outlet, message, wake=shared.keeper.wake)
+            self.rest = Rest(
+                shared, self.topic, cls, self._outlet, message, wake=shared.keeper.wake
+            )
             self.rest.needed = mapping.require_subscriber
         shared.ros.post(self._outlet.poll)
         shared.on_poll.append(self._outlet.poll)

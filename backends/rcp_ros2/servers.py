@@ -6,15 +6,15 @@ Everything here runs in the ROS thread, but for what only tells.
 from __future__ import annotations
 
 import time
-from functools import partial
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
-from rcp_ros2.link import RosLink
 from rcp_ros2.cdr import Codec, Malformed, Value
 from rcp_ros2.config import Qos
 from rcp_ros2.graph import GOALS
 from rcp_ros2.idl import load
+from rcp_ros2.link import RosLink
 from rcp_ros2.ros import hearing
 from rcp_ros2.topics import Tap
 
