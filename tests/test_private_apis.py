@@ -37,7 +37,7 @@ def test_what_has_no_public_api_for_us_is_pinned_from_above(name: str) -> None:
 
 @pytest.mark.anyio
 async def test_uvicorns_http_protocol() -> None:
-    """For rcp_asgi/http.py, flow.py and upgrade.py."""
+    """For rcp_asgi/http.py, exchange.py, flow.py and upgrade.py."""
     seen: list[tuple[set[str], set[str]]] = []
 
     async def app(scope: Any, receive: Any, send: Any) -> None:
@@ -67,18 +67,17 @@ async def test_uvicorns_http_protocol() -> None:
     used = """
         app client connections cycle flow headers loop parser pipeline scheme scope server_state
         timeout_keep_alive timeout_keep_alive_handler timeout_keep_alive_task transport url
+        access_log access_logger expect_100_continue logger _should_upgrade _start_asgi_task
         _unset_keepalive_if_required connection_made connection_lost pause_writing resume_writing
         data_received eof_received on_message_begin on_url on_header on_headers_complete on_body
         on_message_complete on_response_complete
     """
     assert set(used.split()) <= of_protocol
-    assert {
-        "body",
-        "disconnected",
-        "message_event",
-        "response_complete",
-        "response_started",
-    } <= of_cycle
+    used = """
+        body chunked_encoding default_headers disconnected expected_content_length flow keep_alive
+        message_event response_complete response_started scope transport waiting_for_100_continue
+    """
+    assert set(used.split()) <= of_cycle
     flow = {"read_paused", "write_paused", "pause_reading", "resume_reading", "drain"}
     assert flow <= set(dir(FlowControl(asyncio.Transport())))
     assert httptools_impl.STATUS_LINE[204].startswith(b"HTTP/1.1 204 ")

@@ -17,9 +17,9 @@ __all__ = ["CanConfig", "open_can", "rcp_backends"]
 
 @asynccontextmanager
 async def open_can(config: CanConfig, host: Host) -> AsyncGenerator[Backend]:
-    """Open the buses and find what sits on them.
+    """Open the buses and detect the devices on them.
 
-    :raises ConfigError: the configuration cannot be.
+    :raises ConfigError: the configuration is invalid.
     :raises NotReady: a bus does not open.
     """
     from rcp_can.backend import open_buses

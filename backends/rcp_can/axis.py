@@ -1,6 +1,6 @@
-"""One motor under control: what is asked of it, ramped and watched, whatever its make.
+"""Control of one motor of any make: set-points, ramps and monitoring.
 
-Nothing here moves a drive that nobody asked to move: a set-point is forgotten when the drive resets,
+No drive moves without a command: a set-point is discarded when the drive resets,
 falls out of its enabled state, or its feedback is lost, and only a new command makes another.
 """
 
@@ -52,7 +52,7 @@ _STILL = 3  # reports of velocity in a row that say that it rests
 
 
 class Axis(AxisState):
-    """A motor: its drive, its limits, and the set-point that stands."""
+    """A motor: its drive, its limits, and its current set-point."""
 
     def __init__(
         self, name: str, config: MotorConfig, drive: Drive, bus: Bus, host: Host, health: Health
@@ -63,13 +63,13 @@ class Axis(AxisState):
         """Whether the torque was cut after a stop; and the reports of velocity in a row, since the
         stop, that say that it rests."""
         self.owner: str | None = None
-        """The action that drives it now."""
+        """The action that currently drives it."""
         self.gone: RcpError | None = None
         """Why the last set-point was dropped."""
         self.leaving = False
-        """Whether an action that is over still brings it to rest."""
+        """Whether an action that has ended is still bringing it to rest."""
         self.ended: Callable[[RcpError], None] | None = None
-        """Told when what the action commanded is forgotten."""
+        """Called when the set-point of the action is discarded."""
         self._releasing: asyncio.Task[None] | None = None
         self._lost_once = False
         self._ticked, self._velocities = time.monotonic(), 0
@@ -79,7 +79,7 @@ class Axis(AxisState):
         self.wanted_on = self.in_use = False
         """Whether it was switched on from here and should be so; whether it was at all."""
         self.first = asyncio.Event()
-        """Set when the drive was heard for the first time, and is configured."""
+        """Set once the drive has sent its first message and is configured."""
         bus.listen(self._take, *drive.routes())
         bus.after_batch(self._batch)
         bus.on_state.append(self._bus_turned)
@@ -193,9 +193,9 @@ class Axis(AxisState):
     def command(
         self, mode: m.Mode, value: float, path: Callable[[], tuple[float, float]] | None = None
     ) -> None:
-        """Make a set-point stand, until the next; a path tells how it is reached.
+        """Set the set-point, valid until the next; a path defines how it is reached.
 
-        :raises EstopActive: it is of a request that a stop has cut off.
+        :raises EstopActive: its request was cancelled by a stop.
         """
         check_fence()
         self.stopping = False
@@ -210,14 +210,14 @@ class Axis(AxisState):
         self.show()
 
     def rest(self) -> None:
-        """Come to rest by the ramp, and stay there."""
+        """Decelerate along the ramp and stay at rest."""
         if self.status.enabled:
             self.command("velocity" if "velocity" in self.drive.modes else "torque", 0.0)
         else:
             self.forget(None)
 
     def hold(self) -> None:
-        """Come to rest by the ramp, and keep to the position where that is."""
+        """Decelerate along the ramp and hold the final position."""
         if self.mode == "position" and self.position is not None:
             here, ramp = self.position, self.ramp
             near = abs(ramp.velocity) * _LAG + self.config.tolerance
@@ -227,7 +227,7 @@ class Axis(AxisState):
             self.rest()
 
     def pause(self, reason: RcpError) -> None:
-        """Come to rest by the ramp, hold, and end what was commanded, for `reason`."""
+        """Decelerate along the ramp, hold, and end the current command with `reason`."""
         own = self.drive.moves and self.owner is not None
         if self.stopped and self.resting:
             pass  # a stop holds it already, and its torque may be about to go
@@ -243,7 +243,7 @@ class Axis(AxisState):
             ended(reason)
 
     def stop(self) -> None:
-        """Quick stop: brake hard, again and again until the drive says that it rests."""
+        """Quick stop: brake hard, repeatedly until the drive reports rest."""
         self.mode = None
         self.stopping, self.still = True, 0
         if self.stop_began is None:
@@ -252,7 +252,7 @@ class Axis(AxisState):
         self.show()
 
     def hold_stop(self) -> None:
-        """Stop it again if it does not rest, or another master has it enabled again."""
+        """Stop it again if it is not at rest, or if another master has enabled it."""
         if not self.met:
             self._brake()  # it may hear, and not be heard
         elif self.released and self.status.energised:
@@ -268,7 +268,7 @@ class Axis(AxisState):
             self._release()
 
     def _release(self) -> None:
-        """Cut the torque after a stop, until the drive says that it is off."""
+        """Cut the torque after a stop, until the drive reports that it is off."""
         self.released, self.mode = True, None
         if self._releasing is None or self._releasing.done():
             with unfenced():
@@ -285,7 +285,7 @@ class Axis(AxisState):
         self.show()
 
     def forget(self, reason: RcpError | None) -> None:
-        """Drop the set-point that stands; an action that made it is told why."""
+        """Discard the current set-point; its action is notified with the reason."""
         self.mode, self.gone = None, reason
         ended, self.ended = self.ended, None
         if ended is not None and reason is not None:
@@ -302,13 +302,13 @@ class Axis(AxisState):
         self.in_use = False
 
     def end_stop(self) -> None:
-        """Let a quick stop be over: what comes now is somebody's wish."""
+        """End a quick stop: the next set-point is a deliberate command."""
         self.stopping, self.released, self.stop_began = False, False, None
 
     # Time
 
     def tick(self, dt: float) -> None:
-        """Send what is due; called at the motor's rate."""
+        """Send whatever is due; called at the motor's rate."""
         self._tick += 1
         self._step_due = True
         now = time.monotonic()
@@ -342,7 +342,7 @@ class Axis(AxisState):
         self._send(lambda: self.drive.poll(self._tick))
 
     def _thaw(self, gap: float) -> None:
-        """Stop after the gateway itself stood still: the world has gone on meanwhile."""
+        """Stop after the gateway itself did not run for a while."""
         text = f"the gateway did not run for {gap:.1f} s"
         self.fault("gateway_stalled", text, lasting=False)
         self.forget(AdapterUnavailable(f"motor '{self.name}': {text}, and it was stopped"))
@@ -363,7 +363,7 @@ class Axis(AxisState):
         self.show()
 
     def _check_feedback(self, why: Loss | None) -> None:
-        """Stop a motor whose feedback is too old, and take note of its return."""
+        """Stop a motor whose feedback is too old, and detect its return."""
         was, self.blind = self.blind, why
         if was is None and why is not None:
             self.wanted_on = False
@@ -403,21 +403,21 @@ class Axis(AxisState):
             self.stop()
 
     def _stall(self) -> None:
-        """Drop a set-point that does not leave: the ramp would be far ahead when it does."""
+        """Drop a set-point that cannot be sent: the ramp would be far ahead by then."""
         text = f"its set-points could not be sent for {STALLED:g} s: the bus accepts no frames"
         self.fault("not_sent", text, lasting=False)
         self.forget(QueueFull(f"motor '{self.name}': {text}"))
         self.stop()
 
     def _bus_turned(self, _was: Condition, now: Condition) -> None:
-        """Forget at once what goes over a bus that is lost: nothing moves when it is back."""
+        """Discard set-points of a lost bus at once: nothing moves when it is back."""
         if self.online and now in ("bus_off", "down"):
             self._lose(Loss("feedback_lost", f"CAN bus '{self.bus.name}' is {now}"))
 
     # What is shown
 
     def fault(self, name: str, text: str, *, lasting: bool = True) -> None:
-        """Tell of a fault that the gateway sees; a lasting one stands until it is taken back."""
+        """Report a fault detected by the gateway; a lasting one is active until cleared."""
         fault = Fault(name, text)
         if lasting:
             self.faults.note(fault)
@@ -426,9 +426,9 @@ class Axis(AxisState):
             self.faults.publish(fault, active=True)
 
     async def clear_faults(self) -> None:
-        """Have the drive acknowledge its faults, and take back those that the gateway has seen.
+        """Reset the faults of the drive, and clear those detected by the gateway.
 
-        A drive without a fault is sent nothing: it may be turning.
+        Nothing is sent to a drive without a fault: it may be turning.
         """
         if self.status.faults:
             with unfenced():
@@ -442,7 +442,7 @@ class Axis(AxisState):
             self._host.publish(f"sensor/{self.name}/health", views.health(self))
 
     def show(self) -> None:
-        """Publish the state, and the faults that came or went, if something changed."""
+        """Publish the state and changes of faults, if anything changed."""
         self.faults.update(self.status.faults)
         value = views.state(self)
         if value != self._shown:
@@ -450,7 +450,7 @@ class Axis(AxisState):
             self._host.publish(f"sensor/{self.name}/state", value)
 
     async def close(self) -> None:
-        """Let go of what runs in the background."""
+        """Cancel the background tasks."""
         for task in (self.configuring, self._releasing):
             if task is not None:
                 task.cancel()

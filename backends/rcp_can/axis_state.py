@@ -1,4 +1,4 @@
-"""One motor as it stands: its drive and limits, what it was last told, what it was last heard to say."""
+"""The state of one motor: drive, limits, last command, last reports."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class Loss(NamedTuple):
 
 
 class AxisState:
-    """A motor's state: what checks, views and set-points are made from."""
+    """A motor's state, used by checks, views and set-points."""
 
     def __init__(self, name: str, config: MotorConfig, drive: Drive, bus: Bus, host: Host) -> None:
         self.name, self.config, self.drive, self.bus = name, config, drive, bus
@@ -48,32 +48,32 @@ class AxisState:
         """Whether it is heard; whether a quick stop is under way that nothing has confirmed yet;
         whether it is being switched on."""
         self.blind: Loss | None = None
-        """Which signal is too old, while it is heard."""
+        """Which signal is too old although the drive still sends."""
         self.signals = _signals(config, drive)
-        """What its control rests on."""
+        """The signals that control requires."""
         self.last_message_at = self.configured_at = 0.0
-        """When it said something, by the monotonic clock."""
+        """Monotonic time of its last message."""
         self.stop_began: float | None = None
         self.faults = FaultBook(name, host)
         self.configured = False
-        """Whether the drive is set up since it was last heard to boot or to come back."""
+        """Whether the drive has been configured since its last boot or reconnection."""
         self.configuring: asyncio.Task[None] | None = None
 
     @property
     def position(self) -> float | None:
-        """Where the joint is, rad."""
+        """Position of the joint, rad."""
         raw = self.status.position
         return None if raw is None else raw / self.ratio + self.config.offset
 
     @property
     def velocity(self) -> float | None:
-        """How fast it turns, rad/s."""
+        """Velocity of the joint, rad/s."""
         raw = self.status.velocity
         return None if raw is None else raw / self.ratio
 
     @property
     def state(self) -> m.State:
-        """How it stands, in one word."""
+        """The state in one word."""
         if not self.online:
             return "offline"
         if self.blind is not None:
@@ -89,11 +89,11 @@ class AxisState:
 
     @property
     def met(self) -> bool:
-        """Whether it was ever heard."""
+        """Whether it has ever sent a message."""
         return self.last_message_at > 0.0
 
     def is_fresh(self, signal: str) -> bool:
-        """Tell whether a signal is young enough to rest on."""
+        """Tell whether a signal is recent enough to use."""
         at = self.status.at.get(signal)
         return at is not None and time.monotonic() - at <= self.limit_of(signal)
 
@@ -105,7 +105,7 @@ class AxisState:
 
     @property
     def slow(self) -> bool:
-        """Whether its last velocity is that of rest."""
+        """Whether its last velocity is below standstill."""
         velocity = self.status.velocity
         return velocity is not None and abs(velocity) <= max(
             _RESTING, self.config.standstill * self.config.gear
@@ -113,17 +113,17 @@ class AxisState:
 
     @property
     def resting(self) -> bool:
-        """Whether its fresh feedback says that it rests."""
+        """Whether fresh feedback shows that it is at rest."""
         return self.online and self.slow and self.is_fresh("velocity")
 
     @property
     def stopped(self) -> bool:
-        """Whether a quick stop stands that no command has followed."""
+        """Whether a quick stop is in force, without a command since."""
         return self.stop_began is not None
 
     @property
     def secure(self) -> bool:
-        """Whether it rests without torque, and nothing is under way that could change that."""
+        """Whether it is at rest without torque, and nothing pending could change that."""
         return (
             self.resting
             and self.is_fresh("enabled")
@@ -133,6 +133,6 @@ class AxisState:
 
 
 def _signals(config: MotorConfig, drive: Drive) -> tuple[str, ...]:
-    """Return what control rests on; a position only where something is made of it."""
+    """Return the signals that control requires; position only if it is used."""
     placed = "position" in drive.modes or config.position is not None
     return ("position", "velocity", "enabled") if placed else ("velocity", "enabled")

@@ -1,4 +1,4 @@
-"""The backend: buses that run, and parts that the calls go to by name."""
+"""The backend: running buses, and the parts that handle calls by resource name."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ __all__ = ["CanBackend", "open_buses"]
 
 
 class CanBackend(BaseBackend):
-    """Several buses, and all that sits on them."""
+    """Several buses and the devices on them."""
 
     on_loss = "hold"
 
@@ -50,7 +50,7 @@ class CanBackend(BaseBackend):
         self._owner: dict[str, Part] = {}
 
     def add(self, part: Part) -> None:
-        """Declare what a part has.
+        """Declare the resources of a part.
 
         :raises ConfigError: another part has that name.
         """
@@ -68,11 +68,11 @@ class CanBackend(BaseBackend):
         return self._owner[name]
 
     async def read(self, name: str) -> Any:
-        """Return the present value."""
+        """Return the current value."""
         return await self._part(name).read(name)
 
     async def write(self, name: str, value: Any) -> Any:
-        """Bring a value into force."""
+        """Write a value."""
         return await self._part(name).write(name, value)
 
     async def execute(self, name: str, value: Any, progress: Progress) -> Any:
@@ -80,7 +80,7 @@ class CanBackend(BaseBackend):
         return await self._part(name).execute(name, value, progress)
 
     def watch(self, name: str, rate: float | None) -> AbstractAsyncContextManager[object]:
-        """Publish while somebody looks."""
+        """Publish while a client subscribes."""
         return self._watch(name)
 
     @asynccontextmanager
@@ -89,24 +89,24 @@ class CanBackend(BaseBackend):
             yield
 
     async def halt(self) -> None:
-        """Quick stop for all that moves; return when every drive's fresh feedback confirms it.
+        """Quick stop for everything that moves; return when fresh feedback of every drive confirms it.
 
         :raises AdapterUnavailable: a motor cannot be reached; the others have been stopped.
-        :raises DeviceTimeout: one was told, and is not known to rest.
+        :raises DeviceTimeout: one was commanded but is not known to be at rest.
         """
         await self._all(part.halt() for part in self._parts)
 
     def motion(self, robot: str | None) -> MotionState | None:
-        """Report whether all motors rest; devices by DBC have nothing to measure it by."""
+        """Report whether all motors are at rest; devices with a DBC file have no measurement."""
         return motion_of_all(self.axes.values())
 
     def hold_stop(self, robot: str | None) -> None:
-        """Stop again every motor that does not rest, or that another master has enabled."""
+        """Stop again every motor that is not at rest, or that another master has enabled."""
         for part in self._parts:
             part.hold_stop()
 
     async def hold(self, robot: str | None) -> None:
-        """Bring all motors to rest by their ramps, and hold them there, torque on.
+        """Bring all motors to rest along their ramps, and hold them with torque on.
 
         :raises RcpError: as `halt`.
         """
@@ -114,7 +114,7 @@ class CanBackend(BaseBackend):
         await self._all(part.hold(reason) for part in self._parts)
 
     async def recover(self, robot: str | None) -> str:
-        """Hold: the set-points of before are forgotten, and what still moves is brought to rest."""
+        """Hold: discard earlier set-points and bring to rest whatever still moves."""
         try:
             await self.hold(robot)
         except AdapterUnavailable as error:
@@ -122,7 +122,7 @@ class CanBackend(BaseBackend):
         return "held at rest; set-points discarded"
 
     def watchdogs(self) -> Sequence[Watchdog]:
-        """List what stops each motor when the gateway falls silent, as known now."""
+        """List what stops each motor if the gateway stops sending, as far as known."""
         return [
             Watchdog(found.mechanism, found.within, found.verified, robot=axis.name)
             for axis in self.axes.values()
@@ -130,7 +130,7 @@ class CanBackend(BaseBackend):
         ]
 
     async def _all(self, work: Iterable[Coroutine[Any, Any, None]]) -> None:
-        """Do all to the end, whatever fails; then say of all of them what failed."""
+        """Run all to the end, whatever fails; then report all failures."""
         done = await asyncio.gather(*work, return_exceptions=True)
         failed = [each for each in done if isinstance(each, BaseException)]
         if not failed:
@@ -146,9 +146,9 @@ class CanBackend(BaseBackend):
 
 @asynccontextmanager
 async def open_buses(config: CanConfig, host: Host) -> AsyncGenerator[CanBackend]:
-    """Open every bus and what is configured on it; leaving lets go of all.
+    """Open every bus and everything configured on it; leaving closes all.
 
-    :raises ConfigError: the configuration cannot be.
+    :raises ConfigError: the configuration is invalid.
     :raises NotReady: a bus does not open.
     """
     health = Health(host)
@@ -204,7 +204,7 @@ async def open_buses(config: CanConfig, host: Host) -> AsyncGenerator[CanBackend
 
 
 def _sdo(bus: Bus, node: int, axes: Iterable[Axis]) -> Sdo:
-    """Return the one client of a node's SDO server: that of its motor, if it is one."""
+    """Return the only client of a node's SDO server: that of its motor, if it is one."""
     for axis in axes:
         server = axis.drive.server
         if server is not None and axis.bus is bus and axis.drive.node == node:

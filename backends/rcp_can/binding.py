@@ -1,4 +1,4 @@
-"""What stands behind a resource: the part of the backend that reads, writes or executes it."""
+"""The parts of the backend that read, write or execute resources."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ __all__ = ["Part"]
 
 
 class Part:
-    """A part of the backend with resources of its own; refuses what it does not override."""
+    """A part of the backend with its own resources; refuses what it does not override."""
 
     def resources(self) -> list[Resource]:
-        """List what it declares."""
+        """List its resources."""
         return []
 
     async def read(self, name: str) -> Any:
         """Return a fresh value.
 
-        :raises AdapterUnavailable: there is none: nothing has happened, or been commanded, yet.
+        :raises AdapterUnavailable: there is no value yet.
         """
         raise AdapterUnavailable(f"'{name}' has no value yet", remedy="Subscribe to it.")
 
     async def write(self, name: str, value: Any) -> Any:
-        """Bring a value into force."""
+        """Write a value."""
         raise UnsupportedOperation(f"'{name}' cannot be written")
 
     async def execute(self, name: str, value: Any, progress: Progress) -> Any:
@@ -39,10 +39,10 @@ class Part:
         return nullcontext()
 
     async def halt(self) -> None:
-        """Bring what moves to rest; return when the drive confirmed it."""
+        """Stop everything that moves; return when the drive has confirmed it."""
 
     async def hold(self, reason: RcpError) -> None:
-        """Bring what moves to rest without switching it off; commands end for `reason`."""
+        """Bring everything to rest without switching it off; commands end with `reason`."""
 
     def hold_stop(self) -> None:
-        """Send again what keeps it stopped, if it does not rest."""
+        """Send the stop again if it is not at rest."""

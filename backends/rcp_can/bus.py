@@ -31,7 +31,7 @@ _ECHOING = frozenset(("udp_multicast",))  # interfaces that hand us our own fram
 
 
 class Route(NamedTuple):
-    """Which identifiers somebody wants: those with `id & mask == value`."""
+    """The identifiers of a listener: those with `id & mask == value`."""
 
     value: int
     mask: int = 0x7FF
@@ -39,12 +39,12 @@ class Route(NamedTuple):
 
 
 class Listener(Protocol):
-    """Whoever takes frames."""
+    """Receiver of frames."""
 
     def __call__(self, message: can.Message) -> None:
         """Take one frame, on the event loop.
 
-        :raises ValueError: it is not what its sender may send; counted.
+        :raises ValueError: the frame is invalid; it is counted.
         """
         ...
 
@@ -58,9 +58,9 @@ class Bus:
         self.reported_state = m.BusState(state="down", detail="not open yet")
         self.restarts = self.error_frames = self.malformed = self.refused = 0
         self.on_state: list[Callable[[m.Condition, m.Condition], None]] = []
-        """Told of each change, the old state first."""
+        """Called with each change: the old state, the new state."""
         self.taps: list[Callable[[can.Message], None]] = []
-        """Given every frame, error frames and our own included."""
+        """Called with every frame, including error frames and our own."""
         self._host, self._health = host, health
         self._prefix = f"can/{name}"
         self._wire: Wire | None = None
@@ -76,12 +76,12 @@ class Bus:
         self._counters: tuple[int | None, int | None] = (None, None)
 
     def listen(self, listener: Listener, *routes: Route) -> None:
-        """Have a listener called with the frames of some identifiers."""
+        """Call a listener with the frames of some identifiers."""
         self._routes += [(route, listener) for route in routes]
         self._known.clear()
 
     def after_batch(self, function: Callable[[], None]) -> None:
-        """Have a function called after each batch of frames."""
+        """Call a function after each batch of frames."""
         self._after_batch.append(function)
 
     @property
@@ -91,7 +91,7 @@ class Bus:
 
     @property
     def lag(self) -> float:
-        """Seconds since the interface took a frame, while there are frames for it."""
+        """Seconds since the interface accepted a frame, while frames are queued."""
         wire = self._wire
         return 0.0 if wire is None else wire.lag
 
@@ -109,10 +109,10 @@ class Bus:
         urgent: bool = False,
         sender: Hashable = None,
     ) -> None:
-        """Queue one frame; an urgent one outdates what its sender has waiting.
+        """Queue one frame; an urgent one invalidates the queued frames of its sender.
 
         :raises AdapterUnavailable: the bus is down, or off.
-        :raises QueueFull: too many frames wait already.
+        :raises QueueFull: the send queue is full.
         """
         wire = self._wire
         if wire is None or self.state == "bus_off":
@@ -137,9 +137,9 @@ class Bus:
             tap(message)
 
     def paced(self, what: str, period: float) -> bool:
-        """Tell whether something that is periodic on the whole bus is due, and count it as done.
+        """Tell whether a periodic frame of the whole bus is due, and mark it as sent.
 
-        Callers may want different periods: the shortest of them is kept.
+        If callers use different periods, the shortest applies.
         """
         now = time.monotonic()
         if now < self._done.get(what, 0.0) + period:
@@ -308,7 +308,7 @@ class Bus:
                 self._host.publish(f"event/{self._prefix}/overflow", event)
 
     def statistics(self, period: float = 0.0, rx: int = 0, tx: int = 0) -> m.Statistics:
-        """Sum up; rates are those since `rx` and `tx` were counted, `period` seconds ago."""
+        """Compute the statistics; rates are since `rx` and `tx` were counted, `period` seconds ago."""
         wire = self._wire
         total = {key: n + (getattr(wire, key) if wire else 0) for key, n in self._past.items()}
         known = self.config.bitrate is not None and period

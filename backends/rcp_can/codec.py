@@ -1,6 +1,6 @@
-"""Payloads as data: which fields a frame has, in which unit, and how they lie in its bytes.
+"""Payload layouts as data: fields, units and their position in the bytes.
 
-Numbers that do not fit are brought to the nearest one that does, never wrapped: a set-point that is
+Numbers out of range are clamped, never wrapped: a set-point that is
 too large by a bit must not become one the other way round. What is not a number is refused.
 """
 
@@ -31,7 +31,7 @@ def clamp(value: float, low: float, high: float) -> float:
 
 
 class Codec(Protocol):
-    """Values by name to bytes, and back."""
+    """Convert values by name to bytes and back."""
 
     size: int
     """Bytes of the payload."""
@@ -40,26 +40,26 @@ class Codec(Protocol):
     def encode(self, **values: float) -> bytes:
         """Return the payload; fields that are not given are 0.
 
-        :raises ValueError: a value is not a number, or there is no such field.
+        :raises ValueError: a value is not a number, or the field is unknown.
         """
         ...
 
     def decode(self, data: bytes | bytearray) -> dict[str, float]:
-        """Return the fields; bytes beyond the payload are left alone.
+        """Return the fields; extra bytes are ignored.
 
-        :raises ValueError: the payload is too short, or holds what is not a number.
+        :raises ValueError: the payload is too short, or contains a value that is not a number.
         """
         ...
 
 
 class Field(NamedTuple):
-    """One number: its struct code, and what one step of it is worth."""
+    """One number: its struct code and its resolution."""
 
     name: str
     code: str
     scale: float = 1.0
     nan: bool = False
-    """Whether the float may be NaN, which then has a meaning of its own."""
+    """Whether the float may be NaN, which then has a special meaning."""
 
 
 class Layout:
@@ -107,7 +107,7 @@ def _raw(field: Field, value: float) -> float:
 
 
 class Span(NamedTuple):
-    """An unsigned number of some bits that stands for a range; without one, for itself."""
+    """An unsigned number of some bits, scaled to a range if one is given."""
 
     name: str
     bits: int
@@ -116,7 +116,7 @@ class Span(NamedTuple):
 
 
 class Packed:
-    """Fields bit by bit, the highest first: the MIT way, and that of many sensors."""
+    """Bit fields, most significant first, as in the MIT protocol and many sensors."""
 
     def __init__(self, *spans: Span) -> None:
         self.spans = spans

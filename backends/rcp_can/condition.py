@@ -1,6 +1,6 @@
-"""What error frames say about the controller, in SocketCAN's encoding (linux/can/error.h).
+"""State of the controller from error frames, in SocketCAN's encoding (linux/can/error.h).
 
-python-can leaves `bus.state` at active whatever happens, so that bus-off is read here.
+python-can always reports `bus.state` as active, so bus-off is detected here.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ _PLACES = {
 
 
 class Condition(NamedTuple):
-    """What one error frame says; None where it says nothing."""
+    """Contents of one error frame; None if not reported."""
 
     state: str | None
     tx_errors: int | None
@@ -30,7 +30,7 @@ class Condition(NamedTuple):
 
 
 def read_error(identifier: int, data: bytes) -> Condition:
-    """Decode an error frame; anything is taken, for adapters fill in what they have."""
+    """Decode an error frame; tolerant, because adapters fill in only what they have."""
     tx = rx = None
     details = [text for bit, text in _PLACES.items() if identifier & bit]
     state = None

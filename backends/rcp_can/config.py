@@ -1,4 +1,4 @@
-"""The configuration of one CAN backend: its buses, and what sits on them."""
+"""The configuration of one CAN backend: its buses and the devices on them."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Bitrate = Annotated[int, Meta(ge=1000, le=20_000_000, extra_json_schema={"unit":
 
 
 class BusConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """One bus, by an interface of python-can."""
+    """One bus, through a python-can interface."""
 
     interface: str = "socketcan"
     channel: str | int | None = "can0"
@@ -33,13 +33,13 @@ class BusConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     restart: Seconds = 0.5
     """Between bus-off or loss and the first attempt to restart; doubles up to 5 s."""
     queue: Annotated[int, Meta(ge=1, le=65_536)] = 512
-    """Frames that may wait to be sent."""
+    """Length of the send queue, in frames."""
     statistics: Seconds = 1.0
     """Period of `sensor/can/<bus>/statistics`."""
     frames: tuple[IdRange, ...] = ()
     """Identifiers that `event/can/<bus>/frame` shows, `"0x100"` or `"0x100-0x1FF"`; all if empty."""
     raw_send: bool = False
-    """Offer `actuator/can/<bus>/frame`, by which any frame can be sent."""
+    """Offer `actuator/can/<bus>/frame`, which sends any frame."""
     log_directory: str | None = None
     """Offer recording, into this directory."""
     simulate: bool = False
@@ -56,7 +56,7 @@ class BusConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
 
 
 class CanConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Buses and what sits on them."""
+    """Buses and the devices on them."""
 
     buses: Annotated[dict[BusName, BusConfig], Meta(min_length=1)]
     motors: dict[Name, MotorConfig] = {}
@@ -65,7 +65,7 @@ class CanConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     diff_drives: dict[Name, DiffDriveConfig] = {}
     joint_groups: dict[Name, JointGroupConfig] = {}
     grace: Annotated[float, Meta(ge=0, extra_json_schema={"unit": "s"})] = 1.0
-    """For motors to be heard of, before the backend counts as open without them."""
+    """Time to wait for the motors' first messages, before the backend opens without them."""
 
     def __post_init__(self) -> None:
         for name, drive in self.diff_drives.items():

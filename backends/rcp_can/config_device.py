@@ -14,19 +14,19 @@ MessageName = Annotated[str, Meta(pattern=r"^[A-Za-z_][A-Za-z0-9_]*$")]
 
 
 class DeviceConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """What of a database is shown, and what may be sent."""
+    """The messages of a database to read and to write."""
 
     bus: BusName
     dbc: str
-    """The file: DBC, KCD, SYM or whatever else cantools reads."""
+    """The file: DBC, KCD, SYM or another format that cantools reads."""
     read: tuple[MessageName, ...] = ()
-    """Messages that become sensors; all that are not in `write` if empty."""
+    """Messages that become sensors; if empty, all that are not in `write`."""
     write: tuple[MessageName, ...] = ()
     """Messages that become actuators."""
     safe: dict[MessageName, dict[str, Any]] = {}
-    """What the dead-man and `halt` send, by message; one without it stands for ever."""
+    """Values that the dead-man and `halt` send, by message; without one, it never expires."""
     valid_for: Seconds = 0.5
-    """Seconds that a message with a safe value stands."""
+    """Validity in s of a message with a safe value."""
 
     def __post_init__(self) -> None:
         for name in self.safe:

@@ -14,13 +14,13 @@ Metres = Annotated[float, Meta(gt=0, le=100, extra_json_schema={"unit": "m"})]
 
 
 class DiffDriveConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Which motors are the wheels, and where they are."""
+    """The wheels' motors and the geometry."""
 
     left: Name
     right: Name
     track: Metres
-    """Between the wheels."""
+    """Distance between the wheels."""
     radius: Metres
-    """Of a wheel."""
+    """Radius of a wheel."""
     valid_for: Annotated[float, Meta(gt=0, extra_json_schema={"unit": "s"})] = 0.5
-    """Seconds that a velocity stands before the dead-man sends zero."""
+    """Validity of a velocity in s, before the dead-man sends zero."""

@@ -12,14 +12,14 @@ __all__ = ["JointGroupConfig"]
 
 
 class JointGroupConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Which motors are its joints, and how they move together."""
+    """The motors of the joints, and the parameters of synchronized moves."""
 
     joints: Annotated[tuple[Name, ...], Meta(min_length=1, max_length=64)]
-    """Names of motors, which are those of the joints."""
+    """Names of the motors, which are also the names of the joints."""
     acceleration: Annotated[float, Meta(gt=0, extra_json_schema={"unit": "rad/s2"})] = 5.0
-    """Of a joint in `move_joints` whose motor has none."""
+    """Acceleration in `move_joints` of a joint whose motor has none."""
     valid_for: Annotated[float, Meta(gt=0, extra_json_schema={"unit": "s"})] = 0.5
-    """Seconds that joint positions stand before the dead-man lets the joints stay where they are."""
+    """Validity of joint positions in s, before the dead-man stops the joints."""
 
     def __post_init__(self) -> None:
         if len(set(self.joints)) != len(self.joints):

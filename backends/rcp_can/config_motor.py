@@ -1,4 +1,4 @@
-"""The configuration of one motor: which drive it is, what it turns, and how far it may go."""
+"""The configuration of one motor: drive, transmission and limits."""
 
 from __future__ import annotations
 
@@ -17,44 +17,44 @@ Positive = Annotated[float, Meta(gt=0, le=1e6)]
 
 
 class MotorConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """One motor. Limits are those of the joint, behind the gear."""
+    """One motor. Limits apply at the joint, after the gear."""
 
     bus: BusName
     profile: Annotated[str, Meta(max_length=200)]
-    """One of the house's, or `module:NAME` of one of your own."""
+    """A built-in profile, or `module:NAME` of your own."""
     node: Annotated[int, Meta(ge=0, le=0x7FF)]
     gear: Positive = 1.0
-    """Turns of the drive's shaft for one of the joint."""
+    """Turns of the drive's shaft per turn of the joint."""
     direction: Literal[1, -1] = 1
     offset: Annotated[float, Meta(extra_json_schema={"unit": "rad"})] = 0.0
-    """Position of the joint where the drive's is zero."""
+    """Position of the joint at the drive's zero."""
     position: tuple[float, float] | None = None
-    """Where the joint may stand, rad: lowest and highest."""
+    """Range of the joint, rad: lowest and highest."""
     velocity: Annotated[float, Meta(gt=0, le=1e5, extra_json_schema={"unit": "rad/s"})] = 10.0
     torque: Annotated[float, Meta(gt=0, le=1e5, extra_json_schema={"unit": "N.m"})] = 1.0
     acceleration: Annotated[float, Meta(gt=0, extra_json_schema={"unit": "rad/s2"})] | None = None
-    """Of the ramp; set-points jump without it."""
+    """Acceleration of the ramp; without it, set-points are applied in one step."""
     valid_for: Seconds = 0.5
-    """Seconds that a velocity or torque stands before the dead-man writes zero."""
+    """Validity of a velocity or torque in s, before the dead-man writes zero."""
     rate: Annotated[float, Meta(ge=1, le=1000, extra_json_schema={"unit": "Hz"})] = 50.0
-    """Set-points, and requests for feedback where the drive must be asked, a second."""
+    """Set-points, and polls of drives that must be polled, per second."""
     timeout: Seconds = 0.5
     """Silence after which the drive counts as lost."""
     feedback_timeout: Seconds | None = None
     """Age of position, velocity or state after which the motor is not controllable, although it is
     heard; five of the drive's own periods, and 0.25 s at least, without it."""
     torque_off_after: Annotated[float, Meta(ge=0, extra_json_schema={"unit": "s"})] | None = None
-    """After a quick stop has begun, its torque is cut; without it the joint is held."""
+    """Time from the start of a quick stop until the torque is cut; without it the joint is held."""
     watchdog: Annotated[float, Meta(gt=0, le=60, extra_json_schema={"unit": "s"})] | bool = 0.5
-    """Silence of the gateway after which the drive is to stop by itself; false leaves it alone."""
+    """Silence of the gateway after which the drive stops by itself; false keeps its setting."""
     optional: bool = False
-    """It may be absent: while it was never heard, a stop is confirmed without it."""
+    """The motor may be absent: a stop is confirmed without it until its first message."""
     tolerance: Annotated[float, Meta(gt=0, extra_json_schema={"unit": "rad"})] = 0.01
-    """How near to its goal a move ends."""
+    """Position tolerance of a move."""
     standstill: Annotated[float, Meta(gt=0, extra_json_schema={"unit": "rad/s"})] = 0.05
-    """Below which the joint counts as standing."""
+    """Speed below which the joint counts as at rest."""
     options: dict[str, Any] = {}
-    """What the profile needs beside; see its table."""
+    """Options of the profile; see its table."""
 
     def __post_init__(self) -> None:
         if self.profile not in BUILTIN_PROFILES and ":" not in self.profile:

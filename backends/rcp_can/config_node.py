@@ -12,7 +12,7 @@ __all__ = ["NodeConfig"]
 
 
 class NodeConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Which objects of a node's dictionary are shown as parameters."""
+    """The objects of a node's dictionary that become parameters."""
 
     bus: BusName
     node: Annotated[int, Meta(ge=1, le=127)]
@@ -24,7 +24,7 @@ class NodeConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Those whose writing may start or move something, and is refused under an e-stop: programs and
     NMT of other nodes, and the device profile's own; name a maker's here as well."""
     heartbeat: Seconds | None = None
-    """Within which a heartbeat must come; without it none is missed."""
+    """Maximum time between heartbeats; without it, heartbeats are not monitored."""
 
     @property
     def ranges(self) -> list[tuple[int, int]]:

@@ -1,4 +1,4 @@
-"""A device by its DBC file: messages it sends are sensors, those it takes are actuators."""
+"""A device with a DBC file: messages it sends are sensors, those it receives are actuators."""
 
 from __future__ import annotations
 
@@ -125,7 +125,7 @@ class DevicePart(Part):
         return {**found, "choices": choices} if choices else found
 
     async def read(self, name: str) -> Any:
-        """Refuse: a message comes when its sender sends it.
+        """Refuse: a message cannot be requested from its sender.
 
         :raises AdapterUnavailable: always.
         """
@@ -147,16 +147,16 @@ class DevicePart(Part):
             raise InvalidValue(f"{message.name} cannot encode this value: {error}") from error
 
     async def halt(self) -> None:
-        """Send all that is safe, whether or not the rest was sent from here."""
+        """Send all safe values, whether or not anything was sent before."""
         for identifier, data, extended, fd in self.safe_frames():
             self._bus.send(identifier, data, extended=extended, fd=fd, urgent=True, sender=self)
 
     async def hold(self, reason: RcpError) -> None:
-        """Send what is safe."""
+        """Send the safe values."""
         await self.halt()
 
     def hold_stop(self) -> None:
-        """Send what is safe again: another node may have sent something else."""
+        """Send the safe values again: another node may have sent something else."""
         with suppress(RcpError):  # the bus's own state tells of it; it is called again soon
             for identifier, data, extended, fd in self.safe_frames():
                 self._bus.send(identifier, data, extended=extended, fd=fd, sender=self)

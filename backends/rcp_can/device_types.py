@@ -17,7 +17,7 @@ _UCUM = {"": "1", "degC": "Cel", "°C": "Cel", "Nm": "N.m", "rpm": "/min", "deg"
 
 
 def message_type(message: Message, *, bounded: bool) -> type[msgspec.Struct]:
-    """Make the Struct of a message: a field a signal, with its unit.
+    """Make the Struct of a message: one field per signal, with its unit.
 
     `bounded` makes values beyond the signal's range illegal, for what is sent; what is received is told
     as it is. A signal that only some variants of a multiplexed message have is optional.

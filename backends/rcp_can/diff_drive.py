@@ -15,7 +15,7 @@ __all__ = ["DiffDrivePart"]
 
 
 class DiffDrivePart(Part):
-    """One differential drive; its wheels stay motors of their own, too."""
+    """One differential drive; its wheels also remain separate motors."""
 
     def __init__(self, name: str, config: DiffDriveConfig, left: Axis, right: Axis) -> None:
         self._config, self._left, self._right = config, left, right

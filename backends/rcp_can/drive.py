@@ -1,4 +1,4 @@
-"""What a profile implements: a drive on the bus, in its own units at its own shaft.
+"""The interface of a profile: a drive on the bus, in its own units at its own shaft.
 
 A profile translates and nothing else: limits, ramps, dead-man, gear and direction, faults as events,
 time-outs and commands are the business of `Motor`, which is one for all.
@@ -29,7 +29,7 @@ _AGAIN = 0.1  # s between two requests
 
 
 class Reach(NamedTuple):
-    """The most that the profile can say, at the drive's shaft."""
+    """The largest values that the profile can express, at the drive's shaft."""
 
     position: float = 1e6
     velocity: float = 1e5
@@ -37,7 +37,7 @@ class Reach(NamedTuple):
 
 
 class Protection(NamedTuple):
-    """What stops a drive by itself when it no longer hears the gateway."""
+    """The mechanism that stops a drive when the gateway stops sending."""
 
     mechanism: str
     within: float | None = None
@@ -61,53 +61,53 @@ class Drive(ABC):
 
     modes: frozenset[Mode] = frozenset(("position", "velocity", "torque"))
     moves = False
-    """Whether it drives to a position by a profile of its own and reports the target reached."""
+    """Whether it generates its own position trajectory and reports the target reached."""
     homes = False
     zeroes = False
-    """Whether the present position can be made zero."""
+    """Whether the current position can be set as zero."""
     holds = False
     """Whether it must be sent a set-point from the moment it is enabled."""
 
     sags = False
     """Whether a joint under load sinks at velocity zero, and is held by its position only."""
     watchdog: float | None = 0.5
-    """Seconds of silence that the drive's own watchdog is to allow; None leaves it alone."""
+    """Time-out in s of the drive's own watchdog; None keeps its setting."""
 
     def __init__(self, node: int, options: Any, bus: Bus) -> None:
         self.node, self.options, self.bus = node, options, bus
         self.status = Status()
         self.protection = Protection("none known")
-        """What stops it without the gateway, as known now."""
+        """The mechanism that stops it without the gateway, as far as known."""
         self._waiters: list[tuple[Callable[[], bool], asyncio.Future[None]]] = []
 
     @property
     def beats(self) -> float | None:
-        """Seconds within which it must send heartbeats; None where it sends none, or none yet."""
+        """Maximum time in s between its heartbeats; None if it sends none, or none yet."""
         return None
 
     def period(self, signal: str) -> float | None:
-        """Return the seconds between two reports of a signal; None: it comes when asked for."""
+        """Return the period of a signal in s; None if it must be polled."""
         return None
 
     @property
     def loose(self) -> bool:
-        """Whether a set-point of another master would move it, although it was told to stop."""
+        """Whether a set-point from another master would move it after a stop."""
         return False
 
     @property
     def server(self) -> Sdo | None:
-        """Its SDO server as seen from here, where it has one."""
+        """The client of its SDO server, if it has one."""
         return None
 
     @abstractmethod
     def routes(self) -> tuple[Route, ...]:
-        """Say which frames are this drive's."""
+        """Return the identifiers of this drive's frames."""
 
     @abstractmethod
     def take(self, message: can.Message) -> bool:
         """Read one of its frames into `status`; tell whether it was this drive's.
 
-        :raises ValueError: it is not what the drive may send.
+        :raises ValueError: the drive must not send such a frame.
         """
 
     def send(
@@ -122,44 +122,44 @@ class Drive(ABC):
         """Queue a frame to the drive; `lifetime` and `urgent` as `Bus.send` has them, and its flags.
 
         :raises AdapterUnavailable: the bus is down, or off.
-        :raises QueueFull: too many frames wait already.
-        :raises EstopActive: it is sent on behalf of a request that a stop has cut off.
+        :raises QueueFull: the send queue is full.
+        :raises EstopActive: it belongs to a request that was cancelled by a stop.
         """
         if not urgent:  # what is urgent stops it
             check_fence()
         self.bus.send(identifier, data, lifetime=lifetime, urgent=urgent, sender=self, **flags)
 
     def reach(self) -> Reach:
-        """Say what the profile can express."""
+        """Return the limits of the profile."""
         return Reach()
 
     async def configure(self) -> None:  # noqa: B027 - most need nothing
-        """Prepare the drive when it is heard for the first time, and after each of its boots."""
+        """Configure the drive after its first message and after each boot."""
 
     def poll(self, tick: int) -> None:  # noqa: B027 - most need nothing
-        """Ask for what does not come by itself; called at the motor's rate, never to move it."""
+        """Request whatever the drive does not send by itself; called at the motor's rate; must not move it."""
 
     @abstractmethod
     async def enable(self) -> None:
-        """Switch the power stage on, at rest; return when the drive says so."""
+        """Switch the power stage on, at rest; return when the drive reports it."""
 
     @abstractmethod
     async def disable(self) -> None:
-        """Switch the power stage off; return when the drive says so."""
+        """Switch the power stage off; return when the drive reports it."""
 
     @abstractmethod
     async def clear_faults(self) -> None:
-        """Acknowledge the faults there are, by their reset only; return when the drive has none.
+        """Reset the faults, by the fault reset only; return when the drive has none.
 
         Called only while `status.faults` has some. It must neither switch on nor off.
         """
 
     async def home(self) -> None:
-        """Find the reference, where it `homes`; return when the drive says it has it."""
+        """Home the drive, if it `homes`; return when the drive reports that it is done."""
         raise NotImplementedError
 
     async def set_zero(self) -> None:
-        """Make the present position zero, where it `zeroes`."""
+        """Set the current position as zero, if it `zeroes`."""
         raise NotImplementedError
 
     @abstractmethod
@@ -167,22 +167,22 @@ class Drive(ABC):
         """Send a set-point; `velocity` is that of the ramp in mode position, for feed-forward."""
 
     async def move(self, position: float, velocity: float, acceleration: float | None) -> None:
-        """Begin to drive to a position by the drive's own profile, where `moves`."""
+        """Start a move along the drive's own trajectory, if it `moves`."""
         raise NotImplementedError
 
     @abstractmethod
     def stop(self) -> None:
-        """Brake as hard as the drive can, ahead of every queue; called again until it rests.
+        """Brake as hard as the drive can, ahead of every queue; repeated until it is at rest.
 
         It must not switch on a drive that is off.
         """
 
     def stop_frames(self) -> Sequence[StopFrame]:
-        """List frames that stop it without knowing how it stands, and never switch it on."""
+        """List frames that stop it in any state and never switch it on."""
         return ()
 
     def wake_waiters(self) -> None:
-        """Wake those who wait for the status; called after each batch of frames."""
+        """Wake tasks that wait for the status; called after each batch of frames."""
         if self._waiters:
             for holds, future in self._waiters:
                 if not future.done() and holds():
@@ -199,9 +199,9 @@ class Drive(ABC):
         every: float = _AGAIN,
         faults: bool = True,
     ) -> None:
-        """Wait until the status shows something; `again` sends the request, now and `every` so many s.
+        """Wait for a status; `again` sends the request, now and every `every` s.
 
-        :raises DeviceTimeout: it does not come to show it.
+        :raises DeviceTimeout: the status does not appear in time.
         :raises DeviceRejected: the drive goes into fault instead.
         """
         old = self.status.faults if faults else ()
@@ -233,7 +233,7 @@ class Drive(ABC):
 
 
 class Profile(NamedTuple):
-    """A make of drives: how it is configured, driven and simulated."""
+    """A type of drive: its configuration, driver and simulation."""
 
     name: str
     description: str
@@ -243,6 +243,6 @@ class Profile(NamedTuple):
     twin: str
     """Module and class of its twin, imported when it is wanted: `rcp_can.sim.odrive:ODriveTwin`."""
     nodes: range
-    """The node ids that there are."""
+    """The possible node ids."""
     fd: bool = False
-    """Whether it needs CAN FD."""
+    """Whether it requires CAN FD."""

@@ -26,7 +26,7 @@ __all__ = ["EdsPart"]
 
 _PERIOD = 1.0  # s between two looks at a parameter that somebody watches
 _COMMANDS = frozenset((0x6040, 0x6060, 0x6071, 0x607A, 0x60B0, 0x60B1, 0x60B2, 0x60C1, 0x60FF))
-"""Objects that move a drive: they are the motor model's, and only shown here."""
+"""Objects that move a drive: controlled by the motor, read-only here."""
 
 
 class EdsPart(Part):
@@ -82,7 +82,7 @@ class EdsPart(Part):
         return [*self.watched.resources(), *shown]
 
     async def read(self, name: str) -> Any:
-        """Ask the node; its state is what it said last."""
+        """Read from the node; its state is the last one received."""
         if name == self.watched.path:
             return self.watched.value
         if name not in self._entries:
@@ -91,7 +91,7 @@ class EdsPart(Part):
         return entry.unpack(await self._sdo.upload(entry.index, entry.sub))
 
     async def write(self, name: str, value: Any) -> Any:
-        """Have the node take a value, and return the one that it has then."""
+        """Write a value to the node, and return the one that it has afterwards."""
         entry = self._entries[name]
         check_fence()
         await self._sdo.download(entry.index, entry.sub, entry.pack(value))
@@ -102,7 +102,7 @@ class EdsPart(Part):
         return taken
 
     def watch(self, name: str) -> AbstractContextManager[object]:
-        """Look at an object again and again while somebody wants to know."""
+        """Poll an object while a client subscribes."""
         return self._watched(name) if name in self._entries else super().watch(name)
 
     @contextmanager

@@ -31,7 +31,7 @@ _INT64 = 2**63 - 1
 
 @dataclass(frozen=True)
 class Entry:
-    """One object: its address, its type, and what may be done with it."""
+    """One object: address, type and access."""
 
     index: int
     sub: int
@@ -86,7 +86,7 @@ class Entry:
 
 
 def entry_of(variable: ODVariable) -> Entry | None:
-    """Return an object as it can be shown; None for a domain and what else has no value."""
+    """Return the description of an object; None for a domain or another object without a value."""
     type_ = _type(variable)
     access = variable.access_type or "rw"
     if type_ is None:

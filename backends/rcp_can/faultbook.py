@@ -1,4 +1,4 @@
-"""The faults of one motor, by whoever sees them: told when they come, and when they go."""
+"""The faults of one motor, published when they appear and when they clear."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from rcp_kernel.spi import Host
 __all__ = ["FaultBook"]
 
 _STAYING = frozenset(("feedback_lost", "heartbeat_lost", "configuration"))
-"""Faults that end when what they tell of does, and not by being acknowledged."""
+"""Faults that end with their cause, not by acknowledgement."""
 
 
 class FaultBook:
-    """What stands now; published as `event/<motor>/fault`."""
+    """The active faults; published as `event/<motor>/fault`."""
 
     def __init__(self, motor: str, host: Host) -> None:
         self.standing: dict[str, Fault] = {}
@@ -23,24 +23,24 @@ class FaultBook:
         self._event, self._host = f"event/{motor}/fault", host
 
     def note(self, fault: Fault) -> None:
-        """Have a fault that the gateway sees stand until it is taken back."""
+        """Set a fault detected by the gateway until it is cleared."""
         self._own[fault.name] = fault
 
     def own(self, name: str) -> Fault | None:
-        """Return a fault that the gateway sees, if it stands."""
+        """Return a fault detected by the gateway, if it is active."""
         return self._own.get(name)
 
     def take_back(self, *names: str) -> None:
-        """End faults that the gateway has seen."""
+        """Clear faults detected by the gateway."""
         for name in names:
             self._own.pop(name, None)
 
     def absolve(self) -> None:
-        """End what the gateway has seen, but for what goes on."""
+        """Clear faults detected by the gateway, except those whose cause persists."""
         self._own = {name: fault for name, fault in self._own.items() if name in _STAYING}
 
     def update(self, of_the_drive: Iterable[Fault]) -> None:
-        """Tell what has come and gone since the last time."""
+        """Publish what has appeared and cleared since the last call."""
         faults = {fault.name: fault for fault in of_the_drive} | self._own
         old = self.standing
         if faults == old:
@@ -53,6 +53,6 @@ class FaultBook:
             self.publish(old[name], active=False)
 
     def publish(self, fault: Fault, *, active: bool) -> None:
-        """Publish that a fault has come, or gone."""
+        """Publish that a fault has appeared or cleared."""
         value = m.MotorFault(fault=fault.name, text=fault.text, active=active, code=fault.code)
         self._host.publish(self._event, value)

@@ -1,4 +1,4 @@
-"""Whether a motor can be told something: it is heard, configured and enabled, and its bus takes frames."""
+"""Whether a motor can be commanded: connected, configured, enabled, and its bus accepts frames."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _CONFIGURING = 1.0  # s that a call waits for a drive to be configured
 
 
 def loss(axis: AxisState, now: float) -> Loss | None:
-    """Tell whether a drive that was heard is lost."""
+    """Tell whether a known drive is lost."""
     timeout = axis.config.timeout
     if now - axis.last_message_at > timeout:
         return Loss("feedback_lost", f"no message received for {timeout:g} s")
@@ -34,7 +34,7 @@ def loss(axis: AxisState, now: float) -> Loss | None:
 
 
 def stale(axis: AxisState, now: float) -> Loss | None:
-    """Tell whether a drive that is heard no longer tells what its control rests on."""
+    """Tell whether a connected drive no longer sends the signals that control requires."""
     if not axis.configured:
         return None
     at, since = axis.status.at, axis.configured_at
@@ -50,7 +50,7 @@ def stale(axis: AxisState, now: float) -> Loss | None:
 
 
 def check_feedback(axis: AxisState) -> None:
-    """See that position, velocity and state are fresh.
+    """Check that position, velocity and state are fresh.
 
     :raises DeviceTimeout: one of them is not.
     """
@@ -68,9 +68,9 @@ def heartless(axis: AxisState, now: float) -> bool:
 
 
 def check(axis: AxisState) -> None:
-    """See that it can be commanded.
+    """Check that it can be commanded.
 
-    :raises AdapterUnavailable: its bus is down, or it is not heard of.
+    :raises AdapterUnavailable: its bus is down, or it does not respond.
     :raises DeviceTimeout: its feedback is too old.
     :raises ModeForbids: it is not enabled.
     """
@@ -87,9 +87,9 @@ def check(axis: AxisState) -> None:
 
 
 def check_link(axis: AxisState) -> None:
-    """See that it can be reached.
+    """Check that it can be reached.
 
-    :raises AdapterUnavailable: its bus is down, or it is not heard of.
+    :raises AdapterUnavailable: its bus is down, or it does not respond.
     """
     if not axis.bus.up:
         raise AdapterUnavailable(f"CAN bus '{axis.bus.name}' is {axis.bus.state}")
@@ -101,9 +101,9 @@ def check_link(axis: AxisState) -> None:
 
 
 def check_bus(axis: AxisState) -> None:
-    """See that what it is told reaches it now, and no other drive.
+    """Check that commands reach it now, and no other drive.
 
-    :raises QueueFull: the frames of before have not left yet.
+    :raises QueueFull: earlier frames have not been sent yet.
     :raises ModeForbids: two drives have its id.
     """
     if axis.bus.lag > STALLED:

@@ -1,4 +1,4 @@
-"""What is wrong with the backend as a whole: one sentence for all that is, told when it changes."""
+"""The health of the backend as one text, reported when it changes."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ __all__ = ["Health"]
 
 
 class Health:
-    """Gathers what buses, motors and devices complain of."""
+    """Collects the complaints of buses, motors and devices."""
 
     def __init__(self, host: Host) -> None:
         self._host = host
@@ -16,7 +16,7 @@ class Health:
         self._reported: str | None = None
 
     def report(self, source: str, what: str | None) -> None:
-        """Complain, or with None be well again."""
+        """Set the complaint of a source, or clear it with None."""
         if what is None:
             self._complaints.pop(source, None)
         else:

@@ -1,4 +1,4 @@
-"""Open an interface of python-can, in a thread, and say in words why it does not."""
+"""Open a python-can interface in a thread, and explain failures."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ __all__ = ["arguments", "open_interface"]
 async def open_interface(name: str, config: BusConfig) -> can.BusABC:
     """Return the open bus.
 
-    :raises ConfigError: there is no such interface, or it does not take these arguments.
-    :raises NotReady: it is not there now.
+    :raises ConfigError: the interface is unknown, or rejects these arguments.
+    :raises NotReady: it is currently not available.
     """
     return await asyncio.get_running_loop().run_in_executor(None, _open, name, config)
 

@@ -1,4 +1,4 @@
-"""Several motors as one robot: joint positions as they come, and moves that all joints make together."""
+"""Several motors as one robot: joint positions and synchronized moves."""
 
 from __future__ import annotations
 
@@ -31,9 +31,9 @@ _MOVE = 120.0  # s
 
 
 class JointGroupPart(Part):
-    """One joint group; its joints stay motors of their own, too.
+    """One joint group; its joints also remain separate motors.
 
-    :raises ConfigError: one of the motors takes no positions.
+    :raises ConfigError: one of the motors has no position control.
     """
 
     def __init__(
@@ -122,7 +122,7 @@ class JointGroupPart(Part):
         return None if None in found else _filled(kind, found)
 
     async def read(self, name: str) -> Any:
-        """Return what the drives said last, if all of them still say something."""
+        """Return the last positions, if all drives are still connected."""
         if name != self._states:
             return await super().read(name)
         for axis in self._axes:
@@ -135,7 +135,7 @@ class JointGroupPart(Part):
         return value
 
     async def write(self, name: str, value: Any) -> None:
-        """Make positions stand, for all that are named or for none; the other joints stay."""
+        """Set positions for all listed joints or for none; the others keep theirs."""
         check_fence()
         targets = self._targets(value)
         if not targets and self._ended is not None:
@@ -248,7 +248,7 @@ class JointGroupPart(Part):
                 raise ended[0]
 
     async def _arrive(self, legs: dict[Axis, Leg], ended: list[RcpError]) -> None:
-        """Have every drive say that it is at its goal."""
+        """Wait until every drive reports that it is at its goal."""
         ways = _together(
             drive_to(axis, m.Move(position=leg.goal), _silently) for axis, leg in legs.items()
         )
@@ -273,7 +273,7 @@ _SERVICES = {
 
 
 async def _halted(legs: dict[Axis, Leg], path: Path, why: BaseException) -> None:
-    """Brake on the way that the joints share, and see each of them at rest.
+    """Brake along the shared line, and wait until each joint is at rest.
 
     :raises RcpError: it was cancelled, and a joint is not known to have come to rest.
     """
@@ -312,7 +312,7 @@ async def _settle(axis: Axis, why: BaseException) -> None:
 
 
 async def _together(work: Iterable[Coroutine[Any, Any, None]]) -> None:
-    """Do all at once; the first failure ends the rest, and is raised."""
+    """Run all concurrently; the first failure cancels the others and is raised."""
     tasks = [asyncio.ensure_future(each) for each in work]
     if not tasks:
         return

@@ -1,4 +1,4 @@
-"""The values of a joint group: a field a joint."""
+"""The values of a joint group: one field per joint."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How long a frame keeps the bus busy, for the load that is shown."""
+"""The bus time of a frame, for the reported load."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The values of the bus: frames, its state and statistics, its happenings and logs."""
+"""The values of the bus: frames, state, statistics, events and logs."""
 
 from __future__ import annotations
 
@@ -39,17 +39,17 @@ class Frame(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
 
 
 class BusState(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """How the controller stands with its bus."""
+    """State of the controller."""
 
     state: Condition
     detail: str = ""
     tx_errors: Count | None = None
-    """The controller's transmit error counter, where the adapter tells it."""
+    """The controller's transmit error counter, if the adapter reports it."""
     rx_errors: Count | None = None
 
 
 class Statistics(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """What went over the bus; counts since the backend was opened, rates of the last period."""
+    """Traffic on the bus; counts since the backend was opened, rates of the last period."""
 
     load: Load | None
     """Part of the time that the bus was busy; None without a bit rate."""
@@ -63,11 +63,11 @@ class Statistics(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     expired: Count
     """Queued, and not sent because they had become too old."""
     refused: Count
-    """Not even queued, for the queue was full: whoever sent them was told."""
+    """Not queued because the queue was full; the sender got an error."""
     failed: Count
     """Refused by the interface."""
     malformed: Count
-    """Received from a motor or device, and not what it may send."""
+    """Invalid frames from a motor or device."""
     queued: Count
     """Waiting to be sent."""
     restarts: Count

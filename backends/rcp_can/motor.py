@@ -1,4 +1,4 @@
-"""A motor as resources: what it shows, what can be asked of it, and when that is done."""
+"""The resources of a motor: state, commands, and when commands complete."""
 
 from __future__ import annotations
 
@@ -41,11 +41,11 @@ class MotorPart(Part):
         self._prefix = axis.name
 
     def resources(self) -> list[Resource]:
-        """List what a motor has, by what its drive can do."""
+        """List the resources of a motor, according to its drive."""
         return motor_resources(self.axis)
 
     async def write(self, name: str, value: float) -> None:
-        """Make a set-point stand; zero is taken by a motor that is switched off, too."""
+        """Set a set-point; a motor that is off accepts a zero."""
         axis = self.axis
         mode: Any = name.rpartition("/")[2]
         if axis.owner is not None:
@@ -63,7 +63,7 @@ class MotorPart(Part):
         axis.command(mode, value)
 
     async def read(self, name: str) -> Any:
-        """Return what the drive said last, if it still says anything."""
+        """Return the last report of the drive, if it is still connected."""
         axis = self.axis
         match name:
             case _ if name.endswith("/state"):
@@ -105,9 +105,9 @@ class MotorPart(Part):
         return None
 
     async def halt(self) -> None:
-        """Quick stop; return when fresh feedback says that it rests.
+        """Quick stop; return when fresh feedback shows that it is at rest.
 
-        :raises AdapterUnavailable: it cannot be reached, or was never heard.
+        :raises AdapterUnavailable: it cannot be reached, or has never sent a message.
         :raises DeviceTimeout: it does not come to rest, or its feedback is lost.
         """
         axis = self.axis
@@ -126,7 +126,7 @@ class MotorPart(Part):
         await rested(axis)
 
     async def hold(self, reason: RcpError) -> None:
-        """Come to rest by the ramp and stay there, torque on; return when it is measured.
+        """Decelerate along the ramp and hold with torque on; return when rest is measured.
 
         :raises RcpError: as `halt` has them.
         """

@@ -67,7 +67,7 @@ class Wire:
 
     @property
     def lag(self) -> float:
-        """Seconds since the interface took a frame, while there are frames for it."""
+        """Seconds since the interface accepted a frame, while frames are queued."""
         return time.monotonic() - self._moving if self._sending or self._outbox else 0.0
 
     def send(

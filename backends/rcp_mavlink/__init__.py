@@ -17,6 +17,6 @@ __all__ = ["MavlinkBackend", "MavlinkConfig", "TwinConfig", "open_mavlink", "rcp
 
 @hookimpl
 def rcp_backends() -> Iterable[BackendKind]:
-    """Offer the vehicles that are heard over MAVLink."""
+    """Connect MAVLink vehicles."""
     text, needs = "MAVLink vehicles.", ("pymavlink", "fastcrc")
     return [BackendKind("mavlink", MavlinkConfig, open_mavlink, text, needs)]

@@ -1,4 +1,4 @@
-"""The backend: each call goes to the vehicle that its name belongs to."""
+"""The backend: dispatches each call to the vehicle of its resource."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ class MavlinkBackend(BaseBackend):
         self.hub, self._host = hub, host
         self.on_loss = hub.config.on_loss
         self.robots: dict[str, Robot] = {}
-        """By the segment that their paths have; the empty one stands for a single vehicle."""
+        """By their path segment; empty for a single vehicle."""
 
     def found(self, vehicle: Vehicle) -> None:
-        """Put a vehicle in the tree that is heard for the first time."""
+        """Add a newly detected vehicle to the tree."""
         prefix = ""
         if self.hub.config.discover:
             prefix = self.hub.config.names.get(str(vehicle.system), f"vehicle{vehicle.system}")
@@ -41,7 +41,7 @@ class MavlinkBackend(BaseBackend):
         robot.begin()
 
     def changed(self, vehicle: Vehicle) -> None:
-        """Say who is lost and who is back."""
+        """Report lost and returned vehicles."""
         mine = [r for r in self.robots.values() if r.vehicle is vehicle and not vehicle.lost]
         for robot in mine:  # ahead of the report, which may have others ask for messages
             robot.stop.doubt()
@@ -57,7 +57,7 @@ class MavlinkBackend(BaseBackend):
             robot.back()
 
     async def poll(self) -> None:
-        """Look after the vehicles, until cancelled."""
+        """Monitor the vehicles, until cancelled."""
         while True:
             await asyncio.sleep(_POLL_PERIOD)
             for robot in self.robots.values():
@@ -75,7 +75,7 @@ class MavlinkBackend(BaseBackend):
         raise AdapterUnavailable(f"no vehicle connected for '{name}'")
 
     async def read(self, name: str) -> Any:
-        """Return the present value."""
+        """Return the current value."""
         robot, own = self._robot(name)
         return await robot.read(own)
 
@@ -85,12 +85,12 @@ class MavlinkBackend(BaseBackend):
         return await robot.write(own, value)
 
     async def execute(self, name: str, value: Any, progress: Progress) -> Any:
-        """Run an action or service to its end, as telemetry shows it."""
+        """Run an action or service until telemetry confirms its end."""
         robot, own = self._robot(name)
         return await robot.execute(own, value, progress)
 
     def watch(self, name: str, rate: float | None) -> AbstractAsyncContextManager[object]:
-        """Have the vehicle send it while entered."""
+        """Request it from the vehicle while entered."""
         robot, own = self._robot(name)
         return robot.watch(own, rate)
 
@@ -99,7 +99,7 @@ class MavlinkBackend(BaseBackend):
     def _meant(self, robot: str | None) -> list[Robot]:
         """List one vehicle by its name, or all of them.
 
-        :raises AdapterUnavailable: there is none: whoever is not heard was not stopped.
+        :raises AdapterUnavailable: there is none: a vehicle that is not connected was not stopped.
         """
         if robot is None or not self.hub.config.discover:
             meant = list(self.robots.values())
@@ -110,9 +110,9 @@ class MavlinkBackend(BaseBackend):
         return meant
 
     async def _each(self, robot: str | None, do: Callable[[Robot], Awaitable[Any]]) -> list[Any]:
-        """Do something with every vehicle that is meant, whatever becomes of the others.
+        """Run something on every addressed vehicle, even if others fail.
 
-        :raises RcpError: the gravest of what went wrong, which names all whom it concerns.
+        :raises RcpError: the most severe failure, which names all affected vehicles.
         """
         meant = self._meant(robot)
         done = await asyncio.gather(*map(do, meant), return_exceptions=True)
@@ -131,15 +131,15 @@ class MavlinkBackend(BaseBackend):
         return done
 
     async def halt(self) -> None:
-        """Bring every vehicle to rest, by the configured ladder; the lost ones are told blindly."""
+        """Stop every vehicle by the configured steps; the stop is also sent to lost ones."""
         await self._each(None, lambda r: r.stop.halt())
 
     async def halt_robot(self, robot: str) -> None:
-        """Bring one vehicle to rest, by the configured ladder."""
+        """Stop one vehicle by the configured steps."""
         await self._each(robot, lambda r: r.stop.halt())
 
     def motion(self, robot: str | None) -> MotionState | None:
-        """Report whether a vehicle rests, by its telemetry; of several the worst."""
+        """Report whether a vehicle is at rest, by telemetry; for several, the worst state."""
         try:
             meant = self._meant(robot)
         except AdapterUnavailable as error:
@@ -154,31 +154,31 @@ class MavlinkBackend(BaseBackend):
         return MotionState(state.at_rest, f"{worst.name_in_texts}: {state.detail}", any_energised)
 
     def hold_stop(self, robot: str | None) -> None:
-        """Send again what keeps a vehicle stopped, where that is due."""
+        """Send the stop again, if due."""
         with suppress(AdapterUnavailable):  # it gets the stop as soon as it is heard
             for each in self._meant(robot):
                 each.stop.hold_stop()
 
     async def hold(self, robot: str | None) -> None:
-        """Have a vehicle hold its place, in the air; on the ground there is nothing to hold."""
+        """Command a vehicle in the air to hold its position; nothing to do on the ground."""
         await self._each(robot, lambda r: r.stop.hold())
 
     async def recover(self, robot: str | None) -> str:
-        """Do what `on_loss` says with a vehicle that is heard again."""
+        """Apply `on_loss` to a vehicle that is connected again."""
         done = await self._each(robot, lambda r: r.recovery.run(self.on_loss))
         return "; ".join(done)
 
     def watchdogs(self) -> Sequence[Watchdog]:
-        """List what stops each vehicle when the gateway falls silent."""
+        """List what stops each vehicle if the gateway stops sending."""
         return [dog for r in self.robots.values() for dog in (*r.watchdogs.found, r.guard.watchdog)]
 
 
 @asynccontextmanager
 async def open_mavlink(config: MavlinkConfig, host: Host) -> AsyncGenerator[MavlinkBackend]:
-    """Open the links and wait for the first vehicle; leaving takes back what was asked for.
+    """Open the links and wait for the first vehicle; leaving restores its message rates.
 
-    :raises ConfigError: the dialect, or what describes the parameters, cannot be had.
-    :raises NotReady: a link cannot be opened, or no vehicle is heard.
+    :raises ConfigError: the dialect or the parameter metadata cannot be loaded.
+    :raises NotReady: a link cannot be opened, or no vehicle is connected.
     """
     messages = await asyncio.to_thread(dialect, config.dialect)
     await asyncio.to_thread(checked, config.parameters)

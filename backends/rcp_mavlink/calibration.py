@@ -1,4 +1,4 @@
-"""What is done with a vehicle on the ground: its sensors are calibrated."""
+"""Calibration of the sensors, on the ground."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The camera: by the camera protocol (v2) where there is one, else by the trigger of old."""
+"""The camera: by the camera protocol (v2) if supported, otherwise by the legacy trigger."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Cameras:
         self._sequence = itertools.count(1)
 
     async def photo(self, _: None, progress: Progress) -> m.Photo:
-        """Take a picture; done when the camera says so."""
+        """Take a picture; completes when the camera confirms it."""
         camera = self._camera if self._camera is not None else await self._find()
         if camera is None:
             return await self._taken(Command(_TRIGGER, x=1.0))
@@ -44,7 +44,7 @@ class Cameras:
         )
 
     async def _find(self) -> int | None:
-        """Return the component that is a camera and takes pictures; None: there is none."""
+        """Return the component of a camera that takes pictures; None if there is none."""
         dialect = self._hub.dialect.by_name
         if _INFORMATION not in dialect or _CAPTURED not in dialect:
             return None
@@ -73,7 +73,7 @@ class Cameras:
         return bool(found) and bool(found[0].fields()["flags"] & _CAN_CAPTURE)
 
     async def _taken(self, command: Command) -> m.Photo:
-        """Send a command and return the picture of which the camera says that it was taken."""
+        """Send a command and return the picture that the camera confirms."""
         reply: asyncio.Future[Frame] = asyncio.get_running_loop().create_future()
 
         def take(frame: Frame) -> None:

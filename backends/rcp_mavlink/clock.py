@@ -1,4 +1,4 @@
-"""When a vehicle measured what it says: its clock counts from its start, TIMESYNC tells from when."""
+"""Time of measurement: the vehicle's clock counts from boot, TIMESYNC gives the offset."""
 
 from __future__ import annotations
 
@@ -15,21 +15,21 @@ _WORSE = 1.2  # by which the best answer loses its weight each time, so that dri
 
 
 class Clock:
-    """The clock of one vehicle beside ours."""
+    """The offset of a vehicle's clock to ours."""
 
     def __init__(self) -> None:
         self._offset: int | None = None
-        """Our time (ns) when its clock was 0."""
+        """Our time (ns) at which its clock was 0."""
         self._best = 0.0
         self._requested = 0
 
     def request(self) -> int:
-        """Return what `ts1` of a request is."""
+        """Return `ts1` for a new request."""
         self._requested = time.time_ns()
         return self._requested
 
     def on_reply(self, theirs: int, requested: int) -> None:
-        """Take an answer to the latest request: what took the shortest way is the nearest."""
+        """Handle the reply to the latest request: the shortest round trip is the most accurate."""
         took = time.time_ns() - requested
         if theirs == 0 or requested != self._requested or not 0 <= took <= _SLOWEST:
             return
@@ -41,16 +41,16 @@ class Clock:
         self._offset = requested + took // 2 - theirs
 
     def on_system_time(self, unix: int, booted: int) -> None:
-        """Take SYSTEM_TIME (us, ms) of a vehicle that answers no TIMESYNC."""
+        """Handle SYSTEM_TIME (us, ms) of a vehicle that does not answer TIMESYNC."""
         if unix > _UNIX and not self._best:
             self._offset = unix * 1000 - booted * 1_000_000
 
     def forget(self) -> None:
-        """Know nothing of it: it has begun anew."""
+        """Reset: the vehicle has rebooted."""
         self._offset, self._best, self._requested = None, 0.0, 0
 
     def of(self, frame: Frame) -> int | None:
-        """Return when a message was measured, ns since 1970; None: that is not known."""
+        """Return the time of measurement of a message, ns since 1970; None if unknown."""
         stamp = frame.definition.stamp
         if stamp is None:
             return None

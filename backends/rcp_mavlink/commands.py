@@ -1,4 +1,4 @@
-"""Commands: sent until they are acknowledged; a refusal carries its result and its reasons in words."""
+"""Commands: sent until acknowledged; a refusal carries its result and the vehicle's reasons."""
 
 from __future__ import annotations
 
@@ -39,11 +39,11 @@ _RELATIVE = 6
 _REMEDY = "Fix what the vehicle reports and try again; sensor/prearm shows whether it can be armed."
 _NO_REASON = "The vehicle gave no reason; check sensor/state, sensor/mode and event/statustext."
 _QUESTIONS = frozenset({401, 510, 511, 512})
-"""Commands that ask for messages or reasons, and move nothing."""
+"""Commands that only request messages or reasons, and move nothing."""
 
 
 class Command(msgspec.Struct, frozen=True):
-    """One command; the place is for those that have one."""
+    """One command, with a position if it has one."""
 
     number: int
     params: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
@@ -57,7 +57,7 @@ class Command(msgspec.Struct, frozen=True):
     whole: bool = False
     """Send it as COMMAND_INT from the start."""
     component: int | None = None
-    """Whom it is for; None is the autopilot."""
+    """Target component; None is the autopilot."""
 
 
 def mode_command(family: Family, mode: str) -> Command:
@@ -74,13 +74,13 @@ def mode_command(family: Family, mode: str) -> Command:
 
 
 class Commands:
-    """Sends the commands of one vehicle; those of one number take turns."""
+    """Sends the commands of one vehicle; commands with the same number are serialized."""
 
     def __init__(self, hub: Hub, vehicle: Vehicle) -> None:
         self._hub, self._vehicle = hub, vehicle
         self._turns: dict[int, asyncio.Lock] = defaultdict(asyncio.Lock)
         self._orphans: dict[int, float] = {}
-        """Commands whose answer may still come though nobody waits for it, and until when."""
+        """Abandoned commands whose reply may still arrive, and until when."""
 
     async def send(
         self, command: Command, what: str, progress: Callable[[float], None] | None = None
@@ -88,8 +88,8 @@ class Commands:
         """Send a command and wait until it is accepted, which is not yet done.
 
         :raises DeviceRejected: it is refused.
-        :raises DeviceTimeout: there is no answer.
-        :raises EstopActive: the vehicle was stopped since the request that wants this.
+        :raises DeviceTimeout: there is no response.
+        :raises EstopActive: the vehicle was stopped after the request.
         """
         self._vehicle.check()
         started = time.monotonic()
@@ -108,9 +108,9 @@ class Commands:
             await self._refuse(command, what, result, started)
 
     def send_once(self, command: Command) -> None:
-        """Send a command once, and do not wait for an answer.
+        """Send a command once, without waiting for a reply.
 
-        :raises EstopActive: the vehicle was stopped since the request that wants this.
+        :raises EstopActive: the vehicle was stopped after the request.
         """
         _check_fence(command)
         self._hub.send(self._vehicle, self._message(command, 0, whole=command.whole))
@@ -123,7 +123,7 @@ class Commands:
         *,
         whole: bool,
     ) -> int:
-        """Send it until it is answered; return the MAV_RESULT."""
+        """Send it until it is acknowledged; return the MAV_RESULT."""
         answers: asyncio.Queue[tuple[int, int]] = asyncio.Queue()
         own = self._hub.config.source_system
         to = self._vehicle.component if command.component is None else command.component

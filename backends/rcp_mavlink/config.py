@@ -1,4 +1,4 @@
-"""The configuration of one MAVLink backend: its links, the vehicles behind them, its patience."""
+"""The configuration of one MAVLink backend: links, vehicles and time-outs."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ class LinkSpec(Struct, frozen=True):
 
     kind: str
     host: str
-    """Or the device, or the kind of vehicle that is simulated."""
+    """Or the device, or the type of the simulated vehicle."""
     port: int
-    """Or the bits a second."""
+    """Or the baud rate."""
 
     @classmethod
     def of(cls, text: str) -> LinkSpec:
@@ -53,79 +53,79 @@ class TwinConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
         Annotated[float, Meta(ge=-180, le=180, extra_json_schema={"unit": "deg"})],
         Annotated[float, Meta(extra_json_schema={"unit": "m"})],
     ] = (-35.3632621, 149.1652374, 584.0)
-    """Latitude, longitude and height above the sea of where the first one stands."""
+    """Latitude, longitude and height above sea level of the first vehicle."""
     heading: Annotated[float, Meta(ge=-360, le=360, extra_json_schema={"unit": "deg"})] = 0.0
     warmup: Annotated[float, Meta(ge=0, le=600, extra_json_schema={"unit": "s"})] = 40.0
-    """From boot until it can be armed in a mode that flies by position."""
+    """Time from boot until it can be armed in a mode that requires a position."""
     speed: Annotated[float, Meta(gt=0, le=50, extra_json_schema={"unit": "1"})] = 1.0
-    """Simulated seconds in a real one."""
+    """Simulated seconds per real second."""
     wind: tuple[float, float] = (0.0, 0.0)
-    """Where it blows to, m/s north and east."""
+    """Direction it blows towards, m/s north and east."""
     charge: Annotated[float, Meta(ge=0, le=1, extra_json_schema={"unit": "1"})] = 1.0
-    """Of the battery at first."""
+    """Initial charge of the battery."""
     noise: Annotated[float, Meta(ge=0, le=10, extra_json_schema={"unit": "1"})] = 1.0
-    """Of the sensors, times the usual one."""
+    """Scale of the sensor noise."""
     seed: int = 0
-    """Of the noise."""
+    """Seed of the noise."""
     parameters: dict[str, float] = {}
-    """Other values of the vehicle's parameters than usual."""
+    """Values of the vehicle's parameters that differ from the defaults."""
 
 
 class MavlinkConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Links, and the vehicles that are heard over them."""
+    """Links and the vehicles connected to them."""
 
     links: Annotated[tuple[str, ...], Meta(min_length=1)] = ("udpin:127.0.0.1:14550",)
     dialect: str = "ardupilotmega"
     """A dialect of pymavlink, or the path of an XML file."""
     system: SystemId | None = None
-    """The vehicle that is the robot; None takes the first that is heard."""
+    """System id of the vehicle; None takes the first that sends a heartbeat."""
     discover: bool = False
-    """Every vehicle that is heard becomes a robot of its own, below its name."""
+    """Each vehicle that sends a heartbeat becomes a separate robot, below its name."""
     names: dict[str, str] = {}
     """Names of discovered vehicles by system id; `vehicle<id>` without one."""
     key: str | None = None
-    """Passphrase or 64 hexadecimal digits: sign what is sent, take only what is signed."""
+    """Passphrase or 64 hexadecimal digits: sign messages, accept only signed ones."""
     source_system: SystemId = 255
-    """Of the gateway itself; ArduPilot heeds the ground station that MAV_GCS_SYSID names."""
+    """System id of the gateway; ArduPilot accepts the ground station set in MAV_GCS_SYSID."""
     source_component: SystemId = 190
     params: tuple[str, ...] = ("*",)
-    """Patterns of the parameters that get a path."""
+    """Patterns of parameters to expose."""
     parameters: str | None = None
-    """What the autopilot publishes of its parameters: a file `apm.pdef.xml` or `parameters.json`, or
+    """The autopilot's parameter metadata: a file `apm.pdef.xml` or `parameters.json`, or
     `ftp:` and its path on board."""
     messages: tuple[str, ...] = ()
-    """Patterns of further messages of the dialect that get a path: `VIBRATION`, `GPS*`."""
+    """Patterns of additional messages of the dialect to expose: `VIBRATION`, `GPS*`."""
     rate: Annotated[float, Meta(ge=1, le=50, extra_json_schema={"unit": "Hz"})] = 4.0
-    """Of what the gateway itself needs: position, landed state, health."""
+    """Rate of the messages that the gateway itself needs: position, landed state, health."""
     timeout: Seconds = 0.6
-    """For an answer, before it is asked again."""
+    """Time-out for a response, before a retry."""
     retries: Annotated[int, Meta(ge=0, le=10)] = 2
     silence: Seconds = 3.5
-    """Without a message, after which a vehicle counts as lost."""
+    """Time without a message after which a vehicle counts as lost."""
     connect: Seconds = 4.0
-    """For the first heartbeat, when the gateway starts."""
+    """Time-out for the first heartbeat, when the gateway starts."""
     estop: Literal["hold", "land", "disarm"] = "hold"
-    """What an e-stop does first in the air; `disarm` lets it fall."""
+    """First step of an e-stop in the air; with `disarm`, the vehicle falls."""
     estop_fallback: tuple[Literal["hold", "level", "land"], ...] = ("hold", "level", "land")
-    """What is tried next, in this order, where the autopilot refuses, or it does not come to rest."""
+    """Further steps, in this order, if the autopilot refuses or the vehicle does not come to rest."""
     estop_timeout: Seconds = 10.0
-    """In which one step of the stop has to bring it to rest before the next one is tried."""
+    """Time for a step of the stop to bring it to rest, before the next step."""
     estop_terminate: bool = False
-    """Terminate the flight (the motors stop) where nothing else has brought it to rest."""
+    """Terminate the flight (the motors stop) if nothing else has brought it to rest."""
     on_loss: Literal["hold", "continue", "land", "return"] = "hold"
-    """What becomes of a vehicle whose command ended with its link, once it is heard again."""
+    """What to do when the link is restored with a vehicle whose command ended with the link."""
     watchdog: Literal["check", "set", "off"] = "check"
-    """The vehicle's own failsafes for a silent gateway: read and warn, or set them where there are none."""
+    """The vehicle's failsafes for a silent gateway: read and warn, or enable those that are off."""
     feedback_timeout: Seconds | None = None
-    """Age of a position beyond which the vehicle is not moved; None: four of `rate`, 1 s at least."""
+    """Maximum age of a position for motion; None: four periods of `rate`, at least 1 s."""
     twin: TwinConfig = TwinConfig()
-    """Of the vehicles that `sim:` links simulate."""
+    """Settings of the vehicles behind `sim:` links."""
     max_speed: Annotated[float, Meta(gt=0, le=100, extra_json_schema={"unit": "m/s"})] = 15.0
-    """Bound of `actuator/velocity`."""
+    """Limit of `actuator/velocity`."""
 
     @property
     def feedback_limit(self) -> float:
-        """The age of a position beyond which the vehicle is not moved, s."""
+        """Maximum age of a position for motion, s."""
         # Four in a row: one or two get lost on any radio, and at 4 Hz a second has passed then.
         return self.feedback_timeout or max(1.0, 4 / self.rate)
 

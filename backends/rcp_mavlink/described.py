@@ -1,4 +1,4 @@
-"""Where it is known from what parameters mean: a file of the operator's, or one on board."""
+"""Parameter metadata, from a local file or a file on board."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _LARGEST = 32 << 20  # bytes
 
 
 def checked(source: str | None) -> None:
-    """Make sure that a file is there and can be read.
+    """Check that a file exists and can be read.
 
     :raises ConfigError: it is not, or holds something else.
     """
@@ -31,14 +31,14 @@ def checked(source: str | None) -> None:
 
 
 class Described:
-    """What the parameters of one vehicle mean; without a source, nothing is published of them."""
+    """Metadata of one vehicle's parameters; empty without a source."""
 
     def __init__(self, source: str | None, files: Files) -> None:
         self._source, self._files = source, files
         self._known: Mapping[str, About] = {}
 
     async def load(self) -> Mapping[str, About]:
-        """Return what is published; what is on board is read once."""
+        """Return the metadata; an on-board file is read once."""
         source = self._source
         if source is None or self._known:
             return self._known

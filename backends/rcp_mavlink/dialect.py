@@ -1,4 +1,4 @@
-"""The messages of a dialect, from the classes that pymavlink generated of its XML."""
+"""The messages of a dialect, from the classes that pymavlink generates from its XML."""
 
 from __future__ import annotations
 
@@ -41,11 +41,11 @@ _NEEDED = {
     "PARAM_REQUEST_READ", "PARAM_SET", "PARAM_VALUE", "SET_ATTITUDE_TARGET",
     "SET_POSITION_TARGET_LOCAL_NED", "STATUSTEXT", "SYS_STATUS",
 }  # fmt: skip
-"""Messages without which there is no leading a vehicle."""
+"""Messages required to control a vehicle."""
 
 
 class Definition:
-    """One message of a dialect: how it is taken apart, and its type in the tree."""
+    """One message of a dialect: its decoding and its type in the tree."""
 
     def __init__(self, module: Any, cls: Any) -> None:
         self.cls = cls
@@ -58,7 +58,7 @@ class Definition:
 
     @cached_property
     def description(self) -> str:
-        """What the dialect says of it, as sentences."""
+        """Its description in the dialect."""
         text = re.sub(r"\s+", " ", self.cls.__doc__ or "").strip()
         return text if text.endswith(".") else f"{text or self.name}."
 
@@ -92,7 +92,7 @@ class Definition:
         return None
 
     def _words(self, field: str) -> dict[int, str] | None:
-        """Return the words of a field that is one of several; None for numbers and bits."""
+        """Return the names of an enumeration field; None for numbers and bit masks."""
         name = self.cls.fieldenums_by_name.get(field)
         entries = self._module.enums.get(name)
         if entries is None or entries.bitmask:
@@ -113,7 +113,7 @@ class Definition:
         return making(self.type, self.fields)
 
     def decode(self, payload: bytes) -> Any:
-        """Return the value that a payload stands for, in the units of the tree."""
+        """Return the value of a payload, in the units of the tree."""
         return self._made(self.raw(payload))
 
     def fields_of(self, payload: bytes) -> dict[str, Any]:
@@ -127,7 +127,7 @@ class Definition:
         }
 
     def raw(self, payload: bytes) -> tuple[Any, ...]:
-        """Take a payload apart; the zeros that were left off are put back."""
+        """Decode a payload; truncated zeros are restored."""
         return self.unpack(payload[: self.size].ljust(self.size, b"\0"))
 
 

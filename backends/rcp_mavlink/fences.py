@@ -1,4 +1,4 @@
-"""The fence on board, for errors: an autopilot refuses what lies outside it without a word."""
+"""The on-board fence, for errors: an autopilot refuses targets outside it without a text."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ _CEILING, _CIRCLE, _POLYGON, _FLOOR = 1, 2, 4, 8  # of FENCE_TYPE
 
 
 def is_enabled(vehicle: Vehicle) -> bool:
-    """Tell whether the vehicle says that its fence is on."""
+    """Tell whether the vehicle reports that its fence is enabled."""
     return bool(_bits(vehicle, "enabled"))
 
 
 def is_breached(vehicle: Vehicle) -> bool:
-    """Tell whether the vehicle says that it is outside its fence."""
+    """Tell whether the vehicle reports that it is outside its fence."""
     return is_enabled(vehicle) and not _bits(vehicle, "health")
 
 
@@ -31,7 +31,7 @@ def _bits(vehicle: Vehicle, which: str) -> int:
 def crossing(
     vehicle: Vehicle, parameters: Parameters, place: tuple[float, float], height: float
 ) -> str | None:
-    """Say which fence a place (deg) at a height over home (m) is outside of; None: of none known."""
+    """Describe the fence that a target (deg) at a height above home (m) violates; None if none."""
 
     def value(name: str) -> float | None:
         known = parameters.known.get(name)

@@ -39,7 +39,7 @@ Sum = Annotated[int, Meta(ge=0, le=_LARGEST, extra_json_schema={"unit": "1"})]
 
 
 class FilePath(Struct, frozen=True, forbid_unknown_fields=True):
-    """Which file or directory on board."""
+    """Path of a file or directory on board."""
 
     path: Path
 
@@ -54,7 +54,7 @@ class Entry(Struct, frozen=True):
 
 
 class FileRange(Struct, frozen=True, forbid_unknown_fields=True):
-    """Which part of which file."""
+    """A range of a file."""
 
     path: Path
     offset: Bytes = 0
@@ -72,7 +72,7 @@ class FilePiece(Struct, frozen=True):
 
 
 class FileWrite(Struct, frozen=True, forbid_unknown_fields=True):
-    """What to write where; from 0 on the file is made anew, elsewhere it must be there."""
+    """Data and offset; offset 0 creates the file, any other requires that it exists."""
 
     path: Path
     data: Annotated[bytes, Meta(max_length=MOST)]
@@ -80,12 +80,12 @@ class FileWrite(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Written(Struct, frozen=True):
-    """How long the file is now, as far as it was written."""
+    """Length of the file as written so far."""
 
     path: str
     size: Bytes
     crc: Sum | None
-    """Of the whole file on board; None: the vehicle does not count it."""
+    """CRC of the whole file on board; None if the vehicle does not compute it."""
 
 
 class Check(Struct, frozen=True):
@@ -104,7 +104,7 @@ class Remove(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Rename(Struct, frozen=True, forbid_unknown_fields=True):
-    """What is to be called otherwise."""
+    """A file to rename."""
 
     path: Path
     to: Path
@@ -122,7 +122,7 @@ class Files:
         self._ftp = Ftp(hub, vehicle)
 
     def verbs(self) -> dict[str, Verb]:
-        """Return what each path runs."""
+        """Return the handler of each path."""
         return {
             "service/ftp/list": self.list,
             "service/ftp/read": self.read,
@@ -165,7 +165,7 @@ class Files:
         return FilePiece(given.path, given.offset, last < stop or last == size, data)
 
     async def write(self, given: FileWrite, progress: Progress) -> Written:
-        """Write a part of a file; done when the vehicle's own sum agrees, where it counts one."""
+        """Write a part of a file; completes when the vehicle's CRC matches, if it computes one."""
         what, path = f"writing {given.path}", _encoded(given.path)
         ftp, data = self._ftp, given.data
         op = Op.OPEN_TO_WRITE if given.offset else Op.CREATE
@@ -187,7 +187,7 @@ class Files:
         return int.from_bytes(reply.data[:4], "little")
 
     async def crc(self, given: FilePath, _: Progress) -> Check:
-        """Have the vehicle count the sum of a file."""
+        """Return the CRC of a file from the vehicle."""
         what = f"CRC of {given.path}"
         async with self._ftp.turn():
             reply = await self._ftp.do(Op.CRC, what, _encoded(given.path), wait=_COUNTING)
@@ -205,7 +205,7 @@ class Files:
         )
 
     async def rename(self, given: Rename, _: Progress) -> None:
-        """Call a file otherwise."""
+        """Rename a file."""
         both = _encoded(given.path) + b"\0" + _encoded(given.to)
         if len(both) > PIECE:
             raise InvalidValue(f"both paths together are longer than {PIECE - 1} bytes")

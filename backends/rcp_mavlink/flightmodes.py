@@ -1,4 +1,4 @@
-"""The names of flight modes: numbers mean something else for each autopilot and kind of vehicle."""
+"""Names of flight modes: numbers depend on the autopilot and the type of vehicle."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _ATTITUDE = "actuator/attitude"
 
 
 class Family(NamedTuple):
-    """What vehicles of one kind have in common."""
+    """Common properties of one type of vehicle."""
 
     autopilot: str
     """`ardupilot`, `px4` or `unknown`."""
@@ -36,7 +36,7 @@ class Family(NamedTuple):
     """`copter`, `plane`, `vtol`, `rover`, `boat` or `sub`."""
     modes: dict[int, str]
     guided: str
-    """The mode in which it goes to a place it is told."""
+    """The mode in which it goes to a target."""
     led: str
     """The mode in which it follows set-points."""
     hold: str
@@ -47,7 +47,7 @@ class Family(NamedTuple):
     land: str
     """Likewise."""
     without: frozenset[str] = frozenset()
-    """Names that make no sense for it."""
+    """Resources that it does not have."""
 
     @property
     def px4(self) -> bool:
@@ -56,21 +56,21 @@ class Family(NamedTuple):
 
     @property
     def flies(self) -> bool:
-        """Whether it has to be in the air to go anywhere."""
+        """Whether it must be in the air to go to a target."""
         return self.kind in ("copter", "plane", "vtol")
 
     @property
     def circles(self) -> bool:
-        """Whether it stays at a place by circling round it."""
+        """Whether it holds a position by circling around it."""
         return self.kind in ("plane", "vtol")
 
     @property
     def drives(self) -> bool:
-        """Whether it stays on the ground or on the water, and height is nothing to it."""
+        """Whether it is a ground or water vehicle, for which height is ignored."""
         return self.kind in ("rover", "boat")
 
     def holding(self, *, hovering: bool) -> tuple[str, ...]:
-        """List the modes that hold its place, the strongest first; all need a position."""
+        """List the modes that hold its position, strongest first; all require a position."""
         if self.px4:
             return (self.hold,)
         match self.kind:
@@ -121,7 +121,7 @@ class Family(NamedTuple):
 
 @lru_cache(maxsize=256)
 def family(autopilot: int, type_: int) -> Family:
-    """Return the family of a vehicle, by what its heartbeat says."""
+    """Return the family of a vehicle from its heartbeat."""
     kind = _KINDS.get(type_, "copter")
     if autopilot == _PX4_AUTOPILOT:
         return _of_px4(kind)

@@ -1,4 +1,4 @@
-"""Taking off, coming back, landing: done when telemetry shows it, told meanwhile."""
+"""Take-off, return and landing: completed when telemetry confirms it, with progress."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _HOME = 5.0  # m from home that count as there, for what drives
 
 
 class Flights:
-    """Where one vehicle is told to go."""
+    """Flights of one vehicle."""
 
     def __init__(
         self, vehicle: Vehicle, commands: Commands, motion: Motion, parameters: Parameters
@@ -33,7 +33,7 @@ class Flights:
         self._journeys = Journeys(vehicle, commands, motion, parameters)
 
     def verbs(self) -> dict[str, Callable[[Any, Progress], Awaitable[Any]]]:
-        """Return what each path runs."""
+        """Return the handler of each path."""
         return {
             "action/takeoff": self.take_off,
             "action/land": self.land,
@@ -44,7 +44,7 @@ class Flights:
     # Up
 
     async def take_off(self, given: m.TakeOff | None, progress: Progress) -> m.Height:
-        """Rise to a height over home."""
+        """Climb to a height above home."""
         vehicle, altitude = self._vehicle, (given or m.TakeOff()).altitude
         if not vehicle.armed:
             raise PreconditionFailed("take-off: the vehicle is not armed", remedy="Arm it first.")
@@ -86,11 +86,11 @@ class Flights:
     # Back
 
     async def land(self, _: None, progress: Progress) -> m.Height:
-        """Come down where it is."""
+        """Land at the current position."""
         return await self._come_down(self._vehicle.family.land, "land", progress)
 
     async def rtl(self, _: None, progress: Progress) -> m.Height:
-        """Come home: a copter lands there, a plane circles, a rover stops."""
+        """Return home: a copter lands there, a plane circles, a rover stops."""
         return await self._come_down(self._vehicle.family.rtl, "return", progress)
 
     async def _come_down(self, mode: str, what: str, progress: Progress) -> m.Height:
@@ -121,6 +121,6 @@ class Flights:
         return math.inf if home is None else distance((fix.lat, fix.lon), home[:2])
 
     def _left(self, fix: Fix, what: str) -> float:
-        """Return how far it still has to go; never 0, because parts are made of it."""
+        """Return the remaining distance; never 0, because it is a divisor."""
         away = self._from_home(fix) if what == "return" else 0.0
         return max(0.1, math.hypot(0.0 if math.isinf(away) else away, fix.height))

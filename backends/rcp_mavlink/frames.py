@@ -1,4 +1,4 @@
-"""Bytes to frames: checked, counted, and taken apart only when somebody looks."""
+"""Bytes to frames: checked, counted, and decoded only when needed."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _UNSIGNED = frozenset({109})
 
 
 class Frame:
-    """One message as it came; `decode` is for whoever wants its value."""
+    """One received message; `decode` returns its value."""
 
     __slots__ = ("component", "data", "definition", "payload", "system")
 
@@ -40,7 +40,7 @@ class Frame:
 
 
 class Stats:
-    """What came over one link."""
+    """Reception statistics of one link."""
 
     __slots__ = ("bad", "bytes", "frames", "lost", "rejected", "sent", "unknown", "unsigned")
 
@@ -51,15 +51,15 @@ class Stats:
         self.unknown = 0
         """Frames of messages that are not in the dialect."""
         self.lost = 0
-        """Frames that are missing in the senders' counts."""
+        """Frames missing in the senders' sequence numbers."""
         self.unsigned = 0
-        """Frames without a signature where there has to be one."""
+        """Frames without a required signature."""
         self.rejected = 0
         """Frames that were signed with another key, or a second time."""
 
 
 class Framer:
-    """Finds the frames in what comes over one link."""
+    """Extracts the frames from the bytes of one link."""
 
     def __init__(self, dialect: Dialect, signing: Signing | None) -> None:
         from fastcrc.crc16 import mcrf4xx
@@ -72,11 +72,11 @@ class Framer:
         self.stats = Stats()
 
     def reset(self) -> None:
-        """Forget what was begun, as after a reconnection."""
+        """Discard partial frames, as after a reconnection."""
         self._left = b""
 
     def datagram(self, data: bytes) -> list[Frame]:
-        """Return the frames of a datagram; what is cut off in it is lost."""
+        """Return the frames of a datagram; a truncated one is lost."""
         found, at = self._frames(data)
         self.stats.bad += len(data) - at
         return found

@@ -1,4 +1,4 @@
-"""MAVLink FTP as its specification has it: requests that are answered, bursts, gaps that are filled."""
+"""MAVLink FTP client: requests, bursts, and retransmission of gaps."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class Op:
 
 
 class Reply(NamedTuple):
-    """One message of the vehicle."""
+    """One reply of the vehicle."""
 
     seq: int
     session: int
@@ -92,7 +92,7 @@ class Ftp:
 
     @asynccontextmanager
     async def turn(self) -> AsyncGenerator[None]:
-        """Have the vehicle's attention while entered."""
+        """Lock the vehicle's FTP while entered."""
         async with self._turn:
             with self._vehicle.listening("FILE_TRANSFER_PROTOCOL", self._take):
                 yield
@@ -133,9 +133,9 @@ class Ftp:
         size: int | None = None,
         wait: float = 0.0,
     ) -> Reply:
-        """Send a request until it is answered, each time under the same number.
+        """Send a request until it is answered, with the same sequence number.
 
-        :raises DeviceTimeout: there is no answer.
+        :raises DeviceTimeout: there is no response.
         """
         config, seq = self._hub.config, self._next()
         pause = max(wait, config.timeout)
@@ -167,9 +167,9 @@ class Ftp:
         *,
         wait: float = 0.0,
     ) -> Reply:
-        """Send a request and have it granted.
+        """Send a request that must succeed.
 
-        :raises InvalidValue: there is no such file.
+        :raises InvalidValue: no such file.
         :raises DeviceRejected: it is refused.
         """
         reply = await self.request(op, session, offset, data, wait=wait)
@@ -199,7 +199,7 @@ class Ftp:
     async def read(
         self, session: int, gaps: Gaps, what: str, on_progress: Callable[[float], None]
     ) -> None:
-        """Fill the gaps: by bursts where much is missing, by single requests where little is."""
+        """Fill the gaps: large ones by bursts, small ones by single requests."""
         gently = False
         while (gap := gaps.first()) is not None:
             start, stop = gap
@@ -219,7 +219,7 @@ class Ftp:
     async def _one_burst(
         self, session: int, start: int, gaps: Gaps, on_progress: Callable[[float], None]
     ) -> bool:
-        """Have the vehicle send all it can from a place on; tell whether more of that is wanted."""
+        """Request a burst from an offset; return whether more is needed."""
         seq = self._next()
         arrived, over = asyncio.Event(), False
         fresh = 0
@@ -264,7 +264,7 @@ class Ftp:
         what: str,
         on_progress: Callable[[float], None],
     ) -> None:
-        """Write at a place; several pieces are on their way at once."""
+        """Write at an offset, with several pieces in flight."""
         written = 0
 
         async def work(pieces: Iterator[int]) -> None:

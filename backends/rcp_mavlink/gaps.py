@@ -1,4 +1,4 @@
-"""What of a range of bytes has come, in whatever order, and what is missing."""
+"""Received and missing parts of a range of bytes."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class Gaps:
         return self._missing[0] if self._missing else None
 
     def add(self, at: int, piece: bytes) -> int:
-        """Put in what came; return how much of it was missing."""
+        """Add received bytes; return how many of them were missing."""
         missing, fresh = self._missing, 0
         stop = at + len(piece)
         place = max(0, bisect_right(missing, (at, self._stop)) - 1)

@@ -1,4 +1,4 @@
-"""Between geographic coordinates and metres round a point: flat, good for the range of a drone."""
+"""Conversion between geographic coordinates and metres around a point, on a flat earth."""
 
 from __future__ import annotations
 

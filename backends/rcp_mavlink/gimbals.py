@@ -1,4 +1,4 @@
-"""The gimbal: by its manager where there is one (protocol v2), else as a mount of old."""
+"""The gimbal: by its manager (protocol v2) if there is one, otherwise as a legacy mount."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class Gimbals:
         self._manager: Frame | None = None
 
     async def turn(self, given: m.Gimbal, progress: Progress) -> m.Gimbal:
-        """Turn the camera; done when the gimbal says that it looks there."""
+        """Point the camera; completes when the gimbal confirms the direction."""
         manager = self._manager or await self._find()
         if manager is None:
             return await self._turn_mount(given)
@@ -91,7 +91,7 @@ class Gimbals:
             return await self._until(given, _STATUS, lambda: looks[0] if looks else None)
 
     def _seen(self, f: dict[str, Any]) -> m.Gimbal:
-        """Return where it looks, from where the vehicle looks."""
+        """Return its direction relative to the vehicle."""
         w, x, y, z = f["q"]
         pitch = math.asin(max(-1.0, min(1.0, 2 * (w * y - z * x))))
         yaw = math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
@@ -130,7 +130,7 @@ class Gimbals:
     async def _until(
         self, given: m.Gimbal, message: str, looks: Callable[[], m.Gimbal | None]
     ) -> m.Gimbal:
-        """Wait until it looks there; return where it looks.
+        """Wait until it points there; return its direction.
 
         :raises DeviceTimeout: it does not, or does not say.
         """

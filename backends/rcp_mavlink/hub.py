@@ -1,4 +1,4 @@
-"""All links and all vehicles: frames to whom they belong, messages by the way that was heard last."""
+"""All links and vehicles: routes frames to vehicles, and messages over the last active link."""
 
 from __future__ import annotations
 
@@ -34,15 +34,15 @@ class _Sink:
 
 
 class Hub:
-    """Where links and vehicles meet."""
+    """Router between links and vehicles."""
 
     def __init__(self, config: MavlinkConfig, dialect: Dialect) -> None:
         self.config, self.dialect = config, dialect
         self.vehicles: dict[int, Vehicle] = {}
         self.found: Callable[[Vehicle], None] = lambda _: None
-        """Called with each vehicle that is heard for the first time."""
+        """Called with each newly detected vehicle."""
         self.changed: Callable[[Vehicle], None] = lambda _: None
-        """Called when one is lost, and when it is heard again."""
+        """Called when one is lost or connected again."""
         self._first = asyncio.Event()
         simulates = any(text.startswith("sim:") for text in config.links)
         self._patience = max(config.connect, STARTING) if simulates else config.connect
@@ -85,7 +85,7 @@ class Hub:
             vehicle.take(frame, now)
 
     def _new(self, frame: Frame) -> Vehicle | None:
-        """Return the vehicle that a first heartbeat speaks for; None: it is of no interest."""
+        """Return the vehicle of a first heartbeat; None if it is not relevant."""
         config = self.config
         if frame.definition.id != 0 or len(self.vehicles) >= _MOST:
             return None
@@ -104,7 +104,7 @@ class Hub:
     # Out
 
     def send(self, vehicle: Vehicle, message: Any) -> None:
-        """Send a message to a vehicle, over the way it was heard last."""
+        """Send a message to a vehicle over its last active link."""
         if vehicle.routes:
             link, address, _ = max(vehicle.routes.values(), key=lambda route: route[2])
             link.send(self._packed(link, message), address)
@@ -115,7 +115,7 @@ class Hub:
         return sink.frame
 
     def beat(self) -> None:
-        """Send a heartbeat over every link: that is how a vehicle learns of the gateway."""
+        """Send a heartbeat over every link, by which vehicles detect the gateway."""
         message = self.dialect.module.MAVLink_heartbeat_message(
             _GROUND_STATION, _NO_AUTOPILOT, 0, 0, 4, 3
         )
@@ -125,7 +125,7 @@ class Hub:
     # Life
 
     async def run(self) -> None:
-        """Send heartbeats and see who has fallen silent, until cancelled."""
+        """Send heartbeats and detect lost vehicles, until cancelled."""
         due = 0.0
         while True:
             now = time.monotonic()
@@ -139,7 +139,7 @@ class Hub:
             await asyncio.sleep(min(_BEAT, self.config.silence) / 4)
 
     def silent(self, vehicle: Vehicle) -> str:
-        """Say that nothing is heard of a vehicle, and what is known of why."""
+        """Describe a lost vehicle, with the known causes."""
         errors = [f"{link.text}: {link.error}" for link in self.links if link.error]
         why = f" ({'; '.join(errors)})" if errors else ""
         return f"no message from vehicle {vehicle.system} for {self.config.silence:g} s{why}"
@@ -147,7 +147,7 @@ class Hub:
     async def first(self) -> None:
         """Wait for the first vehicle.
 
-        :raises NotReady: none is heard in time.
+        :raises NotReady: none is connected in time.
         """
         try:
             async with asyncio.timeout(self._patience):

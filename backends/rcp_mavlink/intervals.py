@@ -1,4 +1,4 @@
-"""How often each message is wanted, told to the vehicle, and taken back when nobody wants it."""
+"""Message rates: requested from the vehicle, and restored when nobody needs them."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ FASTEST = 50.0  # Hz, for those who want all there is
 
 
 class Intervals:
-    """The wanted rates of one vehicle, by message."""
+    """The requested rates of one vehicle, by message."""
 
     def __init__(self, vehicle: Vehicle, commands: Commands, base: dict[str, float]) -> None:
         self._vehicle, self._commands, self._base = vehicle, commands, base
@@ -28,7 +28,7 @@ class Intervals:
         """Messages that the vehicle does not send."""
 
     def want(self, message: str, rate: float) -> Callable[[], None]:
-        """Ask for a message at a rate; return how that is taken back."""
+        """Request a message at a rate; return a function that withdraws the request."""
         wishes = self._wishes.setdefault(message, [])
         wishes.append(rate)
         self._adjust(message)
@@ -42,18 +42,18 @@ class Intervals:
         return unwant
 
     def _rate(self, message: str) -> float:
-        """Return the rate that is wanted; 0: the vehicle's own."""
+        """Return the requested rate; 0: the vehicle's own."""
         return max([*self._wishes.get(message, ()), self._base.get(message, 0.0)])
 
     def begin(self) -> None:
-        """Ask for everything, at first and when the vehicle has begun anew."""
+        """Request everything, at the start and after a reboot of the vehicle."""
         self._requested.clear()
         self.refused.clear()
         for message in {*self._base, *self._wishes}:
             self._adjust(message)
 
     def _adjust(self, message: str) -> None:
-        """Have the vehicle told, if it is not being told already."""
+        """Send the request to the vehicle, unless this is already in progress."""
         settled = self._requested.get(message, 0.0) == self._rate(message)
         if self._closed or settled or message in self._tasks:
             return
@@ -76,7 +76,7 @@ class Intervals:
             self._requested[message] = rate
 
     async def request(self, message: str) -> None:
-        """Ask for one message now.
+        """Request one message now.
 
         :raises DeviceRejected: the vehicle does not have it.
         """
@@ -86,7 +86,7 @@ class Intervals:
         )
 
     async def close(self) -> None:
-        """Take everything back that was asked for, without waiting whether that is heard."""
+        """Withdraw all requests, without waiting for confirmation."""
         self._closed = True
         for task in list(self._tasks.values()):
             task.cancel()

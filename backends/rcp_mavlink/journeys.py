@@ -1,4 +1,4 @@
-"""Going to a place at a speed and with a heading: each verified by what the telemetry shows."""
+"""Flights to a target with speed and heading, verified by telemetry."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ _MOST = ("AIRSPEED_MAX", "ARSPD_FBW_MAX")
 
 
 class Journeys:
-    """Where one vehicle goes to in the mode in which it is told."""
+    """Flights of one vehicle to targets."""
 
     def __init__(
         self, vehicle: Vehicle, commands: Commands, motion: Motion, parameters: Parameters
@@ -55,10 +55,10 @@ class Journeys:
         self._vehicle, self._commands = vehicle, commands
         self._motion, self._parameters = motion, parameters
         self._paced = False
-        """Whether a speed of a journey before may still be in force."""
+        """Whether the speed of an earlier flight may still be in force."""
 
     async def move_to(self, goal: m.MoveTo, progress: Progress) -> m.Arrived:
-        """Go to a place and stay there; a plane circles round it."""
+        """Go to a target and stay there; a plane circles around it."""
         vehicle, fix, family = self._vehicle, await located(self._vehicle), self._vehicle.family
         if family.flies and vehicle.landed is not False:
             raise PreconditionFailed(
@@ -93,7 +93,7 @@ class Journeys:
         return m.Arrived(now.lat, now.lon, now.height, error, pace.fastest, pace.heading)
 
     async def _follow(self, goal: m.MoveTo, pace: Pace, report: Callable[[], bool]) -> None:
-        """Wait until it is there; end it where it is not as it was asked for."""
+        """Wait until it arrives; abort if it deviates from the request."""
         vehicle, guided = self._vehicle, self._vehicle.family.guided
         if goal.yaw is not None and not vehicle.family.px4:
             await self._turn(goal.yaw)  # a new place has it look where it goes to
@@ -108,7 +108,7 @@ class Journeys:
             raise self._failure(pace, error) from None
 
     def _check(self, goal: m.MoveTo) -> None:
-        """Refuse what the vehicle could not do, before anything moves.
+        """Refuse what the vehicle cannot do, before anything moves.
 
         :raises InvalidValue: it has no heading of its own, or does not fly that fast or slow.
         """
@@ -161,7 +161,7 @@ class Journeys:
             await self._turn(goal.yaw)
 
     def _usual(self) -> float | None:
-        """Return the speed that its parameters say, m/s; None: they are not known."""
+        """Return the speed in its parameters, m/s; None if unknown."""
         for name, factor in _USUAL.get(self._vehicle.family.kind, _USUAL_HOVERING):
             if value := self._value((name,)):
                 return value * factor
@@ -214,7 +214,7 @@ class Journeys:
 
     @contextmanager
     def _explained(self, place: tuple[float, float], height: float) -> Generator[None]:
-        """Say of a refusal without words which fence stands in the way."""
+        """Name the fence that caused a refusal without a text."""
         try:
             yield
         except DeviceRejected as error:
@@ -230,7 +230,7 @@ class Journeys:
             ) from None
 
     def _failure(self, pace: Pace, error: DeviceRejected) -> DeviceRejected:
-        """Return what a journey fails with that ended on its way."""
+        """Return the error of a flight that ended early."""
         if pace.fault is not None:
             return DeviceRejected(
                 f"move_to: {pace.fault}; the vehicle was commanded to hold", details=error.details
@@ -244,7 +244,7 @@ class Journeys:
 
 @asynccontextmanager
 async def holding(motion: Motion) -> AsyncGenerator[None]:
-    """Have it hold where it is when the command is cancelled."""
+    """Hold the position when the command is cancelled."""
     try:
         yield
     except asyncio.CancelledError:

@@ -1,4 +1,4 @@
-"""The steps of a stop, the strongest first: what is tried when the autopilot refuses the one before."""
+"""The steps of a stop, strongest first: the next is used if the autopilot refuses the previous."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class Rung(NamedTuple):
     mode: str
     """The flight mode it commands; empty for those that stop the motors."""
     rests: Literal["still", "landed", "disarmed"]
-    """What telemetry has to show."""
+    """The state that telemetry must confirm."""
 
     @property
     def word(self) -> str:
@@ -31,7 +31,7 @@ _WORDS = {
     "hold": "NAV_LOITER_UNLIM", "disarm": "forced disarm", "terminate": "flight termination"
 }  # fmt: skip
 LOITER = Rung("hold", "", "still")
-"""For an autopilot whose modes are not known: no mode ever proves that it holds."""
+"""For an autopilot with unknown modes: no mode confirms that it holds."""
 
 
 def ladder(groups: Sequence[str], family: Family, *, hovering: bool) -> list[Rung]:

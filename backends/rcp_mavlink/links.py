@@ -1,4 +1,4 @@
-"""The links: UDP that waits or calls, TCP that waits or calls, a serial line. All on the loop."""
+"""The links: UDP and TCP, listening or connecting, and serial. All on the event loop."""
 
 from __future__ import annotations
 
@@ -35,22 +35,22 @@ class Link:
         self._make, self._take = make, take
         self.framer = make()
         self.framers: dict[Any, Framer] = {}
-        """Of each address; datagrams and connections of different senders do not mix."""
+        """Parser per address: data of different senders is kept apart."""
         self._transports: dict[Any, Any] = {}
         self._last_seen: dict[Any, float] = {}
         self._datagrams: asyncio.DatagramTransport | None = None
         self._server: asyncio.Server | None = None
         self._task: asyncio.Task[None] | None = None
         self.twin: dict[str, object] = {}
-        """What a simulated vehicle is made with."""
+        """Settings of a simulated vehicle."""
         self.joined: Callable[[], None] = lambda: None
-        """Called when somebody can be called who could not be before."""
+        """Called when a peer becomes reachable."""
         self.error: str | None = None
-        """Why it is not up."""
+        """The reason why it is down."""
 
     @property
     def port(self) -> int:
-        """The local port, of links that wait."""
+        """The local port of listening links."""
         if self._datagrams is not None:
             return self._datagrams.get_extra_info("sockname")[1]
         assert self._server is not None
@@ -94,7 +94,7 @@ class Link:
         await asyncio.sleep(0)
 
     async def _keep(self) -> None:
-        """Call, and call again whenever it is cut."""
+        """Connect, and reconnect whenever the connection is lost."""
         wait = _FIRST_WAIT
         while True:
             try:
@@ -122,21 +122,21 @@ class Link:
         return done
 
     def join(self, address: Any, transport: Any) -> None:
-        """Note where an address is called."""
+        """Add an address."""
         self._transports[address] = transport
         self.joined()
 
     def part(self, address: Any) -> None:
-        """Forget an address."""
+        """Remove an address."""
         self._transports.pop(address, None)
         self.framers.pop(address, None)
 
     def datagram(self, address: Any, data: bytes) -> None:
-        """Take a datagram."""
+        """Handle a datagram."""
         self._take(self, address, self._framer(address).datagram(data))
 
     def stream(self, address: Any, data: bytes) -> None:
-        """Take bytes of a connection."""
+        """Handle bytes of a connection."""
         self._take(self, address, self._framer(address).stream(data))
 
     def _framer(self, address: Any) -> Framer:
@@ -152,7 +152,7 @@ class Link:
         return framer
 
     def _room(self) -> None:
-        """Forget senders of datagrams that are silent: anybody can be one."""
+        """Remove silent senders of datagrams, as anybody can send one."""
         if self._datagrams is None:
             return
         now = time.monotonic()
@@ -162,7 +162,7 @@ class Link:
                 self.framers.pop(address, None)
 
     def send(self, frame: bytes, address: Any) -> None:
-        """Send a frame to an address that was heard; what cannot be sent is lost."""
+        """Send a frame to a known address; a frame that cannot be sent is lost."""
         transport = self._transports.get(address)
         if transport is not None:
             if transport.get_write_buffer_size() < _BACKLOG:
@@ -176,7 +176,7 @@ class Link:
             self.framer.stats.sent += 1
 
     def send_all(self, frame: bytes) -> None:
-        """Send a frame to everybody who is there."""
+        """Send a frame to all peers."""
         for address in list(self._transports):
             self.send(frame, address)
         if self._datagrams is not None:

@@ -1,4 +1,4 @@
-"""The logs on board: listed, and read in ranges; pieces that are lost on the way are asked for again."""
+"""On-board logs: listed, and read in ranges; lost pieces are requested again."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class OnBoard(Struct, frozen=True):
 
 
 class LogRange(Struct, frozen=True, forbid_unknown_fields=True):
-    """Which part of which log."""
+    """A range of a log."""
 
     id: Number
     offset: Bytes = 0
@@ -89,7 +89,7 @@ class Logs:
         raise DeviceTimeout("the vehicle did not list its logs")
 
     async def _more(self, arrived: asyncio.Event) -> bool:
-        """Wait for news; tell whether any came.
+        """Wait for data; return whether any arrived.
 
         :raises AdapterUnavailable: the vehicle is lost.
         """
@@ -105,7 +105,7 @@ class Logs:
     async def read(self, given: LogRange, progress: Progress) -> LogPiece:
         """Return a part of a log.
 
-        :raises InvalidValue: there is no log of that number.
+        :raises InvalidValue: no such log.
         """
         async with self._turn:
             logs = {log.id: log for log in await self._entries()}

@@ -1,4 +1,4 @@
-"""What the telemetry of one vehicle proves about its motion, and how old each proof is."""
+"""The motion of one vehicle as proved by telemetry, with the age of each proof."""
 
 from __future__ import annotations
 
@@ -25,20 +25,20 @@ _VELOCITY_HORIZONTAL, _CONSTANT_POSITION = 2, 128
 
 
 class Measurement:
-    """The motion of one vehicle, by messages that are young enough to be believed."""
+    """The motion of one vehicle, from sufficiently recent messages."""
 
     def __init__(self, vehicle: Vehicle, config: MavlinkConfig) -> None:
         self._vehicle = vehicle
         self._silence = max(config.silence, _HEARTBEAT_LATE)
         self.limit = config.feedback_limit
-        """Seconds after which a position proves nothing any more."""
+        """Maximum age of a position, s."""
         self.doubtful_since = -math.inf
         """What came before is not believed: nobody knows what happened to it meanwhile."""
         self._still_since: float | None = None
         self._looked = -math.inf
 
     def age(self, message: str) -> float:
-        """Return how long ago a message came, s."""
+        """Return the age of the last message of a type, s."""
         came = self._vehicle.came.get(message, -math.inf)
         return math.inf if came < self.doubtful_since else time.monotonic() - came
 
@@ -56,13 +56,13 @@ class Measurement:
 
     @property
     def standing(self) -> bool:
-        """Whether it is known to stand on the ground."""
+        """Whether it is known to be on the ground."""
         return self._vehicle.landed is True and self.age("EXTENDED_SYS_STATE") <= _LANDED_LATE
 
     # Its motion
 
     def take_position(self) -> None:
-        """See with each position whether it is still, and since when."""
+        """Update with each position whether it is still, and since when."""
         now, speed, since = time.monotonic(), self.speed, self._still_since
         gap = now - self._looked > self.limit or (since is not None and since < self.doubtful_since)
         settled = since is not None and now - since >= _SETTLED
@@ -74,7 +74,7 @@ class Measurement:
 
     @property
     def still_for(self) -> float:
-        """Seconds for which it has been still, by every position that came."""
+        """Seconds for which every position has shown it still."""
         since = self._still_since
         if since is None or since < self.doubtful_since or self.speed is None:
             return 0.0
@@ -82,12 +82,12 @@ class Measurement:
 
     @property
     def position_age(self) -> float:
-        """Seconds since the last position came."""
+        """Age of the last position, s."""
         return min(map(self.age, _POSITIONS))
 
     @property
     def estimated(self) -> bool:
-        """Whether the autopilot knows its own velocity, as far as it says."""
+        """Whether the autopilot reports a valid velocity estimate."""
         frame = self._vehicle.latest.get("EKF_STATUS_REPORT")
         if frame is None or self.age("EKF_STATUS_REPORT") > _ESTIMATOR_LATE:
             return True
@@ -96,7 +96,7 @@ class Measurement:
 
     @property
     def speed(self) -> float | None:
-        """Over ground and up together, m/s; None: it is not known."""
+        """Total speed, horizontal and vertical, m/s; None if unknown."""
         if not self.estimated:
             return None
         vehicle = self._vehicle
@@ -108,7 +108,7 @@ class Measurement:
         return None
 
     def unknown(self) -> str:
-        """Say why its speed is not known."""
+        """Describe why its speed is unknown."""
         if not self.estimated:
             return "the autopilot has no velocity estimate"
         age = self.position_age
@@ -133,7 +133,7 @@ class Measurement:
         return self.stale() and self._vehicle.last_message_at - last >= self.limit
 
     def check(self, *, strict: bool = True) -> None:
-        """Refuse to move what cannot be seen to move.
+        """Refuse motion without position feedback.
 
         :raises PreconditionFailed: its position is older than the limit.
         """
@@ -147,7 +147,7 @@ class Measurement:
     # Rest
 
     def rest(self, rung: Rung) -> MotionState:
-        """Report whether it is where a step of the stop is to bring it."""
+        """Report whether a step of the stop has reached its state."""
         vehicle = self._vehicle
         if vehicle.lost:
             return MotionState(None, f"vehicle {vehicle.system} is not connected")

@@ -1,4 +1,4 @@
-"""How the value of a message is made of what its unpacker returns: one function for each message."""
+"""Converts the unpacked fields of a message to its value: one generated function per message."""
 
 from __future__ import annotations
 

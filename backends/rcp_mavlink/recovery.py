@@ -1,4 +1,4 @@
-"""What becomes of a vehicle whose command ended with its link, once it is heard again."""
+"""What to do when the link is restored with a vehicle whose command ended with the link."""
 
 from __future__ import annotations
 

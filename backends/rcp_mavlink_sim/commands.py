@@ -152,12 +152,12 @@ def _speed(c: CommandRequest) -> int:
 
 def _airspeed(vehicle: Any, kind: float, speed: float) -> bool:
     if kind == 1:
-        vehicle.say(6, f"Set groundspeed {speed:.0f}")
+        vehicle.send_text(6, f"Set groundspeed {speed:.0f}")
         return vehicle.flight.mode in (Mode.GUIDED, Mode.AUTO)
     least, most = vehicle.params["AIRSPEED_MIN"], vehicle.params["AIRSPEED_MAX"]
     if kind != 0 or not least <= speed <= most or not vehicle.flight.change_speed(speed):
         return False
-    vehicle.say(6, f"Set airspeed {speed:.0f} m/s")
+    vehicle.send_text(6, f"Set airspeed {speed:.0f} m/s")
     return True
 
 
@@ -172,7 +172,7 @@ def _yaw(c: CommandRequest) -> int:
         pilot, angle = vehicle.pilot, math.radians(c.p[0])
         if c.p[3]:
             angle = pilot.yaw + math.copysign(angle, c.p[2] or 1.0)
-        pilot.yaw, pilot.yaw_rate, pilot.looks = angle, 0.0, False
+        pilot.yaw, pilot.yaw_rate, pilot.faces_travel = angle, 0.0, False
     return _OK
 
 
@@ -214,7 +214,7 @@ def _terminate(c: CommandRequest) -> int:
     """Stop the motors of a copter at once; others want AFS_ENABLE for it."""
     vehicle = c.peer.vehicle
     if vehicle.kind.name != "copter":
-        vehicle.say(6, "AFS not enabled, can't terminate the vehicle")
+        vehicle.send_text(6, "AFS not enabled, can't terminate the vehicle")
         return _FAILED
     if not c.p[0] > 0.5:
         return _FAILED
@@ -235,13 +235,13 @@ def _reboot(c: CommandRequest) -> int:
 def _calibrate(c: CommandRequest) -> int:
     vehicle = c.peer.vehicle
     if vehicle.armed:
-        vehicle.say(4, "Disarm to allow calibration")
+        vehicle.send_text(4, "Disarm to allow calibration")
         return _FAILED
     if c.p[0] == 1:
-        vehicle.say(6, "Calibrating gyros")
+        vehicle.send_text(6, "Calibrating gyros")
     elif c.p[2] == 1:
-        vehicle.say(6, "Calibrating barometer")
-        vehicle.say(6, "Barometer calibration complete")
+        vehicle.send_text(6, "Calibrating barometer")
+        vehicle.send_text(6, "Barometer calibration complete")
     elif c.p[4] not in (1, 2, 4):
         return _UNSUPPORTED
     return _OK
@@ -252,7 +252,7 @@ def _checks(c: CommandRequest) -> int:
     if vehicle.armed:
         return mav.MAV_RESULT_TEMPORARILY_REJECTED
     for reason in vehicle.complaints():
-        vehicle.say(2, f"PreArm: {reason}")
+        vehicle.send_text(2, f"PreArm: {reason}")
     return _OK
 
 

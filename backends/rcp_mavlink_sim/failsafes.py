@@ -24,7 +24,7 @@ class Failsafes:
         self.battery_low = self.battery_critical = False
         self.station_lost = self.radio_lost = self.blind = False
         self._station_seen = False
-        self._heard = 0.0
+        self._last_heartbeat = 0.0
         self._low_for = self._critical_for = self._radio_gone = self._blind_for = 0.0
 
     @property
@@ -32,19 +32,19 @@ class Failsafes:
         """Whether the state of the vehicle is critical."""
         return self.battery_low or self.station_lost or self.radio_lost or self.blind
 
-    def look(self, seconds: float) -> None:
+    def check(self, seconds: float) -> None:
         """See what has failed in the simulated seconds that passed."""
         self._battery(seconds)
         self._station()
         self._radio(seconds)
         self._position(seconds)
 
-    def heard_from_station(self) -> None:
+    def on_station_heartbeat(self) -> None:
         """Note a heartbeat of the ground station that it obeys."""
-        self._heard, self._station_seen = self._vehicle.wall, True
+        self._last_heartbeat, self._station_seen = self._vehicle.wall, True
         if self.station_lost:
             self.station_lost = False
-            self._vehicle.say(4, "GCS Failsafe Cleared")
+            self._vehicle.send_text(4, "GCS Failsafe Cleared")
 
     def act(self, why: str, *, return_home: bool, to: Mode | None = None) -> None:
         """Come back, or down where the way back is not known; the real one's words say what.
@@ -55,13 +55,13 @@ class Failsafes:
         copter = vehicle.kind.name == "copter"
         goes_on = not copter or int(vehicle.params["FS_OPTIONS"]) & _WHILE_LANDING
         if vehicle.kind.flies and vehicle.body.landed:
-            vehicle.say(4, f"{why} Failsafe - Disarming")
+            vehicle.send_text(4, f"{why} Failsafe - Disarming")
             flight.disarm()
             return
         if vehicle.kind.flies and flight.landing and goes_on:
-            vehicle.say(4, f"{why} Failsafe - Continuing Landing")
+            vehicle.send_text(4, f"{why} Failsafe - Continuing Landing")
             return
-        vehicle.say(4, f"{why} Failsafe")
+        vehicle.send_text(4, f"{why} Failsafe")
         flight.retreat(return_home=return_home, to=to)
 
     def _battery(self, seconds: float) -> None:
@@ -71,12 +71,12 @@ class Failsafes:
         used = f"{vehicle.battery.voltage:.2f}V used {vehicle.battery.consumed:.0f} mAh"
         if not self.battery_low and self._low_for >= p["BATT_LOW_TIMER"]:
             self.battery_low = True
-            vehicle.say(4, f"Battery 1 is low {used}")
+            vehicle.send_text(4, f"Battery 1 is low {used}")
             if vehicle.armed and (action := p["BATT_FS_LOW_ACT"]):
                 self.act("Battery", return_home=action != _LAND_ON_LOW)
         if not self.battery_critical and self._critical_for >= p["BATT_LOW_TIMER"]:
             self.battery_critical = True
-            vehicle.say(2, f"Battery 1 is critical {used}")
+            vehicle.send_text(2, f"Battery 1 is critical {used}")
             if vehicle.armed and (action := p["BATT_FS_CRT_ACT"]):
                 self.act("Battery", return_home=action != _LAND_ON_LOW)
 
@@ -88,16 +88,16 @@ class Failsafes:
 
     def _station(self) -> None:
         vehicle, p = self._vehicle, self._vehicle.params
-        late = vehicle.wall - self._heard > p[vehicle.kind.param("FS_GCS_TIMEOUT")]
+        late = vehicle.wall - self._last_heartbeat > p[vehicle.kind.param("FS_GCS_TIMEOUT")]
         if self.station_lost or not (
             self._station_seen and late and p[vehicle.kind.param("FS_GCS_ENABLE")]
         ):
             return
         self.station_lost = True
         if not vehicle.armed:
-            vehicle.say(4, "GCS Failsafe")
+            vehicle.send_text(4, "GCS Failsafe")
         elif (going_on := self._goes_on()) is not None:
-            vehicle.say(4, f"GCS Failsafe - Continuing {going_on}")
+            vehicle.send_text(4, f"GCS Failsafe - Continuing {going_on}")
         elif (action := p[vehicle.kind.param("FS_GCS_ENABLE")]) == _BRAKE_ON_GCS:
             self.act("GCS", return_home=False, to=Mode.BRAKE)
         else:
@@ -119,7 +119,7 @@ class Failsafes:
         self._radio_gone = self._radio_gone + seconds if gone else 0.0
         if self.radio_lost and not gone:
             self.radio_lost = False
-            vehicle.say(4, "Radio Failsafe Cleared")
+            vehicle.send_text(4, "Radio Failsafe Cleared")
         elif (
             not self.radio_lost
             and self._radio_gone > _RADIO_LATE
@@ -131,7 +131,7 @@ class Failsafes:
                     "Radio", return_home=p[vehicle.kind.param("FS_THR_ENABLE")] != _LAND_ON_RADIO
                 )
             else:
-                vehicle.say(4, "Radio Failsafe")
+                vehicle.send_text(4, "Radio Failsafe")
 
     def _position(self, seconds: float) -> None:
         vehicle = self._vehicle
@@ -139,10 +139,10 @@ class Failsafes:
         self._blind_for = self._blind_for + seconds if gone else 0.0
         if self.blind and not gone:
             self.blind = False
-            vehicle.say(4, "EKF Failsafe Cleared")
+            vehicle.send_text(4, "EKF Failsafe Cleared")
         elif not self.blind and self._blind_for > _BLIND and vehicle.armed:
             self.blind = True
-            vehicle.say(2, "EKF variance: position horizontal")
+            vehicle.send_text(2, "EKF variance: position horizontal")
             action = vehicle.params["FS_EKF_ACTION"] if vehicle.kind.name == "copter" else 1
             if self._flight.mode not in (Mode.STABILIZE, Mode.ALT_HOLD) and action:
                 to = Mode.ALT_HOLD if action == _HOLD_ON_EKF else None

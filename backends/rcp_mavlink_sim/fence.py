@@ -47,7 +47,7 @@ class Fence:
             found |= _POLYGON
         return found
 
-    def look(self) -> None:
+    def check(self) -> None:
         """See whether it was crossed; what was crossed anew is told and acted upon."""
         vehicle = self._vehicle
         if not vehicle.params["FENCE_ENABLE"] or vehicle.home is None:
@@ -57,11 +57,11 @@ class Fence:
         new, over = now & ~self.breached, self.breached and not now
         self.breached = now
         if over:
-            vehicle.say(5, "Fence breach cleared")
+            vehicle.send_text(5, "Fence breach cleared")
         if new and vehicle.armed:
             self.count += 1
             names = " and ".join(name for bit, name in _NAMES.items() if new & bit)
-            vehicle.say(4, f"{names} fence breached")
+            vehicle.send_text(4, f"{names} fence breached")
             self._act(int(vehicle.params["FENCE_ACTION"]))
 
     def _act(self, action: int) -> None:

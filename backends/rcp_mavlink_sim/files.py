@@ -128,9 +128,9 @@ class Files:
 
     def _packed(self, query: str) -> bytes:
         """Return the parameters as ArduPilot packs them: a name leaves out what the last one had."""
-        asked = {name: values[0] for name, values in parse_qs(query).items()}
-        start, most = int(asked.get("start", 0)), int(asked.get("count", 0))
-        defaults = asked.get("withdefaults") == "1"
+        options = {name: values[0] for name, values in parse_qs(query).items()}
+        start, most = int(options.get("start", 0)), int(options.get("count", 0))
+        defaults = options.get("withdefaults") == "1"
         params, usual = self._params, table(self._kind)
         names = params.listed()
         wanted = names[start : start + most if most else None]

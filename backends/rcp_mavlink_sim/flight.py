@@ -49,7 +49,7 @@ class Flight(ABC):
         if mode is self.mode:
             return True
         if (reason := self.refusal(mode)) is not None:
-            self._vehicle.say(4, reason)
+            self._vehicle.send_text(4, reason)
             return False
         self.enter(mode)
         return True
@@ -70,7 +70,7 @@ class Flight(ABC):
             return True
         if not vehicle.body.landed and force not in FORCE:
             return False
-        vehicle.say(6, "Disarming motors")
+        vehicle.send_text(6, "Disarming motors")
         vehicle.armed = vehicle.pilot.spinning = False
         self.mission.leave()
         self.taking_off = False
@@ -137,14 +137,14 @@ class Flight(ABC):
         pilot.attitude, pilot.velocity, pilot.sinking = None, (0.0, 0.0), 0.0
         pilot.lean = None
         pilot.yaw_rate = 0.0
-        pilot.looks = self.looks
+        pilot.faces_travel = self.faces_travel
         if place is not None:
             pilot.place = place
         if depth is not None:
             pilot.depth = depth
 
     @property
-    def looks(self) -> bool:
+    def faces_travel(self) -> bool:
         """Whether it turns to where it goes to, unless it is told otherwise."""
         return False
 

@@ -30,7 +30,7 @@ class _Refused(Exception):
         self.code = code
 
 
-class _Asked(msgspec.Struct, frozen=True):
+class _Request(msgspec.Struct, frozen=True):
     number: int
     session: int
     opcode: int
@@ -53,7 +53,7 @@ class _Session(msgspec.Struct):
 
 
 class _Burst(msgspec.Struct):
-    asked: _Asked
+    request: _Request
     number: int
     offset: int
     sent: int = 0
@@ -67,8 +67,8 @@ class Ftp:
         self._sessions: dict[int, _Session] = {}
         self._burst: _Burst | None = None
         self._answered: tuple[int, int, int, bytes] | None = None
-        self._who = (0, 0)
-        self._doers: dict[int, Callable[[_Asked], bytes]] = {
+        self._client = (0, 0)
+        self._doers: dict[int, Callable[[_Request], bytes]] = {
             0: lambda _: b"",
             1: self._end,
             2: self._end_all,
@@ -77,11 +77,13 @@ class Ftp:
             5: self._read,
             6: self._create,
             7: self._write,
-            8: lambda asked: _done(self._files.remove(asked.path), _NOT_FOUND),
+            8: lambda request: _done(self._files.remove(request.path), _NOT_FOUND),
             9: self._make_folder,
-            10: lambda asked: _done(self._files.remove_folder(asked.path), _FAIL),
+            10: lambda request: _done(self._files.remove_folder(request.path), _FAIL),
             11: self._open_to_write,
-            12: lambda asked: _done(self._files.truncate(asked.path, asked.offset), _NOT_FOUND),
+            12: lambda request: _done(
+                self._files.truncate(request.path, request.offset), _NOT_FOUND
+            ),
             13: self._rename,
             14: self._checksum,
         }
@@ -95,23 +97,23 @@ class Ftp:
         head = bytes(message.payload[: _HEAD.size])
         number, session, opcode, size, _, _, offset = _HEAD.unpack(head)
         data = bytes(message.payload[_HEAD.size :])
-        asked = _Asked(number, session, opcode, min(size, _ROOM), offset, data)
-        self._who = (message.get_srcSystem(), message.get_srcComponent())
+        request = _Request(number, session, opcode, min(size, _ROOM), offset, data)
+        self._client = (message.get_srcSystem(), message.get_srcComponent())
         key = (number, session, opcode)
         if self._answered is not None and self._answered[:3] == key:
             self._push(self._answered[3])
             return
         self._burst = None
         if opcode == 15:
-            self._begin_burst(asked)
+            self._begin_burst(request)
             return
         do = self._doers.get(opcode)
         try:
             if do is None:
                 raise _Refused(_UNKNOWN)
-            reply = _packed(asked, number + 1, _ACK, do(asked))
+            reply = _packed(request, number + 1, _ACK, do(request))
         except _Refused as refused:
-            reply = _packed(asked, number + 1, _NAK, bytes((refused.code,)))
+            reply = _packed(request, number + 1, _NAK, bytes((refused.code,)))
         self._answered = (*key, reply)
         self._push(reply)
 
@@ -124,98 +126,102 @@ class Ftp:
 
     def _push(self, payload: bytes) -> None:
         padded = list(payload.ljust(_HEAD.size + _ROOM, b"\0"))
-        self._send(mav.MAVLink_file_transfer_protocol_message(0, *self._who, padded))
+        self._send(mav.MAVLink_file_transfer_protocol_message(0, *self._client, padded))
 
     # Sessions
 
-    def _session(self, asked: _Asked, *, writes: bool) -> _Session:
-        session = self._sessions.get(asked.session)
+    def _session(self, request: _Request, *, writes: bool) -> _Session:
+        session = self._sessions.get(request.session)
         if session is None or session.writes != writes:
             raise _Refused(_NO_SESSION if session is None else _FAIL)
         session.used = self._vehicle.wall
         return session
 
-    def _begin(self, asked: _Asked, *, writes: bool, content: bytes) -> None:
-        held = self._sessions.get(asked.session)
+    def _begin(self, request: _Request, *, writes: bool, content: bytes) -> None:
+        held = self._sessions.get(request.session)
         if held is not None and self._vehicle.wall - held.used < _SILENT:
             raise _Refused(_FAIL)
-        self._sessions[asked.session] = _Session(asked.path, writes, content, self._vehicle.wall)
+        self._sessions[request.session] = _Session(
+            request.path, writes, content, self._vehicle.wall
+        )
 
-    def _end(self, asked: _Asked) -> bytes:
-        self._sessions.pop(asked.session, None)
+    def _end(self, request: _Request) -> bytes:
+        self._sessions.pop(request.session, None)
         return b""
 
-    def _end_all(self, _: _Asked) -> bytes:
+    def _end_all(self, _: _Request) -> bytes:
         self._sessions.clear()
         return b""
 
-    def _open(self, asked: _Asked) -> bytes:
-        content = self._files.read(asked.path)
+    def _open(self, request: _Request) -> bytes:
+        content = self._files.read(request.path)
         if content is None:
             raise _Refused(_NOT_FOUND)
-        self._begin(asked, writes=False, content=content)
+        self._begin(request, writes=False, content=content)
         return struct.pack("<I", len(content))
 
-    def _create(self, asked: _Asked) -> bytes:
-        self._begin(asked, writes=True, content=b"")
-        if not self._files.create(asked.path):
-            del self._sessions[asked.session]
+    def _create(self, request: _Request) -> bytes:
+        self._begin(request, writes=True, content=b"")
+        if not self._files.create(request.path):
+            del self._sessions[request.session]
             raise _Refused(_FAIL)
         return b""
 
-    def _open_to_write(self, asked: _Asked) -> bytes:
-        content = self._files.read(asked.path)
-        if content is None or asked.path.startswith("@"):
+    def _open_to_write(self, request: _Request) -> bytes:
+        content = self._files.read(request.path)
+        if content is None or request.path.startswith("@"):
             raise _Refused(_NOT_FOUND if content is None else _FAIL)
-        self._begin(asked, writes=True, content=b"")
+        self._begin(request, writes=True, content=b"")
         return struct.pack("<I", len(content))
 
     # Content
 
-    def _read(self, asked: _Asked) -> bytes:
-        content = self._session(asked, writes=False).content
-        if asked.offset >= len(content):
+    def _read(self, request: _Request) -> bytes:
+        content = self._session(request, writes=False).content
+        if request.offset >= len(content):
             raise _Refused(_EOF)
-        return content[asked.offset : asked.offset + min(asked.size or _ROOM, _ROOM)]
+        return content[request.offset : request.offset + min(request.size or _ROOM, _ROOM)]
 
-    def _write(self, asked: _Asked) -> bytes:
-        session = self._session(asked, writes=True)
+    def _write(self, request: _Request) -> bytes:
+        session = self._session(request, writes=True)
         if not self._files.exists(session.path):
             raise _Refused(_NOT_FOUND)
-        return _done(self._files.write(session.path, asked.offset, asked.data[: asked.size]), _FAIL)
+        return _done(
+            self._files.write(session.path, request.offset, request.data[: request.size]), _FAIL
+        )
 
-    def _begin_burst(self, asked: _Asked) -> None:
+    def _begin_burst(self, request: _Request) -> None:
         try:
-            self._session(asked, writes=False)
+            self._session(request, writes=False)
         except _Refused as refused:
-            self._push(_packed(asked, asked.number + 1, _NAK, bytes((refused.code,))))
+            self._push(_packed(request, request.number + 1, _NAK, bytes((refused.code,))))
             return
         self._answered = None
-        self._burst = _Burst(asked, asked.number + 1, asked.offset)
+        self._burst = _Burst(request, request.number + 1, request.offset)
 
     def _next(self, burst: _Burst) -> None:
-        session = self._sessions.get(burst.asked.session)
+        session = self._sessions.get(burst.request.session)
         if session is None:
             self._burst = None
             return
         session.used = self._vehicle.wall
-        most = min(burst.asked.size or _ROOM, _ROOM)
+        most = min(burst.request.size or _ROOM, _ROOM)
         piece = session.content[burst.offset : burst.offset + most]
         if not piece:
-            reply = _packed(burst.asked, burst.number, _NAK, bytes((_EOF,)), burst.offset)
+            reply = _packed(burst.request, burst.number, _NAK, bytes((_EOF,)), burst.offset)
             self._burst = None
         else:
             burst.sent += 1
             last = burst.sent >= _BURST
-            reply = _packed(burst.asked, burst.number, _ACK, piece, burst.offset, last=last)
+            reply = _packed(burst.request, burst.number, _ACK, piece, burst.offset, last=last)
             burst.offset += len(piece)
             burst.number += 1
             if last:
                 self._burst = None
         self._push(reply)
 
-    def _checksum(self, asked: _Asked) -> bytes:
-        content = self._files.read(asked.path)
+    def _checksum(self, request: _Request) -> bytes:
+        content = self._files.read(request.path)
         if content is None:
             raise _Refused(_NOT_FOUND)
         # CRC-32 that starts from 0 and is not inverted at the end, as MAVLink's is.
@@ -223,10 +229,10 @@ class Ftp:
 
     # Directories
 
-    def _list(self, asked: _Asked) -> bytes:
-        if not self._files.folder(asked.path):
+    def _list(self, request: _Request) -> bytes:
+        if not self._files.folder(request.path):
             raise _Refused(_NOT_FOUND)
-        entries = self._files.listed(asked.path)[asked.offset :]
+        entries = self._files.listed(request.path)[request.offset :]
         if not entries:
             raise _Refused(_EOF)
         found = b""
@@ -237,13 +243,13 @@ class Ftp:
             found += entry
         return found
 
-    def _make_folder(self, asked: _Asked) -> bytes:
-        if self._files.exists(asked.path):
+    def _make_folder(self, request: _Request) -> bytes:
+        if self._files.exists(request.path):
             raise _Refused(_EXISTS)
-        return _done(self._files.make_folder(asked.path), _FAIL)
+        return _done(self._files.make_folder(request.path), _FAIL)
 
-    def _rename(self, asked: _Asked) -> bytes:
-        names = asked.data[: asked.size].split(b"\0")
+    def _rename(self, request: _Request) -> bytes:
+        names = request.data[: request.size].split(b"\0")
         if len(names) < 2:
             raise _Refused(_BAD_SIZE)
         old, new = (name.decode("utf-8", "replace").strip("/") for name in names[:2])
@@ -259,7 +265,7 @@ def _done(done: bool, code: int) -> bytes:  # noqa: FBT001 - what was done, as a
 
 
 def _packed(
-    asked: _Asked,
+    request: _Request,
     number: int,
     opcode: int,
     data: bytes,
@@ -267,6 +273,6 @@ def _packed(
     *,
     last: bool = False,
 ) -> bytes:
-    at = asked.offset if offset is None else offset
-    head = (number & 0xFFFF, asked.session, opcode, len(data), asked.opcode, last, at)
+    at = request.offset if offset is None else offset
+    head = (number & 0xFFFF, request.session, opcode, len(data), request.opcode, last, at)
     return _HEAD.pack(*head) + data

@@ -81,11 +81,11 @@ class GroundStation:
             "LOG_REQUEST_DATA": self._log_request,
             "LOG_REQUEST_END": self._log_end,
         }
-        vehicle.tell.append(self.send)
+        vehicle.on_message.append(self.send)
 
     def close(self) -> None:
         """Forget it."""
-        self.vehicle.tell.remove(self.send)
+        self.vehicle.on_message.remove(self.send)
 
     def send(self, message: Any) -> None:
         """Send a message to it, with the next turn."""
@@ -137,7 +137,7 @@ class GroundStation:
 
     def _heartbeat(self, message: Any) -> None:
         if message.get_srcSystem() == self.vehicle.params["MAV_GCS_SYSID"]:
-            self.vehicle.failsafes.heard_from_station()
+            self.vehicle.failsafes.on_station_heartbeat()
 
     def _pitch_yaw(self, message: Any) -> None:
         locked = bool(message.flags & mav.GIMBAL_MANAGER_FLAGS_YAW_LOCK)
@@ -193,18 +193,18 @@ class GroundStation:
         return plans[kind] if kind < len(plans) else None
 
     def _mission_count(self, message: Any) -> None:
-        kind, who = message.mission_type, (message.get_srcSystem(), message.get_srcComponent())
+        kind, client = message.mission_type, (message.get_srcSystem(), message.get_srcComponent())
         refusal = Transfer.refusal(kind, message.count)
         plan = self._plan(kind)
         if refusal is not None or plan is None:
-            self.send(mav.MAVLink_mission_ack_message(*who, refusal or 0, kind))
+            self.send(mav.MAVLink_mission_ack_message(*client, refusal or 0, kind))
             return
         if message.count == 0:
             self._stored(plan, [])
-            self.send(mav.MAVLink_mission_ack_message(*who, mav.MAV_MISSION_ACCEPTED, kind))
+            self.send(mav.MAVLink_mission_ack_message(*client, mav.MAV_MISSION_ACCEPTED, kind))
             return
-        self._transfer = Transfer(plan, message.count, who, self.vehicle.wall)
-        self._transfer.ask(self.send, self.vehicle.wall)
+        self._transfer = Transfer(plan, message.count, client, self.vehicle.wall)
+        self._transfer.request_next(self.send, self.vehicle.wall)
 
     def _mission_item(self, message: Any) -> None:
         transfer = self._transfer
@@ -222,23 +222,23 @@ class GroundStation:
         if plan.kind == mav.MAV_MISSION_TYPE_MISSION:
             self.vehicle.flight.mission.changed()
             self.vehicle.params.set("MIS_TOTAL", len(items))
-            self.vehicle.say(6, "Flight plan received")
+            self.vehicle.send_text(6, "Flight plan received")
 
     def _mission_list(self, message: Any) -> None:
-        who = (message.get_srcSystem(), message.get_srcComponent())
+        client = (message.get_srcSystem(), message.get_srcComponent())
         plan = self._plan(message.mission_type)
         if plan is None:
             refused = mav.MAV_MISSION_UNSUPPORTED
-            self.send(mav.MAVLink_mission_ack_message(*who, refused, message.mission_type))
+            self.send(mav.MAVLink_mission_ack_message(*client, refused, message.mission_type))
             return
-        self.send(mav.MAVLink_mission_count_message(*who, len(plan.items), plan.kind))
+        self.send(mav.MAVLink_mission_count_message(*client, len(plan.items), plan.kind))
 
     def _mission_request(self, message: Any) -> None:
-        who = (message.get_srcSystem(), message.get_srcComponent())
+        client = (message.get_srcSystem(), message.get_srcComponent())
         plan = self._plan(message.mission_type)
         if plan is None or message.seq >= len(plan.items):
             wrong = mav.MAV_MISSION_INVALID_SEQUENCE
-            self.send(mav.MAVLink_mission_ack_message(*who, wrong, message.mission_type))
+            self.send(mav.MAVLink_mission_ack_message(*client, wrong, message.mission_type))
             return
         item = plan.items[message.seq]
         x, y, z, frame, command = *item.raw, item.alt, item.frame, item.command
@@ -246,7 +246,7 @@ class GroundStation:
             lat, lon, z = self.vehicle.home or self.vehicle.origin
             x, y, frame, command = round(lat * 1e7), round(lon * 1e7), 0, 16
         current = int(plan.kind == 0 and message.seq == self.vehicle.flight.mission.current)
-        parts = (*who, message.seq, frame, command, current, 1, *item.params)
+        parts = (*client, message.seq, frame, command, current, 1, *item.params)
         if message.get_type() == "MISSION_REQUEST_INT":
             self.send(mav.MAVLink_mission_item_int_message(*parts, x, y, z, plan.kind))
         else:
@@ -257,9 +257,9 @@ class GroundStation:
         for kind in kinds:
             if (plan := self._plan(kind)) is not None:
                 self._stored(plan, [])
-        who = (message.get_srcSystem(), message.get_srcComponent())
+        client = (message.get_srcSystem(), message.get_srcComponent())
         self.send(
-            mav.MAVLink_mission_ack_message(*who, mav.MAV_MISSION_ACCEPTED, message.mission_type)
+            mav.MAVLink_mission_ack_message(*client, mav.MAV_MISSION_ACCEPTED, message.mission_type)
         )
 
     def _mission_current(self, message: Any) -> None:

@@ -119,7 +119,7 @@ class Mission:
         item = self.plan.items[self.current]
         if not self._began:
             self._began, self._waited = True, 0.0
-            self._vehicle.say(6, f"Mission: {self.current} {_NAMES.get(item.command, 'Cmd')}")
+            self._vehicle.send_text(6, f"Mission: {self.current} {_NAMES.get(item.command, 'Cmd')}")
             self._begin(item)
         if self._done(item, dt):
             self._next(item)
@@ -127,7 +127,7 @@ class Mission:
     def _next(self, item: Item) -> None:
         if item.command in _TRAVELS or item.command in (21, 22):
             self.reached = self.current
-            self._vehicle.say(6, f"Reached command #{self.current}")
+            self._vehicle.send_text(6, f"Reached command #{self.current}")
             self._vehicle.broadcast(mav.MAVLink_mission_item_reached_message(self.current))
         self._began = False
         if item.command == mav.MAV_CMD_DO_JUMP and self._jump(item):

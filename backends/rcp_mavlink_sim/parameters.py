@@ -62,9 +62,9 @@ class Parameters:
     def message(self, name: str, place: int | None = None, type_: int | None = None) -> Any:
         """Return the PARAM_VALUE of a name, at its place in the list."""
         at = self._places[name] if place is None else place
-        told = _CODES[self._kinds[name]] if type_ is None else type_
+        reported = _CODES[self._kinds[name]] if type_ is None else type_
         return mav.MAVLink_param_value_message(
-            name.encode(), self._values[name], told, len(self._names), at
+            name.encode(), self._values[name], reported, len(self._names), at
         )
 
     def listed(self) -> list[str]:

@@ -35,7 +35,7 @@ class Pilot(ABC):
         self.sinking = 0.0  # m/s, down
         self.yaw = 0.0
         self.yaw_rate = 0.0  # rad/s, lets `yaw` run
-        self.looks = False
+        self.faces_travel = False
         """A copter looks where it goes to, and `yaw` follows."""
         self.attitude: tuple[float, float, float] | None = None
         """Roll, pitch (rad) and thrust (0…1, half is hovering) that rule instead of all else."""
@@ -55,7 +55,7 @@ class Pilot(ABC):
         self.depth = body.d + body.vd * 0.5
         self.sinking = self.yaw_rate = 0.0
         self.attitude = self.lean = None
-        self.looks = False
+        self.faces_travel = False
 
     def at_place(self, tolerance: float) -> bool:
         """Tell whether it is where it should be, within `tolerance` m."""
@@ -74,7 +74,7 @@ class Pilot(ABC):
     def reset(self) -> None:
         """Begin from rest, as after arming."""
         self.yaw, self.yaw_rate, self.attitude = self.body.yaw, 0.0, None
-        self.looks = False
+        self.faces_travel = False
 
     @abstractmethod
     def step(self, dt: float) -> None:

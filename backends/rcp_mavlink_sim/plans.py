@@ -60,7 +60,7 @@ class Transfer:
     def __init__(self, plan: Plan, count: int, peer: tuple[int, int], now: float) -> None:
         self._plan, self._count, self._peer = plan, count, peer
         self._items: list[Item] = []
-        self._asked = now
+        self._requested_at = now
         self._tries = 0
 
     @property
@@ -68,9 +68,9 @@ class Transfer:
         """The plan that comes in."""
         return self._plan
 
-    def ask(self, send: Callable[[Any], None], now: float) -> None:
+    def request_next(self, send: Callable[[Any], None], now: float) -> None:
         """Ask for the next item, the way ArduPilot does: not by MISSION_REQUEST_INT."""
-        self._asked = now
+        self._requested_at = now
         system, component = self._peer
         send(
             mav.MAVLink_mission_request_message(
@@ -80,12 +80,12 @@ class Transfer:
 
     def late(self, send: Callable[[Any], None], now: float) -> bool:
         """Ask again where nothing comes; tell whether to give up."""
-        if now - self._asked > _AGAIN:
+        if now - self._requested_at > _AGAIN:
             self._tries += 1
             if self._tries > _PATIENCE:
                 self._end(send, mav.MAV_MISSION_OPERATION_CANCELLED)
                 return True
-            self.ask(send, now)
+            self.request_next(send, now)
         return False
 
     def take(self, message: Any, send: Callable[[Any], None], now: float) -> bool:
@@ -104,7 +104,7 @@ class Transfer:
         self._items.append(_item(message, self._plan.kind))
         self._tries = 0
         if len(self._items) < self._count:
-            self.ask(send, now)
+            self.request_next(send, now)
             return False
         self._plan.replace(self._items)
         self._end(send, mav.MAV_MISSION_ACCEPTED)

@@ -91,7 +91,7 @@ class _Udp(asyncio.DatagramProtocol):
         self._twin = twin
         self._calls = calls
         self._peers: dict[Any, GroundStation] = {}
-        self._heard: dict[Any, float] = {}
+        self._last_seen: dict[Any, float] = {}
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         self._transport: Any = transport
@@ -113,22 +113,22 @@ class _Udp(asyncio.DatagramProtocol):
 
     def _drop_silent(self) -> None:
         now = time.monotonic()
-        for address, heard in list(self._heard.items()):
-            if now - heard > _SILENT and address != self._calls:
+        for address, seen_at in list(self._last_seen.items()):
+            if now - seen_at > _SILENT and address != self._calls:
                 self._twin.part(self._peers.pop(address))
-                del self._heard[address]
+                del self._last_seen[address]
 
     def _forget(self) -> None:
         for peer in self._peers.values():
             self._twin.part(peer)
         self._peers.clear()
-        self._heard.clear()
+        self._last_seen.clear()
         if self._calls is not None:
             self._peer(self._calls)
 
     def datagram_received(self, data: bytes, addr: Any) -> None:
         if not self._twin.faults.uplink_cut:
-            self._heard[addr] = time.monotonic()
+            self._last_seen[addr] = time.monotonic()
             self._peer(addr).feed(data, datagram=True)
 
     def error_received(self, exc: Exception) -> None:

@@ -49,7 +49,7 @@ def _attitude(vehicle: Vehicle, message: Any) -> None:
     lean = (max(-most, min(most, roll)), max(-most, min(most, pitch)))
     vehicle.flight.follow("attitude")
     pilot, limits, thrust = vehicle.pilot, vehicle.pilot.limits, max(0.0, min(1.0, thrust))
-    pilot.yaw, pilot.yaw_rate, pilot.looks = yaw, 0.0, False
+    pilot.yaw, pilot.yaw_rate, pilot.faces_travel = yaw, 0.0, False
     pilot.place = None
     if int(vehicle.params["GUID_OPTIONS"]) & _THRUST_AS_THRUST:
         pilot.attitude, pilot.lean = (*lean, thrust), None
@@ -84,13 +84,13 @@ def _place_or_velocity(vehicle: Vehicle, message: Any) -> None:
         if not place:
             vehicle.flight.follow("velocity")
             pilot.place, pilot.depth, pilot.sinking = None, None, vd
-            pilot.looks = vehicle.flight.looks
+            pilot.faces_travel = vehicle.flight.faces_travel
     if not (math.isfinite(message.yaw) and math.isfinite(message.yaw_rate)):
         return
     if not mask & _NO_YAW:
-        pilot.yaw, pilot.yaw_rate, pilot.looks = message.yaw, 0.0, False
+        pilot.yaw, pilot.yaw_rate, pilot.faces_travel = message.yaw, 0.0, False
     elif not mask & _NO_YAW_RATE:
-        pilot.yaw_rate, pilot.looks = message.yaw_rate, False
+        pilot.yaw_rate, pilot.faces_travel = message.yaw_rate, False
 
 
 def _turned(vehicle: Vehicle, frame: int, x: float, y: float) -> tuple[float, float]:

@@ -27,7 +27,7 @@ class VehicleState:
     def __init__(self, options: Options) -> None:
         self.options = options
         self.kind = KINDS[options.vehicle]
-        self.tell: list[Callable[[Any], None]] = []
+        self.on_message: list[Callable[[Any], None]] = []
         """Called with each message that goes to everybody."""
         self.params = Parameters(options.vehicle, options.parameters)
         self.noise = Noise(options.seed, options.noise)
@@ -99,14 +99,14 @@ class VehicleState:
 
     # What it says
 
-    def say(self, severity: int, text: str) -> None:
+    def send_text(self, severity: int, text: str) -> None:
         """Send a STATUSTEXT to everybody."""
         self.broadcast(mav.MAVLink_statustext_message(severity, text.encode()[:50]))
 
     def broadcast(self, message: Any) -> None:
         """Send a message to everybody."""
-        for tell in self.tell:
-            tell(message)
+        for send in self.on_message:
+            send(message)
 
     def home_position(self) -> Any:
         """Return HOME_POSITION; None: there is no home yet."""

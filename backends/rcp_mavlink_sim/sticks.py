@@ -65,7 +65,7 @@ class Sticks:
                 self.pulses[channel] = round(_CENTRE + max(-1000, min(1000, value)) * _HALF / 1000)
         self.held, self._until = True, until
 
-    def look(self, wall: float) -> None:
+    def expire(self, wall: float) -> None:
         """Let go of sticks that nobody has moved for long."""
         if self.held and wall > self._until:
             self.held = False

@@ -28,13 +28,13 @@ _BOOT = (
 
 
 class Vehicle(Systems):
-    """One simulated vehicle; `advance` lets time pass, `tell` is where messages go."""
+    """One simulated vehicle; `advance` steps its time, `on_message` receives its messages."""
 
     def begin(self, heading: float) -> None:
         """Stand at the origin without power on the motors, as after switching on."""
         super().begin(heading)
-        self._said: dict[int, Any] = {}
-        self._told = 0
+        self._last_messages: dict[int, Any] = {}
+        self._announced = 0
         self._chattered = 0.0
         self._left = 0.0
         self.rebooted = False
@@ -45,7 +45,7 @@ class Vehicle(Systems):
         self.begin(self.body.yaw)
         self.flight.mission.plan, self.fence.plan = mission, fence
         self.rebooted = True
-        self.say(6, "Calibrating barometer")
+        self.send_text(6, "Calibrating barometer")
 
     # What it says
 
@@ -57,10 +57,10 @@ class Vehicle(Systems):
 
     def measure(self, number: int) -> Any:
         """Make a message that tells how it is, by its id; None: there is none now."""
-        told = self.faults.telemetry
-        if told == "live" or number == mav.MAVLINK_MSG_ID_HEARTBEAT:
-            self._said[number] = MAKERS[number](self)
-        return None if told == "silent" and number else self._said.get(number)
+        telemetry = self.faults.telemetry
+        if telemetry == "live" or number == mav.MAVLINK_MSG_ID_HEARTBEAT:
+            self._last_messages[number] = MAKERS[number](self)
+        return None if telemetry == "silent" and number else self._last_messages.get(number)
 
     # What is done with it
 
@@ -68,7 +68,7 @@ class Vehicle(Systems):
         """Change the mode to one of a number; tell whether it could be."""
         mode = self.kind.modes.get(number)
         if mode is None:
-            self.say(4, f"No such mode {number}")
+            self.send_text(4, f"No such mode {number}")
             return False
         return self.flight.set_mode(mode)
 
@@ -81,9 +81,9 @@ class Vehicle(Systems):
             reasons = [wrong]
         if reasons:
             for reason in reasons:
-                self.say(2, f"Arm: {reason}")
+                self.send_text(2, f"Arm: {reason}")
             return False
-        self.say(6, "Arming motors")
+        self.send_text(6, "Arming motors")
         self.armed, self.armed_for = True, 0.0
         self.pilot.reset()
         if self.position_ok:
@@ -117,26 +117,29 @@ class Vehicle(Systems):
         self.log.step(self, self.flight.mode, dt)
 
     def _watch_over(self, seconds: float) -> None:
-        self._tell_of_boot()
+        self._announce_boot()
         if self.home is None and self.position_ok:
             self.broadcast(self.global_origin())
             self.set_home(None)
-            self.say(6, "EKF3 IMU0 is using GPS")
-        self.sticks.look(self.wall)
+            self.send_text(6, "EKF3 IMU0 is using GPS")
+        self.sticks.expire(self.wall)
         self.noise.step(seconds)
         self.mount.step(seconds)
         self._blow()
-        self.fence.look()
-        self.failsafes.look(seconds)
+        self.fence.check()
+        self.failsafes.check(seconds)
         if not self.armed and self.time - self._chattered > _CHATTER:
             self._chattered = self.time
             for reason in self.complaints():
-                self.say(2, f"PreArm: {reason}")
+                self.send_text(2, f"PreArm: {reason}")
 
-    def _tell_of_boot(self) -> None:
-        while self._told < len(_BOOT) and self.time >= _BOOT[self._told][0] * self.options.warmup:
-            self.say(6, _BOOT[self._told][1])
-            self._told += 1
+    def _announce_boot(self) -> None:
+        while (
+            self._announced < len(_BOOT)
+            and self.time >= _BOOT[self._announced][0] * self.options.warmup
+        ):
+            self.send_text(6, _BOOT[self._announced][1])
+            self._announced += 1
 
     def _blow(self) -> None:
         speed = min(_STORM, self.params["SIM_WIND_SPD"])

@@ -1,4 +1,4 @@
-"""Actions: goal, feedback, result, cancel; and what becomes of a goal whose server dies."""
+"""Actions: goal, feedback, result, cancel, and goals whose server dies."""
 
 from __future__ import annotations
 
@@ -68,20 +68,20 @@ class Run(Binding):
 
     @property
     def timeout(self) -> float:
-        """Seconds for the server's answer to a goal or cancel; the goal itself may take longer."""
+        """Time-out in s for the server's response to a goal or cancel, not for the goal itself."""
         return self.shared.config.timeout
 
     @property
     def silence(self) -> float:
-        """Seconds for which a server that used to answer may say nothing."""
+        """Maximum silence in s of a server that responded before."""
         return self.mapping.silence or self.shared.config.silence
 
     async def execute(self, value: Any, progress: Progress) -> Any:
-        """Send a goal and see it through.
+        """Send a goal and wait for its result.
 
-        :raises AdapterUnavailable: there is no server, or it went away while it ran the goal.
+        :raises AdapterUnavailable: there is no server, or it disappeared while it ran the goal.
         :raises DeviceRejected: the server refused the goal or aborted it.
-        :raises DeviceTimeout: the server fell silent.
+        :raises DeviceTimeout: the server stopped responding.
         """
         goal = Goal(self, self.action.Goal() if value is None else self._fill(value), progress)
         self._goals.add(goal)
@@ -91,7 +91,7 @@ class Run(Binding):
             self._goals.discard(goal)
 
     async def reach(self) -> None:
-        """Return once a server can be sent a goal.
+        """Wait until a server accepts goals.
 
         :raises AdapterUnavailable: there is none.
         """
@@ -108,9 +108,9 @@ class Run(Binding):
             await asyncio.sleep(_PAUSE)
 
     async def need_feedback(self) -> None:
-        """Return once what measures the motion is heard.
+        """Wait until the feedback of the motion arrives.
 
-        :raises AdapterUnavailable: it is not, or too old.
+        :raises AdapterUnavailable: it is missing or too old.
         """
         if self.mapping.feedback is None:
             return
@@ -126,7 +126,7 @@ class Run(Binding):
             )
 
     def is_ready(self) -> bool:
-        """Tell whether a server is there, in the ROS thread."""
+        """Tell whether a server is available, in the ROS thread."""
         if self.client is None:
             from rclpy.action.client import ActionClient
 
@@ -135,7 +135,7 @@ class Run(Binding):
         return self.client.server_is_ready()
 
     def servers(self) -> frozenset[bytes]:
-        """Return who publishes the action's status: a new one is a server that was restarted."""
+        """Return the publisher of the action's status: a new one means a restarted server."""
         topic = f"{self.mapping.target}/_action/status"
         endpoints = self.shared.ros.node.get_publishers_info_by_topic(topic)
         named = [name for name in map(node_of, endpoints) if name is not None]
@@ -156,7 +156,7 @@ class Run(Binding):
         await asyncio.gather(*(goal.stop() for goal in list(self._goals)))
 
     def close(self) -> None:
-        """Let go of the client."""
+        """Destroy the client."""
         self.shared.ros.post(self._drop)
 
     def _drop(self) -> None:
@@ -167,7 +167,7 @@ class Run(Binding):
 
 
 def _is_refused(answer: Any) -> bool:
-    """Tell whether a server goes on in spite of a cancel; rclpy's says so by canceling nothing."""
+    """Tell whether a server refuses a cancel; rclpy's cancels nothing in that case."""
     nothing = answer.return_code == _ACCEPTED and not answer.goals_canceling
     return nothing or answer.return_code == _REFUSED
 
@@ -185,11 +185,11 @@ class Goal:
         self._result = Ticket(run.shared.host)
         self._pulse: Pulse | None = None
         self._answers = 0
-        """How often the node had answered when it was first asked about this goal."""
+        """The node's number of responses when it was first polled for this goal."""
         self._servers: frozenset[bytes] = frozenset()
         self._last_message_at = time.monotonic()
         self._seen: Any = None
-        """The goal's handle, as the ROS thread has it."""
+        """The goal's handle in the ROS thread."""
         self._sent = False
         self._result_requested = False
         self._abandoned = False
@@ -197,7 +197,7 @@ class Goal:
         self._id = uuid.uuid4().bytes
 
     async def run(self) -> Any:
-        """See the goal through; a cancellation reaches the server before this returns."""
+        """Run the goal to its end; a cancellation reaches the server before this returns."""
         try:
             await self._run.reach()
             await self._run.need_feedback()
@@ -246,7 +246,7 @@ class Goal:
         return self._outcome(status, value)
 
     async def _need_feedback(self) -> None:
-        """Cancel the goal once its motion is not measured any more.
+        """Cancel the goal if its feedback is lost.
 
         :raises DeviceTimeout: it is not.
         """
@@ -261,7 +261,7 @@ class Goal:
         )
 
     async def _poll(self) -> None:
-        """Look after the server; a goal must not wait for one that is dead."""
+        """Monitor the server; a goal must not wait for a dead one."""
         ready = await self._ros.call(self._inspect)
         if self._result.done:
             return
@@ -301,14 +301,14 @@ class Goal:
         )
 
     async def _cancelled(self) -> tuple[Any] | None:
-        """Bring the goal to rest. Return its result if it succeeded before the cancel came."""
+        """End the goal. Return its result if it succeeded before the cancel came."""
         if not await self.stop():
             return None
         status, value = self._result.result()
         return (value,) if status == _SUCCEEDED else None
 
     async def stop(self) -> bool:
-        """Cancel the goal and wait until it rests; tell whether there was anything to stop.
+        """Cancel the goal and wait until it has ended; tell whether there was anything to cancel.
 
         :raises DeviceRejected: the server refuses to cancel.
         :raises DeviceTimeout: it has not confirmed it.
@@ -367,7 +367,7 @@ class Goal:
             self._cancel_unseen()
 
     def _cancel_unseen(self) -> None:
-        """Cancel a goal that nobody waits for any more, now or when its server is heard again."""
+        """Cancel an abandoned goal, now or when its server responds again."""
         self._abandoned = True
         server = self._run.shared.keeper.servers.get(self._name)
         if server is not None:

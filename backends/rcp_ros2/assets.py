@@ -1,4 +1,4 @@
-"""Meshes and textures of a robot's description, for those who draw it and have none of its files."""
+"""Meshes and textures of a robot's description, for viewers without its files."""
 
 from __future__ import annotations
 
@@ -43,13 +43,13 @@ MEDIA = {
     ".jpg": "image/jpeg",
     ".jpeg": "image/jpeg",
 }
-"""Endings of what may be asked for, each with what it is."""
+"""Supported file name endings with their media types."""
 _NAMED = re.compile(r"""=\s*["']\s*package://([A-Za-z][A-Za-z0-9_-]*)/""")
 _URI = re.compile(r"package://([A-Za-z][A-Za-z0-9_-]*)/([^\x00-\x1f\\]+)")
 
 
 class Fetch(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Which file is wanted."""
+    """The requested file."""
 
     uri: Annotated[
         str,
@@ -70,7 +70,7 @@ class Asset(msgspec.Struct, frozen=True):
 
 
 def packages_of(description: str) -> frozenset[str]:
-    """Return the packages that a robot's description takes files from."""
+    """Return the packages that a robot's description refers to."""
     return frozenset(_NAMED.findall(html.unescape(description)))
 
 
@@ -171,7 +171,7 @@ class Fetching(Binding):
 
     def __init__(self, shared: Shared, name: str, mapping: Mapping) -> None:
         self._packages: frozenset[str] | None = None
-        """Those that the description names; None before it was heard."""
+        """Packages in the description; None before it was received."""
         self._follows = False
         self._key = f"{mapping.target} assets"
         text = f"Return a mesh or texture of a package that {mapping.target} refers to"

@@ -1,4 +1,4 @@
-"""Several parameters of a node at once: all of them are set, or none."""
+"""Several parameters of a node, set atomically."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ __all__ = ["AtomicParameters"]
 
 
 class AtomicParameters(Binding):
-    """Sets parameters of one node as one."""
+    """Sets parameters of one node atomically."""
 
     def __init__(
         self,

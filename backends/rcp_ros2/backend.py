@@ -1,4 +1,4 @@
-"""The backend: each call goes to the binding of its name."""
+"""The backend: dispatches each call to the binding of its resource."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class Ros2Backend(BaseBackend):
         return binding
 
     async def read(self, name: str) -> Any:
-        """Return the present value."""
+        """Return the current value."""
         return await self._binding(name).read()
 
     async def write(self, name: str, value: Any) -> Any:
@@ -48,7 +48,7 @@ class Ros2Backend(BaseBackend):
         return await self._binding(name).write(value)
 
     async def execute(self, name: str, value: Any, progress: Progress) -> Any:
-        """Call a service, or see an action through."""
+        """Call a service, or run an action."""
         return await self._binding(name).execute(value, progress)
 
     def watch(self, name: str, rate: float | None) -> AbstractAsyncContextManager[object]:
@@ -79,9 +79,9 @@ class Ros2Backend(BaseBackend):
             binding.unwatched()
 
     async def halt(self) -> None:
-        """Publish what is safe on all actuators, cancel every goal, use every means configured.
+        """Publish safe values on all actuators, cancel every goal, use all configured means.
 
-        :raises AdapterUnavailable: it is not known whether everything is at rest.
+        :raises AdapterUnavailable: it is unknown whether everything is at rest.
         :raises DeviceTimeout: something is not.
         """
         await self._stops.halt(None)
@@ -91,19 +91,19 @@ class Ros2Backend(BaseBackend):
         await self._stops.halt(robot)
 
     def motion(self, robot: str | None) -> MotionState:
-        """Report whether a robot is at rest: by its odometry, or else by what it was sent."""
+        """Report whether a robot is at rest: by odometry, otherwise by delivered safe values."""
         return self._stops.motion(robot)
 
     def hold_stop(self, robot: str | None) -> None:
-        """Keep a robot stopped; the ROS thread repeats what does."""
+        """Keep a robot stopped; the ROS thread repeats the stop."""
         self._stops.hold_stop(robot)
 
     async def hold(self, robot: str | None) -> None:
-        """Publish what is safe and cancel every goal, without the configured means of stopping."""
+        """Publish safe values and cancel every goal, without the configured means."""
         await self._stops.halt(robot)
 
     async def recover(self, robot: str | None) -> str:
-        """Cancel the goals that were lost with their server, or with an earlier gateway."""
+        """Cancel goals that were lost with their server, or with a previous gateway process."""
         return await self._stops.recover(robot)
 
     def watchdogs(self) -> Sequence[Watchdog]:
@@ -113,7 +113,7 @@ class Ros2Backend(BaseBackend):
 
 @asynccontextmanager
 async def open_ros2(config: Ros2Config, host: Host) -> AsyncGenerator[Ros2Backend]:
-    """Join a ROS 2 domain; leaving lets go of everything in it.
+    """Join a ROS 2 domain; leaving releases everything in it.
 
     :raises ConfigError: rclpy is missing.
     :raises NotReady: ROS 2 did not start, or failed later.

@@ -1,4 +1,4 @@
-"""What a service is asked and answers, by whomever: where its node has introspection on."""
+"""Calls of services by any client, if the node has introspection enabled."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ __all__ = ["Calls", "calls_of"]
 
 Step = Literal["request_sent", "request_received", "response_sent", "response_received"]
 _STEPS: tuple[Step, ...] = Step.__args__
-"""By their number in service_msgs/msg/ServiceEventInfo."""
+"""Steps by their number in service_msgs/msg/ServiceEventInfo."""
 
 
 def _call_type(srv: Any) -> type[msgspec.Struct]:
-    """Return the type of one step of a call; contents are left out where the node leaves them out."""
+    """Return the type of one step of a call; contents are optional, as the node may omit them."""
     return msgspec.defstruct(
         f"{srv.__name__}Call",
         [
@@ -65,7 +65,7 @@ class _Steps(Codec):
 
 
 class Calls:
-    """Offers the calls of each service that the patterns offer and that tells of them."""
+    """Offers the calls of each exposed service with introspection."""
 
     def __init__(self, shared: Shared, services: AbstractSet[str]) -> None:
         self._shared = shared

@@ -1,4 +1,4 @@
-"""Which paths there are: those of the map always, those of the patterns while the graph has them."""
+"""The catalog of paths: those of the map always, those of the patterns while in the graph."""
 
 from __future__ import annotations
 
@@ -49,16 +49,16 @@ _AT_ONCE = 4  # nodes asked at the same time
 
 
 class Catalog:
-    """The bindings of a backend, kept in step with the graph."""
+    """The bindings of a backend, synchronized with the graph."""
 
     def __init__(self, shared: Shared) -> None:
         config = shared.config
         self._shared = shared
         self._exposes = bool(config.expose or config.robots)
-        """Whether the graph decides on what there is."""
+        """Whether the paths depend on the graph."""
         self.bindings: dict[str, Binding] = {}
         self.rates: dict[str, list[float]] = {}
-        """What is watched: each name with the rates that its watchers want."""
+        """Subscribed names with the rates of their subscribers."""
         self._wanted = wanted = Wanted(config, shared.naming, shared.needed)
         self.matters = wanted.matters
         self._mapped = wanted.mapped
@@ -82,13 +82,13 @@ class Catalog:
         shared.refresh = lambda: self.update(shared.graph)
 
         self._gone: dict[str, float] = {}
-        """Exposed names that the graph does not have any more, with the time it was noticed."""
+        """Exposed names no longer in the graph, with the time this was noticed."""
         self._types: dict[str, str] = {}
         """The type that each binding was made for."""
         self._made_of: dict[str, Mapping] = {}
         """The mapping that each binding was made for."""
         self._later: dict[str, float] = {}
-        """When to try again what could not be made."""
+        """When to retry what could not be created."""
         self._building: set[str] = set()
         self._tasks: set[asyncio.Task[None]] = set()
         self._queries = asyncio.Semaphore(_AT_ONCE)
@@ -99,7 +99,7 @@ class Catalog:
     # -- what is wanted --------------------------------------------------------------------------
 
     def update(self, graph: Graph) -> None:
-        """Follow a new look at the graph."""
+        """Apply a new poll of the graph."""
         self._shared.graph = graph
         for name, mapping in self._mapped.items():
             self._want(name, mapping, graph, mapped=True)
@@ -129,7 +129,7 @@ class Catalog:
             self._shared.host.discovering(active=False)
 
     async def place_mapped(self) -> None:
-        """Declare what the map gives with its type, for which nothing of the graph is needed."""
+        """Declare mappings whose type is configured, which do not need the graph."""
         for name, mapping in self._mapped.items():
             if mapping.type is not None:
                 self._want(name, mapping, self._shared.graph, mapped=True)
@@ -376,7 +376,7 @@ class Catalog:
         self._shared.report()
 
     async def close(self) -> None:
-        """Stop making, and let go of everything."""
+        """Stop creating bindings, and release everything."""
         for task in list(self._tasks):
             task.cancel()
         await asyncio.gather(*self._tasks, return_exceptions=True)

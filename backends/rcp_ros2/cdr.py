@@ -25,7 +25,7 @@ _HEADER = 4
 
 
 class Malformed(ValueError):
-    """The bytes are not a message of this type."""
+    """The bytes are not a valid message of this type."""
 
 
 class Codec:
@@ -69,7 +69,7 @@ class Codec:
 
 
 class Value:
-    """A message still in its serialised form."""
+    """A message in serialized form."""
 
     __slots__ = ("_codec", "data")
 

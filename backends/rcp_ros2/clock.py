@@ -1,4 +1,4 @@
-"""The robot's time: `/clock`, where a simulator or a recording runs it."""
+"""The robot's time from `/clock`, if a simulator or a recording provides it."""
 
 from __future__ import annotations
 
@@ -30,14 +30,14 @@ Time = Annotated[float, Meta(extra_json_schema={"unit": "s"})]
 
 
 class ClockJump(msgspec.Struct, frozen=True):
-    """The robot's time went back: a simulation was reset, or a recording begins again."""
+    """The robot's time went back: a simulation was reset, or a recording restarted."""
 
     before: Time
     after: Time
 
 
 class Clock:
-    """Follows the robot's time, and tells those who remember things by it when it jumps back."""
+    """Follows the robot's time, and notifies listeners when it jumps back."""
 
     def __init__(self, shared: Shared) -> None:
         self._shared = shared
@@ -68,7 +68,7 @@ class Clock:
             self._shared.host.call_soon(self._shared.host.publish, _EVENT, jump, now)
 
     def find(self, graph: Graph) -> dict[str, Offer]:
-        """Return the clock and its jumps, where the configuration asks for them."""
+        """Return the clock and its jumps, if configured."""
         if not self._wanted:
             return {}
         if not self._shared.settling:
@@ -85,7 +85,7 @@ class Clock:
 
 
 class Jumps(Binding):
-    """The event that time has gone back."""
+    """The event that time went back."""
 
     def __init__(self, shared: Shared, mapping: Mapping) -> None:
         text = "The robot's time went back: history kept by that time is cleared"

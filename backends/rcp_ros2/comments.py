@@ -29,7 +29,7 @@ _texts: dict[str, str] = {}
 
 
 class Comments(NamedTuple):
-    """What is said of a type, and of each of its fields."""
+    """The comments on a type and on each of its fields."""
 
     whole: str = ""
     fields: dict[str, str] = {}  # noqa: RUF012 - never written
@@ -64,7 +64,7 @@ def remember(name: str, text: str) -> None:
 
 @lru_cache(maxsize=4096)
 def comments_of(cls: Any) -> Comments:
-    """Return what is said of a message class, or of a part of a service or action."""
+    """Return the comments on a message class, or on a part of a service or action."""
     parent, _, part = full_name(cls).rpartition("_")
     if part in _PARTS and parent.split("/")[1] != "msg":
         texts = re.split(r"^---.*$", _text(parent), flags=re.MULTILINE)

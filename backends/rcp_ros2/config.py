@@ -1,4 +1,4 @@
-"""The configuration of one ROS 2 backend: what stands at which path, and how patient it is."""
+"""The configuration of one ROS 2 backend: mappings and time-outs."""
 
 from __future__ import annotations
 
@@ -36,66 +36,66 @@ Seconds = Annotated[float, Meta(gt=0, extra_json_schema={"unit": "s"})]
 
 
 class Qos(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """What to ask of the middleware instead of what the other side offers."""
+    """QoS policies to use instead of those that the other side offers."""
 
     reliability: Literal["reliable", "best_effort"] | None = None
     durability: Literal["volatile", "transient_local"] | None = None
     depth: Annotated[int, Meta(ge=1, le=10_000)] | None = None
     history: Literal["keep_last", "keep_all"] | None = None
     deadline: Seconds | None = None
-    """Between two messages, at most: promised by a publisher, asked for by a subscription."""
+    """Maximum time between two messages: offered by a publisher, requested by a subscription."""
     lifespan: Seconds | None = None
-    """For which a message is worth sending."""
+    """Lifespan of a message."""
     liveliness: Literal["automatic", "manual_by_topic"] | None = None
     lease: Seconds | None = None
-    """For which the other side counts as alive without a sign."""
+    """Liveliness lease duration."""
 
 
 class Mapping(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """What one path stands for: a topic, a service, an action, or a parameter of a node."""
+    """The target of one path: a topic, a service, an action, or a parameter of a node."""
 
     topic: RosName | None = None
     service: RosName | None = None
     action: RosName | None = None
     node: RosName | None = None
-    """With `parameter` or `parameters`: the node that has them."""
+    """With `parameter` or `parameters`: the node that owns them."""
     parameter: str | None = None
     parameters: tuple[str, ...] = ()
-    """Of a service that sets them together, all or none; `*` is every one the node has."""
+    """For a service that sets them atomically; `*` is every parameter of the node."""
     type: TypeName | None = None
-    """`nav_msgs/msg/Odometry`; without it the graph tells, once somebody offers the topic."""
+    """`nav_msgs/msg/Odometry`; without it, the type is read from the graph."""
     field: FieldPath | None = None
     """Only this part of the messages of a sensor or event: `pose.pose`."""
     unit: str | None = None
-    """UCUM unit of the numbers of which nothing is known: of a parameter, of a message of one's
-    own. ROS's definitions carry none."""
+    """UCUM unit of numbers whose unit is not known otherwise: a parameter, a custom
+    message. ROS's definitions carry none."""
     frame: str | None = None
-    """The frame of what carries none, for its schema: of a `pose.pose`, of a velocity."""
+    """`frame_id` in the schema of a value without a header: a `pose.pose`, a velocity."""
     qos: Qos = Qos()
     description: str | None = None
     deadline: Seconds | None = None
     timeout: Seconds | None = None
-    """For an answer; for an action the whole of it."""
+    """Time-out for a response; for an action, its whole duration."""
     silence: Seconds | None = None
-    """Of an action: for how long its server may say nothing; see the backend's own `silence`."""
+    """For an action: maximum silence of its server; see the backend's `silence`."""
     policy: Policy | None = None
     max_age: Seconds | None = None
     history: Annotated[int, Meta(ge=1, le=100_000)] | None = None
     valid_for: Annotated[float, Meta(ge=0, extra_json_schema={"unit": "s"})] | None = None
-    """Seconds a write stands; velocities have 0.5 by themselves, 0 lets a write stand for ever."""
+    """Validity of a write in s; default 0.5 for velocities; with 0 a write never expires."""
     safe: Any = None
-    """What the dead-man and `halt` write; all zeros without it."""
+    """Value that the dead-man and `halt` write; default all zeros."""
     require_subscriber: bool = True
-    """Refuse a write that no node would hear."""
+    """Refuse a write that no node would receive."""
     moves: bool | None = None
     """Whether it may move the robot: refused under an e-stop. None: every actuator and action does,
     and every service but those of types that are known to ask only."""
     energises: bool | None = None
-    """Whether it arms the robot or gives its motors torque: refused under an e-stop."""
+    """Whether it arms the robot or applies torque to its motors: refused under an e-stop."""
     feedback: RosName | None = None
-    """Topic of an actuator's or action's measured velocity: without it nothing is moved."""
+    """Topic with the measured velocity of an actuator or action: without feedback, no motion."""
     feedback_timeout: Seconds | None = None
-    """Age above which that feedback does not count; None takes `stop.max_age`."""
+    """Maximum age of that feedback; None uses `stop.max_age`."""
 
     def __post_init__(self) -> None:
         if self.feedback_timeout is not None and self.feedback is None:
@@ -116,54 +116,54 @@ class Mapping(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
 
     @property
     def noun(self) -> str:
-        """What the target is, for messages."""
+        """Kind of the target, for messages."""
         if self.node is not None:
             return "node"
         return "topic" if self.topic else "service" if self.service else "action"
 
 
 class Diagnostics(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """How `/diagnostics` is followed, where `expose` names it."""
+    """Settings for `/diagnostics`, if exposed."""
 
     stale: Seconds = 5.0
-    """Without news of a status, after which it counts as stale."""
+    """Time without an update after which a status counts as stale."""
 
 
 class Log(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Which records of `/rosout` are told, where `expose` names it."""
+    """Settings for `/rosout`, if exposed."""
 
     level: Literal["debug", "info", "warn", "error", "fatal"] = "info"
-    """The least that is told."""
+    """Lowest level that is reported."""
 
 
 class Jpeg(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """How images become JPEGs, for those who ask for these."""
+    """Settings for JPEG conversion."""
 
     quality: Annotated[int, Meta(ge=1, le=100)] = 80
     rate: Annotated[float, Meta(gt=0, le=120, extra_json_schema={"unit": "Hz"})] = 15.0
-    """At most so many a second of one camera."""
+    """Maximum rate per camera."""
 
 
 class Assets(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Where the meshes and textures that a robot's description names are found."""
+    """Locations of the meshes and textures in a robot's description."""
 
     paths: dict[str, str] = {}
     """Package → folder, of those that are not installed here, or installed as links."""
     size: Annotated[int, Meta(ge=1, le=2**28, extra_json_schema={"unit": "By"})] = 2**24
-    """Of one file, at most; a larger one is refused."""
+    """Maximum size of a file; a larger one is refused."""
 
 
 class Transforms(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """How the tree of frames is kept, where `expose` names `/tf` and `/tf_static`."""
+    """Settings for the tree of frames, if `/tf` and `/tf_static` are exposed."""
 
     targets: tuple[str, ...] = ("earth", "map", "odom", "base_link")
     """Frames in which every other frame that is connected gets a sensor; roots are added."""
     names: dict[str, tuple[str, str]] = {}
     """Sensors by names of one's own: each with the frame that is the target, and the source."""
     buffer: Annotated[float, Meta(gt=0, le=600, extra_json_schema={"unit": "s"})] = 10.0
-    """For which a moving frame is remembered."""
+    """History of moving frames."""
     rate: Annotated[float, Meta(gt=0, le=200, extra_json_schema={"unit": "Hz"})] = 30.0
-    """At most so many values a second of one pair."""
+    """Maximum rate per pair."""
 
     def __post_init__(self) -> None:
         for path in self.names:
@@ -176,7 +176,7 @@ class StopService(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
 
     name: RosName
     type: TypeName | None = None
-    """`std_srvs/srv/SetBool`; without it the graph tells."""
+    """`std_srvs/srv/SetBool`; without it, read from the graph."""
     request: dict[str, Any] = {}
     released: dict[str, Any] | None = None
     """What it is called with when the e-stop is reset; None calls nothing."""
@@ -193,17 +193,17 @@ class StopTopic(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
 
 
 class Stop(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """How a robot is stopped, and how its rest is measured. Relative names are each robot's own."""
+    """How a robot is stopped and confirmed at rest. Relative names are each robot's own."""
 
     feedback: RosName | bool = True
     """Topic of the measured velocity, without which a stop is not confirmed; true takes the
     odometry that `map` or `expose` names, if there is one; false measures nothing."""
     speed: Annotated[float, Meta(gt=0, extra_json_schema={"unit": "m/s"})] = 0.05
-    """At or below which the robot counts as at rest."""
+    """Speed at or below which the robot counts as at rest."""
     turn: Annotated[float, Meta(gt=0, extra_json_schema={"unit": "rad/s"})] = 0.1
     """The same for its rotation, and for the velocities of joints."""
     max_age: Seconds = 0.5
-    """Age above which a measurement does not count."""
+    """Maximum age of a measurement."""
     rate: Annotated[float, Meta(ge=10, le=100, extra_json_schema={"unit": "Hz"})] = 20.0
     """At which the safe values are repeated, at least; three times as fast as whoever else
     publishes, up to 100 Hz."""
@@ -229,7 +229,7 @@ class Ros2Config(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """One ROS 2 domain, or the part of it that belongs to one robot."""
 
     domain_id: Annotated[int, Meta(ge=0, le=232)] | None = None
-    """None takes ROS_DOMAIN_ID, or 0."""
+    """None uses ROS_DOMAIN_ID, or 0."""
     node: Annotated[str, Meta(pattern=r"^[A-Za-z][A-Za-z0-9_]*$")] = "rcp_gateway"
     """Name of the gateway's own node."""
     namespace: RosName = "/"
@@ -238,12 +238,12 @@ class Ros2Config(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Namespaces each of which is a robot: `/fleet/*`. What lies in one has its paths below the
     name that `*` stands for, or the last segment: `sensor/<robot>/…`."""
     nice_names: bool = True
-    """Give well-known topics of well-known types the names that people know."""
+    """Give well-known topics of well-known types conventional paths."""
     expose: tuple[RosPattern, ...] = ()
     """Names of topics, services, actions and nodes to offer as they come; `*` is one segment of
     a name, `**` any number. Nothing is offered that no pattern and no mapping names."""
     hide: tuple[RosPattern, ...] = ()
-    """Names that `expose` would offer, and should not."""
+    """Names to exclude from `expose`."""
     map: dict[str, Mapping] = {}
     types: dict[MessageName, str] = {}
     """The `.msg` text of types that are not installed."""
@@ -254,21 +254,21 @@ class Ros2Config(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     assets: Assets = Assets()
     stop: Stop = Stop()
     on_loss: Literal["hold", "continue"] = "hold"
-    """What becomes of a goal or command that was lost with its node, once that is back."""
+    """What to do with a goal or command that was lost with its node, once the node is back."""
     graph: bool = False
     """Offer the graph itself as `sensor/ros/graph`."""
     use_sim_time: bool = False
-    """The robot's time is what `/clock` says."""
+    """Use `/clock` as the robot's time."""
     timeout: Seconds = 5.0
-    """For an answer of a service, a parameter or an action server."""
+    """Time-out for a response from a service, a parameter or an action server."""
     silence: Seconds = 4.0
-    """For which a server that used to answer may say nothing while it runs a goal."""
+    """Maximum silence of an action server while it runs a goal."""
     transition_timeout: Seconds = 30.0
-    """For a lifecycle node to come to its new state."""
+    """Time-out for a lifecycle node to reach its new state."""
     grace: Annotated[float, Meta(ge=0, extra_json_schema={"unit": "s"})] = 4.0
-    """For the discovery of the graph, before something is said to be missing."""
+    """Time for graph discovery, before anything is reported missing."""
     poll: Annotated[float, Meta(ge=0.1, le=60, extra_json_schema={"unit": "s"})] = 1.0
-    """Between two looks at the graph."""
+    """Interval between two polls of the graph."""
 
     def __post_init__(self) -> None:
         for name, text in self.types.items():

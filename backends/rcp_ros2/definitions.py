@@ -1,4 +1,4 @@
-"""Message types made at run time, of their `.msg` text or of what a node says of them.
+"""Message types created at run time from their `.msg` text or a node's type description.
 
 There is no code that would turn an object of such a type into its bytes: what is published is
 encoded by `writer.py`. What rclpy wants of it is in `support.py`.
@@ -32,7 +32,7 @@ _DUMMY = "structure_needs_at_least_one_member"
 
 
 class BadText(ValueError):
-    """A text is not that of a message."""
+    """The text is not a valid message definition."""
 
 
 class Part(NamedTuple):

@@ -26,7 +26,7 @@ _MOST = 1000  # statuses of one topic; a name that changes with every message wo
 
 
 class Diagnosis(msgspec.Struct, frozen=True):
-    """What a part of the robot says of itself."""
+    """The status of a component."""
 
     level: Level
     name: str
@@ -36,12 +36,12 @@ class Diagnosis(msgspec.Struct, frozen=True):
 
 
 class DiagnosisChange(msgspec.Struct, frozen=True):
-    """A part of the robot whose level has changed."""
+    """A component whose level has changed."""
 
     path: str
     """The resource that has the status, below the robot."""
     was: Level | None
-    """None: it has not been heard of before."""
+    """None: not reported before."""
     now: Diagnosis
 
 
@@ -75,7 +75,7 @@ class Diagnostics:
 
 
 class _Board:
-    """What is known from one topic; on the event loop."""
+    """The statuses of one topic; on the event loop."""
 
     def __init__(self, shared: Shared, topic: str) -> None:
         self.shared = shared
@@ -148,13 +148,13 @@ class _Board:
             self.shared.host.publish(self.event, change, status.stamp)
 
     def placed(self) -> None:
-        """Tell what changed before there was an event to tell it."""
+        """Publish changes from before the event was declared."""
         early, self._early = self._early, None
         for change in early or ():
             self.shared.host.publish(self.event, change)
 
     def sweep(self) -> None:
-        """Say which statuses have gone stale."""
+        """Mark statuses that have become stale."""
         limit = self.shared.config.diagnostics.stale
         oldest = time.monotonic() - limit
         for status in self.statuses.values():
@@ -195,7 +195,7 @@ class StatusOf(Binding):
         return self._status.diagnosis
 
     def placed(self) -> None:
-        """Publish what made it known."""
+        """Publish the message that announced it."""
         status = self._status
         self.shared.host.publish(status.path, status.diagnosis, status.stamp)
 

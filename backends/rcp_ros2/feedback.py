@@ -1,4 +1,4 @@
-"""The measured velocity of a robot: whether it is at rest, and how old that knowledge is.
+"""The measured velocity of a robot: whether it is at rest, and the age of the measurement.
 
 Samples are taken in the ROS thread; any thread may ask what they say.
 """
@@ -11,10 +11,10 @@ from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 from rcp_kernel.spi import MotionState
-from rcp_ros2.binding import Shared
 from rcp_ros2.cdr import Codec, Malformed, Value
 from rcp_ros2.config import Qos
 from rcp_ros2.idl import MissingType, load
+from rcp_ros2.link import RosLink
 from rcp_ros2.topics import Tap
 
 __all__ = ["ODOMETRY", "Feedback", "Feedbacks"]
@@ -52,7 +52,7 @@ _MEASURES: dict[str, tuple[str | None, Callable[[Any], Measured | None]]] = {
 
 
 class Feedback:
-    """The velocity that one topic tells."""
+    """The velocity from one topic."""
 
     def __init__(
         self,
@@ -74,7 +74,7 @@ class Feedback:
         self._stamp: int | None = None
         self._speed: Measured = (0.0, 0.0)
         self._rest: float | None = None
-        """Since when it has been measured at rest."""
+        """Time since which it has been measured at rest."""
         self.type: str | None = None
 
     def tap(self, type_: str) -> tuple[Any, Tap]:
@@ -125,17 +125,17 @@ class Feedback:
         return None if self._at is None else time.monotonic() - self._at
 
     def is_fresh(self, max_age: float | None = None) -> bool:
-        """Tell whether the newest sample is young enough to go by."""
+        """Tell whether the newest sample is recent enough."""
         age = self.age()
         return age is not None and age <= (max_age or self.max_age)
 
     def missing(self) -> str:
-        """Say what is missing."""
+        """Describe what is missing."""
         age = self.age()
         return f"no feedback on {self.topic} " + ("yet" if age is None else f"for {age:.1f} s")
 
     def state(self, since: float | None = None) -> MotionState:
-        """Report what is measured; with `since`, only what was measured after it counts."""
+        """Report the measured state; with `since`, only later measurements count."""
         at, rest, (speed, turn) = self._at, self._rest, self._speed
         if at is None or not self.is_fresh():
             return MotionState(None, self.missing())
@@ -148,21 +148,21 @@ class Feedback:
 
 
 class Feedbacks:
-    """Every topic that a velocity is measured by."""
+    """All topics with a measured velocity."""
 
-    def __init__(self, shared: Shared, restored: Callable[[str | None], None]) -> None:
-        self._shared = shared
+    def __init__(self, link: RosLink, restored: Callable[[str | None], None]) -> None:
+        self._link = link
         self._restored = restored
         """Called on the event loop with the robot whose feedback returned."""
         self._all: dict[tuple[str, str | None], Feedback] = {}
 
     def follow(self, topic: str, robot: str | None, type_: str | None) -> Feedback:
-        """Follow a topic for a robot, as soon as its type is known; on the event loop."""
-        stop = self._shared.config.stop
+        """Subscribe to a topic for a robot as soon as its type is known; on the event loop."""
+        stop = self._link.config.stop
         key = (topic, robot)
         found = self._all.get(key)
         if found is None:
-            host = self._shared.host
+            host = self._link.host
             found = self._all[key] = Feedback(
                 topic,
                 robot,
@@ -174,9 +174,9 @@ class Feedbacks:
             try:
                 cls, tap = found.tap(type_)
             except (MissingType, ValueError) as error:
-                self._shared.trouble(f"feedback {topic}", f"{topic}: {error}")
+                self._link.trouble(f"feedback {topic}", f"{topic}: {error}")
                 return found
-            ros, subscriptions = self._shared.ros, self._shared.subscriptions
+            ros, subscriptions = self._link.ros, self._link.subscriptions
             ros.post(subscriptions.untap, topic, tap.name)
             ros.post(subscriptions.tap, topic, cls, Qos(), tap)
         return found
@@ -185,13 +185,13 @@ class Feedbacks:
         """Forget robots that have left for good."""
         gone = set(robots)
         for key in [key for key in self._all if key[1] in gone]:
-            self._shared.ros.post(
-                self._shared.subscriptions.untap, key[0], f"feedback {key[0]} {key[1]}"
+            self._link.ros.post(
+                self._link.subscriptions.untap, key[0], f"feedback {key[0]} {key[1]}"
             )
             del self._all[key]
 
     def of(self, robot: str | None) -> list[Feedback]:
-        """Return what measures a robot."""
+        """Return the feedback of a robot."""
         return [one for one in list(self._all.values()) if one.robot == robot]
 
     @property

@@ -1,4 +1,4 @@
-"""From typed values to ROS messages: what is published, asked for, or set as a goal.
+"""Conversion of typed values to ROS messages: published, requested, or set as a goal.
 
 The generated classes check nothing by default and their C code trusts its input, so each value is
 given exactly the Python type that rosidl expects.

@@ -1,4 +1,4 @@
-"""The tree of coordinate frames over time, and what is where in it.
+"""The tree of coordinate frames over time.
 
 A frame is known by its transforms to the frame above it: one that stands for ever, or a row in
 the order of their times. Written in the ROS thread and read on the event loop, under a lock.
@@ -20,7 +20,7 @@ _DEEP = 1000  # frames in one chain; more is a ring
 
 
 class Place(NamedTuple):
-    """Where a frame is in another: metres, and a unit quaternion."""
+    """The transform of a frame in another: metres and a unit quaternion."""
 
     x: float
     y: float
@@ -35,7 +35,7 @@ _HERE = Place(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
 
 
 class UnknownFrame(Exception):
-    """Nobody has said anything about this frame."""
+    """The frame is unknown."""
 
     def __init__(self, name: str, known: list[str]) -> None:
         super().__init__(f"there is no frame '{name}'")
@@ -93,10 +93,10 @@ class Frames:
         self._tracks: dict[str, _Track] = {}
         self._lock = Lock()
         self.version = 0
-        """Rises whenever a frame appears, or hangs from another one."""
+        """Incremented whenever a frame appears or changes its parent."""
 
     def put(self, child: str, parent: str, time: int, place: Place, *, static: bool) -> None:
-        """Take in a transform; one that is no transform is left out."""
+        """Add a transform; an invalid one is ignored."""
         child, parent = child.lstrip("/"), parent.lstrip("/")
         norm = math.hypot(*place[3:])
         if (
@@ -139,18 +139,18 @@ class Frames:
             del track.times[:old], track.parents[:old], track.places[:old]
 
     def forget_moving(self) -> None:
-        """Drop all but what stands for ever: time has jumped back."""
+        """Drop everything except static transforms: time has jumped back."""
         with self._lock:
             self._tracks = {child: t for child, t in self._tracks.items() if t.static}
             self.version += 1
 
     def tree(self) -> dict[str, str]:
-        """Return each frame that hangs from another, with that one, as it is now."""
+        """Return each frame with its current parent."""
         with self._lock:
             return {child: track.parents[-1] for child, track in self._tracks.items()}
 
     def is_static(self, target: str, source: str) -> bool:
-        """Tell whether nothing between two frames moves."""
+        """Tell whether all transforms between two frames are static."""
         with self._lock:
             try:
                 return self._common_time(target, source) is None

@@ -1,4 +1,4 @@
-"""The goals of an action, whoever sent them: as its server tells of them."""
+"""The goals of an action, from any client, as its server reports them."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _STATUSES: tuple[Status, ...] = Status.__args__
 
 
 class GoalState(msgspec.Struct, frozen=True):
-    """One goal: who sent it, when it was accepted, and how it stands."""
+    """One goal: sender, time of acceptance and status."""
 
     id: str
     sender: Literal["gateway", "other"]
@@ -89,11 +89,11 @@ def goals_of(shared: Shared, name: str, mapping: Mapping) -> Binding:
 
 
 class _Goals(Observed):
-    """The goals; a server that was never sent one says nothing at all."""
+    """The goals; a server that has never received one publishes nothing."""
 
     @property
     def timeout(self) -> float:
-        """Seconds for what is latched to come."""
+        """Time-out in s for the latched message."""
         return _LATCHED
 
     async def read(self) -> Any:

@@ -1,4 +1,4 @@
-"""What is in the graph: a look at it once a second, in the ROS thread.
+"""Polls the graph once per second, in the ROS thread.
 
 rclpy tells of no change by itself. A node that was killed stays in the graph until the middleware
 gives it up (20 s with Fast DDS), so that being listed is no proof of life.
@@ -29,7 +29,7 @@ _CHANGES = "lifecycle_msgs/srv/ChangeState"
 
 @dataclass(frozen=True, slots=True)
 class Graph:
-    """One look at the graph."""
+    """One poll of the graph."""
 
     topics: dict[str, str] = field(default_factory=dict[str, str])
     """Every topic with its type."""
@@ -71,7 +71,7 @@ def _owner(service: str) -> str:
 
 
 class GraphWatch:
-    """Looks at the graph, and tells the event loop."""
+    """Polls the graph, and notifies the event loop."""
 
     def __init__(
         self, ros: Ros, matters: Callable[[str], bool], on_change: Callable[[Graph], None]
@@ -84,7 +84,7 @@ class GraphWatch:
         self._chosen: dict[str, str] = {}
         """The type of each topic that has had several."""
         self.on_poll: list[Callable[[], None]] = []
-        """Called in the ROS thread at each look."""
+        """Called in the ROS thread at each poll."""
 
     def start(self) -> None:
         """Begin, in the ROS thread."""
@@ -147,7 +147,7 @@ class GraphWatch:
         )
 
     def _strangers(self, topic: str) -> int:
-        """Count the subscribers but for gateways: one that follows a topic does not obey it."""
+        """Count the subscribers except gateways: a gateway that subscribes does not obey."""
         node: Any = self._ros.node
         own = node.get_fully_qualified_name()
         found = node.get_subscriptions_info_by_topic(topic)

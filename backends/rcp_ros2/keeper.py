@@ -1,4 +1,4 @@
-"""What keeps a stopped robot stopped: repeated in the ROS thread, whatever the event loop does.
+"""Keeps a stopped robot stopped: repeated in the ROS thread, independent of the event loop.
 
 A hold begins with a stop. One of an e-stop lasts until the event loop has seen the latch reset: an
 event loop that has frozen cannot reset it. One without a latch ends by itself.
@@ -13,7 +13,7 @@ from typing import Any
 import structlog
 
 from rcp_kernel.errors import EstopActive
-from rcp_ros2.binding import Shared
+from rcp_ros2.link import RosLink
 from rcp_ros2.means import StopSignal
 from rcp_ros2.rest import Rest
 from rcp_ros2.ros import guarded
@@ -28,7 +28,7 @@ _POLL = 0.25  # s between looks at who else publishes
 
 @dataclass(slots=True)
 class Hold:
-    """A robot that is stopped."""
+    """A stopped robot."""
 
     began: float
     """Monotonic."""
@@ -43,8 +43,8 @@ class Hold:
 class Keeper:
     """The holds of a backend, and what they hold."""
 
-    def __init__(self, shared: Shared) -> None:
-        self._shared = shared
+    def __init__(self, link: RosLink) -> None:
+        self._link = link
         self.rests: list[Rest] = []
         self.servers: dict[str, ActionServer] = {}
         self.signals: list[StopSignal] = []
@@ -57,7 +57,7 @@ class Keeper:
     # -- from the event loop ---------------------------------------------------------------------
 
     def hold(self, robot: str | None, seconds: float, *, latched: bool) -> Hold:
-        """Hold a robot, or go on holding it; a new hold begins with all that stops it."""
+        """Hold a robot, or continue to hold it; a new hold begins with every means of stopping."""
         now = time.monotonic()
         found = self.holds.get(robot)
         if found is None:
@@ -66,16 +66,16 @@ class Keeper:
         found.latched = latched
         if not found.begun:
             found.begun = True
-            self._shared.ros.submit(guarded(self._begin, robot))
+            self._link.ros.submit(guarded(self._begin, robot))
         return found
 
     def again(self, robot: str | None) -> None:
         """Send everything that stops a robot once more."""
-        self._shared.ros.submit(guarded(self._begin, robot))
+        self._link.ros.submit(guarded(self._begin, robot))
 
     def release(self, robot: str | None) -> None:
         """End a hold: the e-stop was reset."""
-        self._shared.ros.post(self._release, robot)
+        self._link.ros.post(self._release, robot)
 
     # -- ROS thread ------------------------------------------------------------------------------
 
@@ -97,29 +97,29 @@ class Keeper:
             server.cancel()
 
     def add(self, rest: Rest) -> None:
-        """Keep an actuator of a robot."""
+        """Add an actuator of a robot."""
         self.rests.append(rest)
         if rest.robot in self.holds:
             rest.begin(time.monotonic())
 
     def remove(self, rest: Rest) -> None:
-        """Let go of an actuator."""
+        """Remove an actuator."""
         if rest in self.rests:
             self.rests.remove(rest)
             rest.leave()
 
     def follow(self, names: dict[str, str | None]) -> None:
-        """Know the action servers of the robots: each with the robot whose it is."""
+        """Set the action servers, each with its robot."""
         for name in self.servers.keys() - names.keys():
             self.servers.pop(name).close()
         for name in names.keys() - self.servers.keys():
-            server = ActionServer(self._shared, name, names[name])
+            server = ActionServer(self._link, name, names[name], self.on_goals)
             self.servers[name] = server
             if server.robot in self.holds:
                 server.cancel()
 
     def poll(self) -> None:
-        """Follow who else publishes, and which servers have come or gone; at each look."""
+        """Update other publishers and action servers; at each poll."""
         for server in list(self.servers.values()):
             server.poll()
         for rest in self.rests:
@@ -133,7 +133,7 @@ class Keeper:
         for rest in self.rests:
             if rest.robot == robot:
                 rest.begin(now)
-                self._shared.pulses.ping(rest.outlet.nodes)
+                self._link.pulses.ping(rest.outlet.nodes)
         for server in self.servers.values():
             if server.robot == robot:
                 server.cancel()
@@ -148,9 +148,9 @@ class Keeper:
         self.wake()
 
     def wake(self) -> None:
-        """Have what is held repeated."""
+        """Repeat the stop of held robots."""
         if self._timer is None:
-            self._timer = self._shared.ros.node.create_timer(_TICK, guarded(self._tick))
+            self._timer = self._link.ros.node.create_timer(_TICK, guarded(self._tick))
         elif self._timer.is_canceled():
             self._timer.reset()
 
@@ -168,7 +168,7 @@ class Keeper:
                 if due:
                     rest.poll()
                     rest.listen()
-                    self._shared.pulses.ping(rest.outlet.nodes)
+                    self._link.pulses.ping(rest.outlet.nodes)
             else:
                 rest.leave()
                 if rest.is_bursting:
@@ -193,7 +193,7 @@ class Keeper:
                 signal.release()
 
     def close(self) -> None:
-        """Let go of everything, in the ROS thread."""
+        """Release everything, in the ROS thread."""
         self.holds.clear()
         for server in self.servers.values():
             server.close()

@@ -1,15 +1,15 @@
-"""Types that are not installed, learnt from the nodes that have them."""
+"""Types that are not installed, requested from nodes that have them."""
 
 from __future__ import annotations
 
 from typing import Any
 
 from rcp_kernel.errors import RcpError
-from rcp_ros2.binding import Shared
+from rcp_ros2.caller import Caller
 from rcp_ros2.definitions import define_described
 from rcp_ros2.idl import load
+from rcp_ros2.link import RosLink
 from rcp_ros2.pulse import node_of
-from rcp_ros2.services import Caller
 
 __all__ = ["learn"]
 
@@ -17,21 +17,21 @@ _TRIES = 3  # nodes that are asked
 _PATIENCE = 2.0  # s for one of them
 
 
-async def learn(shared: Shared, topic: str, type_: str) -> bool:
+async def learn(link: RosLink, topic: str, type_: str) -> bool:
     """Ask the nodes on a topic for its type; tell whether one of them has said it.
 
     :raises MissingType: it has a field of a kind that the gateway does not know.
     """
-    for node, digest in await shared.ros.call(_nodes, shared, topic):
-        response = await _request_type(shared, topic, node, type_, digest)
+    for node, digest in await link.ros.call(_nodes, link, topic):
+        response = await _request_type(link, topic, node, type_, digest)
         if response is not None and response.successful:
             define_described(response.type_description, response.type_sources)
             return True
     return False
 
 
-def _nodes(shared: Shared, topic: str) -> list[tuple[str, str]]:
-    ros: Any = shared.ros.node
+def _nodes(link: RosLink, topic: str) -> list[tuple[str, str]]:
+    ros: Any = link.ros.node
     endpoints = [
         *ros.get_publishers_info_by_topic(topic),
         *ros.get_subscriptions_info_by_topic(topic),
@@ -41,9 +41,9 @@ def _nodes(shared: Shared, topic: str) -> list[tuple[str, str]]:
     return [(node, digest) for node, digest in named.items() if node and node != own][:_TRIES]
 
 
-async def _request_type(shared: Shared, topic: str, node: str, type_: str, digest: str) -> Any:
-    srv = await shared.ros.call(load, "type_description_interfaces/srv/GetTypeDescription")
-    caller = Caller(shared, srv, f"{node}/get_type_description", presence=("topic", topic))
+async def _request_type(link: RosLink, topic: str, node: str, type_: str, digest: str) -> Any:
+    srv = await link.ros.call(load, "type_description_interfaces/srv/GetTypeDescription")
+    caller = Caller(link, srv, f"{node}/get_type_description", presence=("topic", topic))
     request = srv.Request(type_name=type_, type_hash=digest, include_type_sources=True)
     try:
         return await caller.call(request, _PATIENCE)

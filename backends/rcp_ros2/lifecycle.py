@@ -21,11 +21,11 @@ from rcp_kernel.errors import (
 from rcp_kernel.model import Resource
 from rcp_kernel.spi import Progress, check_fence
 from rcp_ros2.binding import Binding, Offer, Shared, common
+from rcp_ros2.caller import Caller
 from rcp_ros2.cdr import Codec, Value
 from rcp_ros2.config import Mapping, Qos
 from rcp_ros2.graph import Graph
 from rcp_ros2.idl import load
-from rcp_ros2.services import Caller
 from rcp_ros2.topics import Tap
 
 __all__ = ["Lifecycles"]
@@ -67,14 +67,14 @@ _GOALS: dict[Transition, State] = {
 
 
 class LifecycleState(msgspec.Struct, frozen=True):
-    """The state of a lifecycle node, and what it can be told to do from there."""
+    """The state of a lifecycle node and the transitions possible from it."""
 
     state: State
     transitions: list[Transition]
 
 
 class LifecycleChange(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """What to tell a lifecycle node to do."""
+    """A transition of a lifecycle node."""
 
     transition: Transition
 
@@ -85,7 +85,7 @@ def _state(label: str) -> LifecycleState:
 
 
 class Lifecycles:
-    """Finds the lifecycle nodes among those that are exposed."""
+    """Finds the exposed lifecycle nodes."""
 
     def __init__(self, shared: Shared, exposes: Callable[[str], bool]) -> None:
         self._shared = shared
@@ -118,10 +118,10 @@ class _Question:
         self.close = self._caller.close
 
     async def get_state(self, limit: float) -> LifecycleState:
-        """Return the state; a question whose answer is lost while both sides meet is put again.
+        """Return the state; a request that is lost during discovery is repeated.
 
-        :raises AdapterUnavailable: the node is not there.
-        :raises DeviceTimeout: it does not answer; many do not in the middle of a transition.
+        :raises AdapterUnavailable: the node is not running.
+        :raises DeviceTimeout: it does not respond, as many nodes during a transition.
         """
         end = time.monotonic() + limit
         while (left := end - time.monotonic()) > _ANSWER:
@@ -149,7 +149,7 @@ class StateOf(Binding):
         super().__init__(shared, Resource(value=LifecycleState, **facts), mapping)
 
     async def read(self) -> Any:
-        """Ask the node."""
+        """Read the state from the node."""
         return await self._question.get_state(self.timeout)
 
     def watched(self, rate: float) -> None:
@@ -162,7 +162,7 @@ class StateOf(Binding):
             self._query = asyncio.ensure_future(self._query_state())
 
     def unwatched(self) -> None:
-        """Publish no more."""
+        """Stop publishing."""
         if self._query is not None:
             self._query.cancel()
             self._query = None
@@ -223,7 +223,7 @@ class ChangeOf(Binding):
         self.shared.keeper.admit(self.resource.robot)
 
     async def execute(self, value: Any, progress: Progress) -> LifecycleState:
-        """Lead the node through a transition.
+        """Run a transition of the node.
 
         :raises EstopActive: it would energise a robot that is stopped; it can be led down always.
         :raises DeviceRejected: it is not possible from the present state, or the node failed at it.
@@ -269,7 +269,7 @@ class ChangeOf(Binding):
             return _state(_GOALS[transition] if succeeded else "unknown")
 
     def close(self) -> None:
-        """Let go of the clients."""
+        """Destroy the clients."""
         self._question.close()
         self._caller.close()
         self._energising.close()

@@ -1,4 +1,4 @@
-"""What the nodes log: `/rosout` as one event."""
+"""Log records of the nodes: `/rosout` as one event."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ class Log:
 
 
 class Records(Binding):
-    """The log of all nodes, from a level on."""
+    """The log of all nodes, at a level and above."""
 
     def __init__(self, shared: Shared, mapping: Mapping) -> None:
         cls = load("rcl_interfaces/msg/Log")

@@ -8,12 +8,12 @@ from typing import Any
 import msgspec
 
 from rcp_kernel.errors import AdapterUnavailable, DeviceRejected
-from rcp_ros2.binding import Shared
+from rcp_ros2.caller import Caller
 from rcp_ros2.config import Qos, StopService, StopTopic
 from rcp_ros2.filler import filler
 from rcp_ros2.idl import MissingType, fields_of, load
+from rcp_ros2.link import RosLink
 from rcp_ros2.outlet import Outlet
-from rcp_ros2.services import Caller
 from rcp_ros2.types import inward
 
 __all__ = ["StopCall", "StopSignal"]
@@ -23,9 +23,9 @@ _QOS = Qos(reliability="reliable", durability="transient_local", depth=1)
 
 
 class StopSignal:
-    """A topic that says that a robot is stopped; in the ROS thread."""
+    """A topic that signals that a robot is stopped; in the ROS thread."""
 
-    def __init__(self, shared: Shared, config: StopTopic, robot: str | None) -> None:
+    def __init__(self, link: RosLink, config: StopTopic, robot: str | None) -> None:
         cls = load(config.type)
         fill, type_ = filler(cls), inward(cls)
         self.topic = config.name
@@ -38,35 +38,35 @@ class StopSignal:
         self._delivered = True
         released = config.released
         self._released = None if released is None else fill(msgspec.convert(released, type_))
-        self._outlet = Outlet(shared, self.topic, cls, _QOS)
+        self._outlet = Outlet(link, self.topic, cls, _QOS)
         self._outlet.poll()
         self._due = 0.0
 
     def engage(self, now: float) -> None:
-        """Say that the robot is stopped."""
+        """Signal that the robot is stopped."""
         self.engaged = True
         self._due = now + _PERIOD
         self._send(self.stopped)
 
     def hold(self, now: float) -> None:
-        """Say it again when it is time."""
+        """Repeat the signal when it is due."""
         if now >= self._due:
             self.engage(now)
 
     def release(self) -> None:
-        """Say that it is free, if it was said to be stopped."""
+        """Signal the release, if the stop was signalled."""
         if self.engaged and self._released is not None:
             self._send(self._released)
         self.engaged = False
 
     def trouble(self) -> str | None:
-        """Say that nobody heard that the robot is stopped, or None."""
+        """Describe a signal without a receiver, or return None."""
         return (
             None if self._delivered or not self.engaged else f"no node subscribes to {self.topic}"
         )
 
     def poll(self) -> None:
-        """Suit those who listen now."""
+        """Adapt to the current subscribers."""
         self._outlet.poll()
 
     def _send(self, message: Any) -> None:
@@ -76,23 +76,23 @@ class StopSignal:
             self._delivered = False
 
     def close(self) -> None:
-        """Let go of the publisher."""
+        """Destroy the publisher."""
         self._outlet.close()
 
 
 class StopCall:
     """A service that stops a robot; on the event loop."""
 
-    def __init__(self, shared: Shared, config: StopService, robot: str | None) -> None:
+    def __init__(self, link: RosLink, config: StopService, robot: str | None) -> None:
         self.name = config.name
         self.robot = robot
         self.engaged = False
         self.done = False
-        """Whether the service has answered that it succeeded, since the stop began."""
+        """Whether the service has reported success since the stop began."""
         self.error: str | None = None
         self.plan: dict[str, Any] | None = None
         """What the guard process calls, as soon as the type is known."""
-        self._shared = shared
+        self._link = link
         self._config = config
         self._caller: Caller | None = None
         self._srv: Any = None
@@ -101,10 +101,10 @@ class StopCall:
     @property
     def type(self) -> str | None:
         """The service's type, as soon as it is known."""
-        return self._config.type or self._shared.graph.services.get(self.name)
+        return self._config.type or self._link.graph.services.get(self.name)
 
     async def engage(self) -> None:
-        """Call it; calls that come while it is called wait for the same answer.
+        """Call it; concurrent calls wait for the same response.
 
         :raises RcpError: it cannot be reached, does not answer, or says that it failed.
         """
@@ -119,10 +119,10 @@ class StopCall:
         error = None if task.cancelled() else task.exception()
         self.done = error is None and not task.cancelled()
         self.error = None if error is None else f"{self.name} failed: {error}"
-        self._shared.trouble(f"stop service {self.name}", self.error)
+        self._link.trouble(f"stop service {self.name}", self.error)
 
     def release(self) -> None:
-        """Call it with what releases the robot, if the configuration has it."""
+        """Call it with the release request, if configured."""
         engaged, self.engaged, self.done = self.engaged, False, False
         if engaged and self._config.released is not None:
             task = asyncio.ensure_future(self._call(self._config.released))
@@ -131,7 +131,7 @@ class StopCall:
     def _released(self, task: asyncio.Task[None]) -> None:
         error = None if task.cancelled() else task.exception()
         text = None if error is None else f"{self.name} did not release the robot: {error}"
-        self._shared.trouble(f"stop service {self.name}", text)
+        self._link.trouble(f"stop service {self.name}", text)
 
     def prepare(self) -> None:
         """Find the service, so that it is discovered by the time it is needed; in the ROS thread."""
@@ -141,25 +141,24 @@ class StopCall:
             self._srv = srv = load(self.type, "srv")
             request = _filled(srv.Request, self._config.request)
         except (MissingType, ValueError) as error:
-            self._shared.complain(f"stop service {self.name}", f"{self.name}: {error}")
+            self._link.complain(f"stop service {self.name}", f"{self.name}: {error}")
             return
-        self._caller = Caller(self._shared, srv, self.name)
+        self._caller = Caller(self._link, srv, self.name)
         self._caller.prepare()
         self.plan = {"name": self.name, "type": self.type, "data": serialised(request).hex()}
 
     async def _call(self, plain: dict[str, Any]) -> None:
-        shared = self._shared
-        await shared.ros.call(self.prepare)
+        await self._link.ros.call(self.prepare)
         if self._caller is None:
             raise AdapterUnavailable(f"no node offers service {self.name}")
         request = _filled(self._srv.Request, plain)
-        response = await self._caller.call(request, shared.config.timeout)
+        response = await self._caller.call(request, self._link.config.timeout)
         if getattr(response, "success", True) is False:
             answer = getattr(response, "message", "") or "success: false"
             raise DeviceRejected(f"{self.name} responded {answer!r}")
 
     def close(self) -> None:
-        """Let go of the client."""
+        """Destroy the client."""
         if self._running is not None:
             self._running.cancel()
         if self._caller is not None:

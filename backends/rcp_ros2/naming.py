@@ -1,4 +1,4 @@
-"""Which path a name of the graph has: robots by their namespaces, and names that people know."""
+"""Paths of names in the graph: robots by namespace, and conventional names."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ COMMANDS = {
 
 
 class Nice(NamedTuple):
-    """What a topic or action of a well-known type and name is called."""
+    """The conventional path of a topic or action of a well-known type and name."""
 
     ends: tuple[str, ...]
     """What its ROS name must end with, by whole segments."""

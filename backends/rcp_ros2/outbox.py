@@ -1,4 +1,4 @@
-"""From the ROS thread to the event loop: a bounded queue for each name, one wake-up for many values."""
+"""From the ROS thread to the event loop: a bounded queue per name, one wake-up for many values."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class Outbox:
         self._queues: dict[str, deque[tuple[Value, int | None]]] = {}
         self._woken = False
         self.dropped = 0
-        """Values that gave way."""
+        """Number of dropped values."""
 
     def put(self, name: str, value: Value, timestamp: int | None) -> None:
         """Hand a value over, in the ROS thread."""

@@ -1,4 +1,4 @@
-"""Publishers: one for each actuator, matched with those who listen."""
+"""Publishers: one per actuator, matched with its subscribers."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ import contextlib
 from typing import Any, Literal
 
 from rcp_kernel.errors import AdapterUnavailable
-from rcp_ros2.binding import Shared
 from rcp_ros2.config import Qos
+from rcp_ros2.link import RosLink
 from rcp_ros2.pulse import node_of
 from rcp_ros2.qos import Profile, for_publisher, unreached_subscribers
 
@@ -18,12 +18,12 @@ Hearing = Literal["heard", "nobody", "silent"]
 
 
 class Outlet:
-    """One publisher; made anew if a subscriber asks for latched values."""
+    """One publisher; recreated if a subscriber requests latched values."""
 
-    def __init__(self, shared: Shared, topic: str, cls: Any, wanted: Qos) -> None:
-        self._node = lambda: shared.ros.node
-        self._pulses = shared.pulses
-        self._complain = shared.complain
+    def __init__(self, link: RosLink, topic: str, cls: Any, wanted: Qos) -> None:
+        self._node = lambda: link.ros.node
+        self._pulses = link.pulses
+        self._complain = link.complain
         self._topic = topic
         self._cls = cls
         self._wanted = wanted
@@ -70,7 +70,7 @@ class Outlet:
             raise AdapterUnavailable(why) from error
 
     def send(self, message: Any, *, anyhow: bool) -> Hearing:
-        """Publish, if it is heard or anyhow; tell who hears it."""
+        """Publish if there is a subscriber, or anyway; tell who receives it."""
         if self._publisher is None:
             self.match()
         assert self._publisher is not None
@@ -81,7 +81,7 @@ class Outlet:
 
     @property
     def nodes(self) -> frozenset[str]:
-        """The nodes that subscribed at the last look."""
+        """The nodes that subscribed at the last poll."""
         return self._nodes
 
     @property
@@ -101,7 +101,7 @@ class Outlet:
             return True
 
     def count(self) -> int:
-        """Return how many subscribers of others are matched."""
+        """Return the number of matched subscribers of other nodes."""
         if self._publisher is None:
             return 0
         own = sum(one.topic_name == self._topic for one in self._node().subscriptions)
@@ -115,7 +115,7 @@ class Outlet:
         return "heard"
 
     def close(self) -> None:
-        """Let go of the publisher."""
+        """Destroy the publisher."""
         self._pulses.want(f"topic {self._topic}", ())
         self._complain(f"publisher {self._topic}", None)
         self._drop()

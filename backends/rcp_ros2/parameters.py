@@ -13,10 +13,10 @@ from rcp_kernel.errors import AdapterUnavailable, DeviceRejected, RcpError
 from rcp_kernel.model import Operation, Resource
 from rcp_kernel.types import NONFINITE
 from rcp_ros2.binding import Binding, Shared, common
+from rcp_ros2.caller import Caller
 from rcp_ros2.config import Mapping
 from rcp_ros2.names import is_internal_parameter
 from rcp_ros2.ros import hearing
-from rcp_ros2.services import Caller
 
 __all__ = ["Described", "Events", "NodeParameters", "Setting"]
 
@@ -36,7 +36,7 @@ _INT: dict[str, Any] = {"ge": -(2**63), "le": 2**63 - 1}
 
 
 class Described(NamedTuple):
-    """What a node says of one of its parameters."""
+    """A node's description of one of its parameters."""
 
     name: str
     kind: int
@@ -84,7 +84,7 @@ class NodeParameters:
         return await caller.call(srv.Request(**request), self._shared.config.timeout)
 
     async def names(self) -> list[str]:
-        """List what the node has, apart from what every node has for ROS's own sake."""
+        """List the node's parameters, except the standard ones of every node."""
         response = await self._call(self._srv.ListParameters, "list_parameters")
         return [n for n in response.result.names if not is_internal_parameter(n)]
 
@@ -96,7 +96,7 @@ class NodeParameters:
         return [_described(d) for d in response.descriptors if d.type in _FIELDS]
 
     async def get(self, name: str, kind: int) -> Any:
-        """Return the present value; None if the node has no such parameter of this kind."""
+        """Return the current value; None if the node has no such parameter of this kind."""
         response = await self._call(self._srv.GetParameters, "get_parameters", names=[name])
         # With a name among them that is not declared, rclpy answers with an empty list.
         if len(response.values) != 1 or response.values[0].type != kind:
@@ -131,7 +131,7 @@ class NodeParameters:
             raise DeviceRejected(f"{self.node} refused to {what}: {why}")
 
     def close(self) -> None:
-        """Let go of the clients."""
+        """Destroy the clients."""
         for caller in self._callers.values():
             caller.close()
 
@@ -174,7 +174,7 @@ def _described(descriptor: Any) -> Described:
 
 
 class Events:
-    """What the nodes of the graph say about changes of their parameters."""
+    """Parameter events of the nodes in the graph."""
 
     def __init__(self, shared: Shared) -> None:
         self._shared = shared
@@ -183,7 +183,7 @@ class Events:
         self._subscription: Any = None
 
     def follow(self, node: str, on_change: Callable[[dict[str, int]], None]) -> None:
-        """Have a function called, on the event loop, with the kinds of what a node has changed.
+        """Call a function, on the event loop, with the kinds of parameters that a node has changed.
 
         Kind 0 is a parameter that is gone.
         """
@@ -191,7 +191,7 @@ class Events:
         self._shared.ros.post(self._open)
 
     def leave(self, node: str) -> None:
-        """Stop that."""
+        """Unsubscribe."""
         if self._followers.pop(node, None) is not None:
             self._shared.ros.post(self._close)
 
@@ -200,12 +200,12 @@ class Events:
         self._shared.host.call_soon(self._follow, node, {parameter: 0})
 
     def listen(self, node: str, parameter: str, on_change: Callable[[Any], None]) -> None:
-        """Have a function called, on the event loop, with each new ParameterValue."""
+        """Call a function, on the event loop, with each new ParameterValue."""
         self._listeners[node, parameter] = on_change
         self._shared.ros.post(self._open)
 
     def ignore(self, node: str, parameter: str) -> None:
-        """Stop that."""
+        """Unsubscribe."""
         if self._listeners.pop((node, parameter), None) is not None:
             self._shared.ros.post(self._close)
 
@@ -275,7 +275,7 @@ class Setting(Binding):
         super().__init__(shared, Resource(value=described.type(mapping.unit), **facts), mapping)
 
     async def read(self) -> Any:
-        """Ask the node.
+        """Read from the node.
 
         :raises AdapterUnavailable: it has the parameter no more, or is not there.
         """
@@ -287,12 +287,12 @@ class Setting(Binding):
         return value
 
     async def write(self, value: Any) -> Any:
-        """Have the node set it; return what stands now."""
+        """Set it on the node; return the resulting value."""
         await self._node.set(self.described.name, self.described.kind, value)
         return None
 
     def watched(self, rate: float) -> None:
-        """Publish each change that the node tells of."""
+        """Publish each change that the node reports."""
         self._events.listen(self._node.node, self.described.name, self._changed)
         if self._first is None:
             self._first = asyncio.ensure_future(self._publish_present())
@@ -302,7 +302,7 @@ class Setting(Binding):
             self.shared.host.publish(self.resource.name, await self.read())
 
     def unwatched(self) -> None:
-        """Publish no more."""
+        """Stop publishing."""
         self._events.ignore(self._node.node, self.described.name)
         if self._first is not None:
             self._first.cancel()
@@ -313,5 +313,5 @@ class Setting(Binding):
             self.shared.host.publish(self.resource.name, plain(value))
 
     def close(self) -> None:
-        """Publish no more."""
+        """Stop publishing."""
         self.unwatched()

@@ -1,4 +1,4 @@
-"""Cameras as JPEG: beside each image sensor one more, made only while somebody asks for it."""
+"""Cameras as JPEG: one more sensor per image sensor, encoded only while subscribed."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class Pictures:
         self._is_here = is_here()
 
     def find(self, graph: Graph) -> dict[str, Offer]:
-        """Return a path for each image sensor there is."""
+        """Return a path for each image sensor."""
         if not self._is_here:
             return {}
         return {
@@ -51,7 +51,7 @@ def _is_camera(binding: Observed) -> bool:
 
 
 class Picture(Binding):
-    """One camera's JPEG. While one is made, only the newest image waits."""
+    """One camera's JPEG. During encoding, only the newest image is queued."""
 
     def __init__(self, shared: Shared, source: Observed) -> None:
         self._source = source

@@ -1,4 +1,4 @@
-"""Is a node alive? Asked of it once a second, because the graph does not know for a long time.
+"""Liveness of nodes, polled once per second because the graph notices a death late.
 
 A node that was killed is listed until the lease of its process ends, 20 s with Fast DDS. What
 answers for it at once is its own parameter service, which every ordinary node has: asking for no
@@ -29,7 +29,7 @@ def node_of(endpoint: Any) -> str | None:
 
 
 class Pulse:
-    """One node, asked and heard."""
+    """One monitored node."""
 
     def __init__(self, ros: Ros, node: str) -> None:
         from rcl_interfaces.srv import GetParameters
@@ -39,12 +39,12 @@ class Pulse:
         self._pending: Any = None
         self._requested_at = 0.0
         self.answers = 0
-        """How often the node has answered."""
+        """Number of the node's responses."""
         self.last_response = 0.0
-        """When it last did, in monotonic time."""
+        """Monotonic time of the last response."""
 
     def ping(self) -> None:
-        """Send a question; an older one is forgotten, unless it may still be answered."""
+        """Send a request; an older one is abandoned, unless a response may still arrive."""
         now = time.monotonic()
         if not self._client.service_is_ready():
             return
@@ -64,18 +64,18 @@ class Pulse:
 
     @property
     def silence(self) -> float:
-        """Seconds since its last answer, while one is due; 0 for a node that never gave one."""
+        """Seconds since its last response, while one is due; 0 for a node that never responded."""
         if not self.answers or self._pending is None:
             return 0.0
         return time.monotonic() - self.last_response
 
     def close(self) -> None:
-        """Let go of the client."""
+        """Destroy the client."""
         self._ros.node.destroy_client(self._client)
 
 
 class Pulses:
-    """The nodes that somebody wants to know about."""
+    """The monitored nodes."""
 
     def __init__(self, ros: Ros, complain: Callable[[str, str | None], None]) -> None:
         self._ros = ros
@@ -85,7 +85,7 @@ class Pulses:
         self._next = 0.0
 
     def want(self, key: str, nodes: Iterable[str]) -> None:
-        """Say which nodes matter to somebody; none ends the interest."""
+        """Set the nodes that a caller monitors; none ends it."""
         named = frozenset(nodes)
         if self._wanted.get(key, frozenset()) == named:
             return
@@ -101,17 +101,17 @@ class Pulses:
             self._complain(node, None)
 
     def of(self, node: str) -> Pulse | None:
-        """Return the pulse of a node that is wanted."""
+        """Return the pulse of a monitored node."""
         return self._pulses.get(node)
 
     def ping(self, nodes: Iterable[str]) -> None:
-        """Ask some nodes now: whoever answers is alive."""
+        """Poll some nodes now: those that respond are alive."""
         for node in nodes:
             if (pulse := self._pulses.get(node)) is not None:
                 pulse.ping()
 
     def poll(self) -> None:
-        """Ask every node, and say which have stopped answering."""
+        """Poll every node, and report those that have stopped responding."""
         now = time.monotonic()
         due = now >= self._next
         if due:
@@ -124,6 +124,6 @@ class Pulses:
             pulse.ping()
 
     def is_silent(self, node: str) -> bool:
-        """Tell whether a node used to answer and does not any more."""
+        """Tell whether a node that responded before no longer does."""
         pulse = self._pulses.get(node)
         return pulse is not None and pulse.silence > self._ros.config.silence

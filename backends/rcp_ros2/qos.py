@@ -1,4 +1,4 @@
-"""Quality of service: ask for what is offered, and say in words what does not fit."""
+"""Quality of service: request what is offered, and describe mismatches."""
 
 from __future__ import annotations
 
@@ -26,18 +26,18 @@ class Profile(NamedTuple):
 
     reliable: bool
     latched: bool
-    """Transient local: late joiners are given the last values."""
+    """Transient local: late joiners get the last values."""
     depth: int = _DEPTH
     """How many values wait; 0 keeps all."""
     deadline: int = _EVER
     """Longest time between two messages, ns."""
     lifespan: int = _EVER
-    """For which a message that has not arrived is worth sending, ns."""
+    """Lifespan of a message, ns."""
     manual: bool = False
     lease: int = _EVER
 
     def to_ros(self) -> Any:
-        """Return it as rclpy takes it."""
+        """Return it as an rclpy profile."""
         from rclpy.duration import Duration
         from rclpy.qos import (
             DurabilityPolicy,
@@ -126,21 +126,21 @@ def _ns(seconds: float | None) -> int | None:
 
 
 def clash(topic: str, ours: Profile, publishers: Iterable[Any]) -> str | None:
-    """Say which publishers a subscription will never hear, and why; None if it hears all."""
+    """Describe the publishers that a subscription cannot receive, and why; None if there are none."""
     requested = ours.terms("the gateway")
     lost = [words for offer in publishers for words in mismatches(Terms.of(offer), requested)]
     return f"{topic} is not received from every publisher: {'; '.join(lost)}" if lost else None
 
 
 def unreached_subscribers(topic: str, ours: Profile, subscriptions: Iterable[Any]) -> str | None:
-    """Say which subscribers will never hear a publisher, and why; None if all do."""
+    """Describe the subscribers that a publisher cannot reach, and why; None if there are none."""
     offered = ours.terms("the gateway")
     lost = [words for request in subscriptions for words in mismatches(offered, Terms.of(request))]
     return f"{topic} does not reach every subscriber: {'; '.join(lost)}" if lost else None
 
 
 class Terms(NamedTuple):
-    """What a publisher offers, or a subscriber asks for."""
+    """The QoS that a publisher offers or a subscriber requests."""
 
     node: str
     reliable: bool
@@ -150,7 +150,7 @@ class Terms(NamedTuple):
     manual: bool = False
     """The node itself has to say that it lives, topic by topic."""
     lease: int = _EVER
-    """For which it counts as alive without a sign, ns."""
+    """Liveliness lease duration, ns."""
 
     @classmethod
     def of(cls, endpoint: Any) -> Terms:
@@ -166,7 +166,7 @@ class Terms(NamedTuple):
 
 
 def mismatches(offer: Terms, request: Terms) -> list[str]:
-    """Say in words why a subscriber hears nothing of a publisher, and how to mend it."""
+    """Describe why a subscriber receives nothing from a publisher, and how to fix it."""
     here, there = offer.node, request.node
     found: list[str] = []
     if request.reliable and not offer.reliable:

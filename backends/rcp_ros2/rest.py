@@ -1,4 +1,4 @@
-"""A topic that a robot moves by, with the value that brings it to rest, and who else publishes it.
+"""A topic that moves a robot, its safe value, and its other publishers.
 
 A subscriber obeys whoever published last, so that a stop must keep publishing for as long as
 others do. Everything here runs in the ROS thread, but for what only tells.
@@ -8,15 +8,16 @@ from __future__ import annotations
 
 import time
 from collections import Counter, deque
+from collections.abc import Callable
 from typing import Any
 
 import msgspec
 
 from rcp_kernel.errors import AdapterUnavailable
-from rcp_ros2.binding import Shared
 from rcp_ros2.cdr import Codec, Malformed, Value
 from rcp_ros2.config import Qos
 from rcp_ros2.idl import full_name
+from rcp_ros2.link import RosLink
 from rcp_ros2.outlet import Outlet
 from rcp_ros2.pulse import node_of
 from rcp_ros2.topics import Tap
@@ -35,24 +36,35 @@ _KNOWN = 20  # commands of others that their rate is taken from
 class Rest:
     """The safe value of one actuator: repeated while its robot is stopped."""
 
-    def __init__(self, shared: Shared, topic: str, cls: Any, outlet: Outlet, message: Any) -> None:
+    def __init__(
+        self,
+        link: RosLink,
+        topic: str,
+        cls: Any,
+        outlet: Outlet,
+        message: Any,
+        *,
+        wake: Callable[[], None],
+    ) -> None:
         self.topic = topic
         self.type = full_name(cls)
         self.robot: str | None = None
         self.needed = True
-        """Whether a stop that no node hears is not confirmed."""
+        """Whether a stop without a receiving node is not confirmed."""
         self.measured = False
         """Whether the configuration names what measures it."""
         self.others: tuple[str, ...] = ()
-        """The nodes that publish the topic too."""
+        """The other nodes that publish the topic."""
         self.commanded = False
         """Whether the last that the gateway published was not the safe value."""
         self.delivered_at: float | None = None
-        """When the safe value was last published with a node to hear it, monotonic."""
+        """Monotonic time when the safe value was last published to a receiving node."""
         self.data = message if isinstance(message, bytes) else _serialised(message)
         """It in CDR."""
         self.outlet = outlet
-        self._shared = shared
+        self._link = link
+        self._wake = wake
+        """Has what is held repeated."""
         self._cls = cls
         self._message = message
         self._codec = Codec(cls)
@@ -63,14 +75,14 @@ class Rest:
         """How often it is still to be sent in quick succession."""
         self._answered = 0.0
         self._foreign: deque[float] = deque(maxlen=_KNOWN)
-        """When others' commands came."""
+        """Times of others' commands."""
         self.acked = False
         """Whether every reliable subscriber has acknowledged what was published before."""
 
     # -- what it tells, to any thread ------------------------------------------------------------
 
     def contested(self) -> float:
-        """Return the rate in Hz at which others command something else; 0 if they do not."""
+        """Return the rate in Hz at which others send different commands; 0 if they do not."""
         times = list(self._foreign)
         if not times or time.monotonic() - times[-1] > _QUIET:
             return 0.0
@@ -78,7 +90,7 @@ class Rest:
         return (len(times) - 1) / span if span > 0 else 1 / _QUIET
 
     def about_others(self) -> str | None:
-        """Say who else publishes, or None."""
+        """Describe the other publishers, or return None."""
         if not self.others:
             return None
         rate = self.contested()
@@ -90,7 +102,7 @@ class Rest:
     # -- ROS thread ------------------------------------------------------------------------------
 
     def sent(self, *, rests: bool, published: bool, delivered: bool) -> None:
-        """Note what the gateway has published of its own accord."""
+        """Note what the gateway has published itself."""
         if not published:
             return
         now = time.monotonic()
@@ -98,7 +110,7 @@ class Rest:
             self.delivered_at = now
         if rests and self.commanded:  # the dead-man, or a client that lets go
             self._burst, self._due = _BURST - 1, now + _QUICK
-            self._shared.keeper.wake()
+            self._wake()
         elif not rests:
             self._burst = 0
         self.commanded = not rests
@@ -117,7 +129,7 @@ class Rest:
         """Publish the safe value."""
         if self._burst > 0:
             self._burst -= 1
-        rate = min(_FASTEST, max(self._shared.config.stop.rate, _AHEAD * self.contested()))
+        rate = min(_FASTEST, max(self._link.config.stop.rate, _AHEAD * self.contested()))
         self._due = now + (_QUICK if self._burst else 1 / rate)
         try:
             self.acked = self.outlet.acked()
@@ -129,13 +141,13 @@ class Rest:
             self.delivered_at = now
 
     def hold(self, now: float) -> None:
-        """Publish it again when it is time."""
+        """Publish it again when it is due."""
         if now >= self._due:
             self.publish(now)
 
     def poll(self) -> None:
-        """Find out who else publishes, and listen to them."""
-        node = self._shared.ros.node
+        """Detect other publishers, and subscribe to their commands."""
+        node = self._link.ros.node
         found = Counter(
             node_of(endpoint) or "an unnamed node"
             for endpoint in node.get_publishers_info_by_topic(self.topic)
@@ -145,16 +157,16 @@ class Rest:
         self.others = tuple(sorted(name for name, count in found.items() if count > 0))
 
     def listen(self) -> None:
-        """Listen to others while the robot is stopped, to answer each of their commands."""
+        """Subscribe to others' commands while the robot is stopped, to counter each of them."""
         if self.others and self._tap is None:
             self._foreign.clear()
             self._tap = Tap(f"stop {self.topic} {id(self)}", self._codec, taker=self._on_message)
-            self._shared.subscriptions.tap(self.topic, self._cls, Qos(), self._tap)
+            self._link.subscriptions.tap(self.topic, self._cls, Qos(), self._tap)
 
     def leave(self) -> None:
-        """Listen no more."""
+        """Unsubscribe."""
         if self._tap is not None:
-            self._shared.subscriptions.untap(self.topic, self._tap.name)
+            self._link.subscriptions.untap(self.topic, self._tap.name)
             self._tap = None
             self._foreign.clear()
 

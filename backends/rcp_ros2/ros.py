@@ -1,4 +1,4 @@
-"""The thread in which all of ROS lives: one context, one node, one executor.
+"""The ROS thread: one context, one node, one executor.
 
 rclpy is imported here and nowhere on the event loop. Whatever the event loop wants of ROS is run
 in this thread by `call` or `post`; whatever comes out of it goes through `Host.call_soon`.
@@ -65,6 +65,7 @@ class Ticket:
             return
         if error is not None:
             self._future.set_exception(error)
+            self._future.exception()  # noted: whoever waited may have been cancelled by a stop
         else:
             self._future.set_result(value)
 
@@ -84,7 +85,7 @@ class Ticket:
 
 
 class Ros:
-    """The thread, seen from the event loop; `node` and `executor` are for the thread alone."""
+    """The thread's interface for the event loop; only the thread uses `node` and `executor`."""
 
     def __init__(self, config: Ros2Config, host: Host) -> None:
         self.config = config
@@ -92,7 +93,7 @@ class Ros:
         self.node: Any = None
         self.died: str | None = None
         self.ended = asyncio.Event()
-        """Set when the thread has ended, whether it was told to or not."""
+        """Set when the thread has ended, intentionally or not."""
         self._context: Any = None
         self._executor: Any = None
         self._stop: Any = None
@@ -109,7 +110,7 @@ class Ros:
         self._ready.result()
 
     async def stop(self) -> None:
-        """End the executor, and let go of the node and context."""
+        """Stop the executor, and destroy the node and context."""
         if self._stop is not None and self._thread.is_alive():
             self._executor.create_task(self._stop.set_result, None)
             self._executor.wake()

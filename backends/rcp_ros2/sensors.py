@@ -1,4 +1,4 @@
-"""Topics that are listened to (sensors, events) and topics that are spoken to (actuators)."""
+"""Subscribed topics (sensors, events) and published topics (actuators)."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ _PAUSE = 0.05  # s between looks whether it has
 
 
 class Observed(Binding):
-    """A sensor or event: subscribed to while somebody watches, an event always."""
+    """A sensor or event: subscribed while a client subscribes, an event always."""
 
     def __init__(
         self, shared: Shared, resource: Resource, mapping: Mapping, cls: Any, codec: Codec
@@ -85,13 +85,13 @@ class Observed(Binding):
         self.tap(Tap(self.resource.name, self.codec, period=period))
 
     def tap(self, tap: Tap) -> None:
-        """Let a path take from the topic, this one or one that is made of it."""
+        """Add a path that uses the topic, this one or a derived one."""
         self.shared.ros.post(
             self.shared.subscriptions.tap, self.topic, self._cls, self.mapping.qos, tap
         )
 
     def untap(self, name: str) -> None:
-        """Let a path take no more."""
+        """Remove a path from the subscription."""
         self.shared.ros.post(self.shared.subscriptions.untap, self.topic, name)
 
     def unwatched(self) -> None:
@@ -188,13 +188,15 @@ class Commanded(Binding):
         self.rest: Rest | None = None
         if self._safe is not None and self.is_barred:
             message = self._fill(self._safe)
-            self.rest = Rest(shared, self.topic, cls, self._outlet, message)
+            self.rest = Rest(
+                shared, self.topic, cls, self._outlet, message, wake=shared.keeper.wake
+            )
             self.rest.needed = mapping.require_subscriber
         shared.ros.post(self._outlet.poll)
         shared.on_poll.append(self._outlet.poll)
 
     def placed(self) -> None:
-        """Have it stopped with its robot, from now on."""
+        """From now on, stop it with its robot."""
         if self.rest is not None:
             self.rest.robot = self.resource.robot
             self.shared.ros.post(self.shared.keeper.add, self.rest)
@@ -205,7 +207,7 @@ class Commanded(Binding):
     async def write(self, value: Any) -> None:
         """Publish. What brings it to rest is sent whether it is heard or not.
 
-        :raises AdapterUnavailable: no node hears it, or none that answers.
+        :raises AdapterUnavailable: no node receives it, or none that responds.
         """
         shared, need = self.shared, self.mapping.require_subscriber
         message = self._fill(value)
@@ -222,7 +224,7 @@ class Commanded(Binding):
         self._written = value
 
     async def _need_feedback(self) -> None:
-        """Return once what measures the motion is heard.
+        """Wait until the feedback of the motion arrives.
 
         :raises AdapterUnavailable: it is not, or too old: the robot cannot be controlled.
         """
@@ -240,7 +242,7 @@ class Commanded(Binding):
             )
 
     def check_feedback_while_moving(self) -> None:
-        """Stop what was commanded once it is not measured any more."""
+        """Stop the actuator if its feedback is lost."""
         feedback, rest = self.feedback, self.rest
         if feedback is None or rest is None:
             return
@@ -265,7 +267,7 @@ class Commanded(Binding):
         )
 
     async def read(self) -> Any:
-        """Return what was written last.
+        """Return the value written last.
 
         :raises AdapterUnavailable: nothing was.
         """
@@ -298,7 +300,7 @@ class Commanded(Binding):
         return "nobody"
 
     def close(self) -> None:
-        """Let go of the publisher."""
+        """Destroy the publisher."""
         if self._outlet.poll in self.shared.on_poll:
             self.shared.on_poll.remove(self._outlet.poll)
         if self.rest is not None:

@@ -1,4 +1,4 @@
-"""The action servers of a robot: the goals they run, whoever sent them, and how all are cancelled.
+"""The action servers of a robot: the goals they run, from any client, and their cancellation.
 
 Everything here runs in the ROS thread, but for what only tells.
 """
@@ -6,14 +6,15 @@ Everything here runs in the ROS thread, but for what only tells.
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from functools import partial
 from typing import Any
 
-from rcp_ros2.binding import Shared
 from rcp_ros2.cdr import Codec, Malformed, Value
 from rcp_ros2.config import Qos
 from rcp_ros2.graph import GOALS
 from rcp_ros2.idl import load
+from rcp_ros2.link import RosLink
 from rcp_ros2.ros import hearing
 from rcp_ros2.topics import Tap
 
@@ -30,9 +31,15 @@ _NONE = bytes(16)
 
 
 class ActionServer:
-    """One action, seen from outside."""
+    """One action server."""
 
-    def __init__(self, shared: Shared, name: str, robot: str | None) -> None:
+    def __init__(
+        self,
+        link: RosLink,
+        name: str,
+        robot: str | None,
+        on_goals: Callable[[ActionServer], None],
+    ) -> None:
         from action_msgs.srv import CancelGoal
 
         self.name = name
@@ -42,19 +49,21 @@ class ActionServer:
         self.answered_at = 0.0
         """When it last answered to a cancel, monotonic."""
         self.refused = False
-        """Whether it lately let a goal go on that it was told to cancel."""
-        self._shared = shared
+        """Whether it recently refused to cancel a goal."""
+        self._link = link
+        self._on_goals = on_goals
+        """Called when a goal goes on that is not being cancelled."""
         self._srv = CancelGoal
-        self._client: Any = shared.ros.node.create_client(CancelGoal, f"{name}/_action/cancel_goal")
+        self._client: Any = link.ros.node.create_client(CancelGoal, f"{name}/_action/cancel_goal")
         self._pending: dict[bytes, Any] = {}
         self._requested_at = 0.0
         self._abandoned: set[bytes] = set()
-        """Goals of the gateway that it has given up: they must not go on."""
+        """Goals that the gateway has given up: they must not continue."""
         self._servers: frozenset[bytes] = frozenset()
         """Who published the statuses that are known."""
         codec = Codec(load(_STATUSES))
         self._tap = Tap(f"stop {name}", codec, taker=self._on_status)
-        shared.subscriptions.tap(f"{name}{GOALS}", load(_STATUSES), Qos(), self._tap)
+        link.subscriptions.tap(f"{name}{GOALS}", load(_STATUSES), Qos(), self._tap)
 
     # -- what it tells, to any thread ------------------------------------------------------------
 
@@ -63,7 +72,7 @@ class ActionServer:
         return len(self.goals)
 
     def trouble(self) -> str:
-        """Say what keeps its goals from ending."""
+        """Describe why its goals have not ended."""
         count = len(self.goals)
         goals = "1 goal" if count == 1 else f"{count} goals"
         if self.refused:
@@ -96,7 +105,7 @@ class ActionServer:
             self.cancel()
 
     def abandon(self, goal: bytes) -> None:
-        """Cancel a goal now, or as soon as its server is heard again and runs it."""
+        """Cancel a goal now, or as soon as its server is back and runs it."""
         if len(self._abandoned) < _GIVEN_UP:
             self._abandoned.add(goal)
         self.cancel(goal)
@@ -139,13 +148,13 @@ class ActionServer:
             self.refused = False
         self._end_abandoned()
         if any(status != _CANCELING for status in self.goals.values()):
-            self._shared.keeper.on_goals(self)
+            self._on_goals(self)
 
     def _publishers(self) -> frozenset[bytes]:
-        infos = self._shared.ros.node.get_publishers_info_by_topic(f"{self.name}{GOALS}")
+        infos = self._link.ros.node.get_publishers_info_by_topic(f"{self.name}{GOALS}")
         return frozenset(bytes(info.endpoint_gid) for info in infos)
 
     def close(self) -> None:
-        """Let go of what it holds of ROS."""
-        self._shared.subscriptions.untap(f"{self.name}{GOALS}", self._tap.name)
-        self._shared.ros.node.destroy_client(self._client)
+        """Release its ROS entities."""
+        self._link.subscriptions.untap(f"{self.name}{GOALS}", self._tap.name)
+        self._link.ros.node.destroy_client(self._client)

@@ -20,7 +20,6 @@ from rcp_ros2.config import StopTopic
 from rcp_ros2.feedback import ODOMETRY, Feedbacks
 from rcp_ros2.graph import Graph
 from rcp_ros2.idl import MissingType
-from rcp_ros2.keeper import Keeper
 from rcp_ros2.means import StopCall, StopSignal
 from rcp_ros2.names import absolute, allows
 from rcp_ros2.rest import Rest
@@ -45,22 +44,22 @@ _NO_WATCHDOG = "none that can be read: it is unknown whether the robot's nodes s
 
 
 class Stops:
-    """What stops the robots of a backend, and what is known of their motion."""
+    """Stops the robots of a backend, and reports their motion."""
 
     def __init__(self, shared: Shared, catalog: Catalog) -> None:
         self._shared = shared
         self._catalog = catalog
-        self.keeper = shared.keeper = Keeper(shared)
-        self.feedbacks = shared.feedbacks = Feedbacks(shared, self._restored)
+        self.keeper = shared.keeper
+        self.feedbacks = Feedbacks(shared, self._restored)
         self._calls: dict[str, StopCall] = {}
         self._signals: set[str] = set()
         self._lost: dict[str | None, set[str]] = {}
-        """By robot: what of it is out of reach."""
+        """Unreachable parts, by robot."""
         self._met: dict[str | None, set[str]] = {}
         """By robot: what of it has been there."""
         self._recovered: set[str | None] = set()
-        self._contested: set[str] = set()
-        """Topics by which others command a robot that is stopped."""
+        self._contested: dict[str, tuple[str, ...] | None] = {}
+        """By topic: the nodes that command a robot that is stopped, as they were last told of."""
         self._plan: dict[str, Any] = {}
         spaces = [*shared.config.robots] or [shared.config.namespace]
         patterns = shared.config.stop.actions
@@ -88,7 +87,7 @@ class Stops:
     # -- stopping --------------------------------------------------------------------------------
 
     async def halt(self, robot: str | None) -> None:
-        """Bring a robot (None: all) to rest; return when that is confirmed.
+        """Stop a robot (None: all); return when rest is confirmed.
 
         :raises AdapterUnavailable: one cannot be reached, or what it does is not known.
         :raises DeviceTimeout: one was told, and has not come to rest.
@@ -112,7 +111,7 @@ class Stops:
                 raise result
 
     def hold_stop(self, robot: str | None) -> None:
-        """Keep a robot (None: all) stopped; the ROS thread repeats what does it."""
+        """Keep a robot (None: all) stopped; the ROS thread repeats the stop."""
         with contextlib.suppress(AdapterUnavailable):  # ROS has ended: the backend opens again
             for one in self._meant(robot):
                 self._hold(one)
@@ -147,7 +146,7 @@ class Stops:
         )
 
     async def recover(self, robot: str | None) -> str:
-        """Do what `on_loss` says, now that a robot is back."""
+        """Apply `on_loss` after a robot is back."""
         if self._shared.config.on_loss == "continue":
             return "continued"
         meant = self._meant(robot)
@@ -206,7 +205,7 @@ class Stops:
         return [text for text in (*calls, *signals) if text is not None]
 
     def _measured(self, robot: str | None, since: float | None) -> MotionState | None:
-        """Return what feedback says, None without any."""
+        """Return the measured state; None without feedback."""
         found = self.feedbacks.of(robot)
         if not found:
             topic = self._shared.config.stop.feedback
@@ -219,7 +218,7 @@ class Stops:
         return _worst([one.state(since) for one in (fresh or found[:1])])
 
     def _sent(self, rest: Rest, since: float | None) -> MotionState:
-        """Report what is known of an actuator that nothing measures."""
+        """Report the state of an unmeasured actuator."""
         if rest.commanded:
             return MotionState(False, f"{rest.topic} was commanded to move")
         if rate := rest.contested():
@@ -263,7 +262,7 @@ class Stops:
         return found
 
     def _missing(self, robot: str | None) -> str | None:
-        """Say that nothing of a robot is there; None for one that has nothing that moves."""
+        """Report that no part of a robot is running; None if it has nothing that moves."""
         shared = self._shared
         own = [b for b in self._bindings() if b.resource.robot == robot]
         if robot is None and shared.config.robots and not own and len(self.robots()) > 1:
@@ -301,7 +300,7 @@ class Stops:
     # -- following -------------------------------------------------------------------------------
 
     def update(self, graph: Graph) -> None:
-        """Follow a new look at the graph."""
+        """Apply a new poll of the graph."""
         config, naming = self._shared.config, self._shared.naming
         harmless = {
             b.mapping.target for b in self._bindings() if b.mapping.action and not b.is_barred
@@ -378,7 +377,7 @@ class Stops:
         self._shared.on_poll.append(signal.poll)
 
     async def follow(self) -> None:
-        """Follow the latches, and what is out of reach, for as long as the backend is open."""
+        """Monitor the latches and reachability while the backend is open."""
         while True:
             await asyncio.sleep(_FOLLOW)
             try:
@@ -409,16 +408,15 @@ class Stops:
                 call.release()
 
     def _report_contest(self) -> None:
-        """Say who commands a robot that is stopped."""
+        """Report who commands a stopped robot."""
         for rest in self.keeper.rests:
             contested = rest.robot in self.keeper.holds and rest.contested() > 0
-            if contested == (rest.topic in self._contested):
+            others = rest.others if contested else None  # whose names may be discovered later
+            if others == self._contested.get(rest.topic):
                 continue
+            self._contested[rest.topic] = others
             if contested:
-                self._contested.add(rest.topic)
                 log.warning("ros_stop_contested", topic=rest.topic, nodes=list(rest.others))
-            else:
-                self._contested.discard(rest.topic)
             text = f"stopped, but {rest.about_others()}" if contested else None
             self._shared.trouble(f"others {rest.topic}", text)
             self._shared.report()
@@ -426,7 +424,7 @@ class Stops:
     # -- links -----------------------------------------------------------------------------------
 
     def _watch(self, robot: str | None) -> None:
-        """Notice what of a robot has gone, and that it is back."""
+        """Detect lost parts of a robot, and their return."""
         there = self._there(robot)
         met = self._met.setdefault(robot, set())
         first = bool(there) and not met
@@ -458,7 +456,7 @@ class Stops:
     # -- the guard -------------------------------------------------------------------------------
 
     def _update_guard(self) -> None:
-        """Renew what the guard process sends when the gateway's loop has stopped."""
+        """Update the guard's plan, sent if the gateway's loop stops."""
         latched = {robot for robot, hold in self.keeper.holds.items() if hold.latched}
         publishers = [
             {
@@ -488,7 +486,7 @@ class Stops:
             self._shared.host.guard("ros2", plan)
 
     async def close(self) -> None:
-        """Let go of everything."""
+        """Release everything."""
         for call in self._calls.values():
             call.close()
         self._shared.ros.post(self.keeper.close)

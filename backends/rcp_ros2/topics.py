@@ -1,4 +1,4 @@
-"""Subscriptions: one for each topic, however many paths stand on it.
+"""Subscriptions: one per topic, shared by all its paths.
 
 Everything here runs in the ROS thread.
 """
@@ -33,7 +33,7 @@ _SWEEP = 0.02  # s between looks for held values whose time has come
 
 @dataclass(slots=True)
 class Tap:
-    """One path that takes from a topic."""
+    """One path that uses a topic."""
 
     name: str
     codec: Codec
@@ -43,7 +43,7 @@ class Tap:
     """Seconds between two values, at least; 0 takes all."""
     due: float = 0.0
     held: bytes | None = None
-    """The newest of what came too soon; it goes out when its time has come."""
+    """The newest value that arrived too early; published when it is due."""
 
 
 @dataclass(slots=True)
@@ -59,7 +59,7 @@ class TopicSubscription:
     last: bytes | None = None
     """The newest message."""
     advised: bool = False
-    """Whether it was said how large messages are not lost."""
+    """Whether the warning about large messages was reported."""
 
 
 class TopicSubscriptions:
@@ -77,7 +77,7 @@ class TopicSubscriptions:
         """The time of what carries none, ns; None is the time of receipt."""
 
     def tap(self, topic: str, cls: Any, qos: Qos, tap: Tap) -> None:
-        """Let a path take from a topic, or change its rate."""
+        """Subscribe a path to a topic, or change its rate."""
         subscription = self._subscriptions.get(topic)
         if subscription is None:
             subscription = self._subscriptions[topic] = TopicSubscription(topic, cls, qos)
@@ -100,7 +100,7 @@ class TopicSubscriptions:
         self._keep_sweeping()
 
     def untap(self, topic: str, name: str) -> None:
-        """Let a path take no more; the last one ends the subscription."""
+        """Unsubscribe a path; the last one ends the subscription."""
         subscription = self._subscriptions.get(topic)
         if subscription is None or subscription.taps.pop(name, None) is None or subscription.taps:
             return
@@ -110,7 +110,7 @@ class TopicSubscriptions:
         self._keep_sweeping()
 
     def refresh(self) -> None:
-        """Match publishers that have come since."""
+        """Match publishers that have appeared since."""
         for subscription in self._subscriptions.values():
             self._match(subscription)
 

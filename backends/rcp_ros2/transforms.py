@@ -1,4 +1,4 @@
-"""`/tf` and `/tf_static`: where each frame is in the frames that matter, and any pair at any time."""
+"""`/tf` and `/tf_static`: each frame in the target frames, and any pair at any time."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ _REP105 = {
 
 
 class Lookup(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Which frame is wanted in which, and when."""
+    """The requested pair of frames and time."""
 
     target: Annotated[
         str, Meta(min_length=1, description="Target frame, in which the result is expressed.")
@@ -100,7 +100,7 @@ class Tree:
         self._offers: dict[str, Offer] = {}
 
     def follow(self, topic: str) -> None:
-        """Take in what comes on a topic."""
+        """Add the transforms of a topic."""
         if topic in self._followed:
             return
         self._followed.add(topic)
@@ -278,7 +278,7 @@ def _maker(type_: Any) -> Callable[[str, str, Place, int | None], Any]:
 
 
 class Moved(Binding):
-    """Where one frame is in another, now."""
+    """The current transform of one frame in another."""
 
     def __init__(self, tree: Tree, name: str, mapping: Mapping, target: str, source: str) -> None:
         self._tree = tree
@@ -323,18 +323,18 @@ class Moved(Binding):
             await asyncio.sleep(pause)
 
     def unwatched(self) -> None:
-        """Publish no more."""
+        """Stop publishing."""
         if self._publishing is not None:
             self._publishing.cancel()
             self._publishing = None
 
     def close(self) -> None:
-        """Publish no more."""
+        """Stop publishing."""
         self.unwatched()
 
 
 class LookupTransform(Binding):
-    """Where any frame is in any other, at any time that is remembered."""
+    """The transform of any frame in any other, at any time in the buffer."""
 
     def __init__(self, tree: Tree, name: str, mapping: Mapping) -> None:
         self._tree = tree

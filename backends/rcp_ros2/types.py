@@ -1,4 +1,4 @@
-"""msgspec types of ROS messages, made at run time: what leaves the robot, and what goes in.
+"""msgspec types of ROS messages, created at run time: outputs and inputs.
 
 Outward, every field is there and every float may be NaN or infinite, because sensors say so.
 Inward, fields that are left out have ROS's own defaults, and floats are finite.
@@ -87,7 +87,7 @@ def part_of(cls: Any, path: str) -> tuple[Any, Type, str | None]:
 
 
 def bare(type_: Any) -> Any:
-    """Return a type without what is said about it."""
+    """Return a type without its annotations."""
     return type_.__origin__ if hasattr(type_, "__metadata__") else type_
 
 

@@ -35,7 +35,7 @@ class Endpoint(msgspec.Struct, frozen=True):
 
 
 class Topic(msgspec.Struct, frozen=True):
-    """A topic, who talks and who listens on it, and why some of them do not hear each other."""
+    """A topic, its publishers and subscribers, and why some of them cannot communicate."""
 
     name: str
     types: list[str]
@@ -61,7 +61,7 @@ class RosGraph(msgspec.Struct, frozen=True):
 
 
 class GraphView:
-    """Offers the graph, where the configuration asks for it."""
+    """Offers the graph, if configured."""
 
     def __init__(self, shared: Shared) -> None:
         self._shared = shared
@@ -91,7 +91,7 @@ class View(Binding):
         return await self.shared.ros.call(self._details)
 
     def watched(self, rate: float) -> None:
-        """Publish it, and each change of it that a look finds."""
+        """Publish it, and each change that a poll finds."""
         self.shared.ros.post(self._begin)
 
     def _begin(self) -> None:
@@ -101,7 +101,7 @@ class View(Binding):
         self._poll()
 
     def unwatched(self) -> None:
-        """Look no more."""
+        """Stop polling."""
         self.shared.ros.post(self._end)
 
     def _end(self) -> None:
@@ -109,7 +109,7 @@ class View(Binding):
             self.shared.on_poll.remove(self._poll)
 
     def close(self) -> None:
-        """Look no more."""
+        """Stop polling."""
         self.unwatched()
 
     # -- ROS thread ------------------------------------------------------------------------------

@@ -1,4 +1,4 @@
-"""Which paths the configuration wants of a graph: those of the map, and those of the patterns."""
+"""The paths that the configuration requests from a graph: map and patterns."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class _Found(NamedTuple):
 
 
 class Wanted:
-    """What a configuration wants."""
+    """The paths requested by a configuration."""
 
     def __init__(self, config: Ros2Config, naming: Naming, needed: AbstractSet[str]) -> None:
         self._naming = naming
@@ -40,7 +40,7 @@ class Wanted:
         not_ = tuple(absolute(p, space) for p in config.hide for space in below)
         exposed, hidden = allows(each), allows(not_)
         self.exposes = lambda n: exposed(n) and not hidden(n) and not is_internal(n)
-        """Whether a name is offered as it comes."""
+        """Whether a name is exposed."""
         self.exposes_log = lambda n: exposed(n) and not hidden(n)
         self._each: dict[str, Mapping] = {}
         """What the map gives to each robot."""
@@ -156,7 +156,7 @@ def type_of(mapping: Mapping, graph: Graph) -> str | None:
 
 
 def _command(item: tuple[str, Mapping]) -> tuple[str, ...] | None:
-    """Return what a path commands, or None for one that only tells."""
+    """Return the target that a path commands, or None for a read-only one."""
     path, mapping = item
     branch = path.partition("/")[0]
     if branch in ("actuator", "service", "action"):

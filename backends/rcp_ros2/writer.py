@@ -1,4 +1,4 @@
-"""From typed values to CDR, for types that have no code of their own to do it."""
+"""Encoding of typed values to CDR, for types without compiled code."""
 
 from __future__ import annotations
 

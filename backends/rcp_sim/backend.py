@@ -99,7 +99,7 @@ class SimBackend(BaseBackend):
         if name == "service/inject_fault":
             return self._inject(value)
         if name == "service/clear_faults":
-            self.device.mend(None if value is None else value.fault)
+            self.device.clear_faults(None if value is None else value.fault)
             return m.FaultsActive(self.device.faults.active)
         verb = self._verbs.get(name)
         if verb is None:
@@ -144,7 +144,7 @@ class SimBackend(BaseBackend):
         """Brake again if the rover moves, or has been told to."""
         faults, sim = self.device.faults, self._sim
         idle = sim.rover.at_rest and sim.trip is None and sim.velocity == (0.0, 0.0)
-        if idle or not self.device.hears or faults.lose_stop():
+        if idle or not self.device.receives_stops or faults.lose_stop():
             return
         sim.stop("an e-stop is latched", hard=True)
 
@@ -181,17 +181,17 @@ class SimBackend(BaseBackend):
     async def _ride(self, trip: Trip, progress: Progress) -> None:
         """See a trip to its end; a cancellation brakes the rover before it passes on."""
         device = self.device
-        device.told(trip, "started", f"Driving to a goal {trip.length:.1f} m away.")
+        device.report_task(trip, "started", f"Driving to a goal {trip.length:.1f} m away.")
         try:
             while not trip.done:
-                self._tell(trip, progress)
+                self._report_progress(trip, progress)
                 due = device.uptime + _FEEDBACK
                 await device.waiting.until(lambda due=due: trip.done or device.uptime >= due)
         except anyio.get_cancelled_exc_class():
             await self._abandon(trip)
             raise
         if trip.failure is not None:
-            device.told(trip, "failed", f"Failed: {trip.failure}.")
+            device.report_task(trip, "failed", f"Failed: {trip.failure}.")
             if device.blind:
                 raise DeviceTimeout(
                     "the rover sends no odometry; it was stopped", remedy="See event/fault."
@@ -199,17 +199,17 @@ class SimBackend(BaseBackend):
             if device.faults.link_lost:
                 raise AdapterUnavailable("the link to the rover was lost; it stopped by itself")
             raise DeviceRejected(trip.failure)
-        self._tell(trip, progress)
-        device.told(trip, "completed", f"Arrived after {trip.seconds:.1f} s.")
+        self._report_progress(trip, progress)
+        device.report_task(trip, "completed", f"Arrived after {trip.seconds:.1f} s.")
 
     async def _abandon(self, trip: Trip) -> None:
         if self._sim.trip is trip:
             self._sim.stop("cancelled")
         with anyio.move_on_after(_REST, shield=True), suppress(AdapterUnavailable):
             await self.device.waiting.until(lambda: self._sim.rover.at_rest)
-        self.device.told(trip, "cancelled", "Cancelled; the rover has stopped.")
+        self.device.report_task(trip, "cancelled", "Cancelled; the rover has stopped.")
 
-    def _tell(self, trip: Trip, progress: Progress) -> None:
+    def _report_progress(self, trip: Trip, progress: Progress) -> None:
         rover = self._sim.rover
         left = trip.follower.remaining(rover)
         pace = min(self._sim.limit, trip.follower.speed)
@@ -226,14 +226,14 @@ class SimBackend(BaseBackend):
         sim, device = self._sim, self.device
         removed = sim.remove_all() if what.obstacles else 0
         sim.reset_body(pose=what.pose, battery=what.battery)
-        mended = device.mend() if what.faults else 0
+        cleared = device.clear_faults() if what.faults else 0
         if what.speed_limit:
             sim.set_limit(DEFAULT_LIMIT)
         await device.waiting.until(lambda: sim.rover.at_rest)
         if what.odometry:
             device.publisher.sensors.wheels.zero()
         device.boot("reset")
-        return m.ResetResult(mended, removed, pose(sim.rover, now()))
+        return m.ResetResult(cleared, removed, pose(sim.rover, now()))
 
     async def _place(self, box: m.Box, _: Progress) -> m.ObstacleId:
         return m.ObstacleId(self._sim.place(box))

@@ -72,7 +72,7 @@ class Device:
             self._over(spec)
         if (
             self.blind
-            and self.hears
+            and self.receives_stops
             and (self.sim.trip is not None or self.sim.velocity != (0.0, 0.0))
         ):
             self.sim.stop("the rover sends no odometry", hard=True)
@@ -119,7 +119,7 @@ class Device:
             )
 
     @property
-    def hears(self) -> bool:
+    def receives_stops(self) -> bool:
         """Whether a stop that is sent now is carried out now."""
         return not self.faults.link_lost and not self.faults.delay("halt")
 
@@ -160,7 +160,7 @@ class Device:
             self.waiting.poll()
         self._report()
 
-    def mend(self, fault: str | None = None) -> int:
+    def clear_faults(self, fault: str | None = None) -> int:
         """End injected faults and return how many they were."""
         ended = self.faults.clear(fault)
         for spec in ended:
@@ -186,7 +186,7 @@ class Device:
     def _event(self, event: FaultEvent) -> None:
         self.publisher.event("event/fault", event, now())
 
-    def told(self, trip: Trip, state: TaskState, message: str) -> None:
+    def report_task(self, trip: Trip, state: TaskState, message: str) -> None:
         """Tell what has become of a task."""
         rover, (x, y) = self.sim.rover, trip.follower.goal
         event = TaskEvent(

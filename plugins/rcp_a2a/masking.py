@@ -16,9 +16,10 @@ from a2a.types.a2a_pb2 import (
 )
 from google.protobuf.json_format import MessageToDict
 
-from rcp_kernel.access.visibility import EVERYTHING, names_in
+from rcp_kernel.access.visibility import names_in
 from rcp_kernel.client_api import ClientApi
 from rcp_kernel.clients.session import Session
+from rcp_kernel.record.touches import EVERYTHING
 
 __all__ = ["Mask"]
 

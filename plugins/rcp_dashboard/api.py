@@ -33,7 +33,7 @@ class Api:
         self._handlers: dict[str, dict[str, Handler]] = {
             "/series": {"GET": self._series},
             "/latest": {"GET": self._latest},
-            "/camera": {"GET": lambda asked, _, send: self._cameras.snapshot(asked, send)},
+            "/camera": {"GET": lambda query, _, send: self._cameras.snapshot(query, send)},
             "/camera/stream": {"GET": self._cameras.stream},
             "/layout": {"GET": self._layout, "PUT": self._save, "DELETE": self._forget},
         }
@@ -55,44 +55,44 @@ class Api:
                 known = ", ".join(PREFIX + rest for rest in self._handlers)
                 raise UnknownPath(f"nothing found at {path}", remedy=f"Available: {known}.")
             allowed = _allowed(handlers)
-            asked = DashboardRequest(scope)
-            if asked.method == "OPTIONS":
+            query = DashboardRequest(scope)
+            if query.method == "OPTIONS":
                 await respond(send, 204, b"", headers=[(b"allow", allowed)])
                 return
-            handler = handlers.get(asked.method)
+            handler = handlers.get(query.method)
             if handler is None:
                 headers.append((b"allow", allowed))
                 raise UnsupportedOperation(
-                    f"{path} does not support {asked.method}",
+                    f"{path} does not support {query.method}",
                     remedy=f"Use {' or '.join(handlers)}.",
                 )
-            await asked.identify(self._client_api)
-            await handler(asked, receive, sending)
+            await query.identify(self._client_api)
+            await handler(query, receive, sending)
         except Exception as error:
             if begun:
                 raise
-            told = to_internal_error(error, path=path)
-            self._client_api.refused("dashboard", told.code)
-            await refuse(send, told, headers=headers)
+            failure = to_internal_error(error, path=path)
+            self._client_api.refused("dashboard", failure.code)
+            await refuse(send, failure, headers=headers)
 
-    async def _series(self, asked: DashboardRequest, _: Receive, send: Send) -> None:
-        await respond(send, 200, await self._telemetry.series(asked), headers=_NO_STORE)
+    async def _series(self, query: DashboardRequest, _: Receive, send: Send) -> None:
+        await respond(send, 200, await self._telemetry.series(query), headers=_NO_STORE)
 
-    async def _latest(self, asked: DashboardRequest, _: Receive, send: Send) -> None:
-        await respond(send, 200, await self._telemetry.latest(asked), headers=_NO_STORE)
+    async def _latest(self, query: DashboardRequest, _: Receive, send: Send) -> None:
+        await respond(send, 200, await self._telemetry.latest(query), headers=_NO_STORE)
 
-    async def _layout(self, asked: DashboardRequest, _: Receive, send: Send) -> None:
-        asked.allow()
-        await respond(send, 200, self._layouts.get(asked.principal), headers=_NO_STORE)
+    async def _layout(self, query: DashboardRequest, _: Receive, send: Send) -> None:
+        query.allow()
+        await respond(send, 200, self._layouts.get(query.principal), headers=_NO_STORE)
 
-    async def _save(self, asked: DashboardRequest, receive: Receive, send: Send) -> None:
-        asked.allow()
-        self._layouts.put(asked.principal, await asked.body(receive, self._limit))
+    async def _save(self, query: DashboardRequest, receive: Receive, send: Send) -> None:
+        query.allow()
+        self._layouts.put(query.principal, await query.body(receive, self._limit))
         await respond(send, 204, b"", headers=_NO_STORE)
 
-    async def _forget(self, asked: DashboardRequest, _: Receive, send: Send) -> None:
-        asked.allow()
-        self._layouts.delete(asked.principal)
+    async def _forget(self, query: DashboardRequest, _: Receive, send: Send) -> None:
+        query.allow()
+        self._layouts.delete(query.principal)
         await respond(send, 204, b"", headers=_NO_STORE)
 
     def close(self) -> None:

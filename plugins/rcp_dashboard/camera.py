@@ -70,15 +70,15 @@ class Cameras:
     async def _picture(self, value: Any, quality: int) -> Picture:
         return await self._client_api.loop.run_in_executor(self._pool, picture, value, quality)
 
-    async def snapshot(self, asked: DashboardRequest, send: Send) -> None:
+    async def snapshot(self, query: DashboardRequest, send: Send) -> None:
         """Answer with the newest picture; `x-rcp-age` says how old it is, in s.
 
         :raises RcpError: the caller may not have it, or it is none.
         """
-        asked.allow("path", "quality")
-        quality = asked.whole("quality", 1, 100, self._config.jpeg_quality)
-        request = Request(type="read", path=asked.path())
-        reply = checked(await self._client_api.ask(asked.session, request))
+        query.allow("path", "quality")
+        quality = query.whole("quality", 1, 100, self._config.jpeg_quality)
+        request = Request(type="read", path=query.path())
+        reply = checked(await self._client_api.ask(query.session, request))
         seen = _decode(encode_reply(reply, Encoding.MSGPACK))
         made = await self._picture(seen.body, quality)
         age = (now() - parse_time(seen.source_timestamp)) / 1e9
@@ -90,25 +90,25 @@ class Cameras:
         ]
         await respond(send, 200, made.data, made.media, headers)
 
-    async def stream(self, asked: DashboardRequest, receive: Receive, send: Send) -> None:
+    async def stream(self, query: DashboardRequest, receive: Receive, send: Send) -> None:
         """Send pictures until the client leaves or may not have them any more.
 
         :raises RcpError: nothing was sent yet, and nothing will be.
         """
-        asked.allow("path", "quality", "rate")
-        quality = asked.whole("quality", 1, 100, self._config.jpeg_quality)
-        rate = asked.number("rate", 0.01, 120)
-        path = asked.path()
+        query.allow("path", "quality", "rate")
+        quality = query.whole("quality", 1, 100, self._config.jpeg_quality)
+        rate = query.number("rate", 0.01, 120)
+        path = query.path()
         if self._streams >= self._config.streams:
             raise QueueFull(
                 f"{self._streams} camera streams are already open",
                 remedy="Close one, or ask the operator to raise [plugins.dashboard] streams.",
             )
         self._streams += 1
-        stream = Stream(asked, receive, send)
+        stream = Stream(query, receive, send)
         try:
             connection = self._client_api.connect(
-                asked.principal, Encoding.MSGPACK, stream.wake, asked.tenant, asked.peer
+                query.principal, Encoding.MSGPACK, stream.wake, query.tenant, query.peer
             )
             try:
                 connection.session.listening = True
@@ -132,8 +132,8 @@ class Cameras:
 class Stream:
     """One endless response: a picture is taken when the last one was, so that none piles up."""
 
-    def __init__(self, asked: DashboardRequest, receive: Receive, send: Send) -> None:
-        extensions = asked.scope["extensions"]
+    def __init__(self, query: DashboardRequest, receive: Receive, send: Send) -> None:
+        extensions = query.scope["extensions"]
         self._out: Body = extensions["rcp.stream"]
         self._closing: set[Callable[[], None]] = extensions["rcp.closing"]
         self._receive = receive

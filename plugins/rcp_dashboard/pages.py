@@ -30,7 +30,7 @@ _SAFE: Headers = [
     (b"permissions-policy", b"camera=(), microphone=(), geolocation=(), payment=(), usb=()"),
 ]
 _FOREVER = (b"cache-control", b"public, max-age=31536000, immutable")
-_ASK = (b"cache-control", b"no-cache")
+_REVALIDATE = (b"cache-control", b"no-cache")
 _VARY = (b"vary", b"accept-encoding")
 _UNBUILT = b"""<!doctype html><html lang="en"><meta charset="utf-8"><title>RCP gateway</title>
 <h1>RCP gateway</h1>
@@ -58,7 +58,7 @@ class File(msgspec.Struct, frozen=True):
         if media.startswith("text/") or name.endswith((".js", ".json", ".svg")):
             media += "; charset=utf-8"
         etag = b'W/"%s"' % hashlib.sha256(body).hexdigest()[:20].encode()
-        cache = _FOREVER if name.startswith("/assets/") else _ASK
+        cache = _FOREVER if name.startswith("/assets/") else _REVALIDATE
         return cls(body, packed, media.encode(), etag, cache)
 
 
@@ -83,16 +83,16 @@ class Pages:
         path, method = scope["path"], scope["method"]
         file = self._files.get(path)
         if file is None:
-            told = UnknownPath(f"nothing found at {path}", remedy="The dashboard is at `/`.")
-            await refuse(send, told)
+            error = UnknownPath(f"nothing found at {path}", remedy="The dashboard is at `/`.")
+            await refuse(send, error)
             return
         if method not in ("GET", "HEAD"):
-            told = UnsupportedOperation(f"{path} does not support {method}")
+            error = UnsupportedOperation(f"{path} does not support {method}")
             allow: Headers = [(b"allow", b"GET, HEAD, OPTIONS")]
             if method == "OPTIONS":
                 await respond(send, 204, b"", headers=allow)
             else:
-                await refuse(send, told, headers=allow)
+                await refuse(send, error, headers=allow)
             return
         root = scope.get("root_path", "").encode()
         if root and scope["raw_path"] == root:  # what is relative would begin one level too high

@@ -30,21 +30,21 @@ class Telemetry:
         self._watchers = Watchers(client_api, config)
         self._samples = config.samples
 
-    async def series(self, asked: DashboardRequest) -> bytes:
+    async def series(self, query: DashboardRequest) -> bytes:
         """Return fields of one resource over time, with so many points as can be drawn.
 
         :raises RcpError: the caller may not have it, or a field is no number.
         """
-        asked.allow("path", "field", "window", "until", "points", "method")
-        path = asked.path()
-        fields = asked.several("field") or [""]
+        query.allow("path", "field", "window", "until", "points", "method")
+        path = query.path()
+        fields = query.several("field") or [""]
         if len(fields) > _FIELDS:
             raise BadRequest(f"a request can have at most {_FIELDS} fields")
-        window = asked.number("window", 0.001, 1e9)
-        until = asked.time("until")
-        points = asked.whole("points", 4, _POINTS, 600)
-        choose = METHODS[asked.word("method", tuple(METHODS))]
-        watcher = self._watchers.of(asked.principal, asked.tenant, asked.peer)
+        window = query.number("window", 0.001, 1e9)
+        until = query.time("until")
+        points = query.whole("points", 4, _POINTS, 600)
+        choose = METHODS[query.word("method", tuple(METHODS))]
+        watcher = self._watchers.of(query.principal, query.tenant, query.peer)
         found: list[dict[str, Any]] = []
         for field in fields:
             ring = await watcher.ring(path, field)
@@ -67,43 +67,43 @@ class Telemetry:
         body = {"path": path, "capacity": self._samples, "now": now() / 1e9, "series": found}
         return msgspec.json.encode(body)
 
-    async def latest(self, asked: DashboardRequest) -> bytes:
+    async def latest(self, query: DashboardRequest) -> bytes:
         """Return the present value of every resource that matches, long ones left out.
 
         What does not fit in one page is `truncated`, and the `cursor` leads to the rest.
 
         :raises RcpError: the caller may not have it.
         """
-        asked.allow("path", "max_bytes", "cursor")
-        longest = asked.whole("max_bytes", 1, 1 << 24, 4096)
-        request = Request(type="read", path=asked.path(pattern=True))
-        if (cursor := asked.text("cursor")) is not None:
+        query.allow("path", "max_bytes", "cursor")
+        longest = query.whole("max_bytes", 1, 1 << 24, 4096)
+        request = Request(type="read", path=query.path(pattern=True))
+        if (cursor := query.text("cursor")) is not None:
             request.body = msgspec.Raw(msgspec.json.encode({"cursor": cursor}))
-        reply = checked(await self._client_api.ask(asked.session, request))
+        reply = checked(await self._client_api.ask(query.session, request))
         present = now()
         read = msgspec.json.decode(encode_reply(reply, Encoding.JSON))
         several = read["body"] if "*" in (request.path or "") else [read]
-        values = [_told(one, present, longest) for one in several]
-        told: dict[str, Any] = {"timestamp": iso(present), "values": values}
+        values = [_described(one, present, longest) for one in several]
+        found: dict[str, Any] = {"timestamp": iso(present), "values": values}
         if reply.truncated:
-            told |= {"truncated": True, "cursor": reply.cursor}
-        return msgspec.json.encode(told)
+            found |= {"truncated": True, "cursor": reply.cursor}
+        return msgspec.json.encode(found)
 
     def close(self) -> None:
         """Let go of everything that is watched."""
         self._watchers.close()
 
 
-def _told(one: dict[str, Any], present: int, longest: int) -> dict[str, Any]:
+def _described(one: dict[str, Any], present: int, longest: int) -> dict[str, Any]:
     kept = ("path", "status", "seq", "timestamp", "state", "error")
-    told = {key: one[key] for key in kept if one.get(key) is not None}
+    found = {key: one[key] for key in kept if one.get(key) is not None}
     if one.get("error") is None:
         data = dump(one["body"], Encoding.JSON)
         if len(data) > longest:
-            told["omitted"] = len(data)
+            found["omitted"] = len(data)
         else:
-            told["body"] = msgspec.Raw(data)
+            found["body"] = msgspec.Raw(data)
         stamp = one.get("source_timestamp") or one.get("timestamp")
         if stamp is not None:
-            told["age"] = round((present - parse_time(stamp)) / 1e9, 3)
-    return told
+            found["age"] = round((present - parse_time(stamp)) / 1e9, 3)
+    return found

@@ -28,7 +28,7 @@ __all__ = ["Watcher", "Watchers", "checked"]
 
 Key = tuple[str, str]
 """Path and field."""
-Who = tuple[Principal, str | None, Peer]
+Owner = tuple[Principal, str | None, Peer]
 _BURST = 1024  # samples that may come in one turn of the loop, and all be kept
 _REPLAYED = 10_000  # samples of the gateway's own ring that a new one begins with
 
@@ -50,13 +50,13 @@ _decode = msgspec.msgpack.Decoder(_Message).decode
 class Watched:
     """One field with its ring."""
 
-    __slots__ = ("asked", "field", "id", "ring")
+    __slots__ = ("field", "id", "requested_at", "ring")
 
-    def __init__(self, id_: str, field: str, size: int, asked: float) -> None:
+    def __init__(self, id_: str, field: str, size: int, requested_at: float) -> None:
         self.id = id_
         self.field = Field(field)
         self.ring = Ring(size)
-        self.asked = asked
+        self.requested_at = requested_at
         """When somebody last wanted it, by the loop's clock."""
 
     def take(self, message: _Message) -> None:
@@ -77,10 +77,10 @@ class Watcher:
         self,
         client_api: ClientApi,
         config: DashboardConfig,
-        who: Who,
+        owner: Owner,
         make_room: Callable[[], None],
     ) -> None:
-        principal, tenant, peer = who
+        principal, tenant, peer = owner
         self._make_room = make_room
         self._client_api = client_api
         self._config = config
@@ -111,7 +111,7 @@ class Watcher:
                 )
             self._make_room()
             found = await self._watch(path, field, now)
-        found.asked = now
+        found.requested_at = now
         return found.ring
 
     async def _watch(self, path: str, field: str, now: float) -> Watched:
@@ -161,7 +161,7 @@ class Watcher:
     def sweep(self, before: float) -> None:
         """Let go of what nobody has asked for since."""
         for key, watched in list(self.watched.items()):
-            if watched.asked < before:
+            if watched.requested_at < before:
                 self._forget(key)
                 request = Request(type="unsubscribe", id=watched.id)
                 self._client_api.submit(self._connection.session, request, _nobody)
@@ -179,7 +179,7 @@ class Watchers:
     def __init__(self, client_api: ClientApi, config: DashboardConfig) -> None:
         self._client_api = client_api
         self._config = config
-        self._found: dict[Who, Watcher] = {}
+        self._found: dict[Owner, Watcher] = {}
         self._timer: Any = None
 
     def of(self, principal: Principal, tenant: str | None, peer: Peer) -> Watcher:
@@ -188,14 +188,14 @@ class Watchers:
         :raises QueueFull: the gateway holds too many sessions.
         :raises Forbidden: the client does not act in that tenant.
         """
-        who = principal, tenant, peer
-        found = self._found.get(who)
+        owner = principal, tenant, peer
+        found = self._found.get(owner)
         if found is not None and found.ended:
-            self._found.pop(who).close()
+            self._found.pop(owner).close()
             found = None
         if found is None:
-            found = self._found[who] = Watcher(
-                self._client_api, self._config, who, self._check_room
+            found = self._found[owner] = Watcher(
+                self._client_api, self._config, owner, self._check_room
             )
         if self._timer is None:
             self._timer = self._client_api.loop.call_later(self._config.idle / 2, self._sweep)
@@ -212,10 +212,10 @@ class Watchers:
 
     def _sweep(self) -> None:
         before = self._client_api.loop.time() - self._config.idle
-        for who, watcher in list(self._found.items()):
+        for owner, watcher in list(self._found.items()):
             watcher.sweep(before)
             if not watcher.watched or watcher.ended:
-                self._found.pop(who).close()
+                self._found.pop(owner).close()
         self._timer = None
         if self._found:
             self._timer = self._client_api.loop.call_later(self._config.idle / 2, self._sweep)
@@ -236,19 +236,19 @@ def _nobody(_: Reply) -> None:
 def checked(reply: Reply) -> Reply:
     """Return a reply that is not a refusal.
 
-    :raises RcpError: it is one: the error that it tells, as it was raised.
+    :raises RcpError: the reply is an error; raised as the error that it contains.
     """
-    told = reply.error
-    if told is None:
+    described = reply.error
+    if described is None:
         return reply
-    kind = BY_CODE.get(told["code"], RcpError)
+    kind = BY_CODE.get(described["code"], RcpError)
     error = kind(
-        told["message"],
-        path=told.get("path"),
-        origin=told.get("origin"),
-        remedy=told.get("remedy"),
-        retry_after=told.get("retry_after"),
-        details=told.get("details"),
+        described["message"],
+        path=described.get("path"),
+        origin=described.get("origin"),
+        remedy=described.get("remedy"),
+        retry_after=described.get("retry_after"),
+        details=described.get("details"),
     )
-    error.trace_id = told.get("trace_id")
+    error.trace_id = described.get("trace_id")
     raise error

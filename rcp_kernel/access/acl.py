@@ -30,13 +30,16 @@ _MAX_COMPILED = 1000  # sets of roles whose rights are kept at hand
 _NAMED = re.compile(r"/tenant/[\w./-]+")
 _RESOURCE = 4  # slashes of the path of a resource at least; what is shorter is a scope
 _CONDITIONAL_SHIFT = 8  # bits by which operations are shifted that hang on a condition
+# Masks are plain integers: Python makes a new flag of each `&` of two flags, at thirty times the cost.
+_DISCOVER = int(Operation.DISCOVER)
 
 
 class _Reach(NamedTuple):
     """A rule with one of its patterns, in the tenant where it counts (`*`: in all)."""
 
     pattern: Pattern
-    bits: Operation
+    bits: int
+    """Its operations."""
     place: str
     held: str
     """The tenant of the role."""
@@ -46,7 +49,7 @@ class _Reach(NamedTuple):
 class _Terms(NamedTuple):
     """What of the rules for one path hangs on conditions."""
 
-    allowed: Operation
+    allowed: int
     """Allowed without one."""
     allow: list[_Reach]
     deny: list[_Reach]
@@ -92,7 +95,7 @@ class Rights:
             for r in _reaches(rule, t)
         ]
         self._deny = [
-            r._replace(bits=r.bits if r.when is None else r.bits & ~Operation.DISCOVER)
+            r._replace(bits=r.bits if r.when is None else r.bits & ~_DISCOVER)
             for t, role in self._held
             for rule in role.deny
             for r in _reaches(rule, t)
@@ -189,14 +192,14 @@ class Rights:
         allow, deny = self._matching(self._allow, path), self._matching(self._deny, path)
         sure = _bits(r for r in allow if r.when is None)
         denied = _bits(r for r in deny if r.when is None)
-        if denied & Operation.DISCOVER:
+        if denied & _DISCOVER:
             return 0
         possible = _bits(allow) & ~denied
         if not possible:
             return 0
         sure &= ~denied & ~_bits(r for r in deny if r.when is not None)
-        perhaps = possible & ~sure & ~Operation.DISCOVER
-        return int(sure | Operation.DISCOVER) | int(perhaps) << _CONDITIONAL_SHIFT
+        perhaps = possible & ~sure & ~_DISCOVER
+        return sure | _DISCOVER | perhaps << _CONDITIONAL_SHIFT
 
     @staticmethod
     def _matching(rules: list[_Reach], path: str) -> list[_Reach]:
@@ -205,11 +208,11 @@ class Rights:
 
     def permits(self, entry: Entry, operation: Operation) -> bool:
         """Tell whether an operation is allowed now."""
-        mask = self.mask(entry.path)
-        if mask & operation:
+        mask, asked = self.mask(entry.path), int(operation)
+        if mask & asked:
             return True
         return (
-            bool(mask >> _CONDITIONAL_SHIFT & operation)
+            bool(mask >> _CONDITIONAL_SHIFT & asked)
             and self.blocking_condition(entry, operation) is None
         )
 
@@ -274,8 +277,8 @@ class Room:
                 rights.forget()
 
 
-def _bits(rules: Iterable[_Reach]) -> Operation:
-    bits = Operation.NONE
+def _bits(rules: Iterable[_Reach]) -> int:
+    bits = 0
     for one in rules:
         bits |= one.bits
     return bits
@@ -291,15 +294,14 @@ def _implied(role: Role) -> tuple[Rule, ...]:
 def _reaches(rule: Rule, tenant: str) -> list[_Reach]:
     found: list[_Reach] = []
     when = None if rule.when is None else condition(rule.when)
+    bits = int(rule.mask)
     for text in rule.paths:
         if text.startswith("/system/"):
-            found.append(_Reach(Pattern(text), rule.mask, "*", tenant, when))
+            found.append(_Reach(Pattern(text), bits, "*", tenant, when))
         elif text.startswith("/tenant/"):
-            found.append(_Reach(Pattern(text), rule.mask, tenant, tenant, when))
+            found.append(_Reach(Pattern(text), bits, tenant, tenant, when))
         else:
-            found.append(
-                _Reach(Pattern(f"/tenant/{tenant}{text}"), rule.mask, tenant, tenant, when)
-            )
+            found.append(_Reach(Pattern(f"/tenant/{tenant}{text}"), bits, tenant, tenant, when))
     return found
 
 

@@ -25,7 +25,6 @@ from rcp_kernel.values import to_plain
 
 if TYPE_CHECKING:
     from rcp_kernel.registry import Entry, Registry
-    from rcp_kernel.streaming.hub import Hub
 
 __all__ = ["Conditions", "Placed"]
 
@@ -49,11 +48,37 @@ class Placed(Protocol):
         ...
 
 
+class Demand(Protocol):
+    """Which resources are published now."""
+
+    def holds(self, entry: Entry) -> bool:
+        """Tell whether the source of an entry is kept running."""
+        ...
+
+
+class Sources(Protocol):
+    """What publishes the resources that conditions name."""
+
+    @property
+    def registry(self) -> Registry:
+        """The tree."""
+        ...
+
+    @property
+    def demand(self) -> Demand:
+        """What is published."""
+        ...
+
+    def sustain(self, entry: Entry, rate: float) -> None:
+        """Have an entry published at `rate` Hz at least, whoever listens; 0.0: no more."""
+        ...
+
+
 class Conditions:
     """Evaluates conditions from the registry's latest samples, and keeps those coming."""
 
     def __init__(
-        self, hub: Hub, today: Callable[[], datetime] = lambda: datetime.now().astimezone()
+        self, hub: Sources, today: Callable[[], datetime] = lambda: datetime.now().astimezone()
     ) -> None:
         self._hub = hub
         self._registry: Registry = hub.registry

@@ -94,6 +94,7 @@ class Identities:
         self._tokens: list[Token] = []
         self._certificates = Certificates(config.certificates)
         self._keyring = _keyring(config, self._tokens)
+        self._anonymous = _anonymous(config)
         self._attempts = AuthThrottle(config.limits.failed_logins, self._loop.time)
 
     # -- its own time --------------------------------------------------------------------------
@@ -135,6 +136,7 @@ class Identities:
         """Take over the proofs of another configuration; sessions are reviewed by the caller."""
         self._certificates = Certificates(config.certificates, self._certificates)
         self._keyring = _keyring(config, self._tokens)
+        self._anonymous = _anonymous(config)
         self._attempts.allowance = config.limits.failed_logins
 
     def revoke(self, serials: frozenset[Serial]) -> None:
@@ -167,10 +169,9 @@ class Identities:
 
         :raises Unauthenticated: the configuration gives them no role.
         """
-        grants = self._settings.config.anonymous.grants
-        if not any(roles for _, roles in grants):
+        if self._anonymous is None:
             raise Unauthenticated("authentication required")
-        return Principal("anonymous", grants)
+        return self._anonymous
 
     def longest(self, principal: Principal) -> int:
         """Return the length of the longest message that a principal may send."""
@@ -334,6 +335,12 @@ def _agree(certified: Principal | None, principal: Principal) -> None:
             f"the token belongs to '{principal.name}', the certificate to '{certified.name}'",
             remedy="Send the token of the certificate's owner, or no token.",
         )
+
+
+def _anonymous(config: GatewayConfig) -> Principal | None:
+    """Return the principal of those who prove nothing, or None if they have no role."""
+    grants = config.anonymous.grants
+    return Principal("anonymous", grants) if any(roles for _, roles in grants) else None
 
 
 def _keyring(config: GatewayConfig, tokens: list[Token]) -> Keyring:

@@ -42,7 +42,7 @@ class Principal(msgspec.Struct, frozen=True):
     @property
     def tenants(self) -> tuple[str, ...]:
         """The tenants it acts in."""
-        return tuple(tenant for tenant, _ in self.grants)
+        return tuple([tenant for tenant, _ in self.grants])
 
     @property
     def roles(self) -> tuple[str, ...]:

@@ -17,17 +17,14 @@ import msgspec
 
 from rcp_kernel.access.acl import Rights, reach
 from rcp_kernel.model import BRANCHES, MAX_PATH, Operation, tenant_of
+from rcp_kernel.record.touches import EVERYTHING, MOST_TOUCHES
 from rcp_kernel.values import Encoding, dump
 
 if TYPE_CHECKING:
     from rcp_kernel.registry import Entry, Registry
 
-__all__ = ["EVERYTHING", "MOST_TOUCHES", "Visibility", "bounded_touches", "names_in"]
+__all__ = ["Visibility", "names_in"]
 
-EVERYTHING = "/**"
-"""Stands among paths for all there are: what is about it is for those from whom nothing is hidden."""
-MOST_TOUCHES = 256
-"""Paths that a record names beside its own; what is about more of them is about everything."""
 _KINDS = tuple(map(str, BRANCHES))
 _PATHS = re.compile(r"/tenant/[\w.-]+(?:/[\w.-]+)*", re.ASCII)
 _SHORT = re.compile(rf"(?:{'|'.join(_KINDS)})(?:[./][\w-]+)+", re.ASCII)
@@ -36,12 +33,6 @@ _LONGEST = 65_536  # bytes that are looked through: that takes 2 ms
 _STRANGE = 32  # names that mean nothing there is, and so are weighed by the rules one by one
 _RESOURCE = 4  # slashes of the path of a resource at least; what is shorter is a scope
 _ROBOT = 3  # slashes of the key of a robot
-
-
-def bounded_touches(paths: Iterable[str]) -> tuple[str, ...]:
-    """Return each path once; `EVERYTHING` instead if they are too many, or it is one of them."""
-    found = tuple(islice(dict.fromkeys(paths), MOST_TOUCHES + 1))
-    return (EVERYTHING,) if len(found) > MOST_TOUCHES or EVERYTHING in found else found
 
 
 def names_in(value: Any) -> frozenset[str]:

@@ -592,7 +592,7 @@ def _client_api(
         handshake=handshake,
         sessions=clients.sessions,
         identities=clients.identities,
-        audit_writer=records.writer,
+        unwelcome=records.writer.unwelcome,
         counts=base.counts,
         outbound=clients.outbound,
         settings=base.settings,

@@ -16,7 +16,7 @@ from rcp_kernel.clients.handshake import Handshake
 from rcp_kernel.clients.hello import Hello
 from rcp_kernel.clients.outbound import SHARE, SMALL, Outbound
 from rcp_kernel.clients.outbox import FlushScheduler, Outbox
-from rcp_kernel.clients.session import Handler, Session
+from rcp_kernel.clients.session import Answer, Handler, Session
 from rcp_kernel.clients.sessions import Sessions
 from rcp_kernel.clients.unsent import ESTOP, left_out
 from rcp_kernel.clock import iso, now
@@ -24,7 +24,6 @@ from rcp_kernel.config.settings import Settings
 from rcp_kernel.errors import QueueFull, RcpError
 from rcp_kernel.operations.counts import RequestCounts
 from rcp_kernel.operations.pending import to_internal_error
-from rcp_kernel.record.audit_writer import AuditWriter
 from rcp_kernel.structure import LONG, check_structure
 from rcp_kernel.turns import Turns, Work
 from rcp_kernel.values import Encoding, value_type
@@ -57,7 +56,8 @@ class ConnectionParts:
     handshake: Handshake
     sessions: Sessions
     identities: Identities
-    audit_writer: AuditWriter
+    unwelcome: Callable[[Session, Reply, Answer], Answer]
+    """Records that a `hello` was refused; returns what its reply goes to."""
     counts: RequestCounts
     outbound: Outbound
     settings: Settings
@@ -143,20 +143,14 @@ class Connection:
             self._hold(data)
             return
         try:
-            self._take(data)
-        except Exception as error:
-            self.stumbled(data, error)
-
-    def _take(self, data: bytes) -> None:
-        try:
             if len(data) > LONG:
                 self._take_long(data)
-                return
-            request = decode_request(data, self.encoding)
+            else:
+                self._carry_out(decode_request(data, self.encoding))
         except RcpError as error:
             self._refuse(data, error)
-            return
-        self._carry_out(request)
+        except Exception as error:
+            self.stumbled(data, error)
 
     def _take_long(self, data: bytes) -> None:
         """Have a message handled when its turn has come, and before all that come after it."""
@@ -290,7 +284,7 @@ class Connection:
         told = to_internal_error(error)
         self._parts.counts.count(self.session.transport, "hello", told.code)
         reply = failure(told, "hello", request.id)
-        self._parts.audit_writer.unwelcome(self.session, reply, self.send)(reply)
+        self._parts.unwelcome(self.session, reply, self.send)(reply)
 
     async def _identify(self, request: Request, hello: Hello, token: str) -> None:
         """Find out whose token it is, while what the client says next waits for that."""

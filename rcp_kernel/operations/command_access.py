@@ -6,13 +6,14 @@ from collections.abc import Iterator
 
 from rcp_kernel.access.acl import reach
 from rcp_kernel.access.identities import Identities
-from rcp_kernel.access.visibility import EVERYTHING, Visibility
+from rcp_kernel.access.visibility import Visibility
 from rcp_kernel.clients.session import Session
 from rcp_kernel.errors import UnknownPath
 from rcp_kernel.model import Operation
 from rcp_kernel.operations.command import Command
 from rcp_kernel.operations.commands import Commands
 from rcp_kernel.plans.model import PATH as PLANS
+from rcp_kernel.record.touches import EVERYTHING
 
 __all__ = ["CommandAccess", "is_own"]
 

@@ -16,7 +16,6 @@ from rcp_kernel._plain import is_map
 from rcp_kernel.access.condition import ConditionTooCostly, condition
 from rcp_kernel.access.conditions import Conditions
 from rcp_kernel.access.resolver import Resolver
-from rcp_kernel.access.visibility import EVERYTHING
 from rcp_kernel.clients.session import Session
 from rcp_kernel.config.settings import Settings
 from rcp_kernel.errors import (
@@ -44,6 +43,7 @@ from rcp_kernel.plans.model import Execute, Group, Operate, Parallel, Plan, Read
 from rcp_kernel.plans.names import NameScope
 from rcp_kernel.plans.node import Checked, Node, references
 from rcp_kernel.plans.symbolic import from_symbolic
+from rcp_kernel.record.touches import EVERYTHING
 from rcp_kernel.registry import Entry, Registry
 from rcp_kernel.values import Encoding, ValueType, dump
 

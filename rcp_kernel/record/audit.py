@@ -10,29 +10,47 @@ import asyncio
 import hashlib
 from collections.abc import Callable, Iterable
 from functools import partial
-from typing import Any
+from typing import Any, Protocol
 
 import msgspec
 
 from rcp_kernel.access.identity import Principal
-from rcp_kernel.access.visibility import EVERYTHING, bounded_touches
-from rcp_kernel.clients.session import Session
 from rcp_kernel.clock import iso, now
 from rcp_kernel.config.file import AuditConfig
 from rcp_kernel.model import tenant_of
 from rcp_kernel.record.chain import GENESIS, Head, link, written
 from rcp_kernel.record.denial_throttle import DenialThrottle
 from rcp_kernel.record.store import Store
+from rcp_kernel.record.touches import EVERYTHING, bounded_touches
 from rcp_kernel.values import Encoding, dump, parse
 from rcp_kernel.wire import Request
 
-__all__ = ["FULL", "Audit", "bounded", "decoded", "hashed", "value_of"]
+__all__ = ["FULL", "Acting", "Audit", "bounded", "decoded", "hashed", "value_of"]
 
 _VALUE = 4096  # bytes of a value that are written out
 _TEXT = 500  # characters of a message
 FULL = 5000  # records that may wait before commands and writes are refused, and refusals counted
 _MOST = 20_000  # records that may wait for a store that cannot write; then they are only counted
 _encode = msgspec.json.encode
+
+
+class Acting(Protocol):
+    """The session that something was done in."""
+
+    @property
+    def id(self) -> str:
+        """Its id, of which a record has the beginning."""
+        ...
+
+    @property
+    def tenant(self) -> str | None:
+        """The tenant in which it acts."""
+        ...
+
+    @property
+    def transport(self) -> str | None:
+        """How its client is connected."""
+        ...
 
 
 class Audit:
@@ -56,7 +74,7 @@ class Audit:
         path: str | None = None,
         touches: Iterable[str] | None = None,
         outcome: str = "ok",
-        session: Session | None = None,
+        session: Acting | None = None,
         **facts: Any,
     ) -> bool:
         """Record a happening; returns at once. Facts that are None are left out.
@@ -129,7 +147,7 @@ class Audit:
 
 
 def _tenant(
-    principal: Principal | None, tenant: str | None, path: str | None, session: Session | None
+    principal: Principal | None, tenant: str | None, path: str | None, session: Acting | None
 ) -> str | None:
     """Return whose record it is: never that of a tenant in which the principal does not act."""
     acting = tenant or (tenant_of(path) if path is not None and path[:1] == "/" else None)
@@ -148,7 +166,7 @@ def _owners(acting: str | None, touches: Iterable[str]) -> tuple[str, ...]:
 
 
 def _who(
-    principal: Principal | None, owners: tuple[str, ...], session: Session | None
+    principal: Principal | None, owners: tuple[str, ...], session: Acting | None
 ) -> dict[str, Any]:
     facts: dict[str, Any] = {}
     if principal is not None:

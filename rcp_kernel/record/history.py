@@ -6,13 +6,13 @@ from typing import Any
 
 import structlog
 
-from rcp_kernel.access.visibility import EVERYTHING
 from rcp_kernel.clients.resume import hashed
 from rcp_kernel.clock import now
 from rcp_kernel.errors import InternalError
 from rcp_kernel.operations.command import Command, Record
 from rcp_kernel.plans.model import PATH as PLANS
 from rcp_kernel.record.store import Store
+from rcp_kernel.record.touches import EVERYTHING
 from rcp_kernel.values import to_plain
 from rcp_kernel.wire import NO_BODY, error_body
 

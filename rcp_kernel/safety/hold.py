@@ -17,8 +17,7 @@ from rcp_kernel.wire import NO_BODY
 if TYPE_CHECKING:
     from rcp_kernel.clients.session import Session
     from rcp_kernel.motion.safety import Deadman
-    from rcp_kernel.operations.command import Command
-    from rcp_kernel.operations.commands import Commands
+    from rcp_kernel.operations.command import Command, CommandTable
 
 __all__ = ["Held", "Hold", "hold_resource"]
 
@@ -46,7 +45,7 @@ def hold_resource(name: str, robot: str | None) -> Resource:
 class Hold:
     """The work of one hold."""
 
-    def __init__(self, units: list[StopGroup], commands: Commands, deadman: Deadman) -> None:
+    def __init__(self, units: list[StopGroup], commands: CommandTable, deadman: Deadman) -> None:
         self._units, self._commands, self._deadman = units, commands, deadman
 
     async def run(self, command: Command, session: Session, progress: Progress) -> Held:

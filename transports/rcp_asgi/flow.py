@@ -27,5 +27,5 @@ class ReadFlow(FlowControl):
 
     def resume_reading(self) -> None:
         """Read on, unless it is held."""
-        if not self._held:
+        if self.read_paused and not self._held:
             super().resume_reading()

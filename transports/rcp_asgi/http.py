@@ -14,6 +14,7 @@ from typing import Any, cast
 from urllib.parse import unquote
 
 import httptools
+from uvicorn._types import ASGI3Application
 from uvicorn.config import Config
 from uvicorn.protocols.http.flow_control import HIGH_WATER_LIMIT
 from uvicorn.protocols.http.httptools_impl import (
@@ -25,6 +26,7 @@ from uvicorn.server import ServerState
 
 from rcp_asgi.connection_limiter import Seat
 from rcp_asgi.endless import Endless
+from rcp_asgi.exchange import Exchange
 from rcp_asgi.flow import ReadFlow
 from rcp_asgi.request_head import (
     HeadTooLong,
@@ -285,21 +287,24 @@ class HttpProtocol(HttpToolsProtocol):
 
     def on_url(self, url: bytes) -> None:
         """Take a part of the request line."""
-        self._count(len(url), TargetTooLong("the request line is too long"))
+        if self._exceeds(len(url)):
+            self._fault = TargetTooLong("the request line is too long")
+            raise self._fault  # the parser stops, and `_parse` answers
         self.url += url
 
     def on_header(self, name: bytes, value: bytes) -> None:
         """Take a header; trailers are counted and left out: nobody here waits for any."""
-        self._count(len(name) + len(value) + 4, HeadTooLong("the request's headers are too long"))
+        if self._exceeds(len(name) + len(value) + 4):
+            self._fault = HeadTooLong("the request's headers are too long")
+            raise self._fault
         if self._in_head:
             super().on_header(name, value)
 
-    def _count(self, size: int, fault: RcpError) -> None:
+    def _exceeds(self, size: int) -> bool:
+        """Count what the head takes; tell whether that is too much."""
         self._silent = 0
         self._head += size
-        if self._head > self._settings.config.max_header:
-            self._fault = fault
-            raise fault  # the parser stops, and `_parse` answers
+        return self._head > self._settings.config.max_header
 
     def on_headers_complete(self) -> None:
         """Start the request."""
@@ -308,20 +313,55 @@ class HttpProtocol(HttpToolsProtocol):
         if self._slow is not None:
             self._stop_clock()
         parser, headers = self.parser, self.headers
-        method = parser.get_method()
+        method, version = parser.get_method(), parser.get_http_version()
         try:
-            self.url = check_head(method, parser.get_http_version(), self.url, headers)
+            self.url = check_head(method, version, self.url, headers)
         except RcpError as fault:
             self._fault = fault
             raise
-        if parser.should_upgrade() and not self._should_upgrade():
-            self.scope["method"] = method.decode("ascii")
+        self.scope["method"] = method.decode("ascii")
+        self.scope["http_version"] = version
+        upgrades = parser.should_upgrade()
+        if upgrades and not self._should_upgrade():
             return
         self._in_body = True
         self._owed = next((int(v) for n, v in headers if n == b"content-length"), 0)
         if self._proxied:
             self._speak_for_client()
-        super().on_headers_complete()
+        if not upgrades:
+            self._begin(version)
+
+    def _begin(self, version: str) -> None:
+        """Have a request handled, after those before it."""
+        scope = cast("dict[str, Any]", self.scope)
+        app = cast("ASGI3Application", self.app)
+        url = httptools.parse_url(self.url)
+        path = cast("bytes", url.path)
+        text = path.decode("ascii")
+        scope["path"] = unquote(text) if "%" in text else text
+        scope["raw_path"] = path
+        scope["query_string"] = url.query or b""
+        before, self.cycle = (
+            self.cycle,
+            Exchange(
+                scope=self.scope,
+                transport=self.transport,
+                flow=self.flow,
+                logger=self.logger,
+                access_logger=self.access_logger,
+                access_log=self.access_log,
+                default_headers=self.server_state.default_headers,
+                message_event=asyncio.Event(),
+                expect_100_continue=self.expect_100_continue,
+                keep_alive=version != "1.0" and self.parser.should_keep_alive(),
+                on_response=self.on_response_complete,
+            ),
+        )
+        if before is None or before.response_complete:
+            self._start_asgi_task(self.cycle, app)
+        else:
+            self.flow.pause_reading()
+            self.pipeline.appendleft((self.cycle, app))
         if not self.pipeline:
             self._answered = self.cycle
 

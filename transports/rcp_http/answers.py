@@ -63,8 +63,7 @@ class Answers:
     async def unchanged(self, send: Send, etag: bytes) -> None:
         """Tell that the client has it already."""
         headers = [(b"etag", etag), _NO_CACHE, _VARY]
-        await send({"type": "http.response.start", "status": 304, "headers": headers})
-        await send({"type": "http.response.body", "body": b""})
+        await _send(send, 304, headers, b"")
 
     async def body(
         self,
@@ -85,14 +84,20 @@ class Answers:
                 data = await compress(data, chosen)
                 headers.append(_CODED[chosen])
         headers.append((b"content-length", b"%d" % len(data)))
+        if len(data) <= SHARE:
+            await _send(send, status, headers, data)
+            return
         backlog = self._outbound.open()
-        if len(data) > SHARE:
-            backlog.set(len(data))  # it may have to wait until an earlier answer was taken
+        backlog.set(len(data))  # it may have to wait until an earlier answer was taken
         try:
-            await send({"type": "http.response.start", "status": status, "headers": headers})
-            await send({"type": "http.response.body", "body": data})
+            await _send(send, status, headers, data)
         finally:
             backlog.close()
+
+
+async def _send(send: Send, status: int, headers: Headers, data: bytes) -> None:
+    await send({"type": "http.response.start", "status": status, "headers": headers})
+    await send({"type": "http.response.body", "body": data})
 
 
 def matches(asked: HttpRequest, etag: bytes) -> bool:

@@ -136,7 +136,7 @@ class HttpApp:
 
 
 def _id(asked: HttpRequest) -> str | None:
-    named = asked.found.get("~id")
+    named = asked.envelope.get("id")
     if named is not None and len(named) <= 128:
         return named.decode("latin-1")
     values = asked.query.get("id", ())

@@ -35,6 +35,8 @@ class Follower:
     def __call__(self, reply: Reply) -> None:
         """Take the next reply."""
         self.latest = reply
+        if self._first is None and self._final is None:
+            return
         for waiter in (self._first, self._final if reply.final else None):
             if waiter is not None and not waiter.done():
                 waiter.set_result(reply)

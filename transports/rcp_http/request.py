@@ -32,7 +32,7 @@ _FIELDS = (
     "approval",
     "id",
 )
-_HEADERS: dict[bytes, str] = {
+_HEADERS = {
     b"authorization": "authorization",
     b"accept": "accept",
     b"accept-encoding": "accept_encoding",
@@ -49,11 +49,13 @@ _HEADERS: dict[bytes, str] = {
     b"x-rcp-tenant": "tenant",
 }
 """Headers that are looked at, by what they are called here."""
+_ENVELOPE: dict[bytes, str] = {}
+"""Headers that are fields of the envelope."""
 for _field in _FIELDS:
-    _HEADERS[b"x-rcp-" + _field.replace("_", "-").encode()] = "~" + _field
+    _ENVELOPE[b"x-rcp-" + _field.replace("_", "-").encode()] = _field
     if _field != "id":
-        _HEADERS[_field.replace("_", "-").encode()] = "~" + _field
-        _HEADERS[_field.encode()] = "~" + _field
+        _ENVELOPE[_field.replace("_", "-").encode()] = _field
+        _ENVELOPE[_field.encode()] = _field
 _CONDITIONS = {
     "if_match": "If-Match",
     "if_none_match": "If-None-Match",
@@ -65,16 +67,30 @@ _MAX_PARAMETERS = 500
 class HttpRequest:
     """A request's head, read once."""
 
-    __slots__ = ("encoding", "found", "method", "octets", "path", "peer", "query", "root_path")
+    __slots__ = (
+        "encoding",
+        "envelope",
+        "found",
+        "method",
+        "octets",
+        "path",
+        "peer",
+        "query",
+        "root_path",
+    )
 
     def __init__(self, scope: Scope) -> None:
         found: dict[str, bytes] = {}
+        envelope: dict[str, bytes] = {}
         for name, value in scope["headers"]:
-            known = _HEADERS.get(name)
-            if known is not None:
-                found[known] = value
+            if name in _HEADERS:
+                found[_HEADERS[name]] = value
+            elif name in _ENVELOPE:
+                envelope[_ENVELOPE[name]] = value
         self.found = found
         """The headers that count."""
+        self.envelope = envelope
+        """The fields of the envelope that came as headers."""
         self.method: str = "GET" if scope["method"] == "HEAD" else scope["method"]
         self.path: str = scope["path"]
         self.peer = peer_of(scope)
@@ -122,7 +138,7 @@ class HttpRequest:
         return self._session(client_api, await client_api.identify(token, self.peer))
 
     def _session(self, client_api: ClientApi, principal: Principal) -> Session:
-        tenant = self.one("tenant")
+        tenant = self.one("tenant") if self.query else None
         if tenant is None and (named := self.found.get("tenant")) is not None:
             tenant = named.decode("latin-1")
         return client_api.session(principal, tenant, self.peer)
@@ -159,7 +175,7 @@ class HttpRequest:
 
         :raises BadRequest: one of them is not what it should be.
         """
-        fields = self._fields()
+        fields = self._fields() if self.envelope or self.query else None
         if not fields:
             return Request(type=type_, path=path)  # pyright: ignore[reportArgumentType] - a literal
         fields["type"] = type_
@@ -168,10 +184,9 @@ class HttpRequest:
         return decode_request(msgspec.json.encode(fields), Encoding.JSON)
 
     def _fields(self) -> dict[str, Any]:
-        fields: dict[str, Any] = {}
-        for key, value in self.found.items():
-            if key[0] == "~":
-                fields[key[1:]] = value.decode("latin-1")
+        fields: dict[str, Any] = {
+            name: value.decode("latin-1") for name, value in self.envelope.items()
+        }
         for name in self.query:
             if name in _FIELDS or name.startswith("x-"):
                 fields[name] = self.one(name)

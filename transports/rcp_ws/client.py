@@ -154,7 +154,8 @@ class WsClient:
             self._gate.review()
         if len(data) > _SHORT and self.connection.holds:
             self._gate.review()
-        if perf_counter() - self._began > (_LEAST if self._turns.over else _TURN):
+        spent = perf_counter() - self._began
+        if spent > _LEAST and (spent > _TURN or self._turns.over):
             self._gate.end_turn()
 
     def _wait(self, go_on: Callable[[], None]) -> None:

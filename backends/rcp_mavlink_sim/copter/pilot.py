@@ -14,7 +14,7 @@ _LEAN_MOST = 0.52  # rad
 _PLACE_GAIN = 1.0  # 1/s
 _SPEED_GAIN = 2.5  # 1/s
 _CLIMB_GAIN = 5.0  # 1/s
-_LOOKS_FROM = 0.05  # of its highest speed, from which on it looks where it goes to
+_FACES_TRAVEL_FROM = 0.05  # of its highest speed, from which on it looks where it goes to
 
 
 class QuadPilot(Pilot):
@@ -59,7 +59,7 @@ class QuadPilot(Pilot):
             quick = pace(way, limits.speed, limits.acceleration, _PLACE_GAIN)
             part = quick / way if way > 1e-6 else 0.0
             vn, ve = dn * part + self.velocity[0], de * part + self.velocity[1]
-        if self.looks and math.hypot(vn, ve) > _LOOKS_FROM * limits.speed:
+        if self.faces_travel and math.hypot(vn, ve) > _FACES_TRAVEL_FROM * limits.speed:
             self.yaw = math.atan2(ve, vn)
         self._vn, self._ve = _toward((self._vn, self._ve), (vn, ve), limits.acceleration * 1.5 * dt)
         an = _SPEED_GAIN * (self._vn - body.vn) + 0.12 * (body.vn - body.wind_n)

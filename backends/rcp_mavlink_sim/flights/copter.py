@@ -36,7 +36,7 @@ class CopterFlight(Flight):
         self.patience = p["GUID_TIMEOUT"]
 
     @property
-    def looks(self) -> bool:
+    def faces_travel(self) -> bool:
         """Whether it turns to where it goes to, unless it is told otherwise."""
         return bool(self._vehicle.params["WP_YAW_BEHAVIOR"])
 

@@ -48,7 +48,7 @@ class GroundFlight(Flight):
                 pilot.by_hand = (0.0, 0.0)
             case Mode.RTL | Mode.SMART_RTL if pilot.at_place(self.radius) and not self._home:
                 self._home = True
-                vehicle.say(6, "Reached destination")
+                vehicle.send_text(6, "Reached destination")
             case _:
                 pass
 
@@ -86,7 +86,7 @@ class GroundFlight(Flight):
 
     def finished(self) -> None:
         """Hold at the end of a mission."""
-        self._vehicle.say(5, "Mission Complete")
+        self._vehicle.send_text(5, "Mission Complete")
         self.set_mode(Mode.HOLD)
 
     @property

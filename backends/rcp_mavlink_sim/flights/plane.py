@@ -135,7 +135,7 @@ class PlaneFlight(Flight):
     def finished(self) -> None:
         """Go home at the end of a mission."""
         if not self._vehicle.body.landed:
-            self._vehicle.say(5, "Mission complete, changing mode to RTL")
+            self._vehicle.send_text(5, "Mission complete, changing mode to RTL")
             self.set_mode(Mode.RTL)
 
     @property

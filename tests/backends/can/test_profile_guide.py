@@ -91,7 +91,7 @@ def test_its_twin_runs_by_itself(capsys: pytest.CaptureFixture[str]) -> None:
     [
         ("nowhere_at_all:PROFILE", "No module named"),
         ("my_servo:NOTHING", "NOTHING"),
-        ("my_servo:COMMAND", "no profile, but a Layout"),
+        ("my_servo:COMMAND", "is not a profile but a Layout"),
     ],
 )
 async def test_a_profile_that_there_is_not_is_a_configuration_error(

@@ -95,7 +95,7 @@ def test_every_encoding_keeps_its_colours_in_their_places(encoding: str, padding
         ({"data": b"123"}, "3 bytes"),
         ({"width": 0}, "0 x 16"),
         ({"height": 70_000}, "70000"),
-        ({"encoding": "bayer_rggb8", "width": 1}, "mosaic"),
+        ({"encoding": "bayer_rggb8", "width": 1}, "Bayer"),
         ({"encoding": "yuyv", "width": 1}, "two columns"),
     ],
 )

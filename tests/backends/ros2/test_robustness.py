@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import threading
 import time
-from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
+from collections.abc import AsyncIterator, Iterator
 from contextlib import asynccontextmanager
 from typing import Any
 
@@ -15,10 +15,10 @@ import rcp_ros2
 from backends.ros2.robot import BOUND, Fleet, robot_of
 from rcp_kernel.errors import AdapterUnavailable
 from rcp_kernel.testing import serve
+from timing import in_one_of_three_attempts, in_time
 
 pytestmark = pytest.mark.anyio
 STALL = 0.5  # s; below 0.1 s on two cores
-ATTEMPTS = 3
 
 
 @pytest.fixture
@@ -143,23 +143,12 @@ def _subscribed(ros: Any) -> set[str]:
     return {subscription.topic_name for subscription in ros.node.subscriptions}
 
 
-async def holds_in_one_attempt(longest: Callable[[], Awaitable[float]]) -> bool:
-    """Tell whether the loop was never kept for half a second; other programs keep it now and then."""
-    for _ in range(ATTEMPTS):
-        if await longest() < STALL:
-            return True
-    return False
-
-
 @pytest.mark.serial
+@in_one_of_three_attempts
 async def test_five_hundred_topics_come_without_a_stall_and_are_not_subscribed_to(
     fleet_domain: int, graph: Fleet
 ) -> None:
     graph.tell("offer_many", stem="/odd/many/t", count=500)
-    assert await holds_in_one_attempt(lambda: _find_five_hundred(fleet_domain, graph))
-
-
-async def _find_five_hundred(fleet_domain: int, graph: Fleet) -> float:
     async with stalls() as late, robot_of(fleet_domain, expose=["/odd/many/*"]) as robot:
         await robot.until(lambda: len(robot.resources) >= 500)
         ros = robot.backend._catalog._shared.ros
@@ -169,18 +158,15 @@ async def _find_five_hundred(fleet_domain: int, graph: Fleet) -> float:
         graph.tell("say", topic="/odd/many/t7", data="seven")
         async with robot.backend.watch("sensor/odd/many/t7", None):
             assert await ros.call(_subscribed, ros) - followed == {"/odd/many/t7"}
-    return max(late)
+    in_time(max(late), STALL)
 
 
 @pytest.mark.serial
+@in_one_of_three_attempts
 async def test_a_burst_arrives_in_order_and_leaves_the_event_loop_alone(
     fleet_domain: int, graph: Fleet
 ) -> None:
     graph.tell("offer", topic="/odd/burst", kind="std_msgs/Float64")
-    assert await holds_in_one_attempt(lambda: _take_a_burst(fleet_domain, graph))
-
-
-async def _take_a_burst(fleet_domain: int, graph: Fleet) -> float:
     name = "sensor/odd/burst"
     async with robot_of(fleet_domain, expose=["/odd/*"]) as robot:
         await robot.until(lambda: name in robot.resources)
@@ -200,7 +186,7 @@ async def _take_a_burst(fleet_domain: int, graph: Fleet) -> float:
             values = [v.data for v in robot.of(name) if v.data >= 0]
     assert values == sorted(set(values))
     assert len(values) > 2000  # the middleware keeps ten for a reader that is late
-    return max(late)
+    in_time(max(late), STALL)
 
 
 GATEWAY = """

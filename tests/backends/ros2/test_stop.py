@@ -133,7 +133,7 @@ async def test_a_publisher_that_goes_on_is_outspoken_and_named(rig: Rig, rate: i
         assert rig.base.tell("mean", seconds=WINDOW) < CREEP / 2
         state = robot.backend.motion(None)
         assert "/teleop" in state.detail
-        assert "commands /cmd_vel at" in state.detail
+        assert "publishes on /cmd_vel at" in state.detail
         await robot.until(lambda: any("/teleop" in (report or "") for report in robot.reports))
         robot.latched.clear()  # and after the reset the other one is obeyed again
         await rig.drives()
@@ -509,7 +509,11 @@ async def test_what_an_earlier_gateway_began_is_ended_when_it_was_lost(rig: Rig)
 
 async def test_the_guard_is_told_what_stops_the_robot(rig: Rig) -> None:
     async with gateway(rig, stop=MEANS["service"] | MEANS["lock"]) as robot:
-        await robot.until(lambda: robot.plans.get("ros2") and robot.plans["ros2"].data["services"])
+        await robot.until(
+            lambda: (
+                (plan := robot.plans.get("ros2")) and plan.data["services"] and plan.data["cancel"]
+            )
+        )
         plan = robot.plans["ros2"]
         assert plan.sender == "ros2"
         assert plan.data["domain_id"] == rig.domain

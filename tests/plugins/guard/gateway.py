@@ -1,7 +1,7 @@
 """A real gateway in a process of its own around a cart that a datagram drives; told what to do by lines.
 
 Run as `python gateway.py '{"plan": …, "port": …, "more": "…"}'`. Each line of stdin is a JSON object
-with `do`; each line of stdout is a fact. It ends with its stdin, unless it is frozen: then after a minute.
+with `do`; each line of stdout is a fact. It ends with its stdin, unless it is frozen: then after five minutes.
 """
 
 from __future__ import annotations
@@ -213,6 +213,6 @@ async def main(asked: dict[str, Any]) -> None:
 
 
 if __name__ == "__main__":
-    signal.alarm(60)
+    signal.alarm(300)
     with asyncio.Runner(loop_factory=uvloop.new_event_loop) as runner:
         runner.run(main(json.loads(sys.argv[1])))

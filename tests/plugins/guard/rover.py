@@ -73,6 +73,6 @@ async def main() -> None:
 
 
 if __name__ == "__main__":
-    signal.alarm(60)
+    signal.alarm(300)
     with asyncio.Runner(loop_factory=uvloop.new_event_loop) as runner:
         runner.run(main())

@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 
 from plugins.guard.bench import WITHIN, Bench, bench, until
+from timing import in_one_of_three_attempts, in_time
 
 pytestmark = [pytest.mark.anyio, pytest.mark.serial]
 if importlib.util.find_spec("rclpy") is None:
@@ -51,6 +52,7 @@ async def nearly_ready(scene: Bench) -> bool:
 
 
 @pytest.mark.parametrize("how", ["SIGSTOP", "SIGKILL", "gil"])
+@in_one_of_three_attempts
 async def test_topics_goals_and_services_are_told(how: str) -> None:
     from backends.ros2.robot import fresh_domain
 
@@ -70,6 +72,5 @@ async def test_topics_goals_and_services_are_told(how: str) -> None:
             f"ros2, {how}: topic after {seconds:.3f} s, service after {halted['at'] - at:.3f} s, "
             f"goal cancelled after {cancelled['at'] - at:.3f} s"
         )
-        assert seconds < WITHIN
-        assert halted["at"] - at < WITHIN
-        assert cancelled["at"] - at < WITHIN
+        for one in (seconds, halted["at"] - at, cancelled["at"] - at):
+            in_time(one, WITHIN)
