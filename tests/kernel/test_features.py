@@ -183,7 +183,7 @@ def test_a_built_in_feature_that_is_not_installed_is_missed_only_where_it_is_use
 ) -> None:
     offered(monkeypatch, tmp_path)
     assert prepare(parse(QUIET, "f"), "f").features == ()
-    with pytest.raises(ConfigError, match="no installed plugin offers features 'approvals'"):
+    with pytest.raises(PluginError, match="'approvals', which cannot be loaded: not installed"):
         prepare(parse(QUIET + ASKS, "f"), "f")
 
 
@@ -199,7 +199,7 @@ def test_a_feature_that_cannot_be_loaded_stops_the_start(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, source: str
 ) -> None:
     offered(monkeypatch, tmp_path, doors=source)
-    with pytest.raises(PluginError, match="the feature 'doors' cannot be loaded"):
+    with pytest.raises(PluginError, match="the feature 'doors', which cannot be loaded"):
         prepare(parse(QUIET + "[features.doors]\n", "f"), "f")
 
 
