@@ -45,12 +45,13 @@ class Admission:
         self._check_thaw = check_thaw
         """Refuses what may have waited while the event loop stood still and its robot was stopped."""
         self._every = sorted(guards, key=lambda guard: guard.slot)
-        self._guards: tuple[Guard, ...] = ()
+        self.active: tuple[Guard, ...] = ()
+        """Those that the configuration in force needs, in the order in which they are asked."""
         self.configure()
 
     def configure(self) -> None:
         """Find out which guards the configuration in force needs."""
-        self._guards = tuple(guard for guard in self._every if guard.active)
+        self.active = tuple(guard for guard in self._every if guard.active)
 
     def admit(self, call: Call) -> None:
         """Refuse what may not be done now, whatever features there are.
@@ -94,9 +95,9 @@ class Admission:
 
         None keeps anybody from bringing something to rest. A plan passes none: its steps do.
         """
-        if not self._guards or call.entry.tenant is None or call.rests:
+        if not self.active or call.entry.tenant is None or call.rests:
             return ()
-        return self._guards
+        return self.active
 
     def confirm(self, call: Call) -> Backend:
         """Return the robot that takes it, or refuse what must not reach it any more.

@@ -11,12 +11,14 @@ from typing import Any
 
 import msgspec
 import pytest
+from structlog.testing import capture_logs
 
 from kernel.world import CONFIG, Client, Robot, World, prepared, world_of
 from rcp_kernel import plugins
 from rcp_kernel.app.features import active
+from rcp_kernel.app.reload import reload
 from rcp_kernel.app.server import prepare, running
-from rcp_kernel.config.file import parse
+from rcp_kernel.config.file import load, parse
 from rcp_kernel.errors import ConfigError, Forbidden, PluginError
 from rcp_kernel.features import Call, Feature, FeatureHost, FeatureKind, Slot
 from rcp_kernel.features.approval import APPROVALS
@@ -181,7 +183,7 @@ def test_a_built_in_feature_that_is_not_installed_is_missed_only_where_it_is_use
 ) -> None:
     offered(monkeypatch, tmp_path)
     assert prepare(parse(QUIET, "f"), "f").features == ()
-    with pytest.raises(ConfigError, match="no installed plugin offers features 'approvals'"):
+    with pytest.raises(PluginError, match="'approvals', which cannot be loaded: not installed"):
         prepare(parse(QUIET + ASKS, "f"), "f")
 
 
@@ -197,7 +199,7 @@ def test_a_feature_that_cannot_be_loaded_stops_the_start(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, source: str
 ) -> None:
     offered(monkeypatch, tmp_path, doors=source)
-    with pytest.raises(PluginError, match="the feature 'doors' cannot be loaded"):
+    with pytest.raises(PluginError, match="the feature 'doors', which cannot be loaded"):
         prepare(parse(QUIET + "[features.doors]\n", "f"), "f")
 
 
@@ -237,3 +239,22 @@ async def test_a_feature_lives_from_before_the_robots_until_after_them() -> None
         await asyncio.sleep(0)
         assert seen == ["in, 0 robots"]
     assert seen == ["in, 0 robots", "out"]
+
+
+async def test_a_reload_changes_the_keys_of_features_and_neither_adds_nor_removes_one(
+    tmp_path: Path,
+) -> None:
+    file = tmp_path / "rcp.toml"
+    file.write_text(QUIET)
+    async with running(prepare(load(file), str(file))) as server:
+        admission = server.kernel.admission
+        assert admission.active == ()
+        file.write_text(QUIET + ASKS)
+        await reload(server, file)
+        assert len(admission.active) == 1
+        file.write_text(QUIET + "[features]\napprovals = false\n")
+        with capture_logs() as said:
+            await reload(server, file)
+        assert {"part": "features"}.items() <= said[0].items()
+        assert admission.active == ()
+        assert server.client_api.service(APPROVALS) is not None
