@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Generator, Iterable, Iterator
 from typing import Any
 
 from rcp_kernel._plain import is_index, is_list, is_map
@@ -13,6 +13,7 @@ from rcp_kernel.plans.model import Group, Plan, Step, StepState
 __all__ = ["MARK", "Checked", "Node", "every", "filled", "references"]
 
 MARK = "$result"
+_STEP = 512  # values that are looked at in one step
 
 
 class Node:
@@ -24,6 +25,7 @@ class Node:
         "id",
         "path",
         "raw",
+        "refers",
         "robot",
         "state",
         "step",
@@ -42,6 +44,8 @@ class Node:
         self.tenant: str | None = None
         self.robot: str | None = None
         """Whose values its conditions mean."""
+        self.refers = False
+        """Whether its value has results of other steps in it."""
         self.when: Condition | None = None
         self.until: Condition | None = None
         self.raw: Any = None
@@ -65,8 +69,8 @@ class Checked:
     def __init__(self, plan: Plan, nodes: list[Node]) -> None:
         self.plan = plan
         self.nodes = nodes
-        self.touches: list[str] = []
-        """Paths that it names, those of its conditions too."""
+        self.touches: dict[str, None] = {}
+        """Paths that it names, those of its conditions too, in order."""
         self.asks: list[str] = []
         """Ids of steps that a person has to approve."""
 
@@ -89,18 +93,25 @@ def every(nodes: Iterable[Node]) -> Iterator[Node]:
         yield from every(node.fallback)
 
 
-def references(value: Any) -> Iterator[str]:
-    """Go through the results of other steps that a value wants: `id/field/…`."""
-    if is_map(value):
-        wanted = value.get(MARK)
-        if len(value) == 1 and isinstance(wanted, str):
-            yield wanted
-            return
-        for item in value.values():
-            yield from references(item)
-    elif is_list(value):
-        for item in value:
-            yield from references(item)
+def references(value: Any) -> Generator[None, None, list[str]]:
+    """Return the results of other steps that a value wants, in steps: `id/field/…`."""
+    found: list[str] = []
+    waiting: list[Any] = [value]
+    count = 0
+    while waiting:
+        one = waiting.pop()
+        if is_map(one):
+            wanted = one.get(MARK)
+            if len(one) == 1 and isinstance(wanted, str):
+                found.append(wanted)
+            else:
+                waiting.extend(one.values())
+        elif is_list(one):
+            waiting.extend(one)
+        count += 1
+        if not count % _STEP:
+            yield
+    return found
 
 
 def filled(value: Any, known: dict[str, Node]) -> Any:

@@ -74,7 +74,7 @@ class StepRequests:
             await asyncio.sleep(pause)
 
     def _request(self, node: Node, step: Operate, limit: float | None) -> Request:
-        value = filled(step.value, self._known)
+        value = filled(step.value, self._known) if node.refers else step.value
         return Request(
             type=step.do,
             path=node.path,
