@@ -22,7 +22,7 @@ from rcp_a2a.cards import Cards
 from rcp_a2a.config import A2aConfig
 from rcp_a2a.places import CARD, JWKS, Place, place_of
 from rcp_a2a.refusals import NOT_FOUND, NOT_TAKEN, Trouble, refuse, trouble_of
-from rcp_a2a.stops import as_request
+from rcp_a2a.stops import SHORT, as_request
 from rcp_kernel._plain import is_list, is_map
 from rcp_kernel.asgi import (
     Receive,
@@ -38,7 +38,6 @@ from rcp_kernel.client_api import Asgi, ClientApi
 from rcp_kernel.clients.session import Session
 from rcp_kernel.errors import BadRequest, Forbidden, PayloadTooLarge, RateLimited, RcpError
 from rcp_kernel.operations.pending import to_internal_error
-from rcp_kernel.turns import may_stop
 
 __all__ = ["App"]
 
@@ -112,10 +111,11 @@ class App:
                     raise refusal
             _check_state(scope, place, asked.call)
             session = await session_of(self._client_api, scope, _tenant(place, asked.call))
-            self._charge(session, place, asked)
+            stops = self._is_stop(session, place, asked, len(body))
+            self._charge(session, stops=stops)
             # The SDK handles a request in a few ms, a long one in many: they take turns.
             for _ in range(1 + asked.values // _STEP):
-                await self._client_api.turns.place((session.principal.identity, may_stop(body)))
+                await self._client_api.turns.place((session.principal.identity, stops))
             inner = {
                 **scope,
                 "path": place.rest,
@@ -131,7 +131,14 @@ class App:
                 trouble, id_ = error.trouble, id_ or error.id
             await refuse(send, trouble, place.binding, id_, wait=told.retry_after)
 
-    def _charge(self, session: Session, place: Place, asked: _Asked) -> None:
+    def _is_stop(self, session: Session, place: Place, asked: _Asked, size: int) -> bool:
+        """Tell whether a request stops something: it queues behind no other of its caller."""
+        if size > SHORT:
+            return False
+        request = as_request(place, asked.call.method, asked.plain)
+        return request is not None and self._client_api.is_stop(session, request)
+
+    def _charge(self, session: Session, *, stops: bool) -> None:
         """Count a request.
 
         :raises RateLimited: a quota does not allow it now, and it stops nothing.
@@ -139,8 +146,7 @@ class App:
         try:
             self._client_api.charge(session)
         except RateLimited:
-            request = as_request(place, asked.call.method, asked.plain)
-            if request is None or not self._client_api.is_stop(session, request):
+            if not stops:
                 raise
 
     async def _look(self, scope: Scope) -> tuple[int, RcpError | None]:
