@@ -43,8 +43,8 @@ __all__ = ["App"]
 
 log = structlog.get_logger("rcp.a2a")
 _BODY_TIMEOUT = 30.0  # s
-_VALUES = 4096  # of one request: the SDK takes 3 µs for each in one turn, and 10 µs in all
-_STEP = 500  # values that take as long as a turn may
+_VALUES = 1024  # of one request: the SDK takes 10 µs for each in all, most of them in one turn
+_STEP = 250  # values that take as long as a turn may
 _STATES = frozenset(TaskState.keys())
 _TAKEN = (b"application/json", b"application/a2a+json")
 

@@ -173,6 +173,7 @@ class _Check:
             yield from look
         except RcpError as error:
             self._fault(node, error)
+        yield
 
     def _codes(self, retry: Retry | None) -> Work:
         """Refuse to try again on what is no code: it never would be.

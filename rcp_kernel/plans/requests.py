@@ -14,6 +14,7 @@ from rcp_kernel.operations.commands import Commands
 from rcp_kernel.plans.model import Execute, Operate, Read, Write
 from rcp_kernel.plans.node import Node, filled
 from rcp_kernel.record.audit_writer import AuditWriter
+from rcp_kernel.turns import Turns
 from rcp_kernel.values import Encoding, dump, to_plain
 from rcp_kernel.wire import NO_BODY, Body, Reply, Request
 
@@ -35,9 +36,11 @@ class StepRequests:
         session: Session,
         known: dict[str, Node],
         command: str,
+        turns: Turns,
         loop: asyncio.AbstractEventLoop,
     ) -> None:
         self._handle = handle
+        self._turns = turns
         self._commands = commands
         self._audit_writer = audit_writer
         self._loop = loop
@@ -99,7 +102,8 @@ class StepRequests:
             elif reply.status == "in_progress":
                 told(_plain(reply.body), reply.progress)
 
-        self._handle(self._session, request, answer)
+        with self._turns.spending():
+            self._handle(self._session, request, answer)
         try:
             return await asyncio.shield(final)
         except asyncio.CancelledError:
