@@ -20,10 +20,10 @@ from starlette.routing import Mount
 from rcp_a2a.callers import CALLER, Caller, Callers
 from rcp_a2a.cards import Cards
 from rcp_a2a.config import A2aConfig
+from rcp_a2a.messages import VALUES, count_values
 from rcp_a2a.places import CARD, JWKS, Place, place_of
 from rcp_a2a.refusals import NOT_FOUND, NOT_TAKEN, Trouble, refuse, trouble_of
 from rcp_a2a.stops import SHORT, as_request
-from rcp_kernel._plain import is_list, is_map
 from rcp_kernel.asgi import (
     Receive,
     Scope,
@@ -43,7 +43,6 @@ __all__ = ["App"]
 
 log = structlog.get_logger("rcp.a2a")
 _BODY_TIMEOUT = 30.0  # s
-_VALUES = 1024  # of one request: the SDK takes 10 µs for each in all, most of them in one turn
 _STEP = 250  # values that take as long as a turn may
 _STATES = frozenset(TaskState.keys())
 _TAKEN = (b"application/json", b"application/a2a+json")
@@ -210,7 +209,7 @@ def _read(scope: Scope, place: Place, body: bytes) -> _Asked:
         text = f"the body is not JSON: {error}"
         trouble = Trouble(400, "INVALID_ARGUMENT", "INVALID_REQUEST", -32700, text)
         raise _Malformed(msgspec.structs.replace(trouble, http=_http(place, trouble))) from None
-    values = _count_values(plain)
+    values = _check_values(plain)
     if place.binding == "rest":
         return _Asked(plain=plain, values=values)
     try:
@@ -224,25 +223,19 @@ def _read(scope: Scope, place: Place, body: bytes) -> _Asked:
     return _Asked(call, plain, values)
 
 
-def _count_values(plain: Any) -> int:
+def _check_values(plain: Any) -> int:
     """Count the values that the SDK has to take in.
 
     :raises PayloadTooLarge: they are more than it takes in within a turn of the loop.
     """
-    waiting: list[Any] = [plain]
-    for count in range(_VALUES):
-        if not waiting:
-            return count
-        node = waiting.pop()
-        if is_map(node):
-            waiting.extend(node.values())
-        elif is_list(node):
-            waiting.extend(node)
-    raise PayloadTooLarge(
-        f"the request has more than {_VALUES} values",
-        remedy="Send a long plan as text, a command in each line, or as several plans.",
-        details={"limit": _VALUES},
-    )
+    count = count_values(plain, VALUES)
+    if count > VALUES:
+        raise PayloadTooLarge(
+            f"the request has more than {VALUES} values",
+            remedy="Send a long plan as text, a command in each line, or as several plans.",
+            details={"limit": VALUES},
+        )
+    return count
 
 
 def _tenant(place: Place, call: _Call) -> str | None:

@@ -29,8 +29,10 @@ from rcp_kernel.asgi import (
 )
 from rcp_kernel.client_api import ClientApi
 from rcp_kernel.clients.session import Session
-from rcp_kernel.errors import RcpError
+from rcp_kernel.errors import PayloadTooLarge, RcpError
 from rcp_kernel.operations.pending import to_internal_error
+from rcp_kernel.structure import LONG, check_structure
+from rcp_kernel.values import Encoding
 from rcp_kernel.wire import error_body
 from rcp_mcp.caller import SESSION
 from rcp_mcp.catalogue import Catalogue
@@ -42,6 +44,7 @@ __all__ = ["WELL_KNOWN", "Endpoint", "Metadata"]
 WELL_KNOWN = "/.well-known/oauth-protected-resource"
 _UNAUTHORIZED = -32001
 _REFUSED = -32600
+_VALUES = 65_536  # of one request, counted as `[limits] values` are: the SDK reads them in one turn
 
 
 class Endpoint:
@@ -123,9 +126,19 @@ class Endpoint:
 
     async def _paced(self, session: Session, scope: Scope, receive: Receive, send: Send) -> None:
         """Have requests take turns: the SDK handles one in a few ms, and one begins in each turn."""
+        turns, owner = self._client_api.turns, session.principal.identity
         first: Any = await receive()  # it has the whole body
-        stops = self._urgent.stops(session, first.get("body", b""))
-        await self._client_api.turns.place((session.principal.identity, stops))
+        body: bytes = first.get("body", b"")
+        stops = self._urgent.stops(session, body)
+        if len(body) > LONG:
+            try:
+                await turns.finish(owner, check_structure(body, Encoding.JSON, _VALUES))
+            except PayloadTooLarge as error:
+                error.remedy = "Send long values over HTTP or WebSocket, or in several calls."
+                self._client_api.refused("request", error.code)
+                await _refuse(self._config, scope, send, error)
+                return
+        await turns.place((owner, stops))
         if not stops:
             await self._catalogue.prepare(session)
         unread: list[Any] = [first]

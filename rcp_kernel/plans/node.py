@@ -9,10 +9,13 @@ from rcp_kernel._plain import is_index, is_list, is_map
 from rcp_kernel.access.condition import Condition
 from rcp_kernel.errors import PreconditionFailed
 from rcp_kernel.plans.model import Group, Plan, Step, StepState
+from rcp_kernel.values import Encoding, dump, to_plain
+from rcp_kernel.wire import Body
 
-__all__ = ["MARK", "Checked", "Node", "every", "filled", "references"]
+__all__ = ["MARK", "Checked", "Filling", "Node", "every", "references"]
 
 MARK = "$result"
+_ROOM = 1_048_576  # bytes of the results in one value
 _STEP = 512  # values that are looked at in one step
 
 
@@ -49,7 +52,7 @@ class Node:
         self.when: Condition | None = None
         self.until: Condition | None = None
         self.raw: Any = None
-        """The whole result; the state has only what is not too long."""
+        """The whole result, one that is too long for the state as it was read."""
         self.state = StepState(step=id_, do=step.do)
 
     @property
@@ -114,19 +117,46 @@ def references(value: Any) -> Generator[None, None, list[str]]:
     return found
 
 
-def filled(value: Any, known: dict[str, Node]) -> Any:
-    """Return a value with the results that it wants.
+class Filling:
+    """Puts the results of other steps into the value of one, as far as there is room for them."""
 
-    :raises PreconditionFailed: a step has no result, or not this field.
-    """
-    if is_map(value):
-        wanted = value.get(MARK)
-        if len(value) == 1 and isinstance(wanted, str):
-            return _result(wanted, known)
-        return {key: filled(item, known) for key, item in value.items()}
-    if is_list(value):
-        return [filled(item, known) for item in value]
-    return value
+    def __init__(self, known: dict[str, Node]) -> None:
+        self._known = known
+        self._room = _ROOM
+
+    def fill(self, value: Any) -> Generator[None, None, Any]:
+        """Return a value with the results that it wants, in steps.
+
+        :raises PreconditionFailed: a step has no result, or not this field, or the results together
+            are too long.
+        """
+        if is_map(value):
+            wanted = value.get(MARK)
+            if len(value) == 1 and isinstance(wanted, str):
+                yield
+                return self._take(wanted)
+            out: dict[str, Any] = {}
+            for number, (key, item) in enumerate(value.items(), 1):
+                out[key] = (yield from self.fill(item)) if is_map(item) or is_list(item) else item
+                if not number % _STEP:
+                    yield
+            return out
+        items: list[Any] = []
+        for number, item in enumerate(value, 1):
+            items.append((yield from self.fill(item)) if is_map(item) or is_list(item) else item)
+            if not number % _STEP:
+                yield
+        return items
+
+    def _take(self, wanted: str) -> Any:
+        result = _result(wanted, self._known)
+        self._room -= len(dump(result, Encoding.JSON))
+        if self._room < 0:
+            raise PreconditionFailed(
+                f"the results that the value refers to have more than {_ROOM} bytes",
+                remedy="Refer to fields of the results, or send the values by yourself.",
+            )
+        return result
 
 
 def _result(wanted: str, known: dict[str, Node]) -> Any:
@@ -137,6 +167,8 @@ def _result(wanted: str, known: dict[str, Node]) -> Any:
             f"step '{id_}' has no result: it is {node.state.state}",
             remedy="Add a fallback to that step, or a `when` to this one.",
         )
+    if isinstance(node.raw, Body):
+        node.raw = to_plain(node.raw.value)
     value = node.raw
     for field in fields:
         if is_map(value) and field in value:
