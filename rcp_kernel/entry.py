@@ -210,6 +210,7 @@ class StopGroup:
     __slots__ = (
         "_latches",
         "_released",
+        "_stopped",
         "_stops",
         "identity",
         "keys",
@@ -245,6 +246,7 @@ class StopGroup:
         self.own: dict[str, Entry] = {}
         """The resources that are its own: of all of a backend, those of none of its robots."""
         self._stops = 0
+        self._stopped = float("-inf")
         self._released = 0
 
     @property
@@ -273,6 +275,11 @@ class StopGroup:
         return self._stops if self.robot is None else self._stops + self.whole.stops
 
     @property
+    def stopped(self) -> float:
+        """When its last e-stop was, by the monotonic clock; -inf if none was in this run."""
+        return self._stopped if self.robot is None else max(self._stopped, self.whole.stopped)
+
+    @property
     def released(self) -> int:
         """When the last e-stop on it was reset, ns; 0 if none was in this run."""
         return self._released if self.robot is None else max(self._released, self.whole.released)
@@ -290,6 +297,7 @@ class StopGroup:
     def count_stop(self) -> None:
         """Let nothing that was admitted until now reach it."""
         self._stops += 1
+        self._stopped = time.monotonic()
 
     def release(self, moment: int) -> None:
         """Let nothing that was sent before `moment`, in ns, reach it."""

@@ -8,7 +8,6 @@ turns with the others. What brings a robot to rest never waits here.
 from __future__ import annotations
 
 import asyncio
-import re
 from collections import deque
 from collections.abc import Callable, Generator, Hashable
 from contextlib import contextmanager
@@ -21,7 +20,7 @@ import structlog
 
 from rcp_kernel.errors import QueueFull
 
-__all__ = ["Turns", "Work", "at_once", "may_stop"]
+__all__ = ["Turns", "Work", "at_once"]
 
 log = structlog.get_logger("rcp.gateway")
 Result = TypeVar("Result")
@@ -34,15 +33,6 @@ _REST = 3.0  # times as long as that step: what follows from it, and an e-stop, 
 _START = _TURN / 16  # s that it takes to begin something whose cost comes in a later turn
 _WAITING = 1024  # works of one owner that have not ended: more than one batch makes
 _BYTES = 32 * 1024 * 1024  # of the requests that they are for
-_STOPS = re.compile(rb"estop|hold|cancel")
-
-
-def may_stop(body: bytes) -> bool:
-    """Tell whether a request that only a foreign library can read may be one that stops something.
-
-    Such do not queue behind other requests of the same owner.
-    """
-    return _STOPS.search(body) is not None
 
 
 def at_once(steps: Generator[None, None, Result]) -> Result:

@@ -20,10 +20,10 @@ from starlette.routing import Mount
 from rcp_a2a.callers import CALLER, Caller, Callers
 from rcp_a2a.cards import Cards
 from rcp_a2a.config import A2aConfig
+from rcp_a2a.messages import VALUES, count_values
 from rcp_a2a.places import CARD, JWKS, Place, place_of
 from rcp_a2a.refusals import NOT_FOUND, NOT_TAKEN, Trouble, refuse, trouble_of
-from rcp_a2a.stops import as_request
-from rcp_kernel._plain import is_list, is_map
+from rcp_a2a.stops import SHORT, as_request
 from rcp_kernel.asgi import (
     Receive,
     Scope,
@@ -38,14 +38,12 @@ from rcp_kernel.client_api import Asgi, ClientApi
 from rcp_kernel.clients.session import Session
 from rcp_kernel.errors import BadRequest, Forbidden, PayloadTooLarge, RateLimited, RcpError
 from rcp_kernel.operations.pending import to_internal_error
-from rcp_kernel.turns import may_stop
 
 __all__ = ["App"]
 
 log = structlog.get_logger("rcp.a2a")
 _BODY_TIMEOUT = 30.0  # s
-_VALUES = 4096  # of one request: the SDK takes 3 µs for each in one turn, and 10 µs in all
-_STEP = 500  # values that take as long as a turn may
+_STEP = 250  # values that take as long as a turn may
 _STATES = frozenset(TaskState.keys())
 _TAKEN = (b"application/json", b"application/a2a+json")
 
@@ -112,10 +110,11 @@ class App:
                     raise refusal
             _check_state(scope, place, asked.call)
             session = await session_of(self._client_api, scope, _tenant(place, asked.call))
-            self._charge(session, place, asked)
+            stops = self._is_stop(session, place, asked, len(body))
+            self._charge(session, stops=stops)
             # The SDK handles a request in a few ms, a long one in many: they take turns.
             for _ in range(1 + asked.values // _STEP):
-                await self._client_api.turns.place((session.principal.identity, may_stop(body)))
+                await self._client_api.turns.place((session.principal.identity, stops))
             inner = {
                 **scope,
                 "path": place.rest,
@@ -131,7 +130,14 @@ class App:
                 trouble, id_ = error.trouble, id_ or error.id
             await refuse(send, trouble, place.binding, id_, wait=told.retry_after)
 
-    def _charge(self, session: Session, place: Place, asked: _Asked) -> None:
+    def _is_stop(self, session: Session, place: Place, asked: _Asked, size: int) -> bool:
+        """Tell whether a request stops something: it queues behind no other of its caller."""
+        if size > SHORT:
+            return False
+        request = as_request(place, asked.call.method, asked.plain)
+        return request is not None and self._client_api.is_stop(session, request)
+
+    def _charge(self, session: Session, *, stops: bool) -> None:
         """Count a request.
 
         :raises RateLimited: a quota does not allow it now, and it stops nothing.
@@ -139,8 +145,7 @@ class App:
         try:
             self._client_api.charge(session)
         except RateLimited:
-            request = as_request(place, asked.call.method, asked.plain)
-            if request is None or not self._client_api.is_stop(session, request):
+            if not stops:
                 raise
 
     async def _look(self, scope: Scope) -> tuple[int, RcpError | None]:
@@ -204,7 +209,7 @@ def _read(scope: Scope, place: Place, body: bytes) -> _Asked:
         text = f"the body is not JSON: {error}"
         trouble = Trouble(400, "INVALID_ARGUMENT", "INVALID_REQUEST", -32700, text)
         raise _Malformed(msgspec.structs.replace(trouble, http=_http(place, trouble))) from None
-    values = _count_values(plain)
+    values = _check_values(plain)
     if place.binding == "rest":
         return _Asked(plain=plain, values=values)
     try:
@@ -218,25 +223,19 @@ def _read(scope: Scope, place: Place, body: bytes) -> _Asked:
     return _Asked(call, plain, values)
 
 
-def _count_values(plain: Any) -> int:
+def _check_values(plain: Any) -> int:
     """Count the values that the SDK has to take in.
 
     :raises PayloadTooLarge: they are more than it takes in within a turn of the loop.
     """
-    waiting: list[Any] = [plain]
-    for count in range(_VALUES):
-        if not waiting:
-            return count
-        node = waiting.pop()
-        if is_map(node):
-            waiting.extend(node.values())
-        elif is_list(node):
-            waiting.extend(node)
-    raise PayloadTooLarge(
-        f"the request has more than {_VALUES} values",
-        remedy="Send a long plan as text, a command in each line, or as several plans.",
-        details={"limit": _VALUES},
-    )
+    count = count_values(plain, VALUES)
+    if count > VALUES:
+        raise PayloadTooLarge(
+            f"the request has more than {VALUES} values",
+            remedy="Send a long plan as text, a command in each line, or as several plans.",
+            details={"limit": VALUES},
+        )
+    return count
 
 
 def _tenant(place: Place, call: _Call) -> str | None:

@@ -15,6 +15,7 @@ from a2a.types.a2a_pb2 import (
     ListTasksRequest,
     ListTasksResponse,
     Message,
+    Role,
     SendMessageRequest,
     SubscribeToTaskRequest,
     Task,
@@ -30,6 +31,7 @@ from rcp_kernel.client_api import ClientApi
 __all__ = ["Handler"]
 
 
+_HISTORY = 64  # messages of a task that are told, the latest: each is written in one turn
 _UNDER_WAY = (TaskState.TASK_STATE_SUBMITTED, TaskState.TASK_STATE_WORKING)
 
 
@@ -64,8 +66,12 @@ class Handler(DefaultRequestHandler):
 
     async def _told(self, task: Task, context: ServerCallContext) -> Task:
         # The one that is told may be without its history, and so without what was asked for.
+        turns = self._client_api.turns
+        await turns.wait(caller_of(context).principal.identity)
         whole: Any = await self.task_store.get(task.id, context)
-        return self._mask(context, () if whole is None else whole.history).task(task)
+        del task.history[:-_HISTORY]
+        with turns.spending():
+            return self._mask(context, () if whole is None else _asked(whole)).task(task)
 
     async def on_get_task(self, params: GetTaskRequest, context: ServerCallContext) -> Task | None:
         """Handle `GetTask`."""
@@ -115,6 +121,11 @@ class Handler(DefaultRequestHandler):
         async with aclosing(_masked(stream, self._mask(context))) as told:
             async for event in told:
                 yield event
+
+
+def _asked(task: Task) -> list[Message]:
+    """Return what its client said, of a task that says far more itself."""
+    return [message for message in task.history if message.role == Role.ROLE_USER]
 
 
 async def _masked(stream: AsyncGenerator[Any, None], mask: Mask) -> AsyncGenerator[Any, None]:

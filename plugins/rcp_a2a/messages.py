@@ -13,17 +13,21 @@ from a2a.utils.proto_utils import validate_proto_required_fields
 from google.protobuf.json_format import ParseDict
 from google.protobuf.struct_pb2 import Struct, Value
 
+from rcp_kernel._plain import is_list, is_map
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import Reply, encode_reply
 
 __all__ = [
+    "VALUES",
     "TaskRequest",
     "asked",
     "check",
     "check_fields",
+    "count_values",
     "data_part",
     "plain",
     "stamp",
+    "text_part",
     "told",
     "written",
 ]
@@ -31,6 +35,8 @@ __all__ = [
 _DATA = "application/json"
 _TEXT = "text/plain"
 _EXACT = 2**53
+VALUES = 1024
+"""In one message or task as data: the SDK takes 10 µs for each, most of them in one turn."""
 
 
 class TaskRequest(msgspec.Struct, frozen=True):
@@ -145,11 +151,30 @@ def told(reply: Reply) -> dict[str, Any]:
     return msgspec.json.decode(encode_reply(reply, Encoding.JSON))
 
 
+def count_values(plain: Any, most: int) -> int:
+    """Count the values in plain data, up to one more than `most`."""
+    waiting: list[Any] = [plain]
+    count = 0
+    while waiting and count <= most:
+        node = waiting.pop()
+        count += 1
+        if is_map(node):
+            waiting.extend(node.values())
+        elif is_list(node):
+            waiting.extend(node)
+    return count
+
+
 def data_part(value: Any, *, words: bool = False) -> Part:
     """Make a part of plain data, or of the text that it is."""
     if words:
-        return Part(text=msgspec.json.encode(value).decode(), media_type=_TEXT)
+        return text_part(value, _TEXT)
     return Part(data=ParseDict(value, Value()), media_type=_DATA)
+
+
+def text_part(value: Any, media_type: str = _DATA) -> Part:
+    """Make a part of the JSON that plain data is: it costs nothing, however many values there are."""
+    return Part(text=msgspec.json.encode(value).decode(), media_type=media_type)
 
 
 def stamp() -> str:

@@ -16,7 +16,15 @@ from a2a.types.a2a_pb2 import Message, Part, Task, TaskState
 from msgspec import Raw
 
 from rcp_a2a.callers import Caller
-from rcp_a2a.messages import TaskRequest, data_part, stamp, told
+from rcp_a2a.messages import (
+    VALUES,
+    TaskRequest,
+    count_values,
+    data_part,
+    stamp,
+    text_part,
+    told,
+)
 from rcp_a2a.questions import (
     Decision,
     Question,
@@ -37,6 +45,7 @@ from rcp_kernel.wire import Reply, Request
 __all__ = ["Run"]
 
 log = structlog.get_logger("rcp.a2a")
+_PROGRESS = 256  # values of a step's progress that are told
 _PACE = 0.2  # s between two updates that only tell of progress
 _STEP_ENDED = frozenset(("completed", "recovered", "failed", "skipped", "cancelled"))
 _FINAL = {
@@ -73,6 +82,8 @@ class Run:
         self._urgent = asyncio.Event()
         """There is more to tell than progress."""
         self._states: dict[str, str] = {}
+        self._room = VALUES
+        """Values that the artifacts of the task may still have as data."""
         self._updater: TaskUpdater
 
     # -- the gateway's side --------------------------------------------------------------------
@@ -168,6 +179,7 @@ class Run:
             self._arrived.clear()
             passing = False
             while self._replies:
+                await self._client_api.turns.wait(self._session.principal.identity)
                 reply = self._replies.popleft()
                 await self._tell(reply)
                 final = final or reply.final
@@ -201,6 +213,8 @@ class Run:
             data["artifact"] = f"step-{id_}"
         if self._states.get(id_) == state:
             # Progress alone goes into the metadata, where the newest replaces the one before.
+            if count_values(step, _PROGRESS) > _PROGRESS:
+                del step["feedback"]
             metadata = {"step": step, "progress": facts.get("progress")}
             await self._status(TaskState.TASK_STATE_WORKING, metadata=metadata)
             return
@@ -272,10 +286,17 @@ class Run:
         await self._updater.update_status(state, message, stamp(), **more)
 
     def _data(self, value: Any) -> Part:
+        """Make a part of data; of its JSON if the task would have too many values."""
+        count = count_values(value, self._room)
+        if count > self._room:
+            return text_part(value)
+        self._room -= count
         return data_part(value, words=self._plan.words)
 
     def _message(self, text: str, data: Any = None) -> Message:
-        parts = [Part(text=text)] + ([] if data is None else [self._data(data)])
+        parts = [Part(text=text)]
+        if data is not None:
+            parts.append(data_part(data, words=self._plan.words))
         return self._updater.new_agent_message(parts)
 
 

@@ -12,11 +12,12 @@ from rcp_a2a.places import Place
 from rcp_kernel._plain import is_list, is_map
 from rcp_kernel.wire import Request
 
-__all__ = ["PLANS", "as_request"]
+__all__ = ["PLANS", "SHORT", "as_request"]
 
 PLANS = "/system/plans"
 _CANCEL = ("CancelTask", "tasks/cancel")
-_SHORT = 4096  # bytes of a plan that is a stop
+SHORT = 4096
+"""Bytes of a request that stops something; a longer one takes its turn."""
 
 
 def as_request(place: Place, method: str, plain: Any) -> Request | None:
@@ -30,7 +31,7 @@ def as_request(place: Place, method: str, plain: Any) -> Request | None:
         return None
     data = [part["data"] for part in parts if is_map(part) and "data" in part]
     texts = [part["text"] for part in parts if is_map(part) and isinstance(part.get("text"), str)]
-    body: Any = data[0] if data else written("\n".join(texts)[:_SHORT])
+    body: Any = data[0] if data else written("\n".join(texts))
     if isinstance(body, str):
-        body = written(body[:_SHORT])
+        body = written(body)
     return Request(type="execute", path=PLANS, body=Raw(msgspec.json.encode(body)))

@@ -9,6 +9,8 @@ import structlog
 from a2a.server.context import ServerCallContext
 from a2a.server.tasks import InMemoryTaskStore
 from a2a.types.a2a_pb2 import (
+    ListTasksRequest,
+    ListTasksResponse,
     Message,
     Part,
     Role,
@@ -34,6 +36,7 @@ ENDED = frozenset(
         TaskState.TASK_STATE_REJECTED,
     )
 )
+_PAGE = 98_304  # bytes of the tasks of one page, unless a single one is longer
 _S = 1_000_000_000  # ns
 _CUT_OFF = "the gateway was restarted during the task; it commanded the robot to halt"
 
@@ -79,6 +82,19 @@ class Tasks(InMemoryTaskStore):
         self._keep(owner, task)
         if fresh or task.status.state in ENDED:
             self._make_room(owner)
+
+    async def list(self, params: ListTasksRequest, context: ServerCallContext) -> ListTasksResponse:
+        """List tasks: fewer than the page may have if they would be too long together."""
+        page = await self._impl.list(params, context)
+        sizes, length = self._sizes.get(owner_of(context), {}), 0
+        for number, task in enumerate(page.tasks):
+            length += sizes.get(task.id, 0)
+            if length > _PAGE and number:
+                shorter = ListTasksRequest()
+                shorter.CopyFrom(params)
+                shorter.page_size = number
+                return await super().list(shorter, context)
+        return page
 
     async def delete(self, task_id: str, context: ServerCallContext) -> None:
         """Let go of a task."""

@@ -54,11 +54,9 @@ class Catalogue:
 
     async def prepare(self, session: Session) -> None:
         """Read what a session may see in steps, so that nothing has to be read at once later."""
-        turns, owner = self._client_api.turns, session.principal.identity
-        generation = self._client_api.generation(session)
-        seen = self._seen.get(session.rights)
-        if seen is None or seen.generation != generation or session.tenant not in seen.tools:
-            key = (generation, session.rights, session.tenant)
+        if self._current(session) is None:
+            turns, owner = self._client_api.turns, session.principal.identity
+            key = (self._client_api.generation(session), session.rights, session.tenant)
             await self._reading.result(key, lambda: turns.finish(owner, self._read(session)))
 
     def all(self, session: Session) -> list[Facts]:
@@ -73,10 +71,27 @@ class Catalogue:
         """Return the tools of what a session may execute, by name."""
         return self._of(session).tools[session.tenant]
 
-    def _of(self, session: Session) -> _Seen:
-        generation = self._client_api.generation(session)
+    def ready(self, session: Session) -> dict[str, Typed] | None:
+        """Return the tools as `tools` does if they have been read; else None."""
+        seen = self._current(session)
+        return None if seen is None else seen.tools[session.tenant]
+
+    def read_one(self, session: Session, path: str) -> dict[str, Typed]:
+        """Return the tool of a path, by its name, without reading all others."""
+        tools: dict[str, Typed] = {}
+        for one in self._client_api.discover(session, path, Query(limit=1))["resources"]:
+            self._add(session, one, tools)
+        return tools
+
+    def _current(self, session: Session) -> _Seen | None:
         seen = self._seen.get(session.rights)
-        if seen is None or seen.generation != generation or session.tenant not in seen.tools:
+        if seen is None or seen.generation != self._client_api.generation(session):
+            return None
+        return seen if session.tenant in seen.tools else None
+
+    def _of(self, session: Session) -> _Seen:
+        seen = self._current(session)
+        if seen is None:
             for _ in self._read(session):  # the tree has changed since `prepare`
                 pass
             seen = self._seen[session.rights]

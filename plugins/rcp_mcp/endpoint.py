@@ -7,6 +7,7 @@ request, against DNS rebinding too, by the rules of its own table.
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import anyio
@@ -28,19 +29,22 @@ from rcp_kernel.asgi import (
 )
 from rcp_kernel.client_api import ClientApi
 from rcp_kernel.clients.session import Session
-from rcp_kernel.errors import RcpError
+from rcp_kernel.errors import PayloadTooLarge, RcpError
 from rcp_kernel.operations.pending import to_internal_error
-from rcp_kernel.turns import may_stop
+from rcp_kernel.structure import LONG, check_structure
+from rcp_kernel.values import Encoding
 from rcp_kernel.wire import error_body
 from rcp_mcp.caller import SESSION
 from rcp_mcp.catalogue import Catalogue
 from rcp_mcp.config import McpConfig
+from rcp_mcp.urgent import Urgent
 
 __all__ = ["WELL_KNOWN", "Endpoint", "Metadata"]
 
 WELL_KNOWN = "/.well-known/oauth-protected-resource"
 _UNAUTHORIZED = -32001
 _REFUSED = -32600
+_VALUES = 8192  # of one request, counted as `[limits] values` are: the SDK takes 1 µs for each at once
 
 
 class Endpoint:
@@ -57,6 +61,7 @@ class Endpoint:
         self._client_api = client_api
         self._catalogue = catalogue
         self._manager = manager
+        self._urgent = Urgent(catalogue)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Serve one request as its caller."""
@@ -109,8 +114,8 @@ class Endpoint:
             forget = self._client_api.until_end(session, lambda _error: serving.cancel())
             try:
                 limit = self._client_api.longest(session.principal)
-                bounded = RequestBodyLimitMiddleware(self._manager.handle_request, limit)
-                await bounded(scope, self._paced(session, receive), sent)
+                paced = partial(self._paced, session)
+                await RequestBodyLimitMiddleware(paced, limit)(scope, receive, sent)
             finally:
                 closing.discard(serving.cancel)
                 forget()
@@ -119,23 +124,29 @@ class Endpoint:
                 await send({"type": "http.response.start", "status": 503, "headers": []})
             await send({"type": "http.response.body", "body": b"", "more_body": False})
 
-    def _paced(self, session: Session, receive: Receive) -> Receive:
+    async def _paced(self, session: Session, scope: Scope, receive: Receive, send: Send) -> None:
         """Have requests take turns: the SDK handles one in a few ms, and one begins in each turn."""
-        waited = False
+        turns, owner = self._client_api.turns, session.principal.identity
+        first: Any = await receive()  # it has the whole body
+        body: bytes = first.get("body", b"")
+        stops = self._urgent.stops(session, body)
+        if len(body) > LONG:
+            try:
+                await turns.finish(owner, check_structure(body, Encoding.JSON, _VALUES))
+            except PayloadTooLarge as error:
+                error.remedy = "Send long values over HTTP or WebSocket, or in several calls."
+                self._client_api.refused("request", error.code)
+                await _refuse(self._config, scope, send, error)
+                return
+        await turns.place((owner, stops))
+        if not stops:
+            await self._catalogue.prepare(session)
+        unread: list[Any] = [first]
 
-        async def paced() -> Any:
-            nonlocal waited
-            message = await receive()
-            if not waited:
-                waited = True
-                turns, body = self._client_api.turns, message.get("body", b"")
-                stops = may_stop(body)
-                await turns.place((session.principal.identity, stops))
-                if not stops:
-                    await self._catalogue.prepare(session)
-            return message
+        async def replayed() -> Any:
+            return unread.pop() if unread else await receive()
 
-        return paced
+        await self._manager.handle_request(scope, replayed, send)
 
 
 class Metadata:

@@ -25,6 +25,7 @@ from rcp_mcp.offers import Context, Method, Offer, Outcome
 from rcp_mcp.prompts import PROMPTS, written
 from rcp_mcp.read_tools import ReadTools
 from rcp_mcp.resources import Resources
+from rcp_mcp.urgent import Urgent
 from rcp_mcp.watch_tools import WatchTools
 
 __all__ = ["Tree"]
@@ -53,6 +54,7 @@ class Tree(Offer):
         self._catalogue = commanding.catalogue
         self._commanding = commanding
         self._resources = Resources(config, client_api, self._catalogue)
+        self._urgent = Urgent(self._catalogue)
         self._completing = Completion(self._catalogue)
         looking = ReadTools(config, client_api, self._catalogue)
         self._handlers: dict[str, Handler] = {
@@ -93,7 +95,7 @@ class Tree(Offer):
             if (one := FIXED.get(params.name)) is not None:
                 taken = _taken(one, arguments)
                 return await self._handlers[params.name](ctx, session, taken)
-            typed = self._catalogue.tools(session).get(params.name)
+            typed = self._urgent.tool(session, params.name)
             if typed is None:
                 return None
             return await self._commanding.call(ctx, session, typed, arguments)

@@ -55,6 +55,7 @@ from rcp_kernel.operations.subscribe import SubscribeHandler
 from rcp_kernel.operations.write import WriteHandler
 from rcp_kernel.plans.checks import PlanChecker
 from rcp_kernel.plans.resource import PlanList, Plans
+from rcp_kernel.plans.waiting import WaitingPlans
 from rcp_kernel.process.guard import GuardLink
 from rcp_kernel.process.guard_arming import GuardArming
 from rcp_kernel.process.log import Recent
@@ -532,6 +533,7 @@ def _plans(
     return Plans(
         system.plans,
         checker,
+        WaitingPlans(clients.access, motion.commands),
         handle=requests.router.handle,
         resolver=requests.resolver,
         commands=motion.commands,

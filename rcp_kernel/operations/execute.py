@@ -33,11 +33,14 @@ from rcp_kernel.operations.inflight import InFlight
 from rcp_kernel.operations.write import DryRun, dry_run_reply
 from rcp_kernel.plans.resource import PATH as PLANS
 from rcp_kernel.plans.resource import Plans
+from rcp_kernel.plans.resource import Work as PlanWork
 from rcp_kernel.plans.stops import only_stops
+from rcp_kernel.plans.waiting import WaitingPlan
 from rcp_kernel.record.audit_writer import AuditWriter
 from rcp_kernel.registry import Entry
 from rcp_kernel.safety.hold import Hold
 from rcp_kernel.safety.partners import Partners
+from rcp_kernel.turns import at_once
 from rcp_kernel.values import value_type
 from rcp_kernel.wire import Reply, Request
 
@@ -112,16 +115,30 @@ class ExecuteHandler:
     def execute_in_steps(
         self, session: Session, request: Request, answer: Answer
     ) -> Generator[None, None, Reply | None]:
-        """Start a command; the conditions of a plan are read one at a time first."""
-        if request.path == PLANS:
-            yield from self._plans.read_conditions(session, request)
-        return self.execute(session, request, answer)
+        """Start a command; a plan waits from now on, and is checked in steps first."""
+        waiting = self._plans.waiting.enter(session) if request.path == PLANS else None
+        return self._execute_checked(session, request, answer, waiting)
 
-    def execute(self, session: Session, request: Request, answer: Answer) -> Reply | None:
-        """Start a command, or follow the one that the same key started."""
+    def _execute_checked(
+        self, session: Session, request: Request, answer: Answer, waiting: WaitingPlan | None
+    ) -> Generator[None, None, Reply | None]:
+        if waiting is None or self._keys.find(session, request, PLANS) is not None:
+            return self.execute(session, request, answer)
+        try:
+            self._quotas.check_command(session, PLANS)
+            self._plans.check_running(session)
+            plan = yield from self._plans.prepare(session, request, waiting)
+            return self.execute(session, request, answer, plan)
+        finally:
+            self._plans.waiting.leave(waiting)
+
+    def execute(
+        self, session: Session, request: Request, answer: Answer, plan: PlanWork | None = None
+    ) -> Reply | None:
+        """Start a command, or follow the one that the same key started; `plan` is checked already."""
         started = perf_counter()
         entry = self._resolver.resolve(session, request.path, Operation.EXECUTE)
-        value = self._input(request, entry)
+        value = self._input(request, entry) if plan is None else plan.plan
         if entry.path == "/system/estop":
             return self._estop(session, request, answer, entry, value)
         if (service := self._services.get(entry.path)) is not None:
@@ -142,7 +159,7 @@ class ExecuteHandler:
         if entry.is_hold and not request.dry_run:
             self._hold(call, answer, started)
             return None
-        work = self._plans.prepare(session, request, value) if entry.path == PLANS else None
+        work = self._plan(session, request, plan) if entry.path == PLANS else None
         self._admission.ask(call)
         if request.dry_run:
             if work is not None:
@@ -153,7 +170,7 @@ class ExecuteHandler:
         if work is not None:
             work.approve(session, request, entry)
         command = Command(
-            id="cmd-" + secrets.token_hex(8),
+            id="cmd-" + secrets.token_hex(8) if work is None else work.waiting.command,
             path=entry.path,
             principal=session.principal.name,
             proof=session.principal.proof,
@@ -186,7 +203,21 @@ class ExecuteHandler:
             request.deadline,
             confirm=partial(self._admission.confirm, call),
         )
+        if work is not None:
+            self._plans.waiting.settle(work.waiting, command)
         return None
+
+    def _plan(self, session: Session, request: Request, plan: PlanWork | None) -> PlanWork:
+        """Return a checked plan that may begin now.
+
+        :raises EstopActive: a robot of it was stopped since it was sent.
+        :raises RcpError: something is wrong with it.
+        """
+        if plan is None:
+            waiting = self._plans.waiting.enter(session)
+            plan = at_once(self._plans.prepare(session, request, waiting))
+        plan.check_stops()
+        return plan
 
     def _hold(self, call: Call, answer: Answer, started: float) -> None:
         """Bring a robot to rest without an e-stop, past leases, envelopes, quotas and guards."""
@@ -359,22 +390,28 @@ class ExecuteHandler:
         if wanted is None:
             running = [c for c in self._commands.running.values() if c.path == entry.path]
             found = [c for c in running if self._access.sees(session, c)]
-        if not found or not all(is_own(session, command) for command in found):
+        waiting = self._plans.waiting if wanted is None and entry.path == PLANS else None
+        own = found or (waiting is not None and waiting.own(session))
+        if not own or not all(is_own(session, command) for command in found):
             # Whoever set something going may stop it, whatever has become of the conditions.
             self._resolver.check(session, entry, Operation.EXECUTE)
         live = [command for command in found if not command.final]
         for command in live:
             self._commands.cancel(command, f"requested by {session.principal.name}")
+        ended = [command.id for command in live]
+        if waiting is not None:
+            others = session.rights.permits(entry, Operation.EXECUTE)
+            ended += waiting.cancel(session, others=others)
         text = (
             f"Cancel request for {entry.path} sent."
-            if live
+            if ended
             else f"Nothing is running on {entry.path}."
         )
         return Reply(
             type="cancel",
             id=request.id,
             path=entry.path,
-            body={"cancelled": [command.id for command in live]},
+            body={"cancelled": ended},
             message=text,
             timestamp=iso(now()),
             custom=request.custom,

@@ -29,7 +29,9 @@ Route = Callable[[Session, Request, Answer], Reply | None]
 """Handles a request at once; returns None if the answer comes later."""
 
 SteppedRoute = Callable[[Session, Request, Answer], Generator[None, None, Reply | None]]
-"""Handles a request that takes long, in steps between which others have their turn."""
+"""Handles a request that takes long, in steps between which others have their turn.
+
+It is called when the request comes in, and the first step is done when its turn has come."""
 
 
 class RequestRouter:
@@ -87,7 +89,9 @@ class RequestRouter:
             ):
                 raise meter.refusal(started)
             if _dear(session, request) and not self._stops(session, request):
-                work = self._slowly(session, request, answer, started)
+                stepped = self._stepped.get(request.type)
+                steps = None if stepped is None else stepped(session, request, answer)
+                work = self._slowly(session, request, answer, started, steps)
                 self._turns.run(session.principal.identity, work, len(bytes(request.body)))
                 return
             reply = self._routes[request.type](session, request, answer)
@@ -98,16 +102,20 @@ class RequestRouter:
             answer(reply)
 
     def _slowly(
-        self, session: Session, request: Request, answer: Answer, started: float
+        self,
+        session: Session,
+        request: Request,
+        answer: Answer,
+        started: float,
+        steps: Generator[None, None, Reply | None] | None,
     ) -> Generator[None]:
         """Handle a request that takes long, when its turn has come."""
         try:
             if len(request.body) > LONG and session.connection is None:
                 limit = self._settings.limits.values
                 yield from check_structure(bytes(request.body), request.encoding, limit)
-            stepped = self._stepped.get(request.type)
-            if stepped is not None:
-                reply = yield from stepped(session, request, answer)
+            if steps is not None:
+                reply = yield from steps
             else:
                 reply = self._routes[request.type](session, request, answer)
         except Exception as error:

@@ -7,13 +7,12 @@ request.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Container, Generator, Iterable, Iterator
-from contextlib import suppress
+from collections.abc import Container, Generator
 from dataclasses import dataclass
+from itertools import islice
 from typing import Any
 
 from rcp_kernel._plain import is_map
-from rcp_kernel.access.condition import ConditionTooCostly, condition
 from rcp_kernel.access.conditions import Conditions
 from rcp_kernel.access.resolver import Resolver
 from rcp_kernel.clients.session import Session
@@ -21,7 +20,6 @@ from rcp_kernel.config.settings import Settings
 from rcp_kernel.errors import (
     BY_CODE,
     BadRequest,
-    ConfigError,
     DuplicateRequest,
     InvalidValue,
     OutOfRange,
@@ -36,18 +34,21 @@ from rcp_kernel.motion.motion_limits import MotionLimits
 from rcp_kernel.motion.safety import check_motion
 from rcp_kernel.motion.scope import Scope
 from rcp_kernel.operations.read import READ_OPTIONS
-from rcp_kernel.plans.fault import Fault, nearest, refusal
+from rcp_kernel.plans.fault import Fault, refusal
 from rcp_kernel.plans.lines import from_lines
 from rcp_kernel.plans.looking import looked_at
 from rcp_kernel.plans.model import Execute, Group, Operate, Parallel, Plan, Read, Retry, Step, Write
 from rcp_kernel.plans.names import NameScope
-from rcp_kernel.plans.node import Checked, Node, references
+from rcp_kernel.plans.nearest import Nearest, nearest
+from rcp_kernel.plans.node import MARK, Checked, Node, references
+from rcp_kernel.plans.reading import ConditionReader
 from rcp_kernel.plans.symbolic import from_symbolic
 from rcp_kernel.record.touches import EVERYTHING
 from rcp_kernel.registry import Entry, Registry
+from rcp_kernel.turns import Work
 from rcp_kernel.values import Encoding, ValueType, dump
 
-__all__ = ["PlanChecker", "read_conditions"]
+__all__ = ["PlanChecker"]
 
 _OPERATIONS = {
     "read": Operation.READ,
@@ -55,8 +56,9 @@ _OPERATIONS = {
     "execute": Operation.EXECUTE,
 }
 _NOT_HERE = ("/system/plans", "/system/approvals")
-_TEXT = 8192  # characters of all different conditions of a plan: reading them takes time
-_SEARCHES = 5  # misspelt paths of one plan for which near ones are looked for
+_SEARCHES = 5  # misspelt names of one plan for which near ones are looked for
+_STEP = 32  # resources that are judged at once
+_MARK = f'"{MARK}"'.encode()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -75,41 +77,13 @@ class PlanChecker:
     filters: Container[str]
     """Paths of whose samples everybody sees their own only."""
 
-    def check(self, session: Session, plan: Plan) -> Checked:
-        """Return a plan that may begin, or refuse it with everything that is wrong.
+    def check(self, session: Session, plan: Plan) -> Generator[None, None, Checked]:
+        """Return a plan that may begin, or refuse it with everything that is wrong, in steps.
 
+        :raises RateLimited: whoever sent it has had too many conditions read.
         :raises RcpError: with the code of the first fault, and all in `details.faults`.
         """
         return _Check(self, session).check(plan)
-
-
-def read_conditions(conditions: Conditions, session: Session, plan: Plan) -> Generator[None]:
-    """Read the conditions of a plan one at a time, so that its check finds them known.
-
-    What is wrong with them, and whether they are too many, the check says.
-
-    :raises RateLimited: whoever sent it has had too many read.
-    """
-    allowance, principal = conditions.allowance, session.principal.name
-    texts = list(dict.fromkeys(_texts(plan.steps or ())))
-    if texts:
-        allowance.check(principal)
-    if sum(map(len, texts)) > _TEXT:
-        return
-    for text in texts:
-        with allowance.spending(principal), suppress(ConfigError):
-            condition(text)
-        yield
-
-
-def _texts(steps: Iterable[Step]) -> Iterator[str]:
-    for step in steps:
-        for text in (step.when, getattr(step, "until", None)):
-            if text is not None:
-                yield text
-        if isinstance(step, Group):
-            yield from _texts(step.steps)
-        yield from _texts(step.fallback)
 
 
 class _Check:
@@ -124,25 +98,26 @@ class _Check:
         self._types: dict[str, ValueType] = {}
         """Of the results of steps."""
         self._count = 0
-        self._texts: set[str] = set()
-        self._length = 0
+        self._reader = ConditionReader(against.conditions, session.principal.name)
         self._searches = 0
         self._leased: list[Scope] = []
         """What earlier steps acquire."""
         self._checked: Checked | None = None
 
-    def check(self, plan: Plan) -> Checked:
-        steps = self._steps(plan)
+    def check(self, plan: Plan) -> Generator[None, None, Checked]:
+        steps = yield from self._steps(plan)
         checked = self._checked = Checked(plan, [])
-        checked.nodes = self._level(steps, "", 1)
-        self._relate(checked.nodes, {})
+        checked.nodes = yield from self._level(steps, "", 1)
+        if any(n.step.when or getattr(n.step, "until", None) for n in self._ids.values()):
+            self._reader.check()
+        yield from self._relate(checked.nodes, {})
         if not steps and not self._faults:
             raise InvalidValue("the plan has no steps", details={"pointer": "/steps"})
         if self._faults:
             raise refusal(self._faults)
         return checked
 
-    def _steps(self, plan: Plan) -> list[Step]:
+    def _steps(self, plan: Plan) -> Generator[None, None, list[Step]]:
         given = [n for n in ("steps", "symbolic", "lines") if getattr(plan, n) is not None]
         if len(given) != 1:
             raise InvalidValue(
@@ -151,16 +126,22 @@ class _Check:
             )
         if plan.steps is not None:
             return list(plan.steps)
+        most = self._limits.steps + 1  # one too many is refused by its number
         if plan.lines is not None:
-            steps, self._faults = from_lines(plan.lines)
+            steps, self._faults = from_lines(plan.lines, most)
             return steps
         naming = NameScope(self._against.registry, self._session)
-        steps, self._faults = from_symbolic(plan.symbolic or "", self._limits, naming)
+        yield from naming.prepare()
+        steps, self._faults = yield from from_symbolic(
+            plan.symbolic or "", self._limits, naming, most
+        )
         return steps
 
     # -- the tree, and each step by itself -----------------------------------------------------
 
-    def _level(self, steps: list[Step] | tuple[Step, ...], place: str, depth: int) -> list[Node]:
+    def _level(
+        self, steps: list[Step] | tuple[Step, ...], place: str, depth: int
+    ) -> Generator[None, None, list[Node]]:
         if depth > self._limits.depth:
             raise OutOfRange(f"the plan is nested deeper than {self._limits.depth} levels")
         nodes: list[Node] = []
@@ -177,9 +158,9 @@ class _Check:
                 self._fault(node, DuplicateRequest(f"two steps have the id '{node.id}'"))
             self._ids[node.id] = node
             if isinstance(step, Group):
-                node.children = self._level(step.steps, f"{node.id}.", depth + 1)
-            node.fallback = self._level(step.fallback, f"{node.id}.fallback.", depth + 1)
-            self._try(node, lambda retry=step.retry: _codes(retry))
+                node.children = yield from self._level(step.steps, f"{node.id}.", depth + 1)
+            node.fallback = yield from self._level(step.fallback, f"{node.id}.fallback.", depth + 1)
+            yield from self._try(node, self._codes(step.retry))
             nodes.append(node)
         return nodes
 
@@ -187,45 +168,68 @@ class _Check:
         error.path = error.path or node.path
         self._faults.append(Fault(node.id, error))
 
-    def _try(self, node: Node, look: Callable[[], None]) -> None:
+    def _try(self, node: Node, look: Work) -> Work:
         try:
-            look()
+            yield from look
         except RcpError as error:
             self._fault(node, error)
+        yield
+
+    def _codes(self, retry: Retry | None) -> Work:
+        """Refuse to try again on what is no code: it never would be.
+
+        :raises InvalidValue: one is none.
+        """
+        for code in retry.on if retry is not None else ():
+            if code not in BY_CODE:
+                near = nearest(code, BY_CODE, 0.8) if self._may_search() else []
+                raise InvalidValue(
+                    f"`retry` has the unknown error code '{code[:64]}'",
+                    remedy=f"Did you mean {', '.join(near)}?" if near else None,
+                    details={"near": near, "pointer": "/retry/on"},
+                )
+        yield
+
+    def _may_search(self) -> bool:
+        """Tell whether near names may still be looked for: that is dear."""
+        self._searches += 1
+        return self._searches <= _SEARCHES
 
     # -- what steps have to do with each other -------------------------------------------------
 
-    def _relate(self, nodes: list[Node], known: dict[str, Node]) -> dict[str, Node]:
+    def _relate(
+        self, nodes: list[Node], known: dict[str, Node]
+    ) -> Generator[None, None, dict[str, Node]]:
         """Check steps that follow each other; return those that have ended after them."""
         for node in nodes:
-            known = self._one(node, known)
+            if node.step.after:
+                error = BadRequest("`after` is allowed only in the steps of a `parallel`")
+                self._fault(node, error)
+            known = yield from self._inside(node, known)
         return known
 
-    def _one(self, node: Node, known: dict[str, Node]) -> dict[str, Node]:
-        step = node.step
-        if step.after:
-            self._fault(node, BadRequest("`after` is allowed only in the steps of a `parallel`"))
-        return self._inside(node, known)
-
-    def _inside(self, node: Node, known: dict[str, Node]) -> dict[str, Node]:
+    def _inside(self, node: Node, known: dict[str, Node]) -> Generator[None, None, dict[str, Node]]:
         step = node.step
         node.tenant, node.robot = self._session.tenant, step.robot
         if isinstance(step, Operate):
-            self._try(node, lambda: self._operation(node, step, known))
+            yield from self._try(node, self._operation(node, step, known))
         for text, name in ((step.when, "when"), (getattr(step, "until", None), "until")):
             if text is not None:
-                self._try(node, lambda text=text, name=name: self._condition(node, text, name))
+                yield from self._try(node, self._condition(node, text, name))
         if isinstance(step, Parallel):
-            within = self._side_by_side(node, known)
+            within = yield from self._side_by_side(node, known)
         else:
-            within = self._relate(node.children, known)
-        return {**self._relate(node.fallback, within), node.id: node}
+            within = yield from self._relate(node.children, known)
+        ended = yield from self._relate(node.fallback, within)
+        return {**ended, node.id: node}
 
-    def _side_by_side(self, node: Node, known: dict[str, Node]) -> dict[str, Node]:
+    def _side_by_side(
+        self, node: Node, known: dict[str, Node]
+    ) -> Generator[None, None, dict[str, Node]]:
         ends: dict[str, dict[str, Node]] = {}
         for child in node.children:
             before = dict(known)
-            for id_ in child.step.after:
+            for id_ in dict.fromkeys(child.step.after):
                 if id_ not in ends:
                     text = (
                         f"`after` refers to '{id_[:64]}', which is not an earlier step of "
@@ -233,20 +237,25 @@ class _Check:
                     )
                     self._fault(child, BadRequest(text))
                 before |= ends.get(id_, {})
-            ends[child.id] = self._inside(child, before)
+                yield
+            ends[child.id] = yield from self._inside(child, before)
         out = dict(known)
         for end in ends.values():
             out |= end
         return out
 
-    def _references(self, step: Operate, known: dict[str, Node]) -> bool:
-        found = list(references(step.value))
-        for wanted in found:
+    def _references(
+        self, node: Node, step: Operate, known: dict[str, Node]
+    ) -> Generator[None, None, bool]:
+        if step.value is None or _MARK not in dump(step.value, Encoding.JSON):
+            return False
+        found = yield from references(step.value)
+        for wanted in dict.fromkeys(found):
             id_, *fields = wanted.split("/")
             if id_ not in known:
                 there = id_ in self._ids
                 why = "does not end before this step" if there else "is not in the plan"
-                near = [] if there else nearest(id_, known)
+                near = [] if there or not self._may_search() else nearest(id_, known)
                 advice = f"Did you mean {', '.join(near)}? " if near else ""
                 raise InvalidValue(
                     f"the value refers to the result of step '{id_[:64]}', which {why}",
@@ -256,25 +265,27 @@ class _Check:
             type_ = self._types.get(id_)
             if fields and type_ is not None and not type_.has_field(".".join(fields)):
                 raise InvalidValue(f"the result of step '{id_}' has no '{'/'.join(fields)[:80]}'")
-        return bool(found)
+            yield
+        node.refers = bool(found)
+        return node.refers
 
     # -- operations ----------------------------------------------------------------------------
 
-    def _operation(self, node: Node, step: Operate, known: dict[str, Node]) -> None:
-        refers = self._references(step, known)
+    def _operation(self, node: Node, step: Operate, known: dict[str, Node]) -> Work:
+        refers = yield from self._references(node, step, known)
         if isinstance(step, Read) and "*" in step.path:
-            self._pattern(node, step)
+            yield from self._pattern(node, step)
             return
-        entry = self._entry(step)
+        entry = yield from self._entry(step)
         node.path = node.state.path = entry.path
         if step.robot is None and entry.tenant is not None:
             node.tenant, node.robot = entry.tenant, entry.robot
         assert self._checked is not None
-        self._checked.touches.append(entry.path)
+        self._checked.touches[entry.path] = None
         self._types[node.id] = entry.output_type if isinstance(step, Execute) else entry.value_type
         if isinstance(step, Read):
             if entry.path in self._against.views or entry.path in self._against.filters:
-                self._checked.touches.append(EVERYTHING)  # it shows whoever sent the plan his own
+                self._checked.touches[EVERYTHING] = None  # it shows whoever sent the plan his own
             if not refers:
                 self._decode(READ_OPTIONS, step.value, "read")
             return
@@ -284,21 +295,26 @@ class _Check:
             self._checked.asks.append(node.id)
         if entry.path == "/system/leases" and is_map(step.value):
             self._acquires(step.value)
+        yield
 
-    def _pattern(self, node: Node, step: Read) -> None:
+    def _pattern(self, node: Node, step: Read) -> Work:
         pattern = Pattern(step.path, self._session.tenant)
         node.path = node.state.path = pattern.text
         self._decode(READ_OPTIONS, step.value, "read")
-        permits, found = self._session.rights.permits, self._against.registry.match(pattern)
+        permits = self._session.rights.permits
+        found = iter(self._against.registry.match(pattern))
         assert self._checked is not None
-        self._checked.touches += [e.path for e in found if permits(e, Operation.READ)]
+        while some := list(islice(found, _STEP)):
+            named = [e.path for e in some if permits(e, Operation.READ)]
+            self._checked.touches |= dict.fromkeys(named)
+            yield
 
-    def _entry(self, step: Operate) -> Entry:
+    def _entry(self, step: Operate) -> Generator[None, None, Entry]:
         operation = _OPERATIONS[step.do]
         try:
             entry = self._against.resolver.resolve(self._session, step.path, operation, anyway=True)
         except UnknownPath as error:
-            near = self._near(error.path or step.path, operation)
+            near = yield from self._near(error.path or step.path, operation)
             if near:
                 error.remedy = f"Did you mean {', '.join(near)}? {error.remedy}"
                 error.details = {"near": near}
@@ -313,21 +329,23 @@ class _Check:
             )
         return entry
 
-    def _near(self, path: str, operation: Operation) -> list[str]:
-        self._searches += 1
-        if self._searches > _SEARCHES:
+    def _near(self, path: str, operation: Operation) -> Generator[None, None, list[str]]:
+        if not self._may_search():
             return []
-        mask = self._session.rights.mask
-        entries = self._against.registry.entries.values()
+        near = Nearest(path, 0.85)  # paths have much in common
         tenants = self._session.rights.tenants
-        offered = (
-            entry.path
-            for entry in entries
-            if entry.operations & operation
-            and ("*" in tenants or entry.tenant in tenants)
-            and mask(entry.path)
-        )
-        return nearest(path, offered, 0.85)  # paths have much in common
+        permitted = self._session.rights.mask
+        entries = iter(list(self._against.registry.entries.values()))
+        while not near.full and (some := list(islice(entries, _STEP))):
+            for entry in some:
+                if (
+                    entry.operations & operation
+                    and ("*" in tenants or entry.tenant in tenants)
+                    and permitted(entry.path)
+                ):
+                    near.compare(entry.path)
+            yield
+        return near.found
 
     def _value(self, step: Write | Execute, entry: Entry) -> Any:
         called = isinstance(step, Execute)
@@ -354,46 +372,15 @@ class _Check:
         if value.get("do") == "acquire" and isinstance(scope, str):
             self._leased.append(Scope(scope, self._session.tenant))
 
-    def _condition(self, node: Node, text: str, name: str) -> None:
+    def _condition(self, node: Node, text: str, name: str) -> Work:
         """Compile a condition of a step, which may be about what its asker may read alone."""
-        if text not in self._texts:
-            self._texts.add(text)
-            self._length += len(text)
-        if self._length > _TEXT:
-            raise _too_long()
-        details = {"pointer": f"/{name}"}
-        try:
-            found = condition(text)
-        except ConditionTooCostly as error:
-            raise OutOfRange(f"`{name}`: {error}", remedy=error.remedy, details=details) from None
-        except ConfigError as error:
-            raise InvalidValue(f"`{name}`: {error}", details=details) from None
+        found = self._reader.read(text, name)
+        yield
         assert self._checked is not None
-        self._checked.touches += looked_at(self._against.conditions, self._session, node, found)
+        paths = looked_at(self._against.conditions, self._session, node, found)
+        self._checked.touches |= dict.fromkeys(paths)
         if name == "when":
             node.when = found
         else:
             node.until = found
-
-
-def _too_long() -> OutOfRange:
-    return OutOfRange(
-        f"the plan's conditions have more than {_TEXT} characters in total",
-        remedy="Split it into several plans.",
-        details={"limit": _TEXT},
-    )
-
-
-def _codes(retry: Retry | None) -> None:
-    """Refuse to try again on what is no code: it never would be.
-
-    :raises InvalidValue: one is none.
-    """
-    for code in retry.on if retry is not None else ():
-        if code not in BY_CODE:
-            near = nearest(code, BY_CODE, 0.8)
-            raise InvalidValue(
-                f"`retry` has the unknown error code '{code[:64]}'",
-                remedy=f"Did you mean {', '.join(near)}?" if near else None,
-                details={"near": near, "pointer": "/retry/on"},
-            )
+        yield

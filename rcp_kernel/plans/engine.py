@@ -39,6 +39,7 @@ __all__ = ["Engine"]
 
 _LOOK = 0.1  # s between looks at a condition
 _UNKNOWN = 2.0  # s that the value of a condition may take to be known
+_TOGETHER = 8  # steps of a `parallel` that begin in one turn of the loop
 
 
 class Engine:
@@ -68,7 +69,9 @@ class Engine:
         self._telling = telling
         nodes = list(every(checked.nodes))
         known = {node.id: node for node in nodes}
-        self._sending = StepRequests(handle, commands, audit_writer, session, known, command, loop)
+        self._sending = StepRequests(
+            handle, commands, audit_writer, session, known, command, turns, loop
+        )
         self._part = f"plan {command}"
         self._asked: set[str] = set()
         self._turns, self._owner = turns, session.principal.identity
@@ -111,7 +114,8 @@ class Engine:
             await self._sequence(node.fallback)
             self._telling.change(node, "recovered")
         else:
-            self._telling.change(node, "completed")
+            with self._turns.spending():
+                self._telling.change(node, "completed")
 
     def _cancelled(self, node: Node) -> None:
         """Tell of an operation that was cut off; of waits and groups, the plan's end tells."""
@@ -187,7 +191,11 @@ class Engine:
             node.raw, state.message = await self._sending.send(node, step, left, progress)
         finally:
             state.feedback = state.progress = None
-        self._telling.result(node)
+        try:
+            await self._turns.wait(self._owner)  # many may end together
+        finally:
+            with self._turns.spending():
+                self._telling.result(node)
 
     async def _group(self, node: Node) -> None:
         if isinstance(node.step, Parallel):
@@ -198,12 +206,14 @@ class Engine:
     async def _parallel(self, node: Node, step: Parallel) -> None:
         gate = asyncio.Semaphore(step.limit or len(node.children))
         tasks: dict[str, asyncio.Task[None]] = {}
-        for child in node.children:
-            before = [tasks[id_] for id_ in child.step.after]
-            tasks[child.id] = asyncio.create_task(
-                self._branch(child, before, gate), name=f"{self._part} step {child.id}"
-            )
         try:
+            for number, child in enumerate(node.children, 1):
+                before = [tasks[id_] for id_ in dict.fromkeys(child.step.after)]
+                tasks[child.id] = asyncio.create_task(
+                    self._branch(child, before, gate), name=f"{self._part} step {child.id}"
+                )
+                if not number % _TOGETHER:
+                    await self._turns.place(self._owner)
             await self._until(step, node.children, tasks)
         finally:
             for task in tasks.values():

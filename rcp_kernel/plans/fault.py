@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import difflib
-from collections.abc import Iterable
 from typing import Any, NamedTuple
 
 from rcp_kernel.errors import RcpError
 
-__all__ = ["Fault", "nearest", "refusal"]
+__all__ = ["Fault", "refusal"]
 
 _TOLD = 100  # faults that an error lists
-_COMPARED = 2000  # names that a misspelt one is compared with
 
 
 class Fault(NamedTuple):
@@ -50,9 +47,3 @@ def refusal(faults: list[Fault]) -> RcpError:
         retry_after=first.error.retry_after,
         details=details,
     )
-
-
-def nearest(name: str, known: Iterable[str], cutoff: float = 0.5) -> list[str]:
-    """Return the names that are most like a wrong one; `cutoff` says how like, up to 1."""
-    some = [one for _, one in zip(range(_COMPARED), known, strict=False)]
-    return difflib.get_close_matches(name, some, n=3, cutoff=cutoff)

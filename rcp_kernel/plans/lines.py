@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable
+from itertools import islice
 from typing import Any
 
 import msgspec
@@ -20,11 +21,11 @@ _PAIR = re.compile(r"([A-Za-z_][\w.]*)=(\"(?:[^\"\\]|\\.)*\"|\S+)(?:\s+|\Z)")
 _SYNTAX = "Use `read|write|execute <path> [value]`; a value is JSON, or name=value pairs."
 
 
-def from_lines(text: str) -> tuple[list[Step], list[Fault]]:
-    """Translate commands, one a line; `#` begins a comment line."""
+def from_lines(text: str, most: int | None = None) -> tuple[list[Step], list[Fault]]:
+    """Translate commands, one a line, at most `most` of them; `#` begins a comment line."""
     steps: list[Step] = []
     faults: list[Fault] = []
-    for number, line in _lines(text):
+    for number, line in islice(_lines(text), most):
         try:
             steps.append(_command(line, str(len(steps) + len(faults) + 1)))
         except RcpError as error:

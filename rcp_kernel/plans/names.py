@@ -3,20 +3,25 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Iterable
+from itertools import islice
 from typing import Any
 
 from rcp_kernel._plain import is_map
 from rcp_kernel.clients.session import Session
 from rcp_kernel.errors import InvalidValue, UnknownPath
 from rcp_kernel.model import Kind
-from rcp_kernel.plans.fault import nearest
 from rcp_kernel.plans.lines import word
+from rcp_kernel.plans.nearest import nearest
 from rcp_kernel.plans.symbolic import Action
 from rcp_kernel.registry import Entry, Registry
+from rcp_kernel.turns import Work
 
 __all__ = ["NameScope"]
 
 _CALLED = (Kind.ACTION, Kind.SERVICE)
+_STEP = 32  # resources that are judged at once
+_SEARCHES = 5  # misspelt names of one plan for which near ones are looked for
 _DEEP = 8  # objects within objects that arguments are spread over
 
 
@@ -24,13 +29,25 @@ class NameScope:
     """Finds actions by the names that planners use, among what a session may see."""
 
     def __init__(self, registry: Registry, session: Session) -> None:
-        mask = session.rights.mask
-        self._called = [
-            entry
-            for entry in registry.entries.values()
-            if entry.tenant is not None and entry.kind in _CALLED and mask(entry.path)
-        ]
+        self._entries = registry.entries
+        self._mask = session.rights.mask
         self._tenant = session.tenant
+        self._called: dict[str, list[Entry]] = {}
+        """What can be called, by what a plan may call its robot."""
+        self._robots: dict[str, None] = {}
+        self._searches = 0
+
+    def prepare(self) -> Work:
+        """Look for what can be called, in steps."""
+        entries = iter(list(self._entries.values()))
+        while some := list(islice(entries, _STEP)):
+            for entry in some:
+                if entry.tenant is None or entry.kind not in _CALLED or not self._mask(entry.path):
+                    continue
+                for name in _names(entry):
+                    self._robots[name] = None
+                    self._called.setdefault(_plain(name), []).append(entry)
+            yield
 
     def __call__(self, action: Action, objects: dict[str, Any]) -> tuple[str, Any]:
         """Return path and value of an action: its first argument is the robot.
@@ -52,20 +69,29 @@ class NameScope:
 
     def _find(self, action: Action) -> Entry:
         robot = action.arguments[0] if action.arguments else ""
-        of_robot = [e for e in self._called if _plain(robot) in map(_plain, _names(e))]
-        if not of_robot:
-            known = sorted({name for entry in self._called for name in _names(entry)})
-            raise _unknown(f"({action.name} …) names no known robot", robot, known)
+        of_robot = self._called.get(_plain(robot))
+        if of_robot is None:
+            raise self._unknown(f"({action.name} …) names no known robot", robot, self._robots)
         found = [e for e in of_robot if _plain(_last(e)) == _plain(action.name)]
         if not found:
-            known = sorted({_last(entry) for entry in of_robot})
-            raise _unknown(
+            raise self._unknown(
                 f"'{robot[:64]}' has no action or service '{action.name[:64]}'",
                 action.name,
-                known,
+                dict.fromkeys(map(_last, of_robot)),
             )
         # The own tenant goes first, then the robot that has a name of its own.
         return min(found, key=lambda e: (e.tenant != self._tenant, e.robot is None, e.path))
+
+    def _unknown(self, text: str, name: str, known: Iterable[str]) -> UnknownPath:
+        self._searches += 1
+        near = nearest(_plain(name), sorted(known)) if self._searches <= _SEARCHES else []
+        advice = f"Did you mean {', '.join(near)}? " if near else ""
+        return UnknownPath(
+            text,
+            remedy=f"{advice}Use an action that `discover` lists, or define this one in "
+            "`[plans.actions]`.",
+            details={"near": near} if near else None,
+        )
 
 
 def _names(entry: Entry) -> list[str]:
@@ -81,17 +107,6 @@ def _plain(name: str) -> str:
 
 def _last(entry: Entry) -> str:
     return entry.name.rpartition("/")[2]
-
-
-def _unknown(text: str, name: str, known: list[str]) -> UnknownPath:
-    near = nearest(_plain(name), known)
-    advice = f"Did you mean {', '.join(near)}? " if near else ""
-    return UnknownPath(
-        text,
-        remedy=f"{advice}Use an action that `discover` lists, or define this one in "
-        "`[plans.actions]`.",
-        details={"near": near} if near else None,
-    )
 
 
 def _assign(schema: dict[str, Any], given: deque[str], objects: dict[str, Any]) -> Any:

@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Generator, Iterable, Iterator
 from typing import Any
 
 from rcp_kernel._plain import is_index, is_list, is_map
 from rcp_kernel.access.condition import Condition
 from rcp_kernel.errors import PreconditionFailed
 from rcp_kernel.plans.model import Group, Plan, Step, StepState
+from rcp_kernel.values import Encoding, dump, to_plain
+from rcp_kernel.wire import Body
 
-__all__ = ["MARK", "Checked", "Node", "every", "filled", "references"]
+__all__ = ["MARK", "Checked", "Filling", "Node", "every", "references"]
 
 MARK = "$result"
+_ROOM = 1_048_576  # bytes of the results in one value
+_STEP = 512  # values that are looked at in one step
 
 
 class Node:
@@ -24,6 +28,7 @@ class Node:
         "id",
         "path",
         "raw",
+        "refers",
         "robot",
         "state",
         "step",
@@ -42,10 +47,12 @@ class Node:
         self.tenant: str | None = None
         self.robot: str | None = None
         """Whose values its conditions mean."""
+        self.refers = False
+        """Whether its value has results of other steps in it."""
         self.when: Condition | None = None
         self.until: Condition | None = None
         self.raw: Any = None
-        """The whole result; the state has only what is not too long."""
+        """The whole result, one that is too long for the state as it was read."""
         self.state = StepState(step=id_, do=step.do)
 
     @property
@@ -65,8 +72,8 @@ class Checked:
     def __init__(self, plan: Plan, nodes: list[Node]) -> None:
         self.plan = plan
         self.nodes = nodes
-        self.touches: list[str] = []
-        """Paths that it names, those of its conditions too."""
+        self.touches: dict[str, None] = {}
+        """Paths that it names, those of its conditions too, in order."""
         self.asks: list[str] = []
         """Ids of steps that a person has to approve."""
 
@@ -89,33 +96,67 @@ def every(nodes: Iterable[Node]) -> Iterator[Node]:
         yield from every(node.fallback)
 
 
-def references(value: Any) -> Iterator[str]:
-    """Go through the results of other steps that a value wants: `id/field/…`."""
-    if is_map(value):
-        wanted = value.get(MARK)
-        if len(value) == 1 and isinstance(wanted, str):
-            yield wanted
-            return
-        for item in value.values():
-            yield from references(item)
-    elif is_list(value):
-        for item in value:
-            yield from references(item)
+def references(value: Any) -> Generator[None, None, list[str]]:
+    """Return the results of other steps that a value wants, in steps: `id/field/…`."""
+    found: list[str] = []
+    waiting: list[Any] = [value]
+    count = 0
+    while waiting:
+        one = waiting.pop()
+        if is_map(one):
+            wanted = one.get(MARK)
+            if len(one) == 1 and isinstance(wanted, str):
+                found.append(wanted)
+            else:
+                waiting.extend(one.values())
+        elif is_list(one):
+            waiting.extend(one)
+        count += 1
+        if not count % _STEP:
+            yield
+    return found
 
 
-def filled(value: Any, known: dict[str, Node]) -> Any:
-    """Return a value with the results that it wants.
+class Filling:
+    """Puts the results of other steps into the value of one, as far as there is room for them."""
 
-    :raises PreconditionFailed: a step has no result, or not this field.
-    """
-    if is_map(value):
-        wanted = value.get(MARK)
-        if len(value) == 1 and isinstance(wanted, str):
-            return _result(wanted, known)
-        return {key: filled(item, known) for key, item in value.items()}
-    if is_list(value):
-        return [filled(item, known) for item in value]
-    return value
+    def __init__(self, known: dict[str, Node]) -> None:
+        self._known = known
+        self._room = _ROOM
+
+    def fill(self, value: Any) -> Generator[None, None, Any]:
+        """Return a value with the results that it wants, in steps.
+
+        :raises PreconditionFailed: a step has no result, or not this field, or the results together
+            are too long.
+        """
+        if is_map(value):
+            wanted = value.get(MARK)
+            if len(value) == 1 and isinstance(wanted, str):
+                yield
+                return self._take(wanted)
+            out: dict[str, Any] = {}
+            for number, (key, item) in enumerate(value.items(), 1):
+                out[key] = (yield from self.fill(item)) if is_map(item) or is_list(item) else item
+                if not number % _STEP:
+                    yield
+            return out
+        items: list[Any] = []
+        for number, item in enumerate(value, 1):
+            items.append((yield from self.fill(item)) if is_map(item) or is_list(item) else item)
+            if not number % _STEP:
+                yield
+        return items
+
+    def _take(self, wanted: str) -> Any:
+        result = _result(wanted, self._known)
+        self._room -= len(dump(result, Encoding.JSON))
+        if self._room < 0:
+            raise PreconditionFailed(
+                f"the results that the value refers to have more than {_ROOM} bytes",
+                remedy="Refer to fields of the results, or send the values by yourself.",
+            )
+        return result
 
 
 def _result(wanted: str, known: dict[str, Node]) -> Any:
@@ -126,6 +167,8 @@ def _result(wanted: str, known: dict[str, Node]) -> Any:
             f"step '{id_}' has no result: it is {node.state.state}",
             remedy="Add a fallback to that step, or a `when` to this one.",
         )
+    if isinstance(node.raw, Body):
+        node.raw = to_plain(node.raw.value)
     value = node.raw
     for field in fields:
         if is_map(value) and field in value:

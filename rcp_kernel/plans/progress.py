@@ -12,10 +12,12 @@ from rcp_kernel.plans.model import PlanResult, State, StepState
 from rcp_kernel.plans.node import Checked, Node, every
 from rcp_kernel.spi import Progress
 from rcp_kernel.values import Encoding, dump
+from rcp_kernel.wire import encode_body
 
-__all__ = ["ProgressReport"]
+__all__ = ["LONGEST", "ProgressReport"]
 
-_LONGEST = 262_144  # bytes of one result that is told
+LONGEST = 262_144
+"""Bytes of one result that is told."""
 _TOGETHER = 1_048_576  # of all results of a plan
 _FEEDBACK = 16_384  # of the result or feedback that one message carries
 
@@ -65,11 +67,11 @@ class ProgressReport:
     def result(self, node: Node) -> None:
         """Take down a result, or how long it is if that is too long to be told."""
         state = node.state
-        size = 0 if node.raw is None else len(dump(node.raw, Encoding.JSON))
+        size = 0 if node.raw is None else len(encode_body(node.raw, Encoding.JSON))
         self._room += self._sizes.pop(node.id, 0)
         state.omitted = None
         state.result = node.raw
-        if size > _LONGEST or size > self._room:
+        if size > LONGEST or size > self._room:
             state.result, state.omitted = None, size
             return
         self._sizes[node.id] = size

@@ -12,8 +12,11 @@ from rcp_kernel.clients.session import Handler, Session
 from rcp_kernel.errors import BY_CODE, InternalError, RcpError
 from rcp_kernel.operations.commands import Commands
 from rcp_kernel.plans.model import Execute, Operate, Read, Write
-from rcp_kernel.plans.node import Node, filled
+from rcp_kernel.plans.node import Filling, Node
+from rcp_kernel.plans.progress import LONGEST
+from rcp_kernel.record.audit import bounded, hashing
 from rcp_kernel.record.audit_writer import AuditWriter
+from rcp_kernel.turns import Turns
 from rcp_kernel.values import Encoding, dump, to_plain
 from rcp_kernel.wire import NO_BODY, Body, Reply, Request
 
@@ -35,9 +38,11 @@ class StepRequests:
         session: Session,
         known: dict[str, Node],
         command: str,
+        turns: Turns,
         loop: asyncio.AbstractEventLoop,
     ) -> None:
         self._handle = handle
+        self._turns, self._owner = turns, session.principal.identity
         self._commands = commands
         self._audit_writer = audit_writer
         self._loop = loop
@@ -58,23 +63,38 @@ class StepRequests:
         end = loop.time() + (_PATIENCE if left is None else left)
         while True:
             limit = None if left is None else max(end - loop.time(), 0.001)
-            request = self._request(node, step, limit)
+            request = await self._request(node, step, limit)
             reply = await self._ask(node, request, told)
             if reply.error is None:
                 node.state.truncated, node.state.cursor = reply.truncated, reply.cursor
-                value = _plain(reply.body)
-                if isinstance(step, Read):  # as writes and commands are by themselves
-                    path = reply.path or request.path or ""
-                    self._audit_writer.looked(self._session, request, path, value)
-                return value, reply.message
+                if isinstance(step, Read):  # writes and commands go on record by themselves
+                    return await self._looked(request, reply), reply.message
+                return _plain(reply.body), reply.message
             error = _error_of(reply.error)
             pause = error.retry_after or 0.0
             if error.code != "rate_limited" or loop.time() + pause >= end:
                 raise error
             await asyncio.sleep(pause)
 
-    def _request(self, node: Node, step: Operate, limit: float | None) -> Request:
-        value = filled(step.value, self._known)
+    async def _looked(self, request: Request, reply: Reply) -> Any:
+        """Put on record what was read; return it, as it is if it is too long to be told."""
+        path = reply.path or request.path or ""
+        body, touches = reply.body, [path]
+        if "*" in path:
+            value = told = _plain(body)
+            touches = [item["path"] for item in value]
+        elif isinstance(body, Body) and len(data := body.encoded(Encoding.JSON)) > LONGEST:
+            value, told = body, await self._turns.finish(self._owner, hashing(data))
+        else:
+            value = _plain(body)
+            told = bounded(value)
+        self._audit_writer.looked(self._session, request, path, told, touches)
+        return value
+
+    async def _request(self, node: Node, step: Operate, limit: float | None) -> Request:
+        value = step.value
+        if node.refers:
+            value = await self._turns.finish(self._owner, Filling(self._known).fill(value))
         return Request(
             type=step.do,
             path=node.path,
@@ -99,7 +119,8 @@ class StepRequests:
             elif reply.status == "in_progress":
                 told(_plain(reply.body), reply.progress)
 
-        self._handle(self._session, request, answer)
+        with self._turns.spending():
+            self._handle(self._session, request, answer)
         try:
             return await asyncio.shield(final)
         except asyncio.CancelledError:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Iterable, Iterator
 from functools import partial
 from typing import Any
 
@@ -13,29 +13,32 @@ from rcp_kernel.access.resolver import Resolver
 from rcp_kernel.clients.session import Handler, Session
 from rcp_kernel.clock import iso
 from rcp_kernel.config.settings import Settings
-from rcp_kernel.errors import PayloadTooLarge, QueueFull
+from rcp_kernel.entry import StopGroup
+from rcp_kernel.errors import EstopActive, PayloadTooLarge, QueueFull
 from rcp_kernel.features.approval import About, ApprovalService
 from rcp_kernel.model import Operation
 from rcp_kernel.operations.command import Command
 from rcp_kernel.operations.command_access import CommandAccess
 from rcp_kernel.operations.commands import Commands
-from rcp_kernel.plans.checks import PlanChecker, read_conditions
+from rcp_kernel.plans.checks import PlanChecker
 from rcp_kernel.plans.engine import Engine
 from rcp_kernel.plans.model import PATH, Plan, PlanState
 from rcp_kernel.plans.node import Checked, every
 from rcp_kernel.plans.progress import ProgressReport
+from rcp_kernel.plans.waiting import WaitingPlan, WaitingPlans
 from rcp_kernel.record.audit_writer import AuditWriter
 from rcp_kernel.registry import Entry, Registry
 from rcp_kernel.spi import Progress
 from rcp_kernel.turns import Turns
-from rcp_kernel.values import to_plain
-from rcp_kernel.wire import NO_BODY, Reply, Request
+from rcp_kernel.values import ANY, Encoding, to_plain
+from rcp_kernel.wire import NO_BODY, Body, Reply, Request
 
 __all__ = ["PATH", "PlanList", "Plans", "Work"]
 
 MakeEngine = Callable[[Session, Checked, str, ProgressReport], Engine]
 
 _LISTED = 50  # plans
+_STEP = 256  # paths that are looked at in one step
 
 
 class Work:
@@ -48,16 +51,37 @@ class Work:
         approvals: ApprovalService,
         changed: Callable[[], None],
         make_engine: MakeEngine,
+        waiting: WaitingPlan,
+        units: Iterable[StopGroup],
     ) -> None:
+        self.waiting = waiting
+        self._units = units
         self._checked = checked
         self._approvals = approvals
         self._changed = changed
         self._make_engine = make_engine
         self.asks = tuple(checked.asks)
         self.asked = tuple(n.path or "" for n in every(checked.nodes) if n.id in checked.asks)
-        self.touches = tuple(dict.fromkeys(checked.touches))
+        self.touches = tuple(checked.touches)
         self.tenant = session.tenant
         self.telling = ProgressReport(checked, changed)
+
+    @property
+    def plan(self) -> Plan:
+        """The plan as it was sent."""
+        return self._checked.plan
+
+    def check_stops(self) -> None:
+        """Refuse a plan that was sent before an e-stop on a robot that it is about.
+
+        :raises EstopActive: it was, whether the e-stop is latched still or not.
+        """
+        for unit in self._units:
+            if unit.stopped >= self.waiting.since:
+                raise EstopActive(
+                    f"{unit.name} was stopped while the plan waited for its turn",
+                    remedy="Check the state of the robot, then send the plan again.",
+                )
 
     def told(self, reply: Reply) -> None:
         """Take notice of a reply of the command: where it begins and ends, the list changes."""
@@ -119,10 +143,35 @@ class PlanList:
         for changed in self.on_change:
             changed()
 
-    def view(self, session: Session) -> list[dict[str, Any]]:
-        """List the plans that a session may see, newest first."""
-        found = [command for command in self._access.visible(session) if command.path == PATH]
-        return [to_plain(_state(c)) for c in found[:_LISTED]]
+    def view(self, session: Session) -> Iterator[Body | None]:
+        """List the plans that a session may see, newest first; None stands for any other command."""
+        plans = (
+            c if c is not None and c.path == PATH else None for c in self._access.judged(session)
+        )
+        left = _LISTED
+        for command in plans:
+            yield None if command is None else _Listed(command)
+            left -= command is not None
+            if not left:
+                return
+
+
+class _Listed(Body):
+    """A plan as the list tells of it."""
+
+    __slots__ = ("_command",)
+
+    def __init__(self, command: Command) -> None:
+        self._command = command
+
+    @property
+    def value(self) -> Any:
+        """The plan as plain data."""
+        return to_plain(_state(self._command))
+
+    def encoded(self, encoding: Encoding) -> bytes:
+        """Return it as bytes of the encoding."""
+        return ANY.encode(_state(self._command), encoding)
 
 
 class Plans:
@@ -132,6 +181,7 @@ class Plans:
         self,
         listed: PlanList,
         checker: PlanChecker,
+        waiting: WaitingPlans,
         *,
         handle: Handler,
         resolver: Resolver,
@@ -146,10 +196,11 @@ class Plans:
     ) -> None:
         self._listed = listed
         self._checker = checker
+        self.waiting = waiting
         self._resolver = resolver
         self._commands = commands
         self._approvals = approvals
-        self._conditions = conditions
+        self._registry = registry
         self._settings = settings
         self._make_engine = partial(
             Engine,
@@ -162,15 +213,34 @@ class Plans:
             loop=loop,
         )
 
-    def prepare(self, session: Session, request: Request, plan: Plan) -> Work:
-        """Check a plan whole.
+    def prepare(
+        self, session: Session, request: Request, waiting: WaitingPlan
+    ) -> Generator[None, None, Work]:
+        """Check a plan whole, in steps.
 
         :raises PayloadTooLarge: it is longer than it may be.
-        :raises RcpError: something is wrong with it; see `check_plan`.
+        :raises RcpError: the session may send none, or something is wrong with it; see
+            `PlanChecker.check`.
         """
+        entry = self._resolver.resolve(session, PATH, Operation.EXECUTE)
         self._check_size(request)
-        checked = self._checker.check(session, plan)
-        return Work(session, checked, self._approvals, self._listed.changed, self._make_engine)
+        plan: Plan = request.decode_body(entry.input_type, f"input of {entry.label}")
+        yield
+        checked = yield from self._checker.check(session, plan)
+        units = yield from self._units(checked)
+        changed = self._listed.changed
+        return Work(session, checked, self._approvals, changed, self._make_engine, waiting, units)
+
+    def _units(self, checked: Checked) -> Generator[None, None, list[StopGroup]]:
+        """Return what an e-stop stops of all that a plan is about."""
+        found: dict[StopGroup, None] = {}
+        for number, path in enumerate(checked.touches, 1):
+            entry = self._registry.entries.get(path)
+            if entry is not None:
+                found[entry.unit] = None
+            if not number % _STEP:
+                yield
+        return list(found)
 
     def check_running(self, session: Session) -> None:
         """Refuse one plan too many.
@@ -192,18 +262,6 @@ class Plans:
             raise PayloadTooLarge(
                 f"the plan has {size} bytes; the limit is {limit}", details={"limit": limit}
             )
-
-    def read_conditions(self, session: Session, request: Request) -> Generator[None]:
-        """Read the conditions of a plan in steps, so that `prepare` does not take long.
-
-        :raises RcpError: the session may send none, it is none or too long, or its conditions
-            cannot be read now.
-        """
-        entry = self._resolver.resolve(session, PATH, Operation.EXECUTE)
-        self._check_size(request)
-        plan = request.decode_body(entry.input_type, f"input of {entry.label}")
-        yield
-        yield from read_conditions(self._conditions, session, plan)
 
 
 def _state(command: Command) -> PlanState:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Generator, Iterator
+from itertools import islice
 from typing import Any, NamedTuple
 
 import msgspec
@@ -40,28 +41,34 @@ Unlisted = Callable[[Action, dict[str, Any]], tuple[str, Any]]
 
 
 def from_symbolic(
-    text: str, config: PlansConfig, unlisted: Unlisted
-) -> tuple[list[Step], list[Fault]]:
-    """Translate a plan: by the table, and by `unlisted` what is not in it.
+    text: str, config: PlansConfig, unlisted: Unlisted, most: int
+) -> Generator[None, None, tuple[list[Step], list[Fault]]]:
+    """Translate a plan, at most `most` actions: by the table, and by `unlisted` what is not in it.
 
     Actions of a plan with times that overlap run side by side: each begins when all have completed
     that end before it in the plan.
     """
-    actions, faults = _parse(text)
-    steps: dict[int, Step] = {}
-    for number, action in enumerate(actions):
-        try:
-            steps[number] = _step(str(number + 1), action, config, unlisted)
-        except RcpError as error:
-            faults.append(Fault(f"line {action.line}", error))
-    if any(action.time is None for action in actions) or not steps:
-        return list(steps.values()), faults
-    return [_timed(actions, steps)], faults
-
-
-def _parse(text: str) -> tuple[list[Action], list[Fault]]:
     actions: list[Action] = []
+    unread: list[Fault] = []
     faults: list[Fault] = []
+    steps: dict[int, Step] = {}
+    for found in islice(_parse(text), most):
+        yield
+        if isinstance(found, Fault):
+            unread.append(found)
+            continue
+        actions.append(found)
+        number = len(actions)
+        try:
+            steps[number - 1] = _step(str(number), found, config, unlisted)
+        except RcpError as error:
+            faults.append(Fault(f"line {found.line}", error))
+    if any(action.time is None for action in actions) or not steps:
+        return list(steps.values()), unread + faults
+    return [(yield from _timed(actions, steps))], unread + faults
+
+
+def _parse(text: str) -> Iterator[Action | Fault]:
     for number, raw in enumerate(text.splitlines(), 1):
         line = raw.partition(";")[0].rstrip()
         place = 0
@@ -69,17 +76,17 @@ def _parse(text: str) -> tuple[list[Action], list[Fault]]:
             match = _ACTION.match(line, place)
             if match is None:
                 what = line[place:].strip()[:80]
-                error = BadRequest(f"{what!r} is not an action", remedy=_SYNTAX)
-                faults.append(Fault(f"line {number}", error))
+                yield Fault(
+                    f"line {number}", BadRequest(f"{what!r} is not an action", remedy=_SYNTAX)
+                )
                 break
             place = match.end()
             words = match["words"].split()
             if not words:
-                faults.append(Fault(f"line {number}", BadRequest("an action has no name")))
+                yield Fault(f"line {number}", BadRequest("an action has no name"))
                 continue
             time = None if match["time"] is None else float(match["time"])
-            actions.append(Action(words[0], words[1:], number, time, float(match["length"] or 0)))
-    return actions, faults
+            yield Action(words[0], words[1:], number, time, float(match["length"] or 0))
 
 
 def _step(id_: str, action: Action, config: PlansConfig, unlisted: Unlisted) -> Step:
@@ -139,7 +146,7 @@ def _object(match: re.Match[str], action: Action, objects: dict[str, Any]) -> An
     return value
 
 
-def _timed(actions: list[Action], steps: dict[int, Step]) -> Parallel:
+def _timed(actions: list[Action], steps: dict[int, Step]) -> Generator[None, None, Parallel]:
     order = sorted(steps, key=lambda n: (actions[n].time or 0.0, n))
     out: list[Step] = []
     for place, number in enumerate(order):
@@ -147,4 +154,5 @@ def _timed(actions: list[Action], steps: dict[int, Step]) -> Parallel:
         before = [n for n in order[:place] if (actions[n].time or 0.0) + actions[n].length <= start]
         after = tuple(steps[n].id or "" for n in before)
         out.append(msgspec.structs.replace(steps[number], after=after))
+        yield
     return Parallel(id="plan", steps=tuple(out))

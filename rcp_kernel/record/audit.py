@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import hashlib
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Generator, Iterable
 from functools import partial
 from typing import Any, Protocol
 
@@ -25,8 +25,9 @@ from rcp_kernel.record.touches import EVERYTHING, bounded_touches
 from rcp_kernel.values import Encoding, dump, parse
 from rcp_kernel.wire import Request
 
-__all__ = ["FULL", "Acting", "Audit", "bounded", "decoded", "hashed", "value_of"]
+__all__ = ["FULL", "Acting", "Audit", "bounded", "decoded", "hashed", "hashing", "value_of"]
 
+_PIECE = 262_144  # bytes that are hashed in one step
 _VALUE = 4096  # bytes of a value that are written out
 _TEXT = 500  # characters of a message
 FULL = 5000  # records that may wait before commands and writes are refused, and refusals counted
@@ -218,3 +219,12 @@ def _told(data: bytes, sent: bytes) -> Any:
 def hashed(data: bytes) -> dict[str, Any]:
     """Return what tells of bytes without holding them: their length and hash."""
     return {"length": len(data), "sha256": hashlib.sha256(data).hexdigest()}
+
+
+def hashing(data: bytes) -> Generator[None, None, dict[str, Any]]:
+    """Do as `hashed` does, in steps."""
+    digest, whole = hashlib.sha256(), memoryview(data)
+    for start in range(0, len(data), _PIECE):
+        digest.update(whole[start : start + _PIECE])
+        yield
+    return {"length": len(data), "sha256": digest.hexdigest()}

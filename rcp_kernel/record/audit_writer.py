@@ -261,19 +261,20 @@ class AuditWriter:
                 **facts,
             )
 
-    def looked(self, session: Session, request: Request, path: str, value: Any) -> None:
+    def looked(
+        self, session: Session, request: Request, path: str, told: Any, touches: list[str]
+    ) -> None:
         """Record what a step of a plan has read; of what shows each reader its own, not the value."""
-        many = "*" in path
         facts = _facts(request)
-        if not many and not path.startswith("/system/"):
-            facts["value"] = bounded(value)
+        if "*" not in path and not path.startswith("/system/"):
+            facts["value"] = told
         self._audit.note(
             "read",
             principal=session.principal,
             session=session,
             tenant=tenant_of(path),
             path=path,
-            touches=[item["path"] for item in value] if many else [path],
+            touches=touches,
             **facts,
         )
 

@@ -5,9 +5,11 @@ A step is a request of its own, so its values are in the records of its own path
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from typing import Any
 
-from rcp_kernel.values import to_plain
+from rcp_kernel._plain import is_map
 from rcp_kernel.wire import NO_BODY
 
 __all__ = ["outline"]
@@ -17,12 +19,15 @@ _TOLD = ("step", "do", "path", "state", "command")
 
 def outline(report: Any) -> list[dict[str, Any]] | None:
     """Return the outline of a plan's report; None if there is none."""
-    plain: Any = None if report is NO_BODY else to_plain(report)
-    steps: Any = None if plain is None else plain.get("steps")
+    if report is NO_BODY:
+        return None
+    steps: Any = report.get("steps") if is_map(report) else report.steps
     return None if steps is None else [_step(one) for one in steps]
 
 
-def _step(state: dict[str, Any]) -> dict[str, Any]:
-    told = {key: state[key] for key in _TOLD if key in state}
-    error = state.get("error")
+def _step(state: Any) -> dict[str, Any]:
+    """Take what is told of a step, without turning its values into plain data first."""
+    read: Callable[[str], Any] = state.get if is_map(state) else partial(getattr, state)
+    told = {key: value for key in _TOLD if (value := read(key)) is not None}
+    error = read("error")
     return told if error is None else {**told, "code": error["code"]}

@@ -1,0 +1,52 @@
+"""Reading the conditions of one plan: how many, and for how much of their sender's time."""
+
+from __future__ import annotations
+
+from rcp_kernel.access.condition import Condition, ConditionTooCostly, condition
+from rcp_kernel.access.conditions import Conditions
+from rcp_kernel.errors import ConfigError, InvalidValue, OutOfRange
+
+__all__ = ["ConditionReader"]
+
+_TEXT = 8192  # characters of all different conditions of a plan: reading them takes time
+
+
+class ConditionReader:
+    """Compiles the conditions of one plan."""
+
+    def __init__(self, conditions: Conditions, principal: str) -> None:
+        self._allowance = conditions.allowance
+        self._principal = principal
+        self._texts: set[str] = set()
+        self._length = 0
+
+    def check(self) -> None:
+        """Refuse a plan with conditions of who has used up the time for reading them.
+
+        :raises RateLimited: it is used up.
+        """
+        self._allowance.check(self._principal)
+
+    def read(self, text: str, name: str) -> Condition:
+        """Compile a condition, which a step has under `name`.
+
+        :raises OutOfRange: it is too costly, or all together are too long.
+        :raises InvalidValue: it is wrong.
+        """
+        if text not in self._texts:
+            self._texts.add(text)
+            self._length += len(text)
+        if self._length > _TEXT:
+            raise OutOfRange(
+                f"the plan's conditions have more than {_TEXT} characters in total",
+                remedy="Split it into several plans.",
+                details={"limit": _TEXT},
+            )
+        details = {"pointer": f"/{name}"}
+        try:
+            with self._allowance.spending(self._principal):
+                return condition(text)
+        except ConditionTooCostly as error:
+            raise OutOfRange(f"`{name}`: {error}", remedy=error.remedy, details=details) from None
+        except ConfigError as error:
+            raise InvalidValue(f"`{name}`: {error}", details=details) from None
