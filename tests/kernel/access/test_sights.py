@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import asyncio
 import random
-from collections.abc import AsyncGenerator, Generator
-from contextlib import asynccontextmanager, contextmanager
+from collections.abc import AsyncGenerator
+from contextlib import asynccontextmanager
 from typing import Any
 
 import pytest
 
+from kernel.judging import AT_ONCE, judged
 from kernel.world import BOUND, CONFIG, Client, Robot, World, world_of
 from rcp_kernel.access.acl import Rights
 from rcp_kernel.access.sights import Sight
@@ -17,7 +18,6 @@ from rcp_kernel.model import Resource
 
 pytestmark = pytest.mark.anyio
 PATHS = 10_000
-AT_ONCE = 2_000  # resources judged in one turn of the loop, on a machine of any speed
 NARROW = """
 [roles.narrow]
 allow = [{ operations = ["read", "discover"], paths = ["/sensor/**", "/system/status"] }]
@@ -49,26 +49,6 @@ def level(number: int, description: str = "A level.") -> Resource:
 async def many() -> AsyncGenerator[World]:
     async with world_of(CONFIG + NARROW, Many) as world:
         yield world
-
-
-@contextmanager
-def judged(monkeypatch: pytest.MonkeyPatch) -> Generator[list[int]]:
-    """Count the paths that the rules judge in each turn of the loop."""
-    turns, usual = [0], Rights.compute_mask
-
-    def compute_mask(self: Rights, path: str) -> int:
-        turns[-1] += 1
-        return usual(self, path)
-
-    def turn() -> None:
-        turns.append(0)
-        nonlocal handle
-        handle = asyncio.get_running_loop().call_soon(turn)
-
-    monkeypatch.setattr(Rights, "compute_mask", compute_mask)
-    handle = asyncio.get_running_loop().call_soon(turn)
-    yield turns
-    handle.cancel()
 
 
 def narrow(world: World) -> Client:
