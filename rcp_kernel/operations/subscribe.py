@@ -240,7 +240,7 @@ class SubscribeHandler:
         """Bring a subscription under its session's new rights: what is forbidden now goes first."""
         for number, feed in enumerate(tuple(subscription.feeds.values()), 1):
             if subscription.feeds.get(feed.entry.path) is feed:
-                self._renew_feed(session, feed)
+                self._renew_feed(session, subscription, feed)
             if not number % _STEP:
                 yield
         found = chain.from_iterable(map(self._registry.match, subscription.patterns))
@@ -253,8 +253,9 @@ class SubscribeHandler:
             if not number % _STEP:
                 yield
 
-    def _renew_feed(self, session: Session, feed: PathSubscription) -> None:
-        subscription = feed.subscription
+    def _renew_feed(
+        self, session: Session, subscription: Subscription, feed: PathSubscription
+    ) -> None:
         if subscription.may(feed.entry):
             self._conditional.place(session, feed)
             return
