@@ -386,13 +386,15 @@ class ClientApi:
         session.endings.add(told)
         return lambda: session.endings.discard(told)
 
-    def discover(self, session: Session, pattern: str, query: Query) -> dict[str, Any]:
-        """Answer discovery for the resources that a session may see; `pay` first."""
+    def discover(
+        self, session: Session, pattern: str, query: Query
+    ) -> Generator[None, None, dict[str, Any]]:
+        """Answer discovery in steps for the resources that a session may see; `charge` first."""
         found = Pattern(pattern, session.tenant)
         return self._parts.discovery.find(session.rights, found, query)
 
-    def schemas(self, session: Session) -> dict[str, dict[str, Any]]:
-        """Return the schemas of all that a session may see, by id.
+    def schemas(self, session: Session) -> Generator[None, None, dict[str, dict[str, Any]]]:
+        """Find in steps the schemas of all that a session may see, by id.
 
         :raises RateLimited: a quota does not allow the request.
         """

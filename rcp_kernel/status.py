@@ -16,6 +16,7 @@ from prometheus_client.core import Metric
 from rcp_kernel.access.acl import Rights
 from rcp_kernel.access.identities import Identities
 from rcp_kernel.access.quotas import QuotaTracker
+from rcp_kernel.access.sights import Hidden, Sights
 from rcp_kernel.access.visibility import Visibility, names_in
 from rcp_kernel.clients.outbound import Outbound
 from rcp_kernel.clients.session import Session
@@ -31,7 +32,7 @@ from rcp_kernel.process.log import Recent
 from rcp_kernel.process.metrics import Histogram, Metrics, counter, gauge, histogram
 from rcp_kernel.process.supervisor import WIRE_STATE, BackendSupervisor
 from rcp_kernel.record.store import Store
-from rcp_kernel.registry import Entry, Registry
+from rcp_kernel.registry import Registry
 from rcp_kernel.streaming.hub import Hub
 from rcp_kernel.streaming.subscription import Subscription
 
@@ -61,6 +62,7 @@ class StatusReport:
         *,
         registry: Registry,
         hub: Hub,
+        sights: Sights,
         visibility: Visibility,
         identities: Identities,
         sessions: Sessions,
@@ -77,6 +79,7 @@ class StatusReport:
         self._recent = recent
         self._registry = registry
         self._hub = hub
+        self._sights = sights
         self._visibility = visibility
         self._identities = identities
         self._sessions = sessions
@@ -126,7 +129,7 @@ class StatusReport:
         every = rights is None or "*" in rights.tenants
         tenants = ("*",) if rights is None else rights.tenants
         supervisors = [s for s in self._supervisors if every or s.tenant in tenants]
-        robots = [_robot(supervisor, rights) for supervisor in supervisors]
+        robots = [self._robot(supervisor, rights) for supervisor in supervisors]
         states = [robot["state"] for robot in robots]
         adapters = [*self.adapters, *self._identities.facts]
         parts = [*self.transports, *adapters]
@@ -142,7 +145,6 @@ class StatusReport:
         if states and all(state == "down" for state in states):
             worst = "down"
         sessions = self._sessions_of(tenants)
-        entries = self._registry.entries
         report = {
             "state": worst,
             "version": gateway_version(),
@@ -155,7 +157,7 @@ class StatusReport:
             "guard": self._guarded(supervisors, rights),
             "sessions": len(sessions),
             "subscriptions": sum(len(session.subscriptions) for session in sessions),
-            "resources": sum(1 for path in entries if rights is None or rights.mask(path)),
+            "resources": self._count_resources(rights),
             "commands": self._count_commands(rights),
             "queues": self._queues(tenants),
             "warnings": [r for r in self._recent.records if self.concerns(r, rights)],
@@ -174,7 +176,30 @@ class StatusReport:
         self, supervisors: list[BackendSupervisor], rights: Rights | None
     ) -> dict[str, Any]:
         """Tell what stops the robots without the gateway: of backends that are seen as a whole."""
-        return self._guard.plain(s for s in supervisors if rights is None or not _hidden(s, rights))
+        return self._guard.plain(
+            s for s in supervisors if rights is None or not self._hides(s, rights).count
+        )
+
+    def _count_resources(self, rights: Rights | None) -> int:
+        if rights is None:
+            return len(self._registry.entries)
+        return self._sights.look(rights).visible
+
+    def _hides(self, supervisor: BackendSupervisor, rights: Rights) -> Hidden:
+        return self._sights.look(rights).hides(supervisor.tenant, supervisor.name)
+
+    def _robot(self, supervisor: BackendSupervisor, rights: Rights | None) -> dict[str, Any]:
+        """Describe a backend without what somebody may not know to be there."""
+        facts = supervisor.plain()
+        if rights is None:
+            return facts
+        hidden = self._hides(supervisor, rights)
+        facts["resources"] -= hidden.count
+        for key in ("detail", "last_error"):
+            text = facts[key]
+            if text is not None and (rights.hides(text) or hidden.named_in(text)):
+                facts[key] = "see the log of the gateway"
+        return facts
 
     def concerns(self, record: dict[str, Any], rights: Rights | None) -> bool:
         """Tell whether a log record is of somebody's tenants, and names nothing that is hidden."""
@@ -187,8 +212,7 @@ class StatusReport:
         if self._visibility.names_hidden(rights, self.tenant_of(record), names_in(texts)):
             return False
         supervisor = next((s for s in self._supervisors if s.name == _backend(facts)), None)
-        hidden = [] if supervisor is None else _hidden(supervisor, rights)
-        return not any(e.name in text for e in hidden for text in texts)
+        return supervisor is None or not any(map(self._hides(supervisor, rights).named_in, texts))
 
     def tenant_of(self, record: dict[str, Any]) -> str | None:
         """Return the tenant that a log record is about; None: it is the gateway's own."""
@@ -384,24 +408,6 @@ def _conflated(subscriptions: Iterable[Subscription]) -> int:
 def _part(facts: dict[str, Any]) -> dict[str, Any]:
     """Tell of a transport or adapter what is no other tenant's business."""
     return {key: facts[key] for key in ("name", "state") if key in facts}
-
-
-def _robot(supervisor: BackendSupervisor, rights: Rights | None) -> dict[str, Any]:
-    """Describe a backend without what somebody may not know to be there."""
-    facts = supervisor.plain()
-    if rights is None:
-        return facts
-    hidden = _hidden(supervisor, rights)
-    facts["resources"] -= len(hidden)
-    for key in ("detail", "last_error"):
-        text = facts[key]
-        if text is not None and (rights.hides(text) or any(e.name in text for e in hidden)):
-            facts[key] = "see the log of the gateway"
-    return facts
-
-
-def _hidden(supervisor: BackendSupervisor, rights: Rights) -> list[Entry]:
-    return [e for e in supervisor.entries.values() if not rights.mask(e.path)]
 
 
 def _by_status(counts: dict[tuple[str, str], int]) -> list[tuple[list[str], float]]:

@@ -40,6 +40,7 @@ from rcp_kernel.clients.session import Session
 from rcp_kernel.errors import Forbidden, RcpError, UnknownPath
 from rcp_kernel.features.approval import APPROVALS, NoApprovals
 from rcp_kernel.operations.discovery import Query
+from rcp_kernel.turns import at_once
 from rcp_kernel.wire import Reply, Request
 
 __all__ = ["Run"]
@@ -253,7 +254,7 @@ class Run:
 
     def _schema(self, path: str) -> Any:
         """Return the schema of what a path takes, as its caller may see it."""
-        page = self._client_api.discover(self._session, path, Query(limit=1))
+        page = at_once(self._client_api.discover(self._session, path, Query(limit=1)))
         schemas = page["resources"][0]["schemas"] if page["resources"] else {}
         return schemas.get("input") or schemas.get("value")
 

@@ -10,6 +10,7 @@ from a2a.types.a2a_pb2 import AgentSkill
 from rcp_kernel.client_api import ClientApi
 from rcp_kernel.clients.session import Session
 from rcp_kernel.operations.discovery import Query
+from rcp_kernel.turns import at_once
 
 __all__ = ["PLAN", "STOP", "skills_of"]
 
@@ -61,12 +62,12 @@ def skills_of(client_api: ClientApi, session: Session | None) -> list[AgentSkill
         return [PLAN]
     root = f"/tenant/{session.tenant}"
     found: list[AgentSkill] = [PLAN]
-    if all(client_api.discover(session, path, _MAY)["resources"] for path in _STOPPING):
+    if all(at_once(client_api.discover(session, path, _MAY))["resources"] for path in _STOPPING):
         found.append(STOP)
     cursor: str | None = None
     while True:
         query = Query(op="execute", limit=_PAGE, cursor=cursor)
-        page = client_api.discover(session, f"{root}/**", query)
+        page = at_once(client_api.discover(session, f"{root}/**", query))
         found += [_skill(resource, root) for resource in page["resources"]]
         cursor = page.get("cursor")
         if cursor is None:

@@ -103,7 +103,7 @@ class Catalogue:
         query: Query | None = Query(limit=_PAGE)
         tools: dict[str, Typed] = {}
         while query is not None:
-            page = self._client_api.discover(session, "/**", query)
+            page = yield from self._client_api.discover(session, "/**", query)
             for one in page["resources"]:
                 seen.facts.append(one)
                 seen.by_path[one["path"]] = one

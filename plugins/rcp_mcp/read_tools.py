@@ -52,13 +52,13 @@ class ReadTools:
             cursor=asked.cursor,
             schemas=asked.schemas,
         )
-        page = self._client_api.discover(session, asked.path, query)
+        page = await self._page(session, asked.path, query)
         typed = self._catalogue.tools(session)
         found = [_line(one, session.tenant, typed) for one in page["resources"]]
         kept = self._fitting(found)
         if kept < len(found):  # the cursor of exactly those that are told
             query = msgspec.structs.replace(query, limit=kept)
-            page = self._client_api.discover(session, asked.path, query)
+            page = await self._page(session, asked.path, query)
         facts: dict[str, Any] = {"resources": found[:kept]}
         if (cursor := page.get("cursor")) is not None:
             facts["cursor"] = cursor
@@ -66,6 +66,10 @@ class ReadTools:
         elif not found:
             facts["note"] = "No matching resources; try fewer words in `q`."
         return answered(facts)
+
+    async def _page(self, session: Session, path: str, query: Query) -> dict[str, Any]:
+        work = self._client_api.discover(session, path, query)
+        return await self._client_api.turns.finish(session.principal.identity, work)
 
     def _fitting(self, found: list[dict[str, Any]]) -> int:
         left = self._config.budget * PER_TOKEN

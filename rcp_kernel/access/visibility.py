@@ -11,11 +11,11 @@ from bisect import bisect_left
 from collections.abc import Iterable, Iterator
 from itertools import islice
 from typing import TYPE_CHECKING, Any
-from weakref import WeakKeyDictionary
 
 import msgspec
 
 from rcp_kernel.access.acl import Rights, reach
+from rcp_kernel.access.sights import Sights
 from rcp_kernel.model import BRANCHES, MAX_PATH, Operation, tenant_of
 from rcp_kernel.record.touches import EVERYTHING, MOST_TOUCHES
 from rcp_kernel.values import Encoding, dump
@@ -60,14 +60,13 @@ def names_in(value: Any) -> frozenset[str]:
 class Visibility:
     """Knows the names of all resources and robots, and from whom they are hidden."""
 
-    def __init__(self, registry: Registry) -> None:
+    def __init__(self, registry: Registry, sights: Sights) -> None:
         self._registry = registry
+        self._sights = sights
         self._named: dict[str, set[str]] = {}
         """The paths of resources by their names without tenant, or without tenant and robot."""
         self._robots: dict[str, set[str]] = {}
         """The paths of robots' resources by the names and keys of their stop groups."""
-        self._whole: WeakKeyDictionary[Rights, dict[str | None, tuple[int, bool]]]
-        self._whole = WeakKeyDictionary()
         registry.on_added.append(self._add)
         registry.on_removed.append(self._remove)
 
@@ -177,15 +176,11 @@ class Visibility:
         return any(map(rights.mask, paths))
 
     def sees_whole(self, rights: Rights, tenant: str | None) -> bool:
-        """Tell whether nothing of a tenant is hidden; None means all tenants."""
+        """Tell whether nothing of a tenant is hidden; None means all tenants.
+
+        It is denied while a large tree is not looked at to the end.
+        """
         held = rights.tenants
         if "*" not in held and tenant not in held:
             return False
-        generation = self._registry.generation
-        known = self._whole.setdefault(rights, {})
-        found = known.get(tenant)
-        if found is None or found[0] != generation:
-            entries = self._registry.entries.values()
-            meant = (e.path for e in entries if e.tenant and tenant in (None, e.tenant))
-            found = known[tenant] = generation, all(map(rights.mask, meant))
-        return found[1]
+        return self._sights.look(rights).whole(tenant)

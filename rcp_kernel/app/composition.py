@@ -17,6 +17,7 @@ from rcp_kernel.access.conditions import Conditions
 from rcp_kernel.access.identities import Identities
 from rcp_kernel.access.quotas import QuotaTracker
 from rcp_kernel.access.resolver import Resolver
+from rcp_kernel.access.sights import Sights
 from rcp_kernel.access.visibility import Visibility
 from rcp_kernel.app.feature_host import GatewayFeatureHost
 from rcp_kernel.app.features import ActiveFeature, Features, make
@@ -92,6 +93,7 @@ class _Base:
     hub: Hub
     links: Links
     conditions: Conditions
+    sights: Sights
     visibility: Visibility
     rules: Rules
     counts: RequestCounts
@@ -221,6 +223,7 @@ def compose(
 
 def _base(config: GatewayConfig, loop: asyncio.AbstractEventLoop) -> _Base:
     registry, turns = Registry(), Turns(loop)
+    sights = Sights(registry, turns)
     hub = Hub(registry, loop, config.limits.pattern_value)
     conditions = Conditions(hub)
     settings, counts = Settings(config), RequestCounts()
@@ -233,7 +236,8 @@ def _base(config: GatewayConfig, loop: asyncio.AbstractEventLoop) -> _Base:
         hub=hub,
         links=Links(hub, turns),
         conditions=conditions,
-        visibility=Visibility(registry),
+        sights=sights,
+        visibility=Visibility(registry, sights),
         rules=Rules(config.roles, conditions),
         counts=counts,
         inflight=InFlight(settings, counts, turns, loop),
@@ -389,6 +393,7 @@ def _system(
         recent,
         registry=base.registry,
         hub=base.hub,
+        sights=base.sights,
         visibility=base.visibility,
         identities=clients.identities,
         sessions=clients.sessions,
@@ -449,6 +454,7 @@ def _handlers(
         inflight,
         base.counts,
         base.turns,
+        base.sights,
         views=system.branch.views,
         filters=system.branch.filters,
         settings=base.settings,
@@ -499,7 +505,7 @@ def _handlers(
     )
     batch = BatchHandler(router.handle, inflight, base.turns, base.settings, base.loop)
     router.add("read", read.read, stepped=read.read_in_steps)
-    router.add("status", read.status)
+    router.add("status", stepped=read.status)
     router.add("write", write.write, stops=write.stops)
     router.add("execute", execute.execute, stepped=execute.execute_in_steps, stops=execute.stops)
     router.add("cancel", execute.cancel)
@@ -574,7 +580,7 @@ def _client_api(
     handlers: _Handlers,
     features: Features,
 ) -> ClientApi:
-    discovery = Discovery(base.registry, motion.limits)
+    discovery = Discovery(base.registry, base.sights, motion.limits)
     requests.router.add("discover", stepped=DiscoverHandler(discovery, base.settings).discover)
     handshake = Handshake(
         clients.sessions,

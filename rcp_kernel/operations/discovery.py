@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Generator, Iterator
-from typing import Annotated, Any, NamedTuple
-from weakref import WeakKeyDictionary
+from typing import Annotated, Any
 
 import msgspec
 from msgspec import Meta
 
 from rcp_kernel.access.acl import Rights, reach
-from rcp_kernel.clock import now
+from rcp_kernel.access.sights import Sights
 from rcp_kernel.errors import BadRequest
-from rcp_kernel.model import Kind, Operation, Pattern, Resource, operation_names
+from rcp_kernel.model import Kind, Operation, Pattern, operation_names
 from rcp_kernel.motion.motion_limits import MotionLimits
 from rcp_kernel.operations.catalogue import CataloguePage, Description
 from rcp_kernel.operations.pages import LONGEST, MOST, cursor_of, place_of
@@ -24,6 +23,8 @@ __all__ = ["Discovery", "Query"]
 
 _COMMANDED = Operation.WRITE | Operation.EXECUTE
 _SCHEMAS = ("schema", "schemas")
+_STEP = 32  # resources that are looked at in one step
+_ALL = Pattern("/**")
 
 
 class Query(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -39,51 +40,28 @@ class Query(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Whether schemas are written out; their ids always are."""
 
 
-class _Seen(NamedTuple):
-    """What somebody saw of the tree at one of its generations."""
-
-    generation: int
-    visible: dict[str, Resource]
-    growing: set[str]
-    """Tenants of those in which it acts whose backends are not all open."""
-    number: int
-
-
-_ALL = Pattern("/**")
 _QUERY = value_type(Query | None)
 
 
 class Discovery:
     """Answers `discover` from the registry; descriptions are written once for each entry."""
 
-    def __init__(self, registry: Registry, envelopes: MotionLimits) -> None:
+    def __init__(self, registry: Registry, sights: Sights, envelopes: MotionLimits) -> None:
         self._registry = registry
+        self._sights = sights
         self._envelopes = envelopes
         self._known: dict[str, tuple[Entry, Description]] = {}
-        self._seen: WeakKeyDictionary[Rights, _Seen] = WeakKeyDictionary()
         registry.on_removed.append(self._forget)
 
     def _forget(self, entry: Entry) -> None:
         self._known.pop(entry.path, None)
 
     def generation(self, rights: Rights) -> int:
-        """Return a number that rises when what may be seen of the tree changes, and only then."""
-        seen = self._seen.get(rights)
-        if seen is not None and seen.generation == self._registry.generation:
-            return seen.number
-        entries = self._registry.entries.values()
-        visible = {e.path: e.resource for e in entries if rights.mask(e.path)}
-        growing = self._growing(rights, _ALL)
-        number = 0 if seen is None else seen.number
-        if seen is None or seen.visible != visible or seen.growing != growing:
-            number = max(number + 1, now() // 1_000_000)  # a count would tell of others' changes
-        self._seen[rights] = _Seen(self._registry.generation, visible, growing, number)
-        return number
+        """Return a number that rises when what may be seen of the tree changes, and only then.
 
-    def _growing(self, rights: Rights, pattern: Pattern) -> set[str]:
-        """Return those of somebody's tenants in which a pattern may yet reach more."""
-        tenants = self._registry.growing(pattern)
-        return tenants if "*" in rights.tenants else tenants.intersection(rights.tenants)
+        After a change of thousands of resources it rises a little later than the tree changes.
+        """
+        return self._sights.look(rights).number
 
     def answer(
         self,
@@ -103,7 +81,9 @@ class Discovery:
         if text is None:
             text = "/**" if tenant is None else f"/tenant/{tenant}/**"
         last, pattern = "", Pattern(text, tenant)
-        page.complete = not self._growing(rights, pattern)
+        # Ahead of the page: what changes meanwhile is news to whoever has this number.
+        page.generation = (yield from self._sights.catch_up(rights)).number
+        page.complete = not self._sights.growing(rights, pattern)
         for entry, mask in self._visited(rights, pattern, query):
             if mask:
                 facts = self._facts(rights, entry, mask, schemas=query.schemas)
@@ -114,25 +94,25 @@ class Discovery:
                     break
                 last = entry.path
             yield
-        page.generation = self.generation(rights)
 
-    def find(self, rights: Rights, pattern: Pattern, query: Query) -> dict[str, Any]:
-        """List what matches and may be seen, one page of it."""
+    def find(
+        self, rights: Rights, pattern: Pattern, query: Query
+    ) -> Generator[None, None, dict[str, Any]]:
+        """List in steps what matches and may be seen, one page of it."""
         page: list[dict[str, Any]] = []
-        whole = {"complete": False} if self._growing(rights, pattern) else {}
-        for entry, mask in self._visited(rights, pattern, query):
+        generation = self.generation(rights)
+        whole: dict[str, Any] = {"complete": False} if self._sights.growing(rights, pattern) else {}
+        for number, (entry, mask) in enumerate(self._visited(rights, pattern, query), 1):
+            if not number % _STEP:
+                yield
             if not mask:
                 continue
             if len(page) == query.limit:
-                return {
-                    "resources": page,
-                    "cursor": cursor_of(page[-1]["path"]),
-                    "generation": self.generation(rights),
-                    **whole,
-                }
+                whole["cursor"] = cursor_of(page[-1]["path"])
+                break
             facts = self._facts(rights, entry, mask, schemas=query.schemas)
             page.append(self._described(entry, schemas=query.schemas) | facts)
-        return {"resources": page, "generation": self.generation(rights), **whole}
+        return {"resources": page, "generation": generation, **whole}
 
     def _visited(
         self, rights: Rights, pattern: Pattern, query: Query
@@ -170,13 +150,14 @@ class Discovery:
         facts = self._description(entry).facts
         return dict(facts) if schemas else {k: v for k, v in facts.items() if k not in _SCHEMAS}
 
-    def schemas(self, rights: Rights) -> dict[str, dict[str, Any]]:
-        """Return every schema of what may be seen, by id."""
+    def schemas(self, rights: Rights) -> Generator[None, None, dict[str, dict[str, Any]]]:
+        """Find in steps every schema of what may be seen, by id."""
         found: dict[str, dict[str, Any]] = {}
-        for entry in self._registry.entries.values():
+        for number, entry in enumerate(self._registry.match(_ALL), 1):
             if rights.mask(entry.path):
-                for type_ in _types(entry).values():
-                    found[type_.schema_id] = type_.schema
+                found |= {type_.schema_id: type_.schema for type_ in _types(entry).values()}
+            if not number % _STEP:
+                yield
         return found
 
 

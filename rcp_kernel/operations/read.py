@@ -13,6 +13,7 @@ import msgspec
 from msgspec import Meta
 
 from rcp_kernel.access.resolver import Resolver
+from rcp_kernel.access.sights import Sights
 from rcp_kernel.clients.session import Answer, Session
 from rcp_kernel.clock import iso, now
 from rcp_kernel.config.settings import Settings
@@ -70,6 +71,7 @@ class ReadHandler:
         inflight: InFlight,
         counts: RequestCounts,
         turns: Turns,
+        sights: Sights,
         *,
         views: Mapping[str, View],
         filters: Mapping[str, Filter],
@@ -81,6 +83,7 @@ class ReadHandler:
         self._seconds = counts.seconds
         self._outcomes = counts.outcomes
         self._turns = turns
+        self._sights = sights
         self._views = views
         self._filters = filters
         self._settings = settings
@@ -149,10 +152,12 @@ class ReadHandler:
         self._outcomes[key] = self._outcomes.get(key, 0) + 1
         return reply
 
-    def status(self, session: Session, request: Request, answer: Answer) -> Reply | None:
+    def status(
+        self, session: Session, request: Request, answer: Answer
+    ) -> Generator[None, None, Reply | None]:
         """Answer with the health report."""
         request.path = "/system/status"
-        return self._read_any(session, request, answer)
+        return (yield from self.read_in_steps(session, request, answer))
 
     def _read_any(self, session: Session, request: Request, answer: Answer) -> Reply | None:
         """Answer from the latest sample where it will do, else from the backend."""
@@ -203,6 +208,7 @@ class ReadHandler:
     def _read_own(
         self, session: Session, request: Request, entry: Entry, options: ReadOptions
     ) -> Generator[None, None, Reply]:
+        yield from self._sights.catch_up(session.rights)  # what is shown depends on it
         view = self._views.get(entry.path)
         if view is None:
             shown = partial(self._filters[entry.path], session)

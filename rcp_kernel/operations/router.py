@@ -176,7 +176,7 @@ def _dear(session: Session, request: Request) -> bool:
     if len(request.body) > LONG and session.connection is None:
         return True  # a connection has waited with a long message until it was its turn
     match request.type:
-        case "discover" | "batch" | "subscribe" | "unsubscribe":
+        case "discover" | "batch" | "subscribe" | "unsubscribe" | "status":
             return True
         case "read":
             return path is not None and ("*" in path or path.startswith("/system/"))

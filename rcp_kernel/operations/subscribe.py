@@ -6,6 +6,7 @@ import secrets
 import sys
 from collections.abc import Callable, Generator, Mapping
 from functools import partial
+from itertools import chain
 from typing import Any
 
 import msgspec
@@ -40,7 +41,7 @@ from rcp_kernel.streaming.links import Links
 from rcp_kernel.streaming.notices import notice
 from rcp_kernel.streaming.path_subscription import PathSubscription
 from rcp_kernel.streaming.subscription import Subscription
-from rcp_kernel.turns import at_once
+from rcp_kernel.turns import Work, at_once
 from rcp_kernel.values import Encoding, value_type
 from rcp_kernel.wire import Reply, Request, error_body
 
@@ -148,9 +149,8 @@ class SubscribeHandler:
         subscription = self._begin(
             session, id_, patterns, msgspec.structs.replace(options, history=None)
         )
-        registry = self._registry
-        matched = {e.path: e for p in patterns for e in registry.match(p) if subscription.may(e)}
-        self._links.add(subscription, list(matched.values()))
+        found = chain.from_iterable(map(self._registry.match, patterns))
+        self._links.search(subscription, found)
 
     def _begin(
         self, session: Session, id_: str, patterns: list[Pattern], options: Options
@@ -232,30 +232,41 @@ class SubscribeHandler:
         return list(found.values())
 
     def _renew_all(self, session: Session) -> None:
-        """Unlink the feeds that a session's rights do not allow any more."""
+        """Unlink in steps the feeds that a session's rights do not allow any more."""
         for subscription in session.subscriptions.values():
-            self._renew(session, subscription)
+            self._links.begin(subscription, self._renew(session, subscription))
 
-    def _renew(self, session: Session, subscription: Subscription) -> None:
-        """Bring a subscription under its session's new rights."""
-        hub = self._hub
-        for path, feed in list(subscription.feeds.items()):
-            if subscription.may(feed.entry):
-                self._conditional.place(session, feed)
-                continue
-            hub.drop(feed)
-            notice(
-                subscription.outbox,
-                "resource_removed",
-                id=subscription.id,
-                path=path,
-                message="the access rules have changed",
-            )
-        for pattern in subscription.patterns:
-            for entry in self._registry.match(pattern):
-                known = entry.path in subscription.feeds or entry.path in subscription.awaited
-                if not known and subscription.may(entry):
-                    hub.join(subscription, entry)
+    def _renew(self, session: Session, subscription: Subscription) -> Work:
+        """Bring a subscription under its session's new rights: what is forbidden now goes first."""
+        for number, feed in enumerate(tuple(subscription.feeds.values()), 1):
+            if subscription.feeds.get(feed.entry.path) is feed:
+                self._renew_feed(session, subscription, feed)
+            if not number % _STEP:
+                yield
+        found = chain.from_iterable(map(self._registry.match, subscription.patterns))
+        for number, entry in enumerate(found, 1):
+            if subscription not in self._hub.subscriptions:  # it has ended
+                return
+            known = entry.path in subscription.feeds or entry.path in subscription.awaited
+            if not known and subscription.may(entry):
+                self._hub.join(subscription, entry)
+            if not number % _STEP:
+                yield
+
+    def _renew_feed(
+        self, session: Session, subscription: Subscription, feed: PathSubscription
+    ) -> None:
+        if subscription.may(feed.entry):
+            self._conditional.place(session, feed)
+            return
+        self._hub.drop(feed)
+        notice(
+            subscription.outbox,
+            "resource_removed",
+            id=subscription.id,
+            path=feed.entry.path,
+            message="the access rules have changed",
+        )
 
     def unsubscribe(
         self, session: Session, request: Request, answer: Answer

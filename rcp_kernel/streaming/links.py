@@ -6,7 +6,7 @@ the tree may change: each step does what holds by then.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 from rcp_kernel.clients.outbox import Outbox
 from rcp_kernel.registry import Entry
@@ -38,17 +38,36 @@ class Links:
 
         They are linked in steps: some of them may be when this returns.
         """
-        self._hub.subscriptions.add(subscription)
+        self._start(subscription)
         subscription.awaited = {entry.path: entry.seq for entry in entries}
+        self.begin(subscription, self._link_awaited(subscription))
+
+    def search(self, subscription: Subscription, found: Iterator[Entry]) -> None:
+        """Start a subscription as `add` does, on those entries found that it may have, in steps."""
+        self._start(subscription)
+        self.begin(subscription, self._search(subscription, found))
+
+    def _start(self, subscription: Subscription) -> None:
+        self._hub.subscriptions.add(subscription)
         duration = subscription.options.duration
         if duration is not None:
             subscription.timer = self._hub.loop.call_later(
                 min(duration, _LONGEST), subscription.end, subscription, "duration", None
             )
-        self._begin(subscription, self._link_awaited(subscription))
 
-    def _begin(self, subscription: Subscription, work: Work) -> None:
+    def begin(self, subscription: Subscription, work: Work) -> None:
+        """Do work on a subscription, after all that was begun before."""
         self._turns.oblige((_STREAMS, subscription.owner), work)
+
+    def _search(self, subscription: Subscription, found: Iterator[Entry]) -> Work:
+        for number, entry in enumerate(found, 1):
+            if subscription not in self._hub.subscriptions:  # it has ended
+                return
+            if entry.path not in subscription.feeds and subscription.may(entry):
+                subscription.awaited[entry.path] = entry.seq
+            if not number % _STEP:
+                yield
+        yield from self._link_awaited(subscription)
 
     def _link_awaited(self, subscription: Subscription) -> Work:
         awaited = subscription.awaited
@@ -113,7 +132,7 @@ class Links:
     def detach(self, subscription: Subscription) -> None:
         """Stop sending: the connection is gone. The history of its paths goes on being kept."""
         subscription.outbox = None
-        self._begin(subscription, self._detach_feeds(subscription))
+        self.begin(subscription, self._detach_feeds(subscription))
 
     def _detach_feeds(self, subscription: Subscription) -> Work:
         for number, feed in enumerate(tuple(subscription.feeds.values()), 1):
@@ -136,7 +155,7 @@ class Links:
     ) -> None:
         """Go on sending, what was missed first; `missed_from` is what the client has, by path."""
         subscription.outbox = outbox
-        self._begin(subscription, self._attach_feeds(subscription, outbox, missed_from or {}))
+        self.begin(subscription, self._attach_feeds(subscription, outbox, missed_from or {}))
 
     def _attach_feeds(
         self, subscription: Subscription, outbox: Outbox, missed_from: dict[str, int]
@@ -189,7 +208,7 @@ class Links:
 
     def forget(self, subscription: Subscription) -> None:
         """Let go of a subscription whose session has ended."""
-        self._begin(subscription, self.remove(subscription))
+        self.begin(subscription, self.remove(subscription))
 
     def end(
         self,
@@ -204,4 +223,4 @@ class Links:
             yield from removal
             told()
 
-        self._begin(subscription, work())
+        self.begin(subscription, work())

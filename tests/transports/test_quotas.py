@@ -23,6 +23,7 @@ POSE = "/rcp/v1/context/tenant/alpha/sensor/pose"
         "/rcp/v1/commands/none",
         "/rcp/v1/events?path=/sensor/pose",
         "/openapi.json",
+        "/metrics",
     ],
 )
 async def test_every_call_counts_and_says_in_a_header_when_to_come_back(path: str) -> None:

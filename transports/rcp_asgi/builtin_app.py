@@ -61,6 +61,7 @@ def builtin_app(client_api: ClientApi) -> Asgi:
             await _session(client_api, request)  # 401 for those who did not say who they are
             raise Forbidden("metrics need access to every tenant")
         session = await _session(client_api, request)
+        client_api.charge(session)
         text = await scrapes.result(session.rights, lambda: _exposition(client_api, session))
         return Response(text, media_type=_METRICS)
 

@@ -129,11 +129,11 @@ class Socket(WSListener):
                         self._receive(data, opcode is _TEXT)
                     else:
                         self._garbled(data)
-            elif opcode is _PING or opcode is _PONG or opcode is _CLOSE:
-                self._control(frame, opcode)
-            elif self.open:
-                self._fragment(frame, opcode)
+            else:
+                self._other(frame, opcode)
             if frame.last_in_buffer:
+                if self._pong is not None and self.writable and self.open:
+                    self._send_pong()
                 self._settled()
         except Exception:
             log.exception("websocket_failed", opcode=str(opcode))
@@ -166,20 +166,28 @@ class Socket(WSListener):
             return
         self.writable = True
         if self._pong is not None:
-            payload, self._pong = self._pong, None
-            self._transport.send_pong(payload)
+            self._send_pong()
         self._receiver.drained()
 
     # -- frames that are not whole messages ----------------------------------------------------
+
+    def _other(self, frame: WSFrame, opcode: WSMsgType) -> None:
+        if opcode is _PING or opcode is _PONG or opcode is _CLOSE:
+            self._control(frame, opcode)
+        elif self.open:
+            self._fragment(frame, opcode)
+        if self.open:
+            self._receiver.other_frame()
+
+    def _send_pong(self) -> None:
+        payload, self._pong = self._pong, None
+        self._transport.send_pong(payload)
 
     def _control(self, frame: WSFrame, opcode: WSMsgType) -> None:
         if frame.rsv1 or frame.rsv2 or frame.rsv3:
             self._fail(_PROTOCOL_ERROR, "reserved bits")
         elif opcode is _PING:
-            if self.writable:
-                self._transport.send_pong(frame.get_payload_as_bytes())
-            else:
-                self._pong = frame.get_payload_as_bytes()  # RFC 6455 5.5.3: the latest one will do
+            self._pong = frame.get_payload_as_bytes()  # RFC 6455 5.5.3: the latest one will do
         elif opcode is _CLOSE:
             self._closed_by_peer(frame)
 
@@ -208,10 +216,10 @@ class Socket(WSListener):
             self._compressed = bool(frame.rsv1)
         data = frame.get_payload_as_bytes()
         self._size += len(data)
-        if self._size <= self.limit:
-            parts.append(data)
-        else:
+        if self._size > self.limit:
             parts.clear()
+        elif data:  # without end there may be empty ones
+            parts.append(data)
         if frame.fin:
             self._parts = None
             self._complete(b"".join(parts))

@@ -10,23 +10,17 @@ from __future__ import annotations
 import asyncio
 import base64
 import binascii
-import logging
 from collections import deque
 from typing import Any
 
 import structlog
-from picows import (
-    WSAutoPingStrategy,
-    WSUpgradeRequest,
-    WSUpgradeResponse,
-    WSUpgradeResponseWithListener,
-)
-from picows.picows import WSProtocol  # type: ignore[attr-defined] - pinned, see pyproject.toml
+from picows import WSUpgradeRequest, WSUpgradeResponse, WSUpgradeResponseWithListener
 from uvicorn.protocols.http.httptools_impl import STATUS_LINE
 from uvicorn.server import ServerState
 
 from rcp_asgi.connection_limiter import Seat
 from rcp_asgi.deflate import accept_offer
+from rcp_asgi.frame_reader import FrameReader
 from rcp_asgi.origins import is_loopback
 from rcp_asgi.settings import Settings
 from rcp_asgi.socket import Socket
@@ -39,9 +33,6 @@ from rcp_kernel.wire import encode_reply, failure
 __all__ = ["Upgrade"]
 
 log = structlog.get_logger("rcp.asgi")
-_silent = logging.getLogger("rcp.picows")
-_silent.setLevel(logging.CRITICAL)  # each connection would log three lines
-_READ_BUFFER = 16 * 1024  # bytes to begin with; it grows with the messages
 _QUEUE = 64  # messages that an ASGI application may leave unread before reading stops
 _GOING_AWAY = 1001
 _BINARY = ("rcp.v1.cbor", "rcp.v1.msgpack")
@@ -196,30 +187,14 @@ class Upgrade(asyncio.Protocol):
             response = WSUpgradeResponse.create_101_response(fields)
             return WSUpgradeResponseWithListener(response, self.socket)
 
-        protocol = WSProtocol(
-            None,  # host and port, path: for clients
-            None,
-            False,  # is_client_side
-            listen,
-            _silent,
-            False,  # disconnect_on_exception: the receiver never raises, and if so, it is a bug
-            None,  # handshake timeout: it is complete in the next lines
-            False,  # auto ping and its times: `Socket` does it itself
-            None,
-            None,
-            WSAutoPingStrategy.PING_WHEN_IDLE,
-            False,  # auto pong
-            # Twice the limit is read, so that the sender can be told, and its connection kept.
-            2 * self._settings.client_api.limits.message,
-            None,
-            _READ_BUFFER,
-        )
+        # Twice the limit is read, so that the sender can be told, and its connection kept.
+        protocol = FrameReader(listen, 2 * self._settings.client_api.limits.message)
         self._stage = "accepted"
         protocol.connection_made(self._transport)
-        _feed(protocol, _REQUEST % self._key)
+        protocol.feed(_REQUEST % self._key)
         self._transport.set_protocol(protocol)
         if self._rest:
-            _feed(protocol, self._rest)
+            protocol.feed(self._rest)
             self._rest = b""
         if self.socket.reading:  # what came with the handshake may have been enough for now
             self._transport.resume_reading()
@@ -279,6 +254,9 @@ class Upgrade(asyncio.Protocol):
     def settled(self) -> None:
         """Do nothing: the application reads in its own time."""
 
+    def other_frame(self) -> None:
+        """Do nothing, as well."""
+
     def garbled(self, data: bytes) -> None:
         """Leave it to the close code to say so."""
 
@@ -304,15 +282,6 @@ _REQUEST = (
     b"Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: %b\r\n\r\n"
 )
 """What picows is given to answer: the essence of a request that was checked already."""
-
-
-def _feed(protocol: Any, data: bytes) -> None:
-    while data:
-        room = protocol.get_buffer(len(data))
-        part = data[: len(room)]
-        room[: len(part)] = part
-        protocol.buffer_updated(len(part))
-        data = data[len(part) :]
 
 
 def _envelope(error: BadRequest | InternalError) -> bytes:

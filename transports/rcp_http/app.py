@@ -92,12 +92,12 @@ class HttpApp:
         elif asked.method == "POST":
             await self._context.execute(asked, session, path, receive, send)
         else:
-            raise _not_taken(asked, path, self._taken(session, path))
+            raise _not_taken(asked, path, await self._taken(session, path))
 
-    def _taken(self, session: Session, path: str) -> list[str]:
+    async def _taken(self, session: Session, path: str) -> list[str]:
         """Return what a resource takes, or what any does if there is none: 405 in either case."""
         try:
-            return self._context.methods(session, path)
+            return await self._context.methods(session, path)
         except (InvalidPath, UnknownPath):
             return ["GET", "HEAD", "PUT", "POST", "OPTIONS"]
 

@@ -14,6 +14,7 @@ from rcp_http.config import HttpConfig
 from rcp_http.context import Context, Follower
 from rcp_http.negotiate import body_encoding
 from rcp_http.request import HttpRequest, count, flag
+from rcp_http.schema_page import written
 from rcp_kernel.asgi import Receive, Send, respond
 from rcp_kernel.client_api import ClientApi
 from rcp_kernel.clients.session import Session
@@ -177,12 +178,16 @@ class Calls:
     async def schemas(self, asked: HttpRequest, session: Session, send: Send) -> None:
         """GET /schemas: every schema of what the caller may see, by id."""
         asked.allow()
-        await self._plain(asked, send, self._client_api.schemas(session), None)
+        work = written(self._client_api.schemas(session), asked.encoding)
+        page = await self._client_api.turns.finish(session.principal.identity, work)
+        await self._plain(asked, send, page, None)
 
     async def schema(self, asked: HttpRequest, session: Session, id_: str, send: Send) -> None:
         """GET /schemas/<id>: one; bare for those who accept `application/schema+json`."""
         asked.allow()
-        found = self._client_api.schemas(session).get(id_.removeprefix("rcp:schema:"))
+        work = self._client_api.schemas(session)
+        schemas = await self._client_api.turns.finish(session.principal.identity, work)
+        found = schemas.get(id_.removeprefix("rcp:schema:"))
         if found is None:
             raise UnknownPath(f"unknown schema '{id_[:80]}'", remedy="List /rcp/v1/schemas.")
         if b"application/schema+json" in asked.found.get("accept", b""):

@@ -131,7 +131,7 @@ class Context:
         request = asked.request("write", path)
         await self._take_body(asked, session, request, receive)
         # Whether the path can be written at all is said first: the same with a body and without.
-        if not request.body and "PUT" in self.methods(session, path):
+        if not request.body and "PUT" in await self.methods(session, path):
             raise BadRequest("the request has no body", remedy="Send the value as the body.")
         follower = Follower(session)
         self._client_api.submit(session, request, follower)
@@ -174,17 +174,19 @@ class Context:
 
     async def options(self, asked: HttpRequest, session: Session, path: str, send: Send) -> None:
         """OPTIONS: what may be done with the resource."""
-        methods = self.methods(session, path)
+        methods = await self.methods(session, path)
         await respond(send, 204, b"", headers=[(b"allow", ", ".join(methods).encode())])
 
-    def methods(self, session: Session, path: str) -> list[str]:
+    async def methods(self, session: Session, path: str) -> list[str]:
         """Return the methods by which the caller may do something with a resource.
 
         :raises UnknownPath: there is none.
         :raises RcpError: the path is none, or a quota does not allow to look.
         """
-        self._client_api.charge(session)
-        found = self._client_api.discover(session, path, Query(limit=1, schemas=False))["resources"]
-        if not found:
+        client_api = self._client_api
+        client_api.charge(session)
+        work = client_api.discover(session, path, Query(limit=1, schemas=False))
+        page = await client_api.turns.finish(session.principal.identity, work)
+        if not page["resources"]:
             raise UnknownPath(f"no resource {path}", path=path)
-        return methods_of(found[0]["operations"])
+        return methods_of(page["resources"][0]["operations"])

@@ -46,9 +46,9 @@ class Described:
         proved = self._proofs()
         query: Query | None = Query(limit=_PAGE)
         while query is not None:
+            page = await turns.finish(owner, self._client_api.discover(session, "/**", query))
             await turns.wait(owner)
             with turns.spending():
-                page = self._client_api.discover(session, "/**", query)
                 for resource in page["resources"]:
                     allowed = 0 if free is None else free.compute_mask(resource["path"])
                     _describe(resource, paths, schemas, allowed, proved)

@@ -158,6 +158,13 @@ class WsClient:
         if spent > _LEAST and (spent > _TURN or self._turns.over):
             self._gate.end_turn()
 
+    def other_frame(self) -> None:
+        """Count the time of a frame that is no whole message."""
+        if not self._began:
+            self._began = perf_counter()
+        elif perf_counter() - self._began > _TURN:
+            self._gate.end_turn()
+
     def _wait(self, go_on: Callable[[], None]) -> None:
         if not self._gate.paused:  # else it has had its turn, which is counted
             self._turns.add(perf_counter() - self._began)

@@ -14,6 +14,10 @@ class Receiver(Protocol):
         """Take one whole message."""
         ...
 
+    def other_frame(self) -> None:
+        """Take notice of a frame that is no whole message, but takes its time as well."""
+        ...
+
     def settled(self) -> None:
         """Take notice that the last frame of what was read has been told of."""
         ...

@@ -1,0 +1,269 @@
+"""What each set of rights sees of the tree: looked at in steps, and again only where it changes.
+
+A tree of twenty thousand resources takes a seventh of a second to be judged by the rules. So every
+change is noted by tenant, and a set of rights catches up with the notes: a few at once when it is
+asked for, the rest in the turns that have time for it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Generator
+from typing import TYPE_CHECKING, NamedTuple
+from weakref import WeakKeyDictionary
+
+from rcp_kernel.access.acl import Rights
+from rcp_kernel.clock import now
+from rcp_kernel.model import Pattern
+from rcp_kernel.turns import Turns, Work
+
+if TYPE_CHECKING:
+    from rcp_kernel.registry import Entry, Registry
+
+__all__ = ["Hidden", "Sight", "Sights"]
+
+_STEP = 128  # paths that are judged at once: a millisecond
+_NAMES = 1000  # hidden resources of a backend whose names are kept
+_LONG = 1000  # notes, beyond as many as there are resources, that are kept of a tenant
+_ALL = Pattern("/**")
+
+
+class _Change(NamedTuple):
+    """What became of a path."""
+
+    path: str
+    name: str
+    backend: str
+    more: int
+    """1: it was declared; 0: replaced; -1: withdrawn."""
+
+
+class _Changes:
+    """What has become of one tenant's part of the tree."""
+
+    def __init__(self) -> None:
+        self.base: list[_Change] = []
+        """What was there before the first of the changes; never changed itself."""
+        self.begin = 0
+        """Number of the first."""
+        self.kept: list[_Change] = []
+        self._present: dict[str, _Change] = {}
+
+    @property
+    def end(self) -> int:
+        return self.begin + len(self.kept)
+
+    def declared(self, entry: Entry) -> None:
+        made = _Change(entry.path, entry.name, entry.owner.name, 1)
+        self._append(made._replace(more=0) if entry.path in self._present else made)
+        self._present[entry.path] = made
+
+    def withdrawn(self, path: str) -> None:
+        gone = self._present.get(path)
+        if gone is not None:
+            self._append(gone._replace(more=-1))  # which may begin anew with what is present
+            del self._present[path]
+
+    def _append(self, change: _Change) -> None:
+        if len(self.kept) > len(self._present) + _LONG:
+            self.begin, self.kept = self.end, []
+            self.base = list(self._present.values())
+        self.kept.append(change)
+
+
+class Hidden:
+    """What of one backend is hidden from somebody."""
+
+    __slots__ = ("count", "names")
+
+    def __init__(self) -> None:
+        self.count = 0
+        self.names: set[str] = set()
+        """The backend's own names of them, or of a thousand of them."""
+
+    def change(self, change: _Change) -> None:
+        """Count a hidden path more or less."""
+        self.count += change.more
+        if change.more < 0:
+            self.names.discard(change.name)
+        elif len(self.names) < _NAMES:
+            self.names.add(change.name)
+
+    def named_in(self, text: str) -> bool:
+        """Tell whether a text may name one of them."""
+        return self.count > len(self.names) or any(name in text for name in self.names)
+
+
+class _Part:
+    """What somebody sees of one tenant's part of the tree."""
+
+    __slots__ = ("_base", "_first", "_place", "hidden", "visible")
+
+    def __init__(self, changes: _Changes, *, known: bool) -> None:
+        """Begin with what there is; `known`: none of it is news."""
+        self.visible = 0
+        self.hidden: dict[str, Hidden] = {}
+        """By name of the backend."""
+        self._base = iter(changes.base)
+        self._place = changes.begin
+        self._first = changes.end if known else changes.begin
+        """Number of the first change that is news."""
+
+    def missed(self, changes: _Changes) -> bool:
+        """Tell whether changes that it has not looked at are kept no more."""
+        return self._place < changes.begin
+
+    def behind(self, changes: _Changes) -> bool:
+        """Tell whether there are more to look at."""
+        return self._place < changes.end
+
+    def look(self, rights: Rights, changes: _Changes) -> Generator[None, None, bool]:
+        """Look at all changes in steps; return whether something that is seen is news."""
+        seen = False
+        for number, change in enumerate(self._base, 1):
+            self._judge(rights, change)
+            if not number % _STEP:
+                yield
+        while self.behind(changes) and not self.missed(changes):
+            number = self._place
+            self._place += 1
+            visible = self._judge(rights, changes.kept[number - changes.begin])
+            seen = seen or (visible and number >= self._first)
+            if not self._place % _STEP:
+                yield
+        return seen
+
+    def _judge(self, rights: Rights, change: _Change) -> bool:
+        """Count a change; tell whether it is of something visible."""
+        path = change.path
+        if change.more < 0:  # not to be kept
+            mask = rights.masks.get(path) or rights.compute_mask(path)
+        else:
+            mask = rights.mask(path)
+        if mask:
+            self.visible += change.more
+        else:
+            self.hidden.setdefault(change.backend, Hidden()).change(change)
+        return bool(mask)
+
+
+class Sight:
+    """What a set of rights sees, as far as the changes of the tree have been looked at."""
+
+    __slots__ = ("busy", "growing", "number", "parts", "tree")
+
+    def __init__(self, growing: set[str]) -> None:
+        self.number = now() // 1_000_000  # a count would tell of others' changes
+        """Rises when what is seen of the tree changes, and only then."""
+        self.growing = growing
+        """Tenants of those in which it acts whose backends are not all open."""
+        self.parts: dict[str | None, _Part] = {}
+        self.tree: int | None = None
+        """Generation of the tree up to which everything was looked at."""
+        self.busy = False
+        """Whether the rest is being looked at."""
+
+    @property
+    def visible(self) -> int:
+        """How many resources are seen."""
+        return sum(part.visible for part in self.parts.values())
+
+    def rise(self) -> None:
+        """Take notice that something else is seen than before."""
+        self.number = max(self.number + 1, now() // 1_000_000)
+
+    def hides(self, tenant: str | None, backend: str) -> Hidden:
+        """Return what of a tenant's backend is hidden."""
+        part = self.parts.get(tenant)
+        return (None if part is None else part.hidden.get(backend)) or Hidden()
+
+    def whole(self, tenant: str | None) -> bool:
+        """Tell whether nothing of a tenant (None: of any) is hidden; no, while it is not known."""
+        meant = (
+            found
+            for place, part in self.parts.items()
+            if place is not None and tenant in (None, place)
+            for found in part.hidden.values()
+        )
+        return self.tree is not None and not any(found.count for found in meant)
+
+
+class Sights:
+    """What all sets of rights see that are in use."""
+
+    def __init__(self, registry: Registry, turns: Turns) -> None:
+        self._registry = registry
+        self._turns = turns
+        self._changes: dict[str | None, _Changes] = {}
+        self._known: WeakKeyDictionary[Rights, Sight] = WeakKeyDictionary()
+        registry.on_added.append(self._added)
+        registry.on_removed.append(self._removed)
+
+    def _added(self, entry: Entry) -> None:
+        self._changes.setdefault(entry.tenant, _Changes()).declared(entry)
+
+    def _removed(self, entry: Entry) -> None:
+        self._changes[entry.tenant].withdrawn(entry.path)
+
+    def growing(self, rights: Rights, pattern: Pattern = _ALL) -> set[str]:
+        """Return those of somebody's tenants in which a pattern may yet reach more."""
+        tenants = self._registry.growing(pattern)
+        return tenants if "*" in rights.tenants else tenants.intersection(rights.tenants)
+
+    def look(self, rights: Rights) -> Sight:
+        """Return what is seen, as far as it is known within a step; the rest is looked at soon."""
+        sight = self._sight(rights)
+        if sight.tree != self._registry.generation and not sight.busy:
+            work = self._look_further(rights, sight)
+            for _ in work:
+                sight.busy = True
+                self._turns.oblige(sight, self._rest(sight, work))
+                break
+        return sight
+
+    def catch_up(self, rights: Rights) -> Generator[None, None, Sight]:
+        """Look at everything in steps; return what is seen."""
+        sight = self._sight(rights)
+        while sight.tree != self._registry.generation:
+            if sight.busy:
+                yield
+            else:
+                sight.busy = True
+                yield from self._rest(sight, self._look_further(rights, sight))
+        return sight
+
+    @staticmethod
+    def _rest(sight: Sight, work: Work) -> Work:
+        try:
+            yield from work
+        finally:
+            sight.busy = False
+
+    def _sight(self, rights: Rights) -> Sight:
+        known = self._known.get(rights)
+        if known is None:
+            known = self._known[rights] = Sight(self.growing(rights))
+            for tenant, changes in self._held(rights):
+                known.parts[tenant] = _Part(changes, known=True)
+        return known
+
+    def _held(self, rights: Rights) -> list[tuple[str | None, _Changes]]:
+        """List the parts of the tree in which somebody may see something."""
+        held = (None, *rights.tenants)
+        return [(t, c) for t, c in self._changes.items() if "*" in held or t in held]
+
+    def _look_further(self, rights: Rights, sight: Sight) -> Work:
+        while sight.tree != (generation := self._registry.generation):
+            growing = self.growing(rights)
+            news = growing != sight.growing
+            sight.growing = growing
+            for tenant, changes in self._held(rights):
+                part = sight.parts.get(tenant)
+                if part is None or part.missed(changes):
+                    part = sight.parts[tenant] = _Part(changes, known=False)
+                news |= yield from part.look(rights, changes)
+                if part.missed(changes):
+                    break
+            else:
+                sight.tree = generation
+            if news:
+                sight.rise()

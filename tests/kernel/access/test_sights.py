@@ -1,0 +1,150 @@
+"""What somebody sees of a large tree is found out in steps, and only what changed is looked at again."""
+
+from __future__ import annotations
+
+import asyncio
+import random
+from collections.abc import AsyncGenerator
+from contextlib import asynccontextmanager
+from typing import Any
+
+import pytest
+
+from kernel.judging import AT_ONCE, judged
+from kernel.world import BOUND, CONFIG, Client, Robot, World, world_of
+from rcp_kernel.access.acl import Rights
+from rcp_kernel.access.sights import Sight
+from rcp_kernel.model import Resource
+
+pytestmark = pytest.mark.anyio
+PATHS = 10_000
+NARROW = """
+[roles.narrow]
+allow = [{ operations = ["read", "discover"], paths = ["/sensor/**", "/system/status"] }]
+[[keys]]
+name = "narrow"
+role = "narrow"
+key = "narrow-narrow-narrow"
+"""
+
+
+class Many(Robot):
+    """A robot with many sensors and parameters."""
+
+    def declare(self) -> None:
+        """Put them into the tree."""
+        for number in range(PATHS):
+            self.host.declare(level(number))
+
+    def change(self, number: int) -> None:
+        self.host.declare(level(number, "Another level."))
+
+
+def level(number: int, description: str = "A level.") -> Resource:
+    branch = ("sensor", "param")[number % 2]
+    return Resource(name=f"{branch}/level-{number:05}", description=description, value=int)
+
+
+@asynccontextmanager
+async def many() -> AsyncGenerator[World]:
+    async with world_of(CONFIG + NARROW, Many) as world:
+        yield world
+
+
+def narrow(world: World) -> Client:
+    return world.client("narrow-narrow-narrow")
+
+
+def rights_of(world: World) -> Rights:
+    api = world.server.client_api
+    return api.rights(api.authenticate("narrow-narrow-narrow"))
+
+
+@pytest.mark.parametrize(
+    "request_",
+    [
+        {"type": "discover", "path": "/**", "body": {"q": "nothing", "limit": 1000}},
+        {"type": "status"},
+        {"type": "read", "path": "/system/status"},
+    ],
+    ids=["discover", "status", "read of the status"],
+)
+async def test_the_first_request_under_new_rights_judges_few_resources_in_a_turn(
+    monkeypatch: pytest.MonkeyPatch, request_: dict[str, Any]
+) -> None:
+    async with many() as world:
+        client = narrow(world)
+        with judged(monkeypatch) as turns:
+            reply = await client.ask(**request_)
+        assert reply["status"] == "completed"
+        assert sum(turns) > PATHS // 2
+        assert max(turns) <= AT_ONCE
+
+
+async def test_the_generation_is_known_at_once_and_judges_nothing_again(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    async with many() as world:
+        api, session = world.server.client_api, narrow(world).connection.session
+        with judged(monkeypatch) as turns:
+            api.generation(session)
+            assert turns[-1] <= AT_ONCE
+            await _looked(world, session.rights)
+            began, before = api.generation(session), sum(turns)
+            world.robot.change(0)  # pyright: ignore[reportAttributeAccessIssue] - it is `Many`
+            assert api.generation(session) > began
+            assert sum(turns) - before <= 1
+
+
+async def test_the_generation_rises_for_what_is_seen_and_not_for_what_is_hidden() -> None:
+    async with many() as world:
+        api, session, robot = world.server.client_api, narrow(world).connection.session, world.robot
+        assert isinstance(robot, Many)
+        await _looked(world, rights_of(world))
+        began = api.generation(session)
+        robot.change(1)
+        robot.host.withdraw("param/level-00003")
+        assert api.generation(session) == began
+        robot.host.withdraw("sensor/level-00004")
+        risen = api.generation(session)
+        assert risen > began
+        for number in range(1, PATHS, 2):  # more hidden ones than are looked at in one step
+            robot.host.declare(level(number, "Yet another level."))
+        robot.change(0)
+        async with asyncio.timeout(BOUND):
+            while api.generation(session) == risen:  # noqa: ASYNC110 - it has no event
+                await asyncio.sleep(0)
+
+
+async def test_what_is_counted_is_what_there_is_however_the_tree_has_changed() -> None:
+    async with many() as world:
+        rights, robot, dice = rights_of(world), world.robot, random.Random(5)
+        for _ in range(6):
+            for _ in range(3000):  # more changes than are kept
+                number = dice.randrange(PATHS)
+                if dice.random() < 0.5:
+                    robot.host.withdraw(level(number).name)
+                else:
+                    robot.host.declare(level(number, f"Level {dice.randrange(3)}."))
+            sight = await _looked(world, rights)
+            there = world.server.kernel.registry.entries.values()
+            assert sight.visible == sum(1 for e in there if rights.mask(e.path))
+            hidden = [e for e in there if e.tenant and not rights.mask(e.path)]
+            assert sight.hides("alpha", "robot").count == len(hidden)
+            assert not sight.whole("alpha")
+
+
+async def test_somebody_from_whom_nothing_is_hidden_sees_the_whole() -> None:
+    async with many() as world:
+        api = world.server.client_api
+        rights = api.rights(api.authenticate("admin-admin-admin"))
+        sights = world.server.kernel.status._sights
+        assert not sights.look(rights).whole(None)  # it is not known yet, and so denied
+        await _looked(world, rights)
+        assert sights.look(rights).whole(None)
+        assert sights.look(rights).whole("alpha")
+
+
+async def _looked(world: World, rights: Rights) -> Sight:
+    turns, sights = world.server.client_api.turns, world.server.kernel.status._sights
+    return await turns.finish("test", sights.catch_up(rights))

@@ -1,0 +1,29 @@
+"""The schemas of all that somebody may see, written one by one."""
+
+from __future__ import annotations
+
+from collections.abc import Generator
+from typing import Any
+
+import msgspec
+from msgspec import Raw
+
+from rcp_kernel.operations.parts import Written
+from rcp_kernel.values import Encoding, dump
+
+__all__ = ["written"]
+
+
+def written(
+    search: Generator[None, None, dict[str, dict[str, Any]]], encoding: Encoding
+) -> Generator[None, None, Any]:
+    """Write what a search for schemas finds, in steps."""
+    found = yield from search
+    if encoding is Encoding.CBOR:  # whose library has no way to take bytes over
+        return found
+    pieces: dict[str, Raw] = {}
+    for id_, schema in found.items():
+        pieces[id_] = Raw(dump(schema, encoding))
+        yield
+    module = msgspec.json if encoding is Encoding.JSON else msgspec.msgpack
+    return Written(found, encoding, module.encode(pieces))
