@@ -56,10 +56,14 @@ def logging_of_a_test() -> Generator[None]:
 
 @contextmanager
 def _own_logging() -> Generator[None]:
-    known, root = structlog.get_config(), logging.getLogger()
+    known = structlog.get_config() if structlog.is_configured() else None
+    root = logging.getLogger()
     level, handlers = root.level, list(root.handlers)
     yield
-    structlog.configure(**known)
+    if known is None:
+        structlog.reset_defaults()  # a gateway of the kit configures what nobody has
+    else:
+        structlog.configure(**known)
     root.setLevel(level)
     for handler in [one for one in root.handlers if one not in handlers]:
         root.removeHandler(handler)

@@ -14,6 +14,7 @@ from rcp_kernel.clients.session import Session
 from rcp_kernel.model import Pattern, tenant_of
 from rcp_kernel.operations.discovery import Query
 from rcp_kernel.shared_work import SharedWork
+from rcp_kernel.turns import at_once
 from rcp_mcp.config import McpConfig
 from rcp_mcp.schemas import Arguments
 from rcp_mcp.typed import typed_tool
@@ -79,7 +80,7 @@ class Catalogue:
     def read_one(self, session: Session, path: str) -> dict[str, Typed]:
         """Return the tool of a path, by its name, without reading all others."""
         tools: dict[str, Typed] = {}
-        for one in self._client_api.discover(session, path, Query(limit=1))["resources"]:
+        for one in at_once(self._client_api.discover(session, path, Query(limit=1)))["resources"]:
             self._add(session, one, tools)
         return tools
 

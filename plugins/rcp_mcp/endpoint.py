@@ -44,7 +44,8 @@ __all__ = ["WELL_KNOWN", "Endpoint", "Metadata"]
 WELL_KNOWN = "/.well-known/oauth-protected-resource"
 _UNAUTHORIZED = -32001
 _REFUSED = -32600
-_VALUES = 8192  # of one request, counted as `[limits] values` are: the SDK takes 1 µs for each at once
+# Of one request, counted as `[limits] values` are: the SDK takes 1 µs for each at once.
+_VALUES = 8192
 
 
 class Endpoint:

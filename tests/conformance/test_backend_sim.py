@@ -66,7 +66,7 @@ class SimRig(StopRig):
         await eventually(lost, "the link is lost")
 
     async def mend_link(self) -> None:
-        self.backend.device.mend()
+        self.backend.device.clear_faults()
 
     async def freeze_device(self) -> None:
         device = self.backend.device
@@ -74,13 +74,13 @@ class SimRig(StopRig):
         device.strike(FaultSpec("sensor_stop"))
 
     async def thaw_device(self) -> None:
-        self.backend.device.mend()
+        self.backend.device.clear_faults()
 
     async def freeze_feedback(self) -> None:
         self.backend.device.strike(FaultSpec("sensor_stop"))
 
     async def thaw_feedback(self) -> None:
-        self.backend.device.mend()
+        self.backend.device.clear_faults()
 
     @asynccontextmanager
     async def foreign_commander(self) -> AsyncGenerator[None]:
