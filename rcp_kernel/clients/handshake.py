@@ -119,7 +119,7 @@ class Handshake:
 
     def _replace(self, connection: Link, session: Session) -> None:
         old = connection.session
-        old.connection = None
+        old.connection, old.successor = None, connection
         self._sessions.drop(old)
         connection.session = session
         session.connection = connection

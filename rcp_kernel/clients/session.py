@@ -121,6 +121,7 @@ class Session:
         "secret",
         "shared",
         "subscriptions",
+        "successor",
         "tenant",
         "token_bucket",
         "transport",
@@ -147,6 +148,8 @@ class Session:
         """Under what the gateway counts a read that went well."""
         self.encoding = Encoding.JSON
         self.connection: Link | None = None
+        self.successor: Link | None = None
+        """Its connection when it was replaced by another session: unanswered requests are answered there."""
         self.subscriptions: dict[str, Subscription] = {}
         self.commands: dict[str, OwnCommand] = {}
         self.inflight: dict[str, Pending | None] = {}
@@ -219,8 +222,9 @@ class Session:
 
     def deliver(self, reply: Reply) -> None:
         """Send a reply now, or keep it for the client's return."""
-        if self.connection is not None:
-            self.connection.send(reply)
+        link = self.connection or self.successor
+        if link is not None:
+            link.send(reply)
             return
         if self.away is None:  # nobody comes back to it
             return

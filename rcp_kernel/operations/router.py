@@ -13,7 +13,7 @@ from rcp_kernel.access.token_bucket import is_exempt
 from rcp_kernel.clients.session import Answer, Session
 from rcp_kernel.clock import iso, now
 from rcp_kernel.config.settings import Settings
-from rcp_kernel.errors import RcpError, UnsupportedOperation
+from rcp_kernel.errors import Cancelled, RcpError, UnsupportedOperation
 from rcp_kernel.model import Pattern
 from rcp_kernel.operations.counts import RequestCounts
 from rcp_kernel.operations.pending import to_internal_error
@@ -111,6 +111,8 @@ class RequestRouter:
     ) -> Generator[None]:
         """Handle a request that takes long, when its turn has come."""
         try:
+            if session.successor is not None:
+                raise Cancelled("a later `hello` replaced the session of this request")
             if len(request.body) > LONG and session.connection is None:
                 limit = self._settings.limits.values
                 yield from check_structure(bytes(request.body), request.encoding, limit)
