@@ -188,16 +188,21 @@ class StatusReport:
     def _hides(self, supervisor: BackendSupervisor, rights: Rights) -> Hidden:
         return self._sights.look(rights).hides(supervisor.tenant, supervisor.name)
 
+    def _names_hidden(self, supervisor: BackendSupervisor, rights: Rights, text: str) -> bool:
+        sight = self._sights.look(rights)
+        return sight.names_hidden(supervisor.tenant, supervisor.name, text)
+
     def _robot(self, supervisor: BackendSupervisor, rights: Rights | None) -> dict[str, Any]:
         """Describe a backend without what somebody may not know to be there."""
         facts = supervisor.plain()
         if rights is None:
             return facts
-        hidden = self._hides(supervisor, rights)
-        facts["resources"] -= hidden.count
+        facts["resources"] -= self._hides(supervisor, rights).count
         for key in ("detail", "last_error"):
             text = facts[key]
-            if text is not None and (rights.hides(text) or hidden.named_in(text)):
+            if text is not None and (
+                rights.hides(text) or self._names_hidden(supervisor, rights, text)
+            ):
                 facts[key] = "see the log of the gateway"
         return facts
 
@@ -212,7 +217,9 @@ class StatusReport:
         if self._visibility.names_hidden(rights, self.tenant_of(record), names_in(texts)):
             return False
         supervisor = next((s for s in self._supervisors if s.name == _backend(facts)), None)
-        return supervisor is None or not any(map(self._hides(supervisor, rights).named_in, texts))
+        return supervisor is None or not any(
+            self._names_hidden(supervisor, rights, text) for text in texts
+        )
 
     def tenant_of(self, record: dict[str, Any]) -> str | None:
         """Return the tenant that a log record is about; None: it is the gateway's own."""

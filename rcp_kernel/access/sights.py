@@ -149,7 +149,7 @@ class _Part:
 class Sight:
     """What a set of rights sees, as far as the changes of the tree have been looked at."""
 
-    __slots__ = ("busy", "growing", "number", "parts", "tree")
+    __slots__ = ("busy", "current", "growing", "number", "parts", "tree")
 
     def __init__(self, growing: set[str]) -> None:
         self.number = now() // 1_000_000  # a count would tell of others' changes
@@ -159,6 +159,8 @@ class Sight:
         self.parts: dict[str | None, _Part] = {}
         self.tree: int | None = None
         """Generation of the tree up to which everything was looked at."""
+        self.current = False
+        """Whether that was the tree's own when this was returned: what is not known counts as hidden."""
         self.busy = False
         """Whether the rest is being looked at."""
 
@@ -176,15 +178,19 @@ class Sight:
         part = self.parts.get(tenant)
         return (None if part is None else part.hidden.get(backend)) or Hidden()
 
+    def names_hidden(self, tenant: str | None, backend: str, text: str) -> bool:
+        """Tell whether a text may name what of a tenant's backend is hidden."""
+        return not self.current or self.hides(tenant, backend).named_in(text)
+
     def whole(self, tenant: str | None) -> bool:
-        """Tell whether nothing of a tenant (None: of any) is hidden; no, while it is not known."""
+        """Tell whether nothing of a tenant (None: of any) is hidden."""
         meant = (
             found
             for place, part in self.parts.items()
             if place is not None and tenant in (None, place)
             for found in part.hidden.values()
         )
-        return self.tree is not None and not any(found.count for found in meant)
+        return self.current and not any(found.count for found in meant)
 
 
 class Sights:
@@ -218,6 +224,7 @@ class Sights:
                 sight.busy = True
                 self._turns.oblige(sight, self._rest(sight, work))
                 break
+        sight.current = sight.tree == self._registry.generation
         return sight
 
     def catch_up(self, rights: Rights) -> Generator[None, None, Sight]:
@@ -229,6 +236,7 @@ class Sights:
             else:
                 sight.busy = True
                 yield from self._rest(sight, self._look_further(rights, sight))
+        sight.current = True
         return sight
 
     @staticmethod

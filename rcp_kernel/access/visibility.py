@@ -178,7 +178,7 @@ class Visibility:
     def sees_whole(self, rights: Rights, tenant: str | None) -> bool:
         """Tell whether nothing of a tenant is hidden; None means all tenants.
 
-        It is denied while a large tree is not looked at to the end.
+        It is denied while changes of a large tree are not looked at to the end.
         """
         held = rights.tenants
         if "*" not in held and tenant not in held:

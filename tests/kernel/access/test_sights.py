@@ -145,6 +145,22 @@ async def test_somebody_from_whom_nothing_is_hidden_sees_the_whole() -> None:
         assert sights.look(rights).whole("alpha")
 
 
+async def test_what_is_new_counts_as_hidden_until_it_was_looked_at() -> None:
+    async with many() as world:
+        api, robot = world.server.client_api, world.robot
+        rights = api.rights(api.authenticate("admin-admin-admin"))
+        sights = world.server.kernel.status._sights
+        await _looked(world, rights)
+        for number in range(1, 1001):  # more than are looked at in one step
+            robot.host.declare(level(number, "A new level."))
+        sight = sights.look(rights)
+        assert not sight.whole("alpha")
+        assert sight.names_hidden("alpha", "robot", "anything")
+        sight = await _looked(world, rights)
+        assert sight.whole("alpha")
+        assert not sight.names_hidden("alpha", "robot", "anything")
+
+
 async def _looked(world: World, rights: Rights) -> Sight:
     turns, sights = world.server.client_api.turns, world.server.kernel.status._sights
     return await turns.finish("test", sights.catch_up(rights))
