@@ -16,11 +16,12 @@ export class Pads {
    * Look at them until the returned function is called.
    *
    * Each is told by itself, with `undefined` where no shoulder button is held or it is gone. Of those that are held while
-   * nobody is at the page `left` is told instead.
+   * nobody is at the page, or were held before, `left` is told instead: at once, so that a look that comes late takes no
+   * old press for a new one.
    */
   watch(told: (source: string, wish: Speeds | undefined) => void, left: (source: string) => void): () => void {
     const seen = new Set<string>();
-    const timer = setInterval(() => {
+    const look = (begins: boolean): void => {
       const there = [...(navigator.getGamepads?.() ?? [])].filter((one) => one?.connected) as Gamepad[];
       const pads = there.filter((one) => one.mapping === "standard");
       const held = pads.filter((one) => SHOULDERS.some((at) => one.buttons[at]?.pressed));
@@ -30,10 +31,12 @@ export class Pads {
       const nobody = away();
       for (const one of seen) {
         const pad = held.find((other) => source(other) === one);
-        if (pad && nobody) left(one);
+        if (pad && (nobody || begins)) left(one);
         else told(one, pad && this.#wish(pad));
       }
-    }, PERIOD);
+    };
+    look(true);
+    const timer = setInterval(() => look(false), PERIOD);
     return () => clearInterval(timer);
   }
 
