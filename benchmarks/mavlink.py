@@ -138,8 +138,8 @@ async def floor() -> None:
 
 async def gateway() -> None:
     import rcp_mavlink
+    from rcp_kernel.app.log import configure
     from rcp_kernel.config.file import parse
-    from rcp_kernel.process.log import configure
     from rcp_kernel.testing import serve
 
     configure("error")

@@ -16,10 +16,10 @@ from types import SimpleNamespace
 import msgspec
 import psutil
 
+from rcp_kernel.app.log import configure
 from rcp_kernel.app.server import Prepared, running
 from rcp_kernel.config.file import parse
 from rcp_kernel.model import Resource
-from rcp_kernel.process.log import configure
 from rcp_kernel.spi import BackendKind, BaseBackend
 from rcp_kernel.types import Point, PoseStamped
 from rcp_kernel.values import Encoding

@@ -7,10 +7,10 @@ from collections.abc import Awaitable, Callable, Iterable, MutableMapping
 from math import ceil
 from typing import Any
 
-from rcp_kernel.access.peer import UNKNOWN, Peer
 from rcp_kernel.client_api import ClientApi
-from rcp_kernel.clients.session import Session
+from rcp_kernel.contract.peer import UNKNOWN, Peer
 from rcp_kernel.errors import BY_CODE, BadRequest, DeadlineExceeded, PayloadTooLarge, RcpError
+from rcp_kernel.sessions.session import Session
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import Reply, encode_reply, failure
 

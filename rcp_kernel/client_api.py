@@ -17,17 +17,13 @@ import msgspec
 
 from rcp_kernel.access.acl import Rights, Rules
 from rcp_kernel.access.identities import Identities
-from rcp_kernel.access.identity import Principal
-from rcp_kernel.access.peer import UNKNOWN, Peer, Serial
 from rcp_kernel.access.visibility import Visibility
-from rcp_kernel.clients.connections import Connection, ConnectionParts
-from rcp_kernel.clients.handshake import Handshake
-from rcp_kernel.clients.hello import Hello
-from rcp_kernel.clients.outbound import Outbound
-from rcp_kernel.clients.session import Answer, Session
-from rcp_kernel.clients.sessions import Sessions
 from rcp_kernel.config.limits import Limits
 from rcp_kernel.config.settings import Settings
+from rcp_kernel.contract.identity import Principal
+from rcp_kernel.contract.peer import UNKNOWN, Peer, Serial
+from rcp_kernel.contract.shutdown import Shutdown
+from rcp_kernel.contract.turns import Turns
 from rcp_kernel.errors import (
     AdapterUnavailable,
     Forbidden,
@@ -38,15 +34,19 @@ from rcp_kernel.errors import (
 )
 from rcp_kernel.features.services import ServiceKey, ServiceLookup
 from rcp_kernel.model import Pattern
-from rcp_kernel.operations.command import Command
-from rcp_kernel.operations.command_access import CommandAccess
-from rcp_kernel.operations.counts import RequestCounts
-from rcp_kernel.operations.discovery import Discovery, Query
-from rcp_kernel.record.audit_writer import AuditWriter
-from rcp_kernel.record.plugin_store import PluginStore
-from rcp_kernel.record.store import Store
-from rcp_kernel.shutdown import Shutdown
-from rcp_kernel.turns import Turns
+from rcp_kernel.requests.audit_writer import AuditWriter
+from rcp_kernel.requests.command_access import CommandAccess
+from rcp_kernel.requests.discovery import Discovery, Query
+from rcp_kernel.sessions.command import Command
+from rcp_kernel.sessions.connections import Connection, ConnectionParts
+from rcp_kernel.sessions.counts import RequestCounts
+from rcp_kernel.sessions.handshake import Handshake
+from rcp_kernel.sessions.hello import Hello
+from rcp_kernel.sessions.session import Answer, Session
+from rcp_kernel.sessions.sessions import Sessions
+from rcp_kernel.store.plugin_store import PluginStore
+from rcp_kernel.store.store import Store
+from rcp_kernel.streams.outbound import Outbound
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import Reply, Request
 

@@ -14,9 +14,9 @@ from typing import Any, Protocol, runtime_checkable
 
 import msgspec
 
+from rcp_kernel.contract.fence import check_fence, fenced_off, unfenced
 from rcp_kernel.errors import UnsupportedOperation
 from rcp_kernel.model import Resource
-from rcp_kernel.safety.fence import check_fence, fenced_off, unfenced
 
 __all__ = [
     "Backend",

@@ -12,7 +12,7 @@ import click
 
 from rcp_kernel.config.file import GatewayConfig, load, parse
 from rcp_kernel.errors import ConfigError, StartupError
-from rcp_kernel.record.damage import find_damage
+from rcp_kernel.store.damage import find_damage
 from rcpd.audit import audit
 from rcpd.exits import FAILED, fail
 from rcpd.store import store
@@ -123,7 +123,7 @@ def plugins() -> None:
     """List the installed plugins, and what to install for those that cannot be used."""
     import importlib
 
-    from rcp_kernel.plugins import GROUPS, installed, obstacle
+    from rcp_kernel.app.plugins import GROUPS, installed, obstacle
 
     for group in GROUPS:
         for name, point in sorted(installed(group).items()):
@@ -166,7 +166,7 @@ def new_backend(name: str, into: Path) -> None:
 @main.command()
 def version() -> None:
     """Print the gateway's and the protocol's version."""
-    from rcp_kernel.status import gateway_version
+    from rcp_kernel.app.status import gateway_version
     from rcp_kernel.wire import VERSION
 
     click.echo(f"rcp-gateway {gateway_version()} (protocol RCP/{VERSION})")

@@ -10,8 +10,8 @@ from collections.abc import Generator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
+from rcp_kernel.app.plugins import installed, obstacle
 from rcp_kernel.app.server import Server
-from rcp_kernel.plugins import installed, obstacle
 
 __all__ = ["Demo", "token_file"]
 

@@ -8,8 +8,8 @@ from contextlib import closing
 from pathlib import Path
 
 from rcp_kernel.errors import ConfigError
-from rcp_kernel.record.chain import Head, Row, Verdict, verify
-from rcp_kernel.record.file import FAULTS, ROWS, anchor_of, head_beside, open_read_only
+from rcp_kernel.store.chain import Head, Row, Verdict, verify
+from rcp_kernel.store.file import FAULTS, ROWS, anchor_of, head_beside, open_read_only
 
 __all__ = ["examined", "rows_of"]
 

@@ -11,12 +11,12 @@ from pathlib import Path
 import click
 
 from rcp_kernel.access.key_strength import log_weak_keys
+from rcp_kernel.app.containment import end_in_time, run_contained
+from rcp_kernel.app.log import Recent, configure
 from rcp_kernel.app.reload import reload
 from rcp_kernel.app.server import Prepared, Server, prepare, running
 from rcp_kernel.config.file import GatewayConfig
 from rcp_kernel.errors import StartupError
-from rcp_kernel.process.containment import end_in_time, run_contained
-from rcp_kernel.process.log import Recent, configure
 from rcpd.demo import Demo
 from rcpd.exits import RECORD_LOST, fail
 from rcpd.garbage import collected_at_rest

@@ -14,9 +14,9 @@ from rcp_kernel.errors import ConfigError
 from rcpd.exits import fail
 
 if TYPE_CHECKING:
-    from rcp_kernel.access.identity import Grants
     from rcp_kernel.access.tokens import Token, TokenFile
     from rcp_kernel.config.file import GatewayConfig
+    from rcp_kernel.contract.identity import Grants
 
 __all__ = ["token"]
 
@@ -128,8 +128,8 @@ def _opened(path: Path) -> Generator[TokenFile]:
     :raises ConfigError: they cannot be read or written.
     """
     from rcp_kernel.access.tokens import TokenFile
-    from rcp_kernel.record.damage import find_damage, interim_of
-    from rcp_kernel.record.file import store_errors
+    from rcp_kernel.store.damage import find_damage, interim_of
+    from rcp_kernel.store.file import store_errors
 
     with store_errors(path):
         damage = find_damage(path, bound=_GLANCE)
@@ -175,7 +175,7 @@ def _found(config: Path | None, store: Path | None) -> tuple[Path, GatewayConfig
 
 
 def _granted(roles: tuple[str, ...], tenants: tuple[str, ...], grants: tuple[str, ...]) -> Grants:
-    from rcp_kernel.access.identity import granted
+    from rcp_kernel.contract.identity import granted
 
     if bool(roles) == bool(grants) or (tenants and grants):
         fail("give --role (and --tenant), or --grant TENANT=ROLE")

@@ -18,9 +18,9 @@ from pathlib import Path
 import msgspec
 
 from rcp_kernel.app import server
+from rcp_kernel.app.log import configure
 from rcp_kernel.config.file import parse
 from rcp_kernel.model import Resource
-from rcp_kernel.process.log import configure
 from rcp_kernel.spi import BackendKind, BaseBackend, Host
 from rcp_kernel.testing import serve
 from rcp_kernel.types import quantity

@@ -35,9 +35,9 @@ from rcp_kernel.asgi import (
     session_of,
 )
 from rcp_kernel.client_api import Asgi, ClientApi
-from rcp_kernel.clients.session import Session
+from rcp_kernel.contract.pending import to_internal_error
 from rcp_kernel.errors import BadRequest, Forbidden, PayloadTooLarge, RateLimited, RcpError
-from rcp_kernel.operations.pending import to_internal_error
+from rcp_kernel.sessions.session import Session
 
 __all__ = ["App"]
 

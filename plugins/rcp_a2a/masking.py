@@ -18,8 +18,8 @@ from google.protobuf.json_format import MessageToDict
 
 from rcp_kernel.access.visibility import names_in
 from rcp_kernel.client_api import ClientApi
-from rcp_kernel.clients.session import Session
-from rcp_kernel.record.touches import EVERYTHING
+from rcp_kernel.sessions.session import Session
+from rcp_kernel.store.touches import EVERYTHING
 
 __all__ = ["Mask"]
 

@@ -36,11 +36,11 @@ from rcp_a2a.questions import (
 )
 from rcp_a2a.stops import PLANS
 from rcp_kernel.client_api import ClientApi
-from rcp_kernel.clients.session import Session
+from rcp_kernel.contract.turns import at_once
 from rcp_kernel.errors import Forbidden, RcpError, UnknownPath
 from rcp_kernel.features.approval import APPROVALS, NoApprovals
-from rcp_kernel.operations.discovery import Query
-from rcp_kernel.turns import at_once
+from rcp_kernel.requests.discovery import Query
+from rcp_kernel.sessions.session import Session
 from rcp_kernel.wire import Reply, Request
 
 __all__ = ["Run"]

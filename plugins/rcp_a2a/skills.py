@@ -8,9 +8,9 @@ import msgspec
 from a2a.types.a2a_pb2 import AgentSkill
 
 from rcp_kernel.client_api import ClientApi
-from rcp_kernel.clients.session import Session
-from rcp_kernel.operations.discovery import Query
-from rcp_kernel.turns import at_once
+from rcp_kernel.contract.turns import at_once
+from rcp_kernel.requests.discovery import Query
+from rcp_kernel.sessions.session import Session
 
 __all__ = ["PLAN", "STOP", "skills_of"]
 

@@ -7,12 +7,12 @@ from collections.abc import Mapping
 from typing import Any
 
 from rcp_approvals.questions import Questions
-from rcp_kernel.clients.session import Session
 from rcp_kernel.features import Call, Slot
 from rcp_kernel.features.approval import About
 from rcp_kernel.model import Kind
-from rcp_kernel.motion.safety import safe_value
-from rcp_kernel.registry import Entry
+from rcp_kernel.safety.safety import safe_value
+from rcp_kernel.sessions.session import Session
+from rcp_kernel.tree.entry import Entry
 
 __all__ = ["ApprovalGuard"]
 

@@ -9,8 +9,8 @@ from typing import Annotated, Any, Literal
 import msgspec
 from msgspec import Meta
 
-from rcp_kernel.access.identity import Principal
 from rcp_kernel.clock import now
+from rcp_kernel.contract.identity import Principal
 from rcp_kernel.errors import Forbidden
 from rcp_kernel.features.approval import Decision
 from rcp_kernel.types import Time

@@ -11,15 +11,15 @@ from typing import Any
 
 from rcp_approvals.config import ApprovalsConfig
 from rcp_approvals.question import PATH, ApprovalState, Question, digest_of, rejected, shown
-from rcp_kernel.access.identity import Principal
-from rcp_kernel.clients.session import Session
 from rcp_kernel.clock import iso, now
+from rcp_kernel.contract.identity import Principal
 from rcp_kernel.errors import ApprovalRequired, Forbidden, QueueFull
 from rcp_kernel.features import FeatureHost
 from rcp_kernel.features.approval import About
 from rcp_kernel.model import tenant_of
-from rcp_kernel.record.audit_writer import ID
-from rcp_kernel.registry import Entry
+from rcp_kernel.requests.audit_writer import ID
+from rcp_kernel.sessions.session import Session
+from rcp_kernel.tree.entry import Entry
 from rcp_kernel.wire import Request
 
 __all__ = ["Questions"]

@@ -11,8 +11,8 @@ from rcp_dashboard.request import DashboardRequest
 from rcp_dashboard.telemetry import Telemetry
 from rcp_kernel.asgi import Headers, Receive, Scope, Send, refuse, respond
 from rcp_kernel.client_api import ClientApi
+from rcp_kernel.contract.pending import to_internal_error
 from rcp_kernel.errors import UnknownPath, UnsupportedOperation
-from rcp_kernel.operations.pending import to_internal_error
 
 __all__ = ["PREFIX", "Api"]
 

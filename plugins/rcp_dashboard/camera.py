@@ -16,9 +16,9 @@ from rcp_dashboard.request import DashboardRequest
 from rcp_dashboard.watchers import checked
 from rcp_kernel.asgi import Headers, Receive, Send, respond
 from rcp_kernel.client_api import ClientApi
-from rcp_kernel.clients.connections import Connection
 from rcp_kernel.clock import now, parse_time
 from rcp_kernel.errors import QueueFull, RcpError
+from rcp_kernel.sessions.connections import Connection
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import Request, encode_reply
 

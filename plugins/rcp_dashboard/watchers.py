@@ -15,12 +15,12 @@ from msgspec import Raw
 
 from rcp_dashboard.config import DashboardConfig
 from rcp_dashboard.ring import Ring
-from rcp_kernel.access.identity import Principal
-from rcp_kernel.access.peer import Peer
 from rcp_kernel.client_api import ClientApi
 from rcp_kernel.clock import parse_time
+from rcp_kernel.contract.fields import Field
+from rcp_kernel.contract.identity import Principal
+from rcp_kernel.contract.peer import Peer
 from rcp_kernel.errors import BY_CODE, QueueFull, RcpError
-from rcp_kernel.fields import Field
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import Reply, Request
 

@@ -10,7 +10,7 @@ from rcp_jwt.config import JwtTables
 from rcp_jwt.issuers import Issuer, Issuers
 from rcp_jwt.webtokens import is_jwt
 from rcp_kernel.access.authenticator import Authenticator, TokenIssuer
-from rcp_kernel.access.identity import Principal
+from rcp_kernel.contract.identity import Principal
 
 __all__ = ["JwtAuthenticator"]
 

@@ -27,8 +27,8 @@ from rcp_jwt.jwks import (
 )
 from rcp_jwt.webtokens import Claims, Read, principal_of, read_token, verify
 from rcp_kernel._plain import is_map
-from rcp_kernel.access.identity import Principal
 from rcp_kernel.clock import now
+from rcp_kernel.contract.identity import Principal
 from rcp_kernel.errors import AdapterUnavailable, ConfigError, RcpError, Unauthenticated
 
 __all__ = ["Issuer", "Issuers"]

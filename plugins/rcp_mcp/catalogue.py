@@ -10,11 +10,11 @@ from mcp import types
 
 from rcp_kernel.access.acl import Rights
 from rcp_kernel.client_api import ClientApi
-from rcp_kernel.clients.session import Session
+from rcp_kernel.contract.shared_work import SharedWork
+from rcp_kernel.contract.turns import at_once
 from rcp_kernel.model import Pattern, tenant_of
-from rcp_kernel.operations.discovery import Query
-from rcp_kernel.shared_work import SharedWork
-from rcp_kernel.turns import at_once
+from rcp_kernel.requests.discovery import Query
+from rcp_kernel.sessions.session import Session
 from rcp_mcp.config import McpConfig
 from rcp_mcp.schemas import Arguments
 from rcp_mcp.typed import typed_tool

@@ -10,9 +10,9 @@ from mcp import types
 from msgspec import Meta, Raw
 
 from rcp_kernel.client_api import ClientApi
-from rcp_kernel.clients.session import Session
 from rcp_kernel.errors import BadRequest, RcpError
 from rcp_kernel.model import parse_path
+from rcp_kernel.sessions.session import Session
 from rcp_kernel.values import value_type
 from rcp_kernel.wire import NO_BODY, Reply, Request
 from rcp_mcp.answers import answered, body_of, failed, replied

@@ -28,10 +28,10 @@ from rcp_kernel.asgi import (
     too_large,
 )
 from rcp_kernel.client_api import ClientApi
-from rcp_kernel.clients.session import Session
+from rcp_kernel.contract.pending import to_internal_error
+from rcp_kernel.contract.structure import LONG, check_structure
 from rcp_kernel.errors import PayloadTooLarge, RcpError
-from rcp_kernel.operations.pending import to_internal_error
-from rcp_kernel.structure import LONG, check_structure
+from rcp_kernel.sessions.session import Session
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import error_body
 from rcp_mcp.caller import SESSION

@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 
 from rcp_kernel.client_api import ClientApi
-from rcp_kernel.clients.session import Session
+from rcp_kernel.sessions.session import Session
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import Reply, Request
 
 if TYPE_CHECKING:
-    from rcp_kernel.streaming.samples import Sample
+    from rcp_kernel.tree.samples import Sample
 
 __all__ = ["ResourceFeed"]
 

@@ -11,10 +11,10 @@ from mcp import types
 from msgspec import Raw
 
 from rcp_kernel.client_api import ClientApi
-from rcp_kernel.clients.session import Session
 from rcp_kernel.model import Kind
-from rcp_kernel.operations.discovery import Query
-from rcp_kernel.operations.pages import cursor_of
+from rcp_kernel.requests.discovery import Query
+from rcp_kernel.requests.pages import cursor_of
+from rcp_kernel.sessions.session import Session
 from rcp_kernel.wire import Request
 from rcp_mcp.answers import answered, body_of, failed
 from rcp_mcp.catalogue import Catalogue, Facts

@@ -10,7 +10,7 @@ from mcp import types
 from mcp.shared.exceptions import MCPError
 
 from rcp_kernel.client_api import ClientApi
-from rcp_kernel.clients.session import Session
+from rcp_kernel.sessions.session import Session
 from rcp_kernel.wire import Request
 from rcp_mcp.answers import body_of
 from rcp_mcp.catalogue import Catalogue, Facts

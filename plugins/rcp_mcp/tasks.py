@@ -16,7 +16,7 @@ from mcp.shared.exceptions import MCPError
 from rcp_kernel.client_api import ClientApi
 from rcp_kernel.clock import iso
 from rcp_kernel.errors import RcpError, UnknownPath
-from rcp_kernel.operations.command import Command
+from rcp_kernel.sessions.command import Command
 from rcp_kernel.wire import Request
 from rcp_mcp.answers import replied
 from rcp_mcp.caller import TASKS, modern, session_of, takes_tasks

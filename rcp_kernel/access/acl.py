@@ -14,14 +14,14 @@ from collections.abc import Iterable
 from typing import TYPE_CHECKING, NamedTuple
 from weakref import WeakSet
 
-from rcp_kernel.access.condition import Condition, condition
-from rcp_kernel.access.identity import Grants, Principal
+from rcp_kernel.config.condition import Condition, condition
 from rcp_kernel.config.role import ASK, BUILTIN_ROLES, DECIDE, OPERATIONS, Role, Rule
+from rcp_kernel.contract.identity import Grants, Principal
 from rcp_kernel.model import Operation, Pattern, tenant_of
 
 if TYPE_CHECKING:
     from rcp_kernel.access.conditions import Conditions
-    from rcp_kernel.registry import Entry
+    from rcp_kernel.tree.entry import Entry
 
 __all__ = ["Rights", "Rules", "reach"]
 

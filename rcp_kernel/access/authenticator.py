@@ -8,7 +8,7 @@ from typing import Any
 
 import msgspec
 
-from rcp_kernel.access.identity import Principal
+from rcp_kernel.contract.identity import Principal
 
 __all__ = ["Authenticator", "TokenIssuer"]
 

@@ -11,9 +11,9 @@ from collections.abc import Iterable, Iterator
 from functools import lru_cache
 from typing import TYPE_CHECKING
 
-from rcp_kernel.access.identity import Principal
-from rcp_kernel.access.peer import Certificate, Serial
 from rcp_kernel.clock import now
+from rcp_kernel.contract.identity import Principal
+from rcp_kernel.contract.peer import Certificate, Serial
 from rcp_kernel.errors import ConfigError, TokenExpired, Unauthenticated
 
 if TYPE_CHECKING:

@@ -16,15 +16,16 @@ from typing import TYPE_CHECKING, Any, Protocol
 import msgspec
 
 from rcp_kernel._plain import is_index, is_map, is_sequence
-from rcp_kernel.access.condition import CLOCK, Condition, Ref
-from rcp_kernel.access.cost import size_of
 from rcp_kernel.access.pace import Allowance
+from rcp_kernel.config.condition import CLOCK, Condition, Ref
+from rcp_kernel.config.cost import size_of
 from rcp_kernel.errors import RcpError
 from rcp_kernel.model import full_path
 from rcp_kernel.values import to_plain
 
 if TYPE_CHECKING:
-    from rcp_kernel.registry import Entry, Registry
+    from rcp_kernel.tree.entry import Entry
+    from rcp_kernel.tree.registry import Registry
 
 __all__ = ["Conditions", "Placed"]
 

@@ -18,14 +18,14 @@ import structlog
 from rcp_kernel.access.auth_throttle import AuthThrottle
 from rcp_kernel.access.authenticator import Authenticator, TokenIssuer
 from rcp_kernel.access.certificates import Certificates
-from rcp_kernel.access.identity import Grants, Keyring, Principal, check_time, fingerprint
-from rcp_kernel.access.peer import UNKNOWN, Peer, Serial
 from rcp_kernel.access.tokens import Token, TokenWatch, changes
 from rcp_kernel.clock import now
 from rcp_kernel.config.file import GatewayConfig
 from rcp_kernel.config.identity import instant
 from rcp_kernel.config.role import BUILTIN_ROLES
 from rcp_kernel.config.settings import Settings
+from rcp_kernel.contract.identity import Grants, Keyring, Principal, check_time, fingerprint
+from rcp_kernel.contract.peer import UNKNOWN, Peer, Serial
 from rcp_kernel.errors import (
     ConfigError,
     Forbidden,
@@ -35,10 +35,10 @@ from rcp_kernel.errors import (
     TokenExpired,
     Unauthenticated,
 )
-from rcp_kernel.record.store import Store
+from rcp_kernel.store.store import Store
 
 if TYPE_CHECKING:
-    from rcp_kernel.record.audit import Audit
+    from rcp_kernel.store.audit import Audit
 
 __all__ = ["Identities", "check_proofs", "store_file"]
 

@@ -13,11 +13,12 @@ from weakref import WeakKeyDictionary
 
 from rcp_kernel.access.acl import Rights
 from rcp_kernel.clock import now
+from rcp_kernel.contract.turns import Turns, Work
 from rcp_kernel.model import Pattern
-from rcp_kernel.turns import Turns, Work
 
 if TYPE_CHECKING:
-    from rcp_kernel.registry import Entry, Registry
+    from rcp_kernel.tree.entry import Entry
+    from rcp_kernel.tree.registry import Registry
 
 __all__ = ["Hidden", "Sight", "Sights"]
 

@@ -16,10 +16,10 @@ from pathlib import Path
 import msgspec
 import structlog
 
-from rcp_kernel.access.identity import Grants, Principal, fingerprint
 from rcp_kernel.clock import now
+from rcp_kernel.contract.identity import Grants, Principal, fingerprint
 from rcp_kernel.errors import ConfigError
-from rcp_kernel.process.modes import check_store_modes
+from rcp_kernel.store.modes import check_store_modes
 
 __all__ = ["PREFIX", "Token", "TokenFile", "TokenWatch", "changes", "make_table"]
 

@@ -17,11 +17,12 @@ import msgspec
 from rcp_kernel.access.acl import Rights, reach
 from rcp_kernel.access.sights import Sights
 from rcp_kernel.model import BRANCHES, MAX_PATH, Operation, tenant_of
-from rcp_kernel.record.touches import EVERYTHING, MOST_TOUCHES
+from rcp_kernel.store.touches import EVERYTHING, MOST_TOUCHES
 from rcp_kernel.values import Encoding, dump
 
 if TYPE_CHECKING:
-    from rcp_kernel.registry import Entry, Registry
+    from rcp_kernel.tree.entry import Entry
+    from rcp_kernel.tree.registry import Registry
 
 __all__ = ["Visibility", "names_in"]
 

@@ -15,68 +15,68 @@ from rcp_kernel.access.acl import Rules
 from rcp_kernel.access.authenticator import Authenticator
 from rcp_kernel.access.conditions import Conditions
 from rcp_kernel.access.identities import Identities
-from rcp_kernel.access.quotas import QuotaTracker
-from rcp_kernel.access.resolver import Resolver
 from rcp_kernel.access.sights import Sights
 from rcp_kernel.access.visibility import Visibility
 from rcp_kernel.app.feature_host import GatewayFeatureHost
 from rcp_kernel.app.features import ActiveFeature, Features, make
+from rcp_kernel.app.guard import GuardLink
+from rcp_kernel.app.guard_arming import GuardArming
 from rcp_kernel.app.kernel import Kernel
+from rcp_kernel.app.log import Recent
+from rcp_kernel.app.status import StatusReport
+from rcp_kernel.app.supervisor import BackendSupervisor
+from rcp_kernel.app.system import System
 from rcp_kernel.client_api import ClientApi, ClientApiParts
-from rcp_kernel.clients.connections import ConnectionParts
-from rcp_kernel.clients.handshake import Handshake
-from rcp_kernel.clients.outbound import Outbound
-from rcp_kernel.clients.resume import SessionResume
-from rcp_kernel.clients.session import Session
-from rcp_kernel.clients.sessions import Sessions
 from rcp_kernel.config.file import BackendConfig, GatewayConfig
 from rcp_kernel.config.settings import Settings
+from rcp_kernel.contract.shutdown import Shutdown
+from rcp_kernel.contract.turns import Turns
 from rcp_kernel.features.approval import APPROVALS, NoApprovals
 from rcp_kernel.features.resource import ViewChanges
-from rcp_kernel.motion.estop import Estop
-from rcp_kernel.motion.fence_guard import FenceGuard
-from rcp_kernel.motion.latches import Latches
-from rcp_kernel.motion.lease_service import LeaseService
-from rcp_kernel.motion.leases import Leases
-from rcp_kernel.motion.motion_limits import MotionLimits
-from rcp_kernel.motion.safety import Deadman
-from rcp_kernel.operations.admission import Admission
-from rcp_kernel.operations.batch import BatchHandler
-from rcp_kernel.operations.command_access import CommandAccess
-from rcp_kernel.operations.commands import Commands
-from rcp_kernel.operations.counts import RequestCounts
-from rcp_kernel.operations.discover import DiscoverHandler
-from rcp_kernel.operations.discovery import Discovery
-from rcp_kernel.operations.execute import ExecuteHandler
-from rcp_kernel.operations.idempotency import Keys
-from rcp_kernel.operations.inflight import InFlight
-from rcp_kernel.operations.read import ReadHandler
-from rcp_kernel.operations.router import RequestRouter
-from rcp_kernel.operations.subscribe import SubscribeHandler
-from rcp_kernel.operations.write import WriteHandler
 from rcp_kernel.plans.checks import PlanChecker
 from rcp_kernel.plans.resource import PlanList, Plans
 from rcp_kernel.plans.waiting import WaitingPlans
-from rcp_kernel.process.guard import GuardLink
-from rcp_kernel.process.guard_arming import GuardArming
-from rcp_kernel.process.log import Recent
-from rcp_kernel.process.supervisor import BackendSupervisor
-from rcp_kernel.record.audit import Audit
-from rcp_kernel.record.audit_writer import AuditWriter, Recorded
-from rcp_kernel.record.disclosure import Disclosure
-from rcp_kernel.record.history import History
-from rcp_kernel.record.retention import Retention
-from rcp_kernel.record.store import Store
-from rcp_kernel.registry import Registry
+from rcp_kernel.requests.admission import Admission
+from rcp_kernel.requests.audit_writer import AuditWriter, Recorded
+from rcp_kernel.requests.batch import BatchHandler
+from rcp_kernel.requests.command_access import CommandAccess
+from rcp_kernel.requests.commands import Commands
+from rcp_kernel.requests.disclosure import Disclosure
+from rcp_kernel.requests.discover import DiscoverHandler
+from rcp_kernel.requests.discovery import Discovery
+from rcp_kernel.requests.execute import ExecuteHandler
+from rcp_kernel.requests.history import History
+from rcp_kernel.requests.idempotency import Keys
+from rcp_kernel.requests.inflight import InFlight
+from rcp_kernel.requests.read import ReadHandler
+from rcp_kernel.requests.router import RequestRouter
+from rcp_kernel.requests.subscribe import SubscribeHandler
+from rcp_kernel.requests.write import WriteHandler
+from rcp_kernel.safety.estop import Estop
+from rcp_kernel.safety.fence_guard import FenceGuard
+from rcp_kernel.safety.lease_service import LeaseService
+from rcp_kernel.safety.leases import Leases
+from rcp_kernel.safety.motion_limits import MotionLimits
 from rcp_kernel.safety.partners import Partners
+from rcp_kernel.safety.safety import Deadman
 from rcp_kernel.safety.stop import StopController
-from rcp_kernel.shutdown import Shutdown
-from rcp_kernel.status import StatusReport
-from rcp_kernel.streaming.conditional import ConditionalSubscriptions
-from rcp_kernel.streaming.hub import Hub
-from rcp_kernel.streaming.links import Links
-from rcp_kernel.system import System
-from rcp_kernel.turns import Turns
+from rcp_kernel.sessions.conditional import ConditionalSubscriptions
+from rcp_kernel.sessions.connections import ConnectionParts
+from rcp_kernel.sessions.counts import RequestCounts
+from rcp_kernel.sessions.handshake import Handshake
+from rcp_kernel.sessions.quotas import QuotaTracker
+from rcp_kernel.sessions.resolver import Resolver
+from rcp_kernel.sessions.resume import SessionResume
+from rcp_kernel.sessions.session import Session
+from rcp_kernel.sessions.sessions import Sessions
+from rcp_kernel.store.audit import Audit
+from rcp_kernel.store.retention import Retention
+from rcp_kernel.store.store import Store
+from rcp_kernel.streams.hub import Hub
+from rcp_kernel.streams.links import Links
+from rcp_kernel.streams.outbound import Outbound
+from rcp_kernel.tree.latches import Latches
+from rcp_kernel.tree.registry import Registry
 
 __all__ = ["compose"]
 

@@ -7,13 +7,13 @@ from collections.abc import Callable, Iterable
 from typing import Any
 
 from rcp_kernel.access.acl import Rights
-from rcp_kernel.access.identity import Principal
 from rcp_kernel.access.visibility import Visibility
-from rcp_kernel.clients.session import Session
+from rcp_kernel.contract.identity import Principal
 from rcp_kernel.features.resource import ViewChanges
-from rcp_kernel.record.audit import Audit
-from rcp_kernel.record.plugin_store import PluginStore
-from rcp_kernel.record.store import Store
+from rcp_kernel.sessions.session import Session
+from rcp_kernel.store.audit import Audit
+from rcp_kernel.store.plugin_store import PluginStore
+from rcp_kernel.store.store import Store
 from rcp_kernel.wire import Request
 
 __all__ = ["GatewayFeatureHost"]

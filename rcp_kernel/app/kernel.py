@@ -9,34 +9,34 @@ from dataclasses import dataclass
 from rcp_kernel.access.acl import Rules
 from rcp_kernel.access.conditions import Conditions
 from rcp_kernel.access.identities import Identities
-from rcp_kernel.access.quotas import QuotaTracker
 from rcp_kernel.app.features import ActiveFeature, Features
+from rcp_kernel.app.guard import GuardLink
+from rcp_kernel.app.status import StatusReport
+from rcp_kernel.app.supervisor import BackendSupervisor
+from rcp_kernel.app.system import System
 from rcp_kernel.client_api import ClientApi
-from rcp_kernel.clients.outbound import Outbound
-from rcp_kernel.clients.resume import SessionResume
-from rcp_kernel.clients.sessions import Sessions
 from rcp_kernel.config.file import BackendConfig, GatewayConfig
 from rcp_kernel.config.settings import Settings
-from rcp_kernel.motion.leases import Leases
-from rcp_kernel.motion.motion_limits import MotionLimits
-from rcp_kernel.motion.safety import Deadman
-from rcp_kernel.operations.admission import Admission
-from rcp_kernel.operations.commands import Commands
-from rcp_kernel.operations.counts import RequestCounts
-from rcp_kernel.process.guard import GuardLink
-from rcp_kernel.process.supervisor import BackendSupervisor
-from rcp_kernel.record.audit import Audit
-from rcp_kernel.record.audit_writer import AuditWriter
-from rcp_kernel.record.disclosure import Disclosure
-from rcp_kernel.record.history import History
-from rcp_kernel.record.retention import Retention
-from rcp_kernel.record.store import Store
-from rcp_kernel.registry import Registry
+from rcp_kernel.contract.shutdown import Shutdown
+from rcp_kernel.requests.admission import Admission
+from rcp_kernel.requests.audit_writer import AuditWriter
+from rcp_kernel.requests.commands import Commands
+from rcp_kernel.requests.disclosure import Disclosure
+from rcp_kernel.requests.history import History
+from rcp_kernel.safety.leases import Leases
+from rcp_kernel.safety.motion_limits import MotionLimits
+from rcp_kernel.safety.safety import Deadman
 from rcp_kernel.safety.stop import StopController
-from rcp_kernel.shutdown import Shutdown
-from rcp_kernel.status import StatusReport
-from rcp_kernel.streaming.hub import Hub
-from rcp_kernel.system import System
+from rcp_kernel.sessions.counts import RequestCounts
+from rcp_kernel.sessions.quotas import QuotaTracker
+from rcp_kernel.sessions.resume import SessionResume
+from rcp_kernel.sessions.sessions import Sessions
+from rcp_kernel.store.audit import Audit
+from rcp_kernel.store.retention import Retention
+from rcp_kernel.store.store import Store
+from rcp_kernel.streams.hub import Hub
+from rcp_kernel.streams.outbound import Outbound
+from rcp_kernel.tree.registry import Registry
 
 __all__ = ["Kernel"]
 

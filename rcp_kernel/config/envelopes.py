@@ -10,11 +10,11 @@ from typing import Annotated
 import msgspec
 from msgspec import Meta
 
-from rcp_kernel.access.condition import ConditionTooCostly, condition
+from rcp_kernel.config.condition import ConditionTooCostly, condition
+from rcp_kernel.config.polygon import Corner, Polygon
 from rcp_kernel.config.role import Role
 from rcp_kernel.errors import ConfigError, InvalidPath
 from rcp_kernel.model import BRANCHES, Kind, Operation, Pattern, kind_of
-from rcp_kernel.motion.polygon import Corner, Polygon
 
 __all__ = ["Bound", "EnvelopeConfig", "Fence", "check_envelopes", "patterns"]
 

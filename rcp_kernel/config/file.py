@@ -29,12 +29,12 @@ from rcp_kernel.config.identity import (
     check_identity,
 )
 from rcp_kernel.config.limits import Limits, Quota, Quotas
+from rcp_kernel.config.plans import PlansConfig, check_plans
 from rcp_kernel.config.role import BUILTIN_ROLES, Role
 from rcp_kernel.config.roles import check_pattern, check_roles
 from rcp_kernel.config.safety import Safety, check_groups
 from rcp_kernel.errors import ConfigError
 from rcp_kernel.model import Operation
-from rcp_kernel.plans.config import PlansConfig, check_plans
 
 __all__ = [
     "Anonymous",

@@ -10,8 +10,8 @@ from typing import Annotated
 import msgspec
 from msgspec import Meta
 
-from rcp_kernel.access.identity import Grants, granted
 from rcp_kernel.config.role import Role
+from rcp_kernel.contract.identity import Grants, granted
 from rcp_kernel.errors import ConfigError
 
 __all__ = [

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import Any, Literal, NamedTuple, Protocol
 
-from rcp_kernel.clients.session import Session
 from rcp_kernel.errors import UnknownPath
 from rcp_kernel.features.services import ServiceKey
-from rcp_kernel.registry import Entry
+from rcp_kernel.sessions.session import Session
+from rcp_kernel.tree.entry import Entry
 from rcp_kernel.wire import Request
 
 __all__ = ["APPROVALS", "About", "ApprovalService", "Decision", "NoApprovals"]

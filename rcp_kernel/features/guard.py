@@ -12,9 +12,9 @@ from typing import Any, Protocol
 
 import msgspec
 
-from rcp_kernel.clients.session import Session
-from rcp_kernel.motion.safety import safe_value
-from rcp_kernel.registry import Entry
+from rcp_kernel.safety.safety import safe_value
+from rcp_kernel.sessions.session import Session
+from rcp_kernel.tree.entry import Entry
 from rcp_kernel.wire import Request
 
 __all__ = ["Call", "Guard", "Slot"]

@@ -7,9 +7,9 @@ from collections.abc import Iterable
 from typing import Any, Protocol
 
 from rcp_kernel.access.acl import Rights
-from rcp_kernel.access.identity import Principal
-from rcp_kernel.clients.session import Session
-from rcp_kernel.record.plugin_store import PluginStore
+from rcp_kernel.contract.identity import Principal
+from rcp_kernel.sessions.session import Session
+from rcp_kernel.store.plugin_store import PluginStore
 from rcp_kernel.wire import Request
 
 __all__ = ["FeatureHost"]

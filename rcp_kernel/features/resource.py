@@ -6,8 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Protocol
 
-from rcp_kernel.clients.session import Session
 from rcp_kernel.model import Resource
+from rcp_kernel.sessions.session import Session
 
 __all__ = ["Filter", "Service", "SystemResource", "View", "ViewChanges"]
 

@@ -14,9 +14,8 @@ from typing import Any
 
 from rcp_kernel._plain import is_map
 from rcp_kernel.access.conditions import Conditions
-from rcp_kernel.access.resolver import Resolver
-from rcp_kernel.clients.session import Session
 from rcp_kernel.config.settings import Settings
+from rcp_kernel.contract.turns import Work
 from rcp_kernel.errors import (
     BY_CODE,
     BadRequest,
@@ -29,11 +28,6 @@ from rcp_kernel.errors import (
 )
 from rcp_kernel.features.approval import ApprovalService
 from rcp_kernel.model import Operation, Pattern
-from rcp_kernel.motion.leases import Leases
-from rcp_kernel.motion.motion_limits import MotionLimits
-from rcp_kernel.motion.safety import check_motion
-from rcp_kernel.motion.scope import Scope
-from rcp_kernel.operations.read import READ_OPTIONS
 from rcp_kernel.plans.fault import Fault, refusal
 from rcp_kernel.plans.lines import from_lines
 from rcp_kernel.plans.looking import looked_at
@@ -43,9 +37,16 @@ from rcp_kernel.plans.nearest import Nearest, nearest
 from rcp_kernel.plans.node import MARK, Checked, Node, references
 from rcp_kernel.plans.reading import ConditionReader
 from rcp_kernel.plans.symbolic import from_symbolic
-from rcp_kernel.record.touches import EVERYTHING
-from rcp_kernel.registry import Entry, Registry
-from rcp_kernel.turns import Work
+from rcp_kernel.requests.read import READ_OPTIONS
+from rcp_kernel.safety.leases import Leases
+from rcp_kernel.safety.motion_limits import MotionLimits
+from rcp_kernel.safety.safety import check_motion
+from rcp_kernel.safety.scope import Scope
+from rcp_kernel.sessions.resolver import Resolver
+from rcp_kernel.sessions.session import Session
+from rcp_kernel.store.touches import EVERYTHING
+from rcp_kernel.tree.entry import Entry
+from rcp_kernel.tree.registry import Registry
 from rcp_kernel.values import Encoding, ValueType, dump
 
 __all__ = ["PlanChecker"]

@@ -10,11 +10,11 @@ import asyncio
 from collections.abc import Sequence
 from typing import Any
 
-from rcp_kernel.access.condition import Condition
 from rcp_kernel.access.conditions import Conditions
 from rcp_kernel.access.pace import Pace
-from rcp_kernel.clients.session import Handler, Session
 from rcp_kernel.clock import iso, now
+from rcp_kernel.config.condition import Condition
+from rcp_kernel.contract.turns import Turns
 from rcp_kernel.errors import (
     BY_CODE,
     DeadlineExceeded,
@@ -23,16 +23,16 @@ from rcp_kernel.errors import (
     PreconditionFailed,
     RcpError,
 )
-from rcp_kernel.operations.commands import Commands
 from rcp_kernel.plans.limit import paced_timeout
 from rcp_kernel.plans.looking import looked_at, refuse_excess
 from rcp_kernel.plans.model import Group, Operate, Parallel, Retry, Wait
 from rcp_kernel.plans.node import Checked, Node, every
 from rcp_kernel.plans.progress import ProgressReport
 from rcp_kernel.plans.requests import StepRequests
-from rcp_kernel.record.audit_writer import AuditWriter
-from rcp_kernel.registry import Registry
-from rcp_kernel.turns import Turns
+from rcp_kernel.requests.audit_writer import AuditWriter
+from rcp_kernel.requests.commands import Commands
+from rcp_kernel.sessions.session import Handler, Session
+from rcp_kernel.tree.registry import Registry
 from rcp_kernel.wire import Request, error_body
 
 __all__ = ["Engine"]

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from rcp_kernel.access.condition import Condition, ConditionTooCostly
 from rcp_kernel.access.conditions import Conditions
-from rcp_kernel.clients.session import Session
+from rcp_kernel.config.condition import Condition, ConditionTooCostly
 from rcp_kernel.errors import Forbidden, PreconditionFailed, UnknownPath
 from rcp_kernel.model import Operation
 from rcp_kernel.plans.node import Node
+from rcp_kernel.sessions.session import Session
 
 __all__ = ["looked_at", "refuse_excess"]
 

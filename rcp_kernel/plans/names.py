@@ -8,14 +8,15 @@ from itertools import islice
 from typing import Any
 
 from rcp_kernel._plain import is_map
-from rcp_kernel.clients.session import Session
+from rcp_kernel.contract.turns import Work
 from rcp_kernel.errors import InvalidValue, UnknownPath
 from rcp_kernel.model import Kind
 from rcp_kernel.plans.lines import word
 from rcp_kernel.plans.nearest import nearest
 from rcp_kernel.plans.symbolic import Action
-from rcp_kernel.registry import Entry, Registry
-from rcp_kernel.turns import Work
+from rcp_kernel.sessions.session import Session
+from rcp_kernel.tree.entry import Entry
+from rcp_kernel.tree.registry import Registry
 
 __all__ = ["NameScope"]
 

@@ -8,15 +8,15 @@ from typing import Any
 
 from msgspec import Raw
 
-from rcp_kernel.clients.session import Handler, Session
+from rcp_kernel.contract.turns import Turns
 from rcp_kernel.errors import BY_CODE, InternalError, RcpError
-from rcp_kernel.operations.commands import Commands
 from rcp_kernel.plans.model import Execute, Operate, Read, Write
 from rcp_kernel.plans.node import Filling, Node
 from rcp_kernel.plans.progress import LONGEST
-from rcp_kernel.record.audit import bounded, hashing
-from rcp_kernel.record.audit_writer import AuditWriter
-from rcp_kernel.turns import Turns
+from rcp_kernel.requests.audit_writer import AuditWriter
+from rcp_kernel.requests.commands import Commands
+from rcp_kernel.sessions.session import Handler, Session
+from rcp_kernel.store.audit import bounded, hashing
 from rcp_kernel.values import Encoding, dump, to_plain
 from rcp_kernel.wire import NO_BODY, Body, Reply, Request
 

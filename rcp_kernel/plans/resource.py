@@ -9,27 +9,27 @@ from typing import Any
 
 from rcp_kernel._plain import is_map
 from rcp_kernel.access.conditions import Conditions
-from rcp_kernel.access.resolver import Resolver
-from rcp_kernel.clients.session import Handler, Session
 from rcp_kernel.clock import iso
 from rcp_kernel.config.settings import Settings
-from rcp_kernel.entry import StopGroup
+from rcp_kernel.contract.turns import Turns
 from rcp_kernel.errors import EstopActive, PayloadTooLarge, QueueFull
 from rcp_kernel.features.approval import About, ApprovalService
 from rcp_kernel.model import Operation
-from rcp_kernel.operations.command import Command
-from rcp_kernel.operations.command_access import CommandAccess
-from rcp_kernel.operations.commands import Commands
 from rcp_kernel.plans.checks import PlanChecker
 from rcp_kernel.plans.engine import Engine
 from rcp_kernel.plans.model import PATH, Plan, PlanState
 from rcp_kernel.plans.node import Checked, every
 from rcp_kernel.plans.progress import ProgressReport
 from rcp_kernel.plans.waiting import WaitingPlan, WaitingPlans
-from rcp_kernel.record.audit_writer import AuditWriter
-from rcp_kernel.registry import Entry, Registry
+from rcp_kernel.requests.audit_writer import AuditWriter
+from rcp_kernel.requests.command_access import CommandAccess
+from rcp_kernel.requests.commands import Commands
+from rcp_kernel.sessions.command import Command
+from rcp_kernel.sessions.resolver import Resolver
+from rcp_kernel.sessions.session import Handler, Session
 from rcp_kernel.spi import Progress
-from rcp_kernel.turns import Turns
+from rcp_kernel.tree.entry import Entry, StopGroup
+from rcp_kernel.tree.registry import Registry
 from rcp_kernel.values import ANY, Encoding, to_plain
 from rcp_kernel.wire import NO_BODY, Body, Reply, Request
 

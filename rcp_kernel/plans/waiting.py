@@ -6,10 +6,10 @@ import secrets
 import time
 from weakref import WeakSet
 
-from rcp_kernel.clients.session import Session
-from rcp_kernel.operations.command import Command
-from rcp_kernel.operations.command_access import CommandAccess, is_own
-from rcp_kernel.operations.commands import Commands
+from rcp_kernel.requests.command_access import CommandAccess, is_own
+from rcp_kernel.requests.commands import Commands
+from rcp_kernel.sessions.command import Command
+from rcp_kernel.sessions.session import Session
 
 __all__ = ["WaitingPlan", "WaitingPlans"]
 

@@ -7,17 +7,17 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 
-from rcp_kernel.entry import StopGroup
+from rcp_kernel.contract.fence import unfenced
 from rcp_kernel.errors import DeviceTimeout
 from rcp_kernel.model import Resource
-from rcp_kernel.safety.fence import unfenced
 from rcp_kernel.spi import MotionState, Progress
+from rcp_kernel.tree.entry import StopGroup
 from rcp_kernel.wire import NO_BODY
 
 if TYPE_CHECKING:
-    from rcp_kernel.clients.session import Session
-    from rcp_kernel.motion.safety import Deadman
-    from rcp_kernel.operations.command import Command, CommandTable
+    from rcp_kernel.safety.safety import Deadman
+    from rcp_kernel.sessions.command import Command, CommandTable
+    from rcp_kernel.sessions.session import Session
 
 __all__ = ["Held", "Hold", "hold_resource"]
 

@@ -6,10 +6,10 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from rcp_kernel.errors import AdapterUnavailable, DeviceTimeout, RcpError
-from rcp_kernel.registry import Entry
+from rcp_kernel.tree.entry import Entry
 
 if TYPE_CHECKING:
-    from rcp_kernel.operations.command import Command
+    from rcp_kernel.sessions.command import Command
 
 __all__ = ["tell_cut_off", "tell_loss"]
 

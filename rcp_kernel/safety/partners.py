@@ -6,9 +6,9 @@ import asyncio
 
 import structlog
 
-from rcp_kernel.entry import StopGroup
-from rcp_kernel.motion.retry import retry_until_confirmed
-from rcp_kernel.registry import Entry, Registry
+from rcp_kernel.safety.retry import retry_until_confirmed
+from rcp_kernel.tree.entry import Entry, StopGroup
+from rcp_kernel.tree.registry import Registry
 
 __all__ = ["Partners"]
 

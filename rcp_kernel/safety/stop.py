@@ -18,11 +18,11 @@ from typing import Any, Literal, Protocol
 import structlog
 
 from rcp_kernel.clock import iso, now
-from rcp_kernel.entry import StopGroup
+from rcp_kernel.contract.fence import unfenced
 from rcp_kernel.errors import AdapterUnavailable, DeviceTimeout, RcpError
-from rcp_kernel.motion.retry import retry_until_confirmed
-from rcp_kernel.safety.fence import unfenced
+from rcp_kernel.safety.retry import retry_until_confirmed
 from rcp_kernel.spi import MotionState
+from rcp_kernel.tree.entry import StopGroup
 
 __all__ = ["Phase", "Stop", "StopController", "StopRecord"]
 

@@ -11,13 +11,13 @@ import msgspec
 import structlog
 
 from rcp_kernel.app.features import active
+from rcp_kernel.app.log import Recent
+from rcp_kernel.app.plugins import Plugins
 from rcp_kernel.app.server import Prepared, Server, running
+from rcp_kernel.app.supervisor import BackendSupervisor
 from rcp_kernel.config.file import GatewayConfig, KeyConfig, decode_table, parse
 from rcp_kernel.config.safety import Safety
 from rcp_kernel.features import FeatureKind
-from rcp_kernel.plugins import Plugins
-from rcp_kernel.process.log import Recent
-from rcp_kernel.process.supervisor import BackendSupervisor
 from rcp_kernel.spi import Backend, BackendKind, Host
 from rcp_kernel.testing._client import MemoryClient
 from rcp_kernel.testing._recorder import Recorder

@@ -13,9 +13,9 @@ from msgspec import Meta
 from playwright.async_api import Browser
 
 from browser.watched import Watched, signed_in
+from rcp_kernel.app.log import configure
 from rcp_kernel.config.file import parse
 from rcp_kernel.model import Resource
-from rcp_kernel.process.log import configure
 from rcp_kernel.spi import BackendKind, BaseBackend, Host, Progress
 from rcp_kernel.testing import serve
 from rcp_kernel.types import Int64, Point, PoseStamped, Twist, quantity

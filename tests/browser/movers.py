@@ -11,10 +11,10 @@ import msgspec
 from playwright.async_api import Browser
 
 from browser.watched import Watched, signed_in
+from rcp_kernel.app.log import configure
 from rcp_kernel.config.file import parse
 from rcp_kernel.errors import AdapterUnavailable, DeviceTimeout
 from rcp_kernel.model import Resource
-from rcp_kernel.process.log import configure
 from rcp_kernel.spi import BackendKind, BaseBackend, Host, MotionState, Progress, check_fence
 from rcp_kernel.testing import serve
 from rcp_kernel.types import Twist

@@ -18,8 +18,8 @@ from browser.proxy import below
 from browser.watched import Watched, log_in, watched
 from certs import Authority
 from docs.demo import Demo, demo
+from rcp_kernel.app.log import configure
 from rcp_kernel.config.file import parse
-from rcp_kernel.process.log import configure
 from rcp_kernel.testing import serve
 
 pytestmark = pytest.mark.anyio

@@ -11,8 +11,8 @@ import pytest
 from playwright.async_api import Browser, Page, expect
 
 from browser.watched import Watched, signed_in
+from rcp_kernel.app.log import configure
 from rcp_kernel.config.file import parse
-from rcp_kernel.process.log import configure
 from rcp_kernel.testing import serve
 
 pytestmark = [pytest.mark.anyio, pytest.mark.serial]

@@ -14,8 +14,8 @@ from browser.driving import KEYS, PAD, STICK, Hand, set_going
 from browser.input_helpers import UNSEEN, drives, push, shift, stands, take, unsafe
 from browser.robots import STILL, speed, until
 from browser.watched import Watched, signed_in
+from rcp_kernel.app.log import configure
 from rcp_kernel.config.file import parse
-from rcp_kernel.process.log import configure
 from rcp_kernel.testing import serve
 
 pytestmark = [pytest.mark.anyio, pytest.mark.serial]

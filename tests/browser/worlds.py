@@ -10,9 +10,9 @@ from typing import Any
 
 import msgspec
 
+from rcp_kernel.app.log import configure
 from rcp_kernel.config.file import parse
 from rcp_kernel.model import Resource
-from rcp_kernel.process.log import configure
 from rcp_kernel.spi import BackendKind, BaseBackend, Host
 from rcp_kernel.testing import Served, serve
 

@@ -14,6 +14,7 @@ from rcp_a2a.config import Provider, PushConfig
 from rcp_asgi.config import TlsConfig
 from rcp_dashboard import DashboardConfig
 from rcp_jwt.config import JwtConfig
+from rcp_kernel.app.plugins import Plugins
 from rcp_kernel.config.envelopes import Bound, EnvelopeConfig, Fence
 from rcp_kernel.config.file import (
     Anonymous,
@@ -29,10 +30,9 @@ from rcp_kernel.config.file import (
     TenantConfig,
     parse,
 )
+from rcp_kernel.config.plans import ActionTable, PlansConfig
 from rcp_kernel.config.role import Role, Rule
 from rcp_kernel.config.safety import Safety
-from rcp_kernel.plans.config import ActionTable, PlansConfig
-from rcp_kernel.plugins import Plugins
 
 PAGE = DOCS / "configuration.md"
 _NEEDED = object()

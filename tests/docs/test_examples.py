@@ -13,7 +13,7 @@ import pytest
 from certs import Authority
 from docs.demo import BIN, Demo
 from docs.pages import ROOT
-from rcp_kernel.plugins import installed
+from rcp_kernel.app.plugins import installed
 
 EXAMPLES = ROOT / "examples"
 

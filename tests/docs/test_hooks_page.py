@@ -23,6 +23,6 @@ def test_every_hook_is_a_heading_with_its_signature() -> None:
 
 
 def test_every_group_of_entry_points_is_named() -> None:
-    from rcp_kernel.plugins import GROUPS
+    from rcp_kernel.app.plugins import GROUPS
 
     assert set(re.findall(r"^\| `(rcp\.\w+)`", PAGE, re.MULTILINE)) == set(GROUPS.values())

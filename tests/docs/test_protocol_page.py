@@ -13,16 +13,16 @@ from kernel.world import features_of
 from rcp_approvals import ApprovalRequest
 from rcp_kernel.access.acl import Rights
 from rcp_kernel.app.composition import compose
-from rcp_kernel.clients.hello import Hello
+from rcp_kernel.app.log import Recent
+from rcp_kernel.app.system import EstopRequest, LeaseRequest
 from rcp_kernel.config.file import GatewayConfig
 from rcp_kernel.errors import BY_CODE
 from rcp_kernel.model import BRANCHES, Policy, operation_names
-from rcp_kernel.operations.discovery import Query
-from rcp_kernel.operations.read import ReadOptions
-from rcp_kernel.process.log import Recent
-from rcp_kernel.record.store import Store
-from rcp_kernel.streaming.filters import Options, Qos
-from rcp_kernel.system import EstopRequest, LeaseRequest
+from rcp_kernel.requests.discovery import Query
+from rcp_kernel.requests.read import ReadOptions
+from rcp_kernel.sessions.hello import Hello
+from rcp_kernel.store.store import Store
+from rcp_kernel.streams.filters import Options, Qos
 from rcp_kernel.wire import Reply, Request, RequestType, Status
 from steps import finished
 

@@ -23,14 +23,14 @@ from typing import Any
 
 import msgspec
 
+from rcp_kernel.app.log import Recent, configure
 from rcp_kernel.app.server import Prepared, Server, running
 from rcp_kernel.config.file import parse
 from rcp_kernel.model import Resource
-from rcp_kernel.process.log import Recent, configure
-from rcp_kernel.record.damage import find_damage
-from rcp_kernel.record.file import open_read_only
-from rcp_kernel.record.latch_file import LatchFile
 from rcp_kernel.spi import BackendKind, BaseBackend, Host, Progress
+from rcp_kernel.store.damage import find_damage
+from rcp_kernel.store.file import open_read_only
+from rcp_kernel.store.latch_file import LatchFile
 from rcp_kernel.values import Encoding
 from rcpd.examination import examined
 

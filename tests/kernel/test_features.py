@@ -14,7 +14,7 @@ import pytest
 from structlog.testing import capture_logs
 
 from kernel.world import CONFIG, Client, Robot, World, prepared, world_of
-from rcp_kernel import plugins
+from rcp_kernel.app import plugins
 from rcp_kernel.app.features import active
 from rcp_kernel.app.reload import reload
 from rcp_kernel.app.server import prepare, running

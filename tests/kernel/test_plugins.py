@@ -11,7 +11,8 @@ from typing import Any
 import pluggy
 import pytest
 
-from rcp_kernel import hookspecs, plugins
+from rcp_kernel import hookspecs
+from rcp_kernel.app import plugins
 from rcp_kernel.app.server import prepare, running
 from rcp_kernel.config.file import parse
 from rcp_kernel.errors import ConfigError, PluginError

@@ -12,8 +12,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from rcp_kernel.contract.structure import check_structure
 from rcp_kernel.errors import BadRequest, PayloadTooLarge
-from rcp_kernel.structure import check_structure
 from rcp_kernel.values import ANY, Encoding
 
 MANY = 1024 * 1024

@@ -14,16 +14,16 @@ from typing import Any
 import msgspec
 
 from rcp_kernel.app.features import ActiveFeature, active
+from rcp_kernel.app.log import configure
+from rcp_kernel.app.plugins import Plugins
 from rcp_kernel.app.server import Prepared, Server, running
 from rcp_kernel.client_api import ClientApi
 from rcp_kernel.config.file import GatewayConfig, parse
 from rcp_kernel.errors import DeviceRejected
 from rcp_kernel.features import FeatureKind
 from rcp_kernel.model import Resource
-from rcp_kernel.plugins import Plugins
-from rcp_kernel.process.log import configure
-from rcp_kernel.record.store import Store
 from rcp_kernel.spi import BackendKind, BaseBackend, Host, Progress
+from rcp_kernel.store.store import Store
 from rcp_kernel.types import Twist, quantity
 from rcp_kernel.values import Encoding
 

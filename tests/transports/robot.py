@@ -11,11 +11,11 @@ from typing import Any
 
 import msgspec
 
+from rcp_kernel.app.log import configure
 from rcp_kernel.app.server import Server
 from rcp_kernel.config.file import parse
 from rcp_kernel.errors import DeviceRejected
 from rcp_kernel.model import Resource
-from rcp_kernel.process.log import configure
 from rcp_kernel.spi import BackendKind, BaseBackend, Host, Progress
 from rcp_kernel.testing import serve
 from rcp_kernel.types import Pose, quantity

@@ -27,9 +27,9 @@ from certs import Authority, Signed
 from issuer import AUDIENCE, Key
 from issuer import Issuer as Signer
 from rcp_kernel.access.tokens import TokenFile
+from rcp_kernel.app.log import configure
 from rcp_kernel.config.file import parse
 from rcp_kernel.model import Resource
-from rcp_kernel.process.log import configure
 from rcp_kernel.spi import BackendKind, BaseBackend, Host, Progress
 from rcp_kernel.testing import Served, serve
 from rcp_kernel.types import Twist, quantity

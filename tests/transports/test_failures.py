@@ -26,8 +26,8 @@ def break_(monkeypatch: pytest.MonkeyPatch) -> None:
     def broken(*_: Any, **__: Any) -> NoReturn:
         raise ZeroDivisionError
 
-    monkeypatch.setattr("rcp_kernel.access.resolver.Resolver.resolve", broken)
-    monkeypatch.setattr("rcp_kernel.operations.read.ReadHandler.read_at_once", lambda *_: None)
+    monkeypatch.setattr("rcp_kernel.sessions.resolver.Resolver.resolve", broken)
+    monkeypatch.setattr("rcp_kernel.requests.read.ReadHandler.read_at_once", lambda *_: None)
 
 
 @pytest.fixture
@@ -94,7 +94,7 @@ async def test_a_bug_while_a_message_is_taken_is_answered(
 
     async with asyncio.timeout(BOUND), opened(gateway, authorization=AUTH) as raw:
         for target in (
-            "rcp_kernel.clients.connections.decode_request",
+            "rcp_kernel.sessions.connections.decode_request",
             "rcp_ws.client.segments.read",
         ):
             with monkeypatch.context() as patched, capture_logs() as said:
@@ -110,8 +110,8 @@ async def test_a_bug_while_a_message_is_taken_is_answered(
 @pytest.mark.parametrize(
     "target",
     [
-        "rcp_kernel.clients.connections.Connection.stumbled",
-        "rcp_kernel.clients.outbox.Outbox.collect",
+        "rcp_kernel.sessions.connections.Connection.stumbled",
+        "rcp_kernel.streams.outbox.Outbox.collect",
         "rcp_ws.client.WsClient.settled",
     ],
 )
@@ -124,7 +124,7 @@ async def test_where_not_even_an_answer_can_be_made_the_connection_is_closed_wit
     with capture_logs() as said:
         monkeypatch.setattr(target, broken)
         if target.endswith("stumbled"):
-            monkeypatch.setattr("rcp_kernel.clients.connections.decode_request", broken)
+            monkeypatch.setattr("rcp_kernel.sessions.connections.decode_request", broken)
         async with asyncio.timeout(BOUND), opened(gateway, authorization=AUTH) as raw:
             raw.ask(type="subscribe", path=POSE, id="1")
             assert await raw.closed() == 1011

@@ -19,10 +19,10 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, rule, run_state_machine_as_test
 
 import rcp_ws.client
-from rcp_kernel.access.peer import UNKNOWN
-from rcp_kernel.clients.session import Session
+from rcp_kernel.app.log import configure
 from rcp_kernel.config.file import parse
-from rcp_kernel.process.log import configure
+from rcp_kernel.contract.peer import UNKNOWN
+from rcp_kernel.sessions.session import Session
 from rcp_kernel.spi import BackendKind, Host
 from rcp_kernel.testing import Served, serve
 from rcp_kernel.values import Encoding

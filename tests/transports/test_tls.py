@@ -17,8 +17,8 @@ from websockets.asyncio.client import connect
 from certs import Authority, Signed
 from rcp_asgi.config import TlsConfig
 from rcp_asgi.tls import Tls
+from rcp_kernel.app.log import configure
 from rcp_kernel.errors import ConfigError
-from rcp_kernel.process.log import configure
 from transports.raw import TEXT, connected, frame, handshake
 from transports.robot import BOUND, KEY, Site, site, until
 

@@ -38,10 +38,10 @@ from rcp_asgi.request_head import (
 from rcp_asgi.settings import Settings
 from rcp_asgi.upgrade import Upgrade
 from rcp_kernel.access.certificates import read_certificate
-from rcp_kernel.access.peer import UNKNOWN, Peer
 from rcp_kernel.client_api import Asgi
-from rcp_kernel.clients.outbound import Backlog
+from rcp_kernel.contract.peer import UNKNOWN, Peer
 from rcp_kernel.errors import RcpError
+from rcp_kernel.streams.outbound import Backlog
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import encode_reply, failure
 

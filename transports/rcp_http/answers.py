@@ -11,9 +11,9 @@ from rcp_http.config import HttpConfig
 from rcp_http.negotiate import coding
 from rcp_http.request import HttpRequest
 from rcp_kernel.asgi import MEDIA, Headers, Send, retry_after, status_of
-from rcp_kernel.clients.outbound import SHARE, Outbound
-from rcp_kernel.clients.unsent import left_out
-from rcp_kernel.operations.pending import to_internal_error
+from rcp_kernel.contract.pending import to_internal_error
+from rcp_kernel.sessions.unsent import left_out
+from rcp_kernel.streams.outbound import SHARE, Outbound
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import Reply, encode_reply, failure
 

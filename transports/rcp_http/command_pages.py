@@ -7,9 +7,9 @@ from typing import NamedTuple, get_args
 
 from rcp_http.request import HttpRequest, count
 from rcp_kernel.errors import BadRequest
-from rcp_kernel.operations.command import Command
-from rcp_kernel.operations.pages import LONGEST, cursor_of, place_of
-from rcp_kernel.operations.parts import Parts
+from rcp_kernel.requests.pages import LONGEST, cursor_of, place_of
+from rcp_kernel.requests.parts import Parts
+from rcp_kernel.sessions.command import Command
 from rcp_kernel.wire import Status
 
 __all__ = ["Wanted", "fill"]

@@ -7,15 +7,15 @@ from collections.abc import Callable
 import msgspec
 from msgspec import Raw
 
-from rcp_kernel.access.identity import Principal
 from rcp_kernel.asgi import Receive, Scope, Send, bearer, header, peer_of
 from rcp_kernel.client_api import ClientApi
-from rcp_kernel.clients.connections import Connection
-from rcp_kernel.clients.hello import Hello
-from rcp_kernel.clients.outbox import Wrap
 from rcp_kernel.clock import iso, now
+from rcp_kernel.contract.identity import Principal
 from rcp_kernel.errors import Gap, RcpError
-from rcp_kernel.streaming.samples import Sample
+from rcp_kernel.sessions.connections import Connection
+from rcp_kernel.sessions.hello import Hello
+from rcp_kernel.streams.outbox import Wrap
+from rcp_kernel.tree.samples import Sample
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import Reply, Request, encode_frame
 from rcp_sse.config import SseConfig

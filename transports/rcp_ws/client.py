@@ -9,12 +9,12 @@ from typing import Any
 
 import structlog
 
-from rcp_kernel.access import peer
-from rcp_kernel.access.identity import Principal
 from rcp_kernel.client_api import ClientApi
-from rcp_kernel.clients.hello import Hello
-from rcp_kernel.clients.outbound import SHARE
+from rcp_kernel.contract import peer
+from rcp_kernel.contract.identity import Principal
 from rcp_kernel.errors import BadRequest, PayloadTooLarge, RcpError, Unauthenticated
+from rcp_kernel.sessions.hello import Hello
+from rcp_kernel.streams.outbound import SHARE
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import failure, peek_header
 from rcp_ws import segments

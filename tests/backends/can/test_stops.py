@@ -20,6 +20,7 @@ from backends.can.rig import MOTORS, Motor, Node, channel, motor, opened
 from backends.can.test_joints import arm
 from rcp_can.config_motor import MotorConfig
 from rcp_can.sim import Bench, make_twin
+from rcp_kernel.contract.fence import permitted
 from rcp_kernel.errors import (
     AdapterUnavailable,
     DeviceRejected,
@@ -28,7 +29,6 @@ from rcp_kernel.errors import (
     ModeForbids,
     RcpError,
 )
-from rcp_kernel.safety.fence import permitted
 
 every_profile = pytest.mark.parametrize("profile", MOTORS)
 GOES_BLIND = ["cia402", "odrive", "moteus", "vesc"]

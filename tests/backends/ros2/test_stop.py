@@ -14,8 +14,8 @@ from typing import Any
 import pytest
 
 from backends.ros2.robot import BOUND, Base, Commander, Robot, fresh_domain, ignore, robot_of
+from rcp_kernel.contract.fence import permitted
 from rcp_kernel.errors import AdapterUnavailable, DeviceRejected, DeviceTimeout, EstopActive
-from rcp_kernel.safety.fence import permitted
 
 pytestmark = pytest.mark.anyio
 

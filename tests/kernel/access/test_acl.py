@@ -6,8 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rcp_kernel.access.acl import Rules
-from rcp_kernel.access.identity import Principal, granted
 from rcp_kernel.config.role import BUILTIN_ROLES, Role, Rule
+from rcp_kernel.contract.identity import Principal, granted
 from rcp_kernel.model import Operation, Pattern
 
 OPERATIONS = ("discover", "read", "write", "execute", "subscribe")

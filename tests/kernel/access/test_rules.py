@@ -9,8 +9,8 @@ import msgspec
 import pytest
 
 from kernel.world import CONFIG, Client, World, world_of
-from rcp_kernel.access.identity import Principal
 from rcp_kernel.config.file import parse
+from rcp_kernel.contract.identity import Principal
 from rcp_kernel.errors import ConfigError
 from rcp_kernel.model import Resource
 

@@ -8,8 +8,8 @@ import anyio
 import pytest
 
 from kernel.world import CONFIG, world_of
-from rcp_kernel.access.identity import fingerprint
 from rcp_kernel.access.tokens import PREFIX, TokenFile
+from rcp_kernel.contract.identity import fingerprint
 from rcp_kernel.errors import RateLimited, TokenExpired, Unauthenticated
 
 pytestmark = pytest.mark.anyio
@@ -107,7 +107,7 @@ async def test_a_key_of_the_configuration_expires() -> None:
 
 
 async def test_guessing_is_slowed_and_who_has_a_right_key_comes_in() -> None:
-    from rcp_kernel.access.peer import Peer
+    from rcp_kernel.contract.peer import Peer
 
     async with world_of(CONFIG + "[limits]\nfailed_logins = 5\n") as world:
         client_api = world.server.client_api

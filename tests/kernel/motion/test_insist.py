@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 import structlog
 
-from rcp_kernel.motion.retry import retry_until_confirmed
+from rcp_kernel.safety.retry import retry_until_confirmed
 
 pytestmark = pytest.mark.anyio
 

@@ -11,8 +11,8 @@ from kernel.world import BOUND, CONFIG, Client, World, prepared
 from rcp_kernel.app.reload import apply
 from rcp_kernel.config.file import parse
 from rcp_kernel.errors import DeviceRejected
-from rcp_kernel.motion import safety
-from rcp_kernel.operations import write
+from rcp_kernel.requests import write
+from rcp_kernel.safety import safety
 from rcp_kernel.types import Twist
 
 pytestmark = pytest.mark.anyio

@@ -15,10 +15,10 @@ from kernel.fenced import AGENT, BLIND, OPERATOR, fenced, reconfigured
 from rcp_kernel.config.envelopes import Bound, EnvelopeConfig
 from rcp_kernel.errors import InvalidValue, OutOfRange
 from rcp_kernel.model import Resource
-from rcp_kernel.motion.commanded_values import CommandedValues
-from rcp_kernel.motion.motion_limit import MotionLimit
-from rcp_kernel.motion.narrowed import narrowed
-from rcp_kernel.registry import Registry
+from rcp_kernel.safety.commanded_values import CommandedValues
+from rcp_kernel.safety.motion_limit import MotionLimit
+from rcp_kernel.safety.narrowed import narrowed
+from rcp_kernel.tree.registry import Registry
 from rcp_kernel.types import Int64, Real, quantity
 from rcp_kernel.values import value_type
 

@@ -240,7 +240,7 @@ async def test_the_robot_hears_of_a_key_only_once_it_is_committed(tmp_path: Path
 async def test_ended_commands_are_remembered_within_a_number_of_bytes(
     world: World, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("rcp_kernel.operations.finished._BYTES", 5000)
+    monkeypatch.setattr("rcp_kernel.requests.finished._BYTES", 5000)
     client = world.client()
     for _ in range(10):
         await client.ask(type="execute", path="/tenant/alpha/service/echo", body="x" * 300)

@@ -16,10 +16,10 @@ from contextlib import asynccontextmanager
 from typing import Any, NoReturn
 
 from kernel.world import CONFIG, Client, NoOptions, Robot, prepared
+from rcp_kernel.app.containment import end_in_time, run_contained
+from rcp_kernel.app.log import configure
 from rcp_kernel.app.server import running
 from rcp_kernel.config.file import parse
-from rcp_kernel.process.containment import end_in_time, run_contained
-from rcp_kernel.process.log import configure
 from rcp_kernel.spi import BackendKind, Host, Progress
 from rcpd.serve import loop_factory
 

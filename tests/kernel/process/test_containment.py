@@ -14,9 +14,9 @@ from types import ModuleType
 
 import pytest
 
+from rcp_kernel.app.plugins import Plugins
 from rcp_kernel.config.file import parse
 from rcp_kernel.hookspecs import hookimpl
-from rcp_kernel.plugins import Plugins
 
 pytestmark = pytest.mark.anyio
 _TESTS = Path(__file__).parents[2]

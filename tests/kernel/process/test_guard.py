@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from kernel.world import Client, Robot, World, world_of
-from rcp_kernel.process import guard
+from rcp_kernel.app import guard
 from rcp_kernel.spi import MotionState, StopPlan, Watchdog
 
 pytestmark = pytest.mark.anyio

@@ -13,7 +13,7 @@ import pytest
 from click.testing import CliRunner
 
 from kernel.world import Client, World, kept_in, settled, until_trouble, world_of
-from rcp_kernel.record.denial_throttle import DenialThrottle
+from rcp_kernel.store.denial_throttle import DenialThrottle
 from rcpd.audit import audit
 from rcpd.examination import examined
 

@@ -8,8 +8,8 @@ import msgspec
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rcp_kernel.record.chain import GENESIS, Head, Row, link, parse_head, verify, written
-from rcp_kernel.record.denial_throttle import DenialThrottle
+from rcp_kernel.store.chain import GENESIS, Head, Row, link, parse_head, verify, written
+from rcp_kernel.store.denial_throttle import DenialThrottle
 
 
 def chain(count: int, *, after: Head = (0, GENESIS), pruned: bool = False) -> list[Row]:

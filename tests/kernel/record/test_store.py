@@ -13,9 +13,9 @@ import pytest
 
 from kernel.world import BOUND, kept_in, settled, until_trouble, world_of
 from rcp_kernel.errors import ConfigError
-from rcp_kernel.record.disk_store import DiskStore
-from rcp_kernel.record.file import opened
-from rcp_kernel.record.store import Store
+from rcp_kernel.store.disk_store import DiskStore
+from rcp_kernel.store.file import opened
+from rcp_kernel.store.store import Store
 
 pytestmark = pytest.mark.anyio
 
@@ -166,7 +166,7 @@ async def test_a_full_disk_is_waited_out(store: DiskStore, monkeypatch: pytest.M
         base.execute("PRAGMA max_page_count = 20" if limited else "PRAGMA max_page_count = 9999")
         return base
 
-    monkeypatch.setattr("rcp_kernel.record.disk_store.opened", small)
+    monkeypatch.setattr("rcp_kernel.store.disk_store.opened", small)
     store.put("things", "a", 1)
     async with asyncio.timeout(BOUND):
         for number in range(40):

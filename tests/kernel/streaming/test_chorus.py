@@ -10,7 +10,7 @@ import pytest
 
 from kernel.world import World
 from rcp_kernel.model import Resource
-from rcp_kernel.streaming.shared_fanout import SharedFanout
+from rcp_kernel.streams.shared_fanout import SharedFanout
 from rcp_kernel.values import Encoding
 
 pytestmark = pytest.mark.anyio

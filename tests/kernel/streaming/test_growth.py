@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from kernel.world import CONFIG, Client, World, world_of
-from rcp_kernel.clients.session import Session
+from rcp_kernel.sessions.session import Session
 from rcp_kernel.wire import Reply
 
 pytestmark = pytest.mark.anyio

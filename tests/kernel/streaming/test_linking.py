@@ -14,7 +14,7 @@ import pytest
 
 from kernel.world import BOUND, CONFIG, Client, Robot, World, world_of
 from rcp_kernel.model import Resource
-from rcp_kernel.registry import Entry
+from rcp_kernel.tree.entry import Entry
 
 pytestmark = pytest.mark.anyio
 PATHS = 1500

@@ -8,8 +8,8 @@ from contextlib import asynccontextmanager
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat
 
+from rcp_kernel.app.log import configure
 from rcp_kernel.config.file import parse
-from rcp_kernel.process.log import configure
 from rcp_kernel.testing import serve
 
 OPERATOR = "operator-of-the-rovers"

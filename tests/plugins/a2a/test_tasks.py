@@ -18,11 +18,11 @@ from rcp_a2a.callers import CALLER, Caller
 from rcp_a2a.config import A2aConfig
 from rcp_a2a.tasks import Tasks
 from rcp_kernel.access.acl import Rights
-from rcp_kernel.access.identity import Principal
-from rcp_kernel.clients.session import Session
 from rcp_kernel.clock import now
-from rcp_kernel.record.disk_store import DiskStore
-from rcp_kernel.record.plugin_store import PluginStore
+from rcp_kernel.contract.identity import Principal
+from rcp_kernel.sessions.session import Session
+from rcp_kernel.store.disk_store import DiskStore
+from rcp_kernel.store.plugin_store import PluginStore
 
 pytestmark = pytest.mark.anyio
 NOWHERE = "execute /service/nowhere"

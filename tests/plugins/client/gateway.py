@@ -10,11 +10,11 @@ from typing import Any, Self
 import msgspec
 
 from rcp_kernel.app.features import active
+from rcp_kernel.app.log import configure
+from rcp_kernel.app.plugins import Plugins
 from rcp_kernel.app.server import Prepared, Server, running
 from rcp_kernel.config.file import parse
 from rcp_kernel.model import Resource
-from rcp_kernel.plugins import Plugins
-from rcp_kernel.process.log import configure
 from rcp_kernel.spi import BackendKind, BaseBackend, Host, Progress
 from rcp_kernel.types import Twist, quantity
 from rcp_kernel.values import value_type

@@ -11,7 +11,7 @@ from plugins.client.gateway import BOUND, OPERATOR, Gateway, Point
 from plugins.client.heard import Heard
 from plugins.client.proxy import Proxy
 from rcp_client import ConnectionLost, connect
-from rcp_kernel.clients.session import Session
+from rcp_kernel.sessions.session import Session
 
 pytestmark = pytest.mark.anyio
 

@@ -23,10 +23,10 @@ from typing import Any
 import msgspec
 import uvloop
 
+from rcp_kernel.app.log import configure
 from rcp_kernel.app.server import Prepared, Server, running
 from rcp_kernel.config.file import parse
 from rcp_kernel.model import Resource
-from rcp_kernel.process.log import configure
 from rcp_kernel.spi import BackendKind, BaseBackend, Host, MotionState, Progress, StopPlan, Watchdog
 from rcp_kernel.types import quantity
 from rcp_kernel.values import Encoding

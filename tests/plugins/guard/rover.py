@@ -16,9 +16,9 @@ from typing import Any
 
 import uvloop
 
+from rcp_kernel.app.log import configure
 from rcp_kernel.app.server import prepare, running
 from rcp_kernel.config.file import parse
-from rcp_kernel.process.log import configure
 from rcp_kernel.values import Encoding
 
 CONFIG = """

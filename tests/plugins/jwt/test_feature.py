@@ -11,7 +11,7 @@ import pytest
 
 from issuer import Issuer, who
 from kernel.world import CONFIG, Client, prepared, world_of
-from rcp_kernel import plugins
+from rcp_kernel.app import plugins
 from rcp_kernel.app.reload import apply
 from rcp_kernel.app.server import prepare, running
 from rcp_kernel.config.file import parse

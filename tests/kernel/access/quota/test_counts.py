@@ -22,9 +22,9 @@ from kernel.access.quota.home import AGENT, ANN, BOB, LEVEL, at_home
 from kernel.world import Client, World, prepared, world_of
 from rcp_kernel.access.token_bucket import QuotaUsage
 from rcp_kernel.app.reload import apply
-from rcp_kernel.clients.session import Session
 from rcp_kernel.config.file import parse
 from rcp_kernel.errors import QueueFull
+from rcp_kernel.sessions.session import Session
 
 LOOSE = "\n[tenants.alpha.quota]\nsessions = 4\nsubscriptions = 5\ncommands = 3\n"
 TIGHT = (

@@ -1,0 +1,429 @@
+"""The health report: what `/system/status`, `/readyz` and `/metrics` say."""
+
+from __future__ import annotations
+
+import asyncio
+import platform
+import time
+from collections.abc import Generator, Iterable, Sequence
+from functools import cache
+from importlib.metadata import PackageNotFoundError, version
+from typing import Any
+
+import psutil
+from prometheus_client.core import Metric
+
+from rcp_kernel.access.acl import Rights
+from rcp_kernel.access.identities import Identities
+from rcp_kernel.access.sights import Hidden, Sights
+from rcp_kernel.access.visibility import Visibility, names_in
+from rcp_kernel.app.guard import GuardLink
+from rcp_kernel.app.log import Recent
+from rcp_kernel.app.supervisor import WIRE_STATE, BackendSupervisor
+from rcp_kernel.clock import iso, now
+from rcp_kernel.contract.metrics import Histogram, Metrics, counter, gauge, histogram
+from rcp_kernel.model import tenant_of
+from rcp_kernel.plans.model import PATH as PLANS
+from rcp_kernel.requests.commands import Commands
+from rcp_kernel.safety.motion_limits import MotionLimits
+from rcp_kernel.sessions.counts import RequestCounts
+from rcp_kernel.sessions.quotas import QuotaTracker
+from rcp_kernel.sessions.session import Session
+from rcp_kernel.sessions.sessions import Sessions
+from rcp_kernel.store.store import Store
+from rcp_kernel.streams.hub import Hub
+from rcp_kernel.streams.outbound import Outbound
+from rcp_kernel.streams.subscription import Subscription
+from rcp_kernel.tree.registry import Registry
+
+__all__ = ["StatusReport", "gateway_version"]
+
+_LAG_PERIOD = 0.5  # s
+_PART = 50  # resources whose metrics are written in one step
+
+
+@cache
+def gateway_version() -> str:
+    """Return the installed version of the distribution."""
+    try:
+        return version("rcp-gateway")
+    except PackageNotFoundError:
+        return "0"
+
+
+class StatusReport:
+    """Looks at the whole gateway and says how it is."""
+
+    def __init__(
+        self,
+        supervisors: Sequence[BackendSupervisor],
+        guard: GuardLink,
+        recent: Recent,
+        *,
+        registry: Registry,
+        hub: Hub,
+        sights: Sights,
+        visibility: Visibility,
+        identities: Identities,
+        sessions: Sessions,
+        outbound: Outbound,
+        quotas: QuotaTracker,
+        commands: Commands,
+        counts: RequestCounts,
+        motion_limits: MotionLimits,
+        store: Store,
+        loop: asyncio.AbstractEventLoop,
+    ) -> None:
+        self._supervisors = supervisors
+        self._guard = guard
+        self._recent = recent
+        self._registry = registry
+        self._hub = hub
+        self._sights = sights
+        self._visibility = visibility
+        self._identities = identities
+        self._sessions = sessions
+        self._outbound = outbound
+        self._quotas = quotas
+        self._commands = commands
+        self._counts = counts
+        self._motion_limits = motion_limits
+        self._store = store
+        self._loop = loop
+        self.transports: list[dict[str, Any]] = []
+        self.adapters: list[dict[str, Any]] = []
+        self.metrics = Metrics()
+        self._process = psutil.Process()
+        self._process.cpu_percent()
+        self._started = now()
+        self._lag = Histogram()
+        self._lag_last = 0.0
+        self._timer: asyncio.TimerHandle | None = None
+        self._expected = 0.0
+
+    def start(self) -> None:
+        """Begin to measure how late the event loop is."""
+        self._expected = self._loop.time() + _LAG_PERIOD
+        self._timer = self._loop.call_at(self._expected, self._measure)
+
+    def _measure(self) -> None:
+        self._lag_last = max(0.0, self._loop.time() - self._expected)
+        self._lag.observe(self._lag_last)
+        self.start()
+
+    def stop(self) -> None:
+        """Stop measuring."""
+        if self._timer is not None:
+            self._timer.cancel()
+
+    def ready(self) -> tuple[bool, dict[str, str]]:
+        """Tell whether every backend is ready, and each one's state."""
+        states = {
+            supervisor.name: WIRE_STATE.get(supervisor.state, "down")
+            for supervisor in self._supervisors
+        }
+        return all(state in ("ready", "degraded") for state in states.values()), states
+
+    def plain(self, rights: Rights | None = None) -> dict[str, Any]:
+        """Write the report as far as it concerns the tenants of somebody, or all of it."""
+        every = rights is None or "*" in rights.tenants
+        tenants = ("*",) if rights is None else rights.tenants
+        supervisors = [s for s in self._supervisors if every or s.tenant in tenants]
+        robots = [self._robot(supervisor, rights) for supervisor in supervisors]
+        states = [robot["state"] for robot in robots]
+        adapters = [*self.adapters, *self._identities.facts]
+        parts = [*self.transports, *adapters]
+        broken = any(part.get("state") == "down" for part in parts)
+        broken = broken or (self._store.trouble or self._store.damage) is not None
+        faults = {
+            path: why
+            for path, why in self._motion_limits.faults_in(tenants).items()
+            if rights is None or rights.mask(path)
+        }
+        broken = broken or bool(faults)
+        worst = "ok" if all(s == "ready" for s in states) and not broken else "degraded"
+        if states and all(state == "down" for state in states):
+            worst = "down"
+        sessions = self._sessions_of(tenants)
+        report = {
+            "state": worst,
+            "version": gateway_version(),
+            "uptime": round(time.monotonic() - self.metrics.started, 3),
+            "started": iso(self._started),
+            "backends": robots,
+            "transports": self.transports if every else [_part(one) for one in self.transports],
+            "adapters": adapters if every else [_part(one) for one in self.adapters],
+            "envelopes": faults,
+            "guard": self._guarded(supervisors, rights),
+            "sessions": len(sessions),
+            "subscriptions": sum(len(session.subscriptions) for session in sessions),
+            "resources": self._count_resources(rights),
+            "commands": self._count_commands(rights),
+            "queues": self._queues(tenants),
+            "warnings": [r for r in self._recent.records if self.concerns(r, rights)],
+        }
+        if every:
+            report["process"] = self._process_facts()
+            report["host"] = {
+                "name": platform.node(),
+                "platform": platform.platform(),
+                "python": platform.python_version(),
+                "cpus": psutil.cpu_count() or 0,
+            }
+        return report
+
+    def _guarded(
+        self, supervisors: list[BackendSupervisor], rights: Rights | None
+    ) -> dict[str, Any]:
+        """Tell what stops the robots without the gateway: of backends that are seen as a whole."""
+        return self._guard.plain(
+            s for s in supervisors if rights is None or not self._hides(s, rights).count
+        )
+
+    def _count_resources(self, rights: Rights | None) -> int:
+        if rights is None:
+            return len(self._registry.entries)
+        return self._sights.look(rights).visible
+
+    def _hides(self, supervisor: BackendSupervisor, rights: Rights) -> Hidden:
+        return self._sights.look(rights).hides(supervisor.tenant, supervisor.name)
+
+    def _names_hidden(self, supervisor: BackendSupervisor, rights: Rights, text: str) -> bool:
+        sight = self._sights.look(rights)
+        return sight.names_hidden(supervisor.tenant, supervisor.name, text)
+
+    def _robot(self, supervisor: BackendSupervisor, rights: Rights | None) -> dict[str, Any]:
+        """Describe a backend without what somebody may not know to be there."""
+        facts = supervisor.plain()
+        if rights is None:
+            return facts
+        facts["resources"] -= self._hides(supervisor, rights).count
+        for key in ("detail", "last_error"):
+            text = facts[key]
+            if text is not None and (
+                rights.hides(text) or self._names_hidden(supervisor, rights, text)
+            ):
+                facts[key] = "see the log of the gateway"
+        return facts
+
+    def concerns(self, record: dict[str, Any], rights: Rights | None) -> bool:
+        """Tell whether a log record is of somebody's tenants, and names nothing that is hidden."""
+        if rights is None:
+            return True
+        if "*" not in rights.tenants and self.tenant_of(record) not in rights.tenants:
+            return False
+        facts = record["facts"]
+        texts = [record["message"], *(text for text in facts.values() if isinstance(text, str))]
+        if self._visibility.names_hidden(rights, self.tenant_of(record), names_in(texts)):
+            return False
+        supervisor = next((s for s in self._supervisors if s.name == _backend(facts)), None)
+        return supervisor is None or not any(
+            self._names_hidden(supervisor, rights, text) for text in texts
+        )
+
+    def tenant_of(self, record: dict[str, Any]) -> str | None:
+        """Return the tenant that a log record is about; None: it is the gateway's own."""
+        facts = record["facts"]
+        path = facts.get("path")
+        if isinstance(path, str) and path.startswith("/tenant/"):
+            return tenant_of(path)
+        name = _backend(facts)
+        return next(
+            (supervisor.tenant for supervisor in self._supervisors if supervisor.name == name), None
+        )
+
+    def _sessions_of(self, tenants: tuple[str, ...]) -> list[Session]:
+        known = self._sessions.known.values()
+        return [s for s in known if "*" in tenants or s.tenant in tenants]
+
+    def _count_commands(self, rights: Rights | None) -> dict[str, int]:
+        commands = self._commands
+        running = [c.status for c in commands.running.values() if self._is_counted(rights, c.path)]
+        ended: dict[str, int] = {}
+        for (path, status), count in commands.counts.items():
+            if self._is_counted(rights, path):
+                ended[status] = ended.get(status, 0) + count
+        queued = running.count("pending")
+        return {
+            "running": len(running) - queued,
+            "queued": queued,
+            "completed": ended.get("completed", 0),
+            "failed": ended.get("failed", 0) + ended.get("rejected", 0),
+            "cancelled": ended.get("cancelled", 0),
+        }
+
+    def _is_counted(self, rights: Rights | None, path: str) -> bool:
+        """Tell whether commands on a path count; plans do for those who see all they may touch."""
+        if rights is None:
+            return True
+        whole = path != PLANS or self._visibility.sees_whole(rights, None)
+        return whole and bool(rights.mask(path))
+
+    def _process_facts(self) -> dict[str, Any]:
+        process = self._process
+        with process.oneshot():
+            return {
+                "cpu": process.cpu_percent(),
+                "rss": process.memory_info().rss,
+                "threads": process.num_threads(),
+                "open_files": process.num_fds() if hasattr(process, "num_fds") else 0,
+            }
+
+    def _queues(self, tenants: tuple[str, ...]) -> dict[str, Any]:
+        sessions = self._sessions_of(tenants)
+        boxes = {s.id[:8]: s.connection.outbox for s in sessions if s.connection is not None}
+        waiting = {id_: box.depth for id_, box in boxes.items()}
+        if "*" in tenants:
+            dropped = sum(self._hub.dropped.values()) + _conflated(self._hub.subscriptions)
+        else:
+            dropped = _conflated(sub for s in sessions for sub in s.subscriptions.values())
+        return {
+            "depth": sum(waiting.values()),
+            "high_water": max((box.high_water for box in boxes.values()), default=0),
+            "dropped": dropped,
+            "by_session": {id_: depth for id_, depth in waiting.items() if depth},
+        }
+
+    # -- Prometheus ----------------------------------------------------------------------------
+
+    def exposition(self, rights: Rights) -> Generator[None, None, bytes]:
+        """Write the exposition for somebody, in steps."""
+        return self.metrics.exposition(self._families(rights))
+
+    def _families(self, rights: Rights) -> Iterable[Metric]:
+        commands = self._commands
+        facts = {"version": gateway_version(), "python": platform.python_version()}
+        yield gauge("rcp_build_info", "What runs here.", tuple(facts), [(list(facts.values()), 1)])
+        up = time.monotonic() - self.metrics.started
+        yield gauge("rcp_uptime_seconds", "Since the start.", (), [([], up)])
+        yield gauge(
+            "rcp_backend_up",
+            "Whether a backend is ready.",
+            ("backend", "tenant"),
+            [([s.name, s.tenant], float(s.backend is not None)) for s in self._supervisors],
+        )
+        yield counter(
+            "rcp_requests",
+            "Requests by their outcome.",
+            ("transport", "type", "code"),
+            [(list(key), count) for key, count in self._counts.outcomes.items()],
+        )
+        yield histogram(
+            "rcp_request_seconds", "From request to final reply.", (), [([], self._counts.seconds)]
+        )
+        yield counter(
+            "rcp_samples",
+            "Samples that a backend published.",
+            ("backend",),
+            [([s.name], s.samples) for s in self._supervisors],
+        )
+        yield counter("rcp_updates", "Updates sent.", ("transport",), self._updates())
+        dropped = {**self._hub.dropped}
+        dropped["conflated"] += _conflated(self._hub.subscriptions)
+        yield counter(
+            "rcp_dropped",
+            "Samples not delivered.",
+            ("reason",),
+            [([reason], count) for reason, count in dropped.items()],
+        )
+        yield from self._gauges()
+        outbound = self._outbound
+        yield counter(
+            "rcp_queue_full",
+            "What was done because too much waited for clients.",
+            ("action",),
+            [(["refused"], outbound.refused), (["closed"], outbound.cut)],
+        )
+        yield counter(
+            "rcp_quota_refused",
+            "What a quota did not allow.",
+            ("quota", "tenant", "what"),
+            [(list(key), count) for key, count in self._quotas.refused().items()],
+        )
+        yield counter(
+            "rcp_commands",
+            "Commands by final status.",
+            ("status",),
+            _by_status(commands.counts),
+        )
+        yield histogram(
+            "rcp_command_seconds", "Of finished commands.", (), [([], commands.seconds)]
+        )
+        entries = list(self._registry.entries.values())
+        for begin in range(0, max(1, len(entries)), _PART):
+            part = entries[begin : begin + _PART]
+            yield gauge(
+                "rcp_resource_age_seconds",
+                "Age of the latest sample of paths with a deadline.",
+                ("path",),
+                [
+                    ([entry.path], entry.age)
+                    for entry in part
+                    if entry.deadline is not None
+                    and entry.age is not None
+                    and rights.mask(entry.path)
+                ],
+            )
+
+    def _gauges(self) -> Iterable[Metric]:
+        queues = self._queues(("*",))
+        guard = self._guard
+        yield counter(
+            "rcp_guard_stops", "How often the guard has stopped robots.", (), [([], guard.stops)]
+        )
+        for name, text, value in (
+            (
+                "rcp_event_loop_lag_max_seconds",
+                "The most that the event loop was late.",
+                guard.lag,
+            ),
+            (
+                "rcp_guard_ready",
+                "Whether the guard is ready to send every plan, or has none.",
+                guard.state in ("ready", "idle"),
+            ),
+            (
+                "rcp_store_degraded",
+                "Whether the store is damaged, gone, or cannot be written.",
+                (self._store.trouble or self._store.damage) is not None,
+            ),
+            ("rcp_sessions", "Sessions held.", len(self._sessions.known)),
+            ("rcp_subscriptions", "Subscriptions held.", len(self._hub.subscriptions)),
+            ("rcp_queue_depth", "Messages waiting for clients.", queues["depth"]),
+            (
+                "rcp_queue_bytes",
+                "Bytes waiting for clients, but for 64 KiB of each.",
+                self._outbound.total,
+            ),
+            ("rcp_event_loop_lag_seconds", "How late the event loop was.", self._lag_last),
+        ):
+            yield gauge(name, text, (), [([], float(value))])
+
+    def _updates(self) -> list[tuple[list[str], float]]:
+        sums = dict(self._sessions.updates)
+        for session in self._sessions.known.values():
+            if session.connection is not None:
+                name = session.transport
+                sums[name] = sums.get(name, 0) + session.connection.outbox.updates
+        return [([name], count) for name, count in sums.items()]
+
+
+def _conflated(subscriptions: Iterable[Subscription]) -> int:
+    return sum(subscription.skipped for subscription in subscriptions)
+
+
+def _part(facts: dict[str, Any]) -> dict[str, Any]:
+    """Tell of a transport or adapter what is no other tenant's business."""
+    return {key: facts[key] for key in ("name", "state") if key in facts}
+
+
+def _by_status(counts: dict[tuple[str, str], int]) -> list[tuple[list[str], float]]:
+    sums: dict[str, int] = {}
+    for (_, status), count in counts.items():
+        sums[status] = sums.get(status, 0) + count
+    return [([status], count) for status, count in sums.items()]
+
+
+def _backend(facts: dict[str, Any]) -> str:
+    """Return the backend that a log record names: of one of its robots, what stands before it."""
+    return str(facts.get("backend", "")).partition("/")[0]

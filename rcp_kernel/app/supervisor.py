@@ -1,0 +1,460 @@
+"""One task for each backend: open, ready, degraded, backoff, close. A crash changes a state only.
+
+    declared → opening → ready ⇄ degraded → closing → closed,  and  unavailable, failed
+
+`NotReady` and crashes mean again with backoff, `ConfigError` means stop for good. Adapters and
+transports are opened after the backends were started and closed before them, in reverse; motion is
+halted, with a bound, before anything closes.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from typing import Any, Literal
+
+import structlog
+
+from rcp_kernel.app.containment import ContainedBackend, contained
+from rcp_kernel.clock import iso, now
+from rcp_kernel.config.file import BackendConfig
+from rcp_kernel.contract.fence import permitted
+from rcp_kernel.contract.shutdown import Shutdown
+from rcp_kernel.errors import AdapterUnavailable, ConfigError, NotReady, PluginError, RcpError
+from rcp_kernel.model import Resource, full_path
+from rcp_kernel.requests.audit_writer import AuditWriter
+from rcp_kernel.requests.commands import Commands
+from rcp_kernel.requests.history import History
+from rcp_kernel.safety.hold import hold_resource
+from rcp_kernel.safety.loss import tell_cut_off
+from rcp_kernel.safety.stop import StopController
+from rcp_kernel.sessions.command import Command
+from rcp_kernel.spi import Backend, BackendKind, BaseBackend, Publication, StopPlan
+from rcp_kernel.streams.hub import Hub
+from rcp_kernel.tree.entry import Entry, StopGroup
+from rcp_kernel.tree.latches import Latch, Latches
+from rcp_kernel.tree.registry import Registry
+
+__all__ = ["BackendSupervisor", "State"]
+
+log = structlog.get_logger("rcp.supervisor")
+State = Literal[
+    "declared", "opening", "ready", "degraded", "down", "closing", "closed", "unavailable", "failed"
+]
+_FIRST_RETRY = 0.25  # s
+_LAST_RETRY = 10.0  # s
+_FAULTS = 1.0  # s between log records of one backend's bad values
+_OPENS = ("declared", "opening")
+WIRE_STATE = {
+    "declared": "starting",
+    "opening": "starting",
+    "ready": "ready",
+    "degraded": "degraded",
+}
+"""The states of `/system/status`; every other one is `down` there."""
+
+
+class BackendSupervisor:
+    """One backend of the configuration, over all its lives. It is the `Host` of its plugin."""
+
+    def __init__(
+        self,
+        config: BackendConfig,
+        *,
+        registry: Registry,
+        hub: Hub,
+        commands: Commands,
+        history: History,
+        latches: Latches,
+        stops: StopController,
+        audit_writer: AuditWriter,
+        shutdown: Shutdown,
+        loop: asyncio.AbstractEventLoop,
+    ) -> None:
+        self.config = config
+        self._registry = registry
+        self._hub = hub
+        self._commands = commands
+        self._history = history
+        self._latches = latches
+        self._stops = stops
+        self._audit_writer = audit_writer
+        self._shutdown = shutdown
+        self._loop = loop
+        self.name = config.name
+        self.tenant = config.tenant
+        self.robot = config.robot
+        self.state: State = "declared"
+        self.detail: str | None = None
+        self.since = now()
+        self.last_error: str | None = None
+        self.latency: float | None = None
+        """Seconds that the last call of the robot took."""
+        self.samples = 0
+        self.faults = 0
+        self.plans: dict[str, StopPlan] = {}
+        """What stops its robots without the gateway, by name."""
+        self.plans_changed = 0
+        """How often they have changed."""
+        self._units: dict[str, StopGroup] = {}
+        self._recoveries: dict[StopGroup, asyncio.Task[None]] = {}
+        self._cut_off: list[Command] = []
+        """Commands that an earlier gateway began, of which the policy is not told yet."""
+        self.whole = StopGroup(self, self._latches)
+        self.entries: dict[str, Entry] = {}
+        self.settled = asyncio.Event()
+        """Set once the first attempt to open has ended, well or not."""
+        self._backend: ContainedBackend | None = None
+        self._on_loss = BaseBackend.on_loss
+        self._closing = asyncio.Event()
+        self._discovering = False
+        self._told = 0.0
+        self._note_growth()
+
+    # -- Owner ---------------------------------------------------------------------------------
+
+    @property
+    def backend(self) -> Backend | None:
+        """The open backend, or None while there is none that works."""
+        return self._backend if self.state in ("ready", "degraded", "closing") else None
+
+    def unit(self, robot: str | None) -> StopGroup:
+        """Return what an e-stop stops: one of the backend's robots, or all of them."""
+        if robot is None:
+            return self.whole
+        unit = self._units.get(robot)
+        if unit is None:
+            unit = self._units[robot] = StopGroup(self, self._latches, robot)
+            if self._backend is not None and unit.latch is not None:
+                self._stops.resume(unit)
+        return unit
+
+    @property
+    def on_loss(self) -> str:
+        """What becomes of a robot whose command was lost with its link."""
+        return self._on_loss
+
+    @property
+    def units(self) -> list[StopGroup]:
+        """The robots that can be stopped one by one, and all of the backend if more than they move."""
+        alone = [unit for unit in self._units.values() if unit.own]
+        if not alone or any(entry.moves for entry in self.whole.own.values()):
+            alone.append(self.whole)
+        return alone
+
+    def unavailable(self) -> RcpError:
+        """Return the error that says why there is no backend now."""
+        why = f": {self.detail}" if self.detail else ""
+        return AdapterUnavailable(
+            f"backend '{self.name}' is not connected ({self.state}){why}",
+            origin=self.name,
+            retry_after=1.0 if self.state in ("opening", "down") else None,
+        )
+
+    def fault(self, detail: str) -> None:
+        """Note a bad value; a stream of them is logged once a second."""
+        self.faults += 1
+        self.last_error = detail
+        if time.monotonic() - self._told > _FAULTS:
+            self._told = time.monotonic()
+            log.warning("backend_fault", backend=self.name, detail=detail, faults=self.faults)
+
+    # -- Host ----------------------------------------------------------------------------------
+
+    def declare(self, *resources: Resource) -> None:
+        """Put resources into the tree."""
+        for resource in resources:
+            entry = self._registry.declare(self, resource, tenant=self.tenant, robot=self.robot)
+            self.entries[resource.name] = entry.unit.own[resource.name] = entry
+            if entry.moves:
+                self._offer_hold(entry.unit)
+                self._find_lost(entry)
+
+    def _offer_hold(self, unit: StopGroup) -> None:
+        """Give a robot that moves the verb that brings it to rest, unless it has one of its own."""
+        name = _hold_name(unit.robot)
+        if name in self.entries:
+            return
+        place = self._registry
+        path = full_path(self.tenant, self.robot, name)
+        if path in place.entries:  # another backend of the same robot offers it for both
+            return
+        entry = Entry(path, hold_resource(name, unit.robot), self, self.tenant, self.robot)
+        entry.is_hold = True
+        self.entries[name] = unit.own[name] = place.place(entry)
+
+    def _find_lost(self, entry: Entry) -> None:
+        """Note a command that an earlier gateway began and that the robot may still carry out."""
+        cut_off = [c for c in self._history.cut_off if c.path == entry.path]
+        if cut_off:
+            for command in cut_off:
+                self._history.cut_off.remove(command)
+            self._cut_off += cut_off
+            self._tell_cut_off()
+            entry.unit.lost = entry.path
+            self._regain(entry.unit)
+
+    def _tell_cut_off(self) -> None:
+        """Add to the errors of those commands what becomes of the robot, once that is known."""
+        if self.backend is None:
+            return
+        for command in self._cut_off:
+            tell_cut_off(command, self._on_loss)
+            self._history.save(command)
+        self._cut_off.clear()
+
+    def withdraw(self, *names: str) -> None:
+        """Take resources out of the tree; commands that run on them end."""
+        for name in names:
+            entry = self.entries.pop(name, None)
+            if entry is not None:
+                entry.unit.own.pop(name, None)
+                gone = AdapterUnavailable(f"the backend withdrew {entry.path}")
+                self._commands.interrupt(entry.path, gone)
+                self._registry.withdraw(entry.path)
+                self._take_hold_back(entry.unit)
+
+    def _take_hold_back(self, unit: StopGroup) -> None:
+        """Withdraw the verb of a robot with nothing left that moves."""
+        name = _hold_name(unit.robot)
+        entry = self.entries.get(name)
+        if entry is not None and entry.is_hold and not any(e.moves for e in unit.own.values()):
+            self.withdraw(name)
+
+    def publish(self, name: str, value: Any, timestamp: int | None = None) -> None:
+        """Hand a value over; an undeclared name is a fault."""
+        entry = self.entries.get(name)
+        if entry is None:
+            self.fault(f"published '{name}', which it did not declare")
+            return
+        entry.publish(value, timestamp)
+
+    def publish_batch(self, batch: Sequence[Publication]) -> None:
+        """Hand values over from any thread."""
+        self.call_soon(self._publish_all, batch)
+
+    def _publish_all(self, batch: Sequence[Publication]) -> None:
+        for item in batch:
+            self.publish(item.name, item.value, item.timestamp)
+
+    def call_soon(self, function: Callable[..., object], *args: Any) -> None:
+        """Run a function on the event loop, from any thread."""
+        gather = self._hub.flush_scheduler.gather
+        self._loop.call_soon_threadsafe(gather, self._call, function, *args)
+
+    def _call(self, function: Callable[..., object], *args: Any) -> None:
+        try:
+            with contained():
+                function(*args)
+        except Exception as error:
+            self.fault(f"{type(error).__name__}: {error}")
+            log.exception("backend_call_failed", backend=self.name)
+
+    def report(self, detail: str | None, *, down: bool = False) -> None:
+        """Change the state of an open backend."""
+        if self._backend is None or self.state not in ("ready", "degraded", "down"):
+            return
+        if detail is None:
+            self._enter("ready", None)
+        else:
+            self._enter("down" if down else "degraded", detail)
+            if down:
+                self._interrupt(detail)
+
+    def link_restored(self, robot: str | None = None) -> None:
+        """Stop a latched robot before anything else reaches it."""
+        if self.state == "down" and self._backend is not None:
+            self._enter("degraded", "the link has just been restored")
+        self._regain(self.unit(robot))
+
+    def is_latched(self, robot: str | None = None) -> bool:
+        """Tell whether an e-stop holds a robot."""
+        return self.unit(robot).latch is not None
+
+    def guard(self, name: str, plan: StopPlan | None) -> None:
+        """Keep what the guard process is to send."""
+        self.plans.pop(name, None)
+        if plan is not None:
+            self.plans[name] = plan
+        self.plans_changed += 1
+
+    def discovering(self, *, active: bool) -> None:
+        """Note whether an open backend still looks for what it has."""
+        self._discovering = active
+        self._note_growth()
+
+    # -- life ----------------------------------------------------------------------------------
+
+    def fail(self, state: State, detail: str) -> None:
+        """Settle a backend that cannot even be tried."""
+        self._enter(state, detail)
+        self.settled.set()
+
+    async def run(self, kind: BackendKind, config: Any) -> None:
+        """Keep the backend open until `close`; returns when it is closed or has failed for good."""
+        wait = _FIRST_RETRY
+        while not self._closing.is_set():
+            started = time.monotonic()
+            self._discovering = False
+            if self.state != "down":
+                self._enter("opening", None)
+            try:
+                with contained():
+                    await self._live(kind, config)
+            except (ConfigError, PluginError) as error:
+                self._backend = None
+                self._enter("failed", str(error))
+                self._interrupt(str(error))
+                return
+            except Exception as error:
+                self._down(error)
+            finally:
+                self.settled.set()
+            if self._closing.is_set():
+                break
+            if time.monotonic() - started > _LAST_RETRY:
+                wait = _FIRST_RETRY
+            with suppress(TimeoutError):
+                await asyncio.wait_for(self._closing.wait(), wait)
+            wait = min(wait * 2, _LAST_RETRY)
+        self._enter("closed", None)
+
+    async def _live(self, kind: BackendKind, config: Any) -> None:
+        async with kind.open(config, self) as opened:
+            backend = self._backend = ContainedBackend(opened)
+            self._on_loss = backend.on_loss
+            self._enter("ready", None)
+            self._tell_cut_off()
+            for unit in self.units:
+                self._regain(unit)
+            self.settled.set()
+            try:
+                await self._closing.wait()
+            finally:
+                for recovery in self._recoveries.values():
+                    recovery.cancel()
+                if not self._closing.is_set():
+                    self._enter("down", self.detail or "the backend stopped")
+        self._backend = None
+
+    def _regain(self, unit: StopGroup) -> None:
+        """Stop a latched robot that is there again; else settle what it was left with."""
+        if self.backend is None:
+            return
+        if unit.latch is not None:
+            self._stops.resume(unit)
+        elif unit.lost is not None and unit not in self._recoveries:
+            task = asyncio.create_task(self._recover(unit), name=f"recover {unit.name}")
+            self._recoveries[unit] = task
+            task.add_done_callback(lambda _: self._recoveries.pop(unit, None))
+
+    async def _recover(self, unit: StopGroup) -> None:
+        """Do with a robot what its policy says of a lost command, unless it has a new one."""
+        wait = _FIRST_RETRY
+        while (lost := unit.lost) is not None and (backend := self.backend) is not None:
+            try:
+                with permitted(unit, unit.stops):
+                    done = await backend.recover(unit.robot)
+            except Exception as error:
+                unexpected = None if isinstance(error, RcpError) else error
+                text = str(error)
+                log.warning(
+                    "not_recovered",
+                    backend=unit.name,
+                    command=lost,
+                    error=text,
+                    exc_info=unexpected,
+                )
+                await asyncio.sleep(wait)
+                wait = min(wait * 2, _LAST_RETRY)
+            else:
+                unit.lost = None
+                log.warning("recovered", backend=unit.name, command=lost, done=done)
+                self._audit_writer.recovered(unit, lost, done)
+
+    def _down(self, error: Exception) -> None:
+        self._backend = None
+        text = _sentence(error)
+        self.last_error = text
+        known = isinstance(error, (NotReady, RcpError, ConnectionError, TimeoutError))
+        if known:
+            log.warning("backend_not_ready", backend=self.name, reason=text)
+        else:
+            log.error("backend_crashed", backend=self.name, exc_info=error)
+        self._enter("down", text)
+        self._interrupt(text)
+
+    def _interrupt(self, why: str) -> None:
+        for entry in self.entries.values():
+            error = AdapterUnavailable(
+                f"the link to backend '{self.name}' was lost: {why}", origin=self.name
+            )
+            self._commands.interrupt(entry.path, error)
+
+    def _note_growth(self) -> None:
+        """Have paths that are not there answered by whether they may come."""
+        opens = self.state in _OPENS or (self.state == "down" and self._backend is None)
+        looks = self._discovering and self._backend is not None
+        growing = not self._closing.is_set() and (opens or looks)
+        self._registry.grow(self, growing=growing)
+
+    def _enter(self, state: State, detail: str | None) -> None:
+        changed = state != self.state
+        self.state, self.detail = state, detail
+        self._note_growth()
+        if detail is not None:
+            self.last_error = detail
+        if not changed:
+            return
+        self.since = now()
+        level = log.warning if state in ("degraded", "down", "failed", "unavailable") else log.info
+        level("backend_state", backend=self.name, state=state, detail=detail)
+        if not self._shutdown.begun:
+            self._hub.demand.backend_changed(list(self.entries.values()))
+
+    def retire(self) -> None:
+        """Let nothing move any more: the configuration has this backend no longer."""
+        self.whole.retired = Latch("the gateway", "the backend is being closed")
+        self._interrupt("it was removed from the configuration")
+
+    def close(self) -> None:
+        """Have `run` end; the backend is closed by leaving its context."""
+        if self.state in ("ready", "degraded"):
+            self._enter("closing", None)
+        self._closing.set()
+        self._note_growth()
+
+    def plain(self) -> dict[str, Any]:
+        """Describe the backend for `/system/status`."""
+        return {
+            "name": self.name,
+            "plugin": self.config.use,
+            "tenant": self.tenant,
+            "robot": self.robot,
+            "state": WIRE_STATE.get(self.state, "down"),
+            "since": iso(self.since),
+            "detail": self.detail,
+            "latency": self.latency,
+            "last_error": self.last_error,
+            "resources": len(self.entries),
+            "samples": self.samples,
+            "faults": self.faults,
+            "estop": next((u.latch.plain() for u in self.units if u.latch is not None), None),
+        }
+
+    def path(self, name: str) -> str:
+        """Return the full path of one of the backend's own names."""
+        return full_path(self.tenant, self.robot, name)
+
+
+def _hold_name(robot: str | None) -> str:
+    return "service/hold" if robot is None else f"service/{robot}/hold"
+
+
+def _sentence(error: BaseException) -> str:
+    inner: Any = error
+    while (several := getattr(inner, "exceptions", None)) is not None:
+        inner = several[0]
+    return str(inner) or type(inner).__name__

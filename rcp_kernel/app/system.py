@@ -1,0 +1,331 @@
+"""The gateway's own branch of the tree: `/system/…`, with the same operations as everything else."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncGenerator, Iterator, Sequence
+from contextlib import asynccontextmanager
+from functools import partial
+from typing import Any
+
+import msgspec
+
+from rcp_kernel.app.log import Recent
+from rcp_kernel.app.status import StatusReport
+from rcp_kernel.errors import RcpError, UnknownPath
+from rcp_kernel.features import Filter, Service, SystemResource, View
+from rcp_kernel.features.resource import ViewChanges
+from rcp_kernel.model import Operation, Resource
+from rcp_kernel.plans.examples import EXAMPLES
+from rcp_kernel.plans.model import Plan, PlanResult, PlanState, StepState
+from rcp_kernel.plans.resource import PlanList
+from rcp_kernel.requests.command_access import CommandAccess
+from rcp_kernel.requests.disclosure import PATH, Disclosure
+from rcp_kernel.safety.estop import LONGEST_WAIT, Estop, EstopRequest, EstopState
+from rcp_kernel.safety.lease_service import LeaseRequest, LeaseService, LeaseState
+from rcp_kernel.safety.leases import Leases
+from rcp_kernel.safety.stop import StopController
+from rcp_kernel.sessions.quotas import QuotaTracker
+from rcp_kernel.sessions.session import Session
+from rcp_kernel.sessions.sessions import Sessions
+from rcp_kernel.spi import Backend, BaseBackend, Progress
+from rcp_kernel.store.audit import Audit
+from rcp_kernel.streams.hub import Hub
+from rcp_kernel.tree.entry import Entry, StopGroup
+from rcp_kernel.tree.latches import Latches
+from rcp_kernel.tree.registry import Registry
+from rcp_kernel.types import Time
+from rcp_kernel.wire import Body
+
+__all__ = ["System"]
+
+_POLLED = ("sensor/status", "sensor/sessions", "sensor/commands")
+_LOOK = Operation.READ | Operation.SUBSCRIBE
+_LOG = "/system/log"
+_SOON = 0.02  # s that changes of the e-stop are gathered
+_AUDIT = 1000  # records at hand for `history`
+
+
+class LogRecord(msgspec.Struct, frozen=True):
+    """A log record of level warning or above."""
+
+    timestamp: Time | None
+    level: str
+    logger: str
+    message: str
+    tenant: str | None = None
+    """Whose it is; None is the gateway's own, for those who act in every tenant."""
+    facts: dict[str, Any] = {}
+
+
+class System(BaseBackend):
+    """Owner and backend of `/system/…` in one."""
+
+    name = "gateway"
+    tenant = None
+    robot = None
+    on_loss = "continue"
+
+    def __init__(
+        self,
+        status: StatusReport,
+        estop: Estop,
+        *,
+        lease_service: LeaseService,
+        leases: Leases,
+        plans: PlanList,
+        access: CommandAccess,
+        sessions: Sessions,
+        quotas: QuotaTracker,
+        audit: Audit,
+        disclosure: Disclosure,
+        latches: Latches,
+        stops: StopController,
+        registry: Registry,
+        hub: Hub,
+        recent: Recent,
+        features: Sequence[SystemResource],
+        changes: ViewChanges,
+        loop: asyncio.AbstractEventLoop,
+    ) -> None:
+        self._status = status
+        self._estop = estop
+        self._access = access
+        self._sessions = sessions
+        self._quotas = quotas
+        self._audit = audit
+        self._disclosure = disclosure
+        self._registry = registry
+        self._hub = hub
+        self._loop = loop
+        self.samples = 0
+        self._unit = StopGroup(self, None)
+        self._estop_due: asyncio.TimerHandle | None = None
+        self.latency: float | None = None
+        self.entries = {entry.path: entry for entry in map(self._place, _resources())}
+        self.views: dict[str, View] = {
+            "/system/status": self._health,
+            "/system/sessions": self._list_sessions,
+            "/system/commands": self._list_commands,
+            "/system/estop": lambda session: msgspec.to_builtins(estop.state(session)),
+            "/system/leases": lease_service.view,
+            "/system/plans": plans.view,
+        }
+        """Resources whose value depends on who asks, by path."""
+        self.filters: dict[str, Filter] = {PATH: disclosure.shown, _LOG: self._shown}
+        """Resources of whose samples everybody sees their own only, and what they see of them: by
+        path, what returns None for a sample that is hidden."""
+        self.services: dict[str, Service] = {
+            "/system/leases": lease_service.request,
+        }
+        """What else of the gateway's own branch can be executed, by path."""
+        for one in features:
+            self._add(one)
+        changes.on_change.append(self._changed)
+        self._open_audit(self.entries[PATH])
+        hub.keep(self.entries[_LOG])
+        latches.on_change.append(self._estop_changed)
+        stops.on_change(self._estop_changed)
+        self._publish("estop", estop.everything())
+        for name, part in (("leases", leases), ("plans", plans)):
+            changed = partial(self._publish, name, [])
+            part.on_change.append(changed)
+            changed()
+        self._recent = recent
+        recent.on_record.append(self._logged)
+
+    def close(self) -> None:
+        """Publish no log records any more."""
+        self._recent.on_record.remove(self._logged)
+
+    def _place(self, resource: Resource) -> Entry:
+        path = "/system/" + resource.name.partition("/")[2]
+        return self._registry.place(Entry(path, resource, self, None, None))
+
+    def _add(self, own: SystemResource) -> None:
+        """Put a feature's resource into the tree."""
+        entry = self.entries[own.path] = self._place(own.resource)
+        if own.shows is not None:
+            self.filters[own.path] = own.shows
+            self._hub.keep(entry)
+        if own.execute is not None:
+            self.services[own.path] = own.execute
+        if own.view is not None:
+            self.views[own.path] = own.view
+            self._changed(own.path)
+
+    def _changed(self, path: str) -> None:
+        """Say that a feature's view has changed."""
+        self.entries[path].publish([], None)
+
+    def _publish(self, name: str, value: Any) -> None:
+        """Say that a view has changed."""
+        self.entries["/system/" + name].publish(value, None)
+
+    def _estop_changed(self) -> None:
+        """Publish the e-stop soon: a stop of many robots changes it many times, and must not wait."""
+        if self._estop_due is None:
+            self._estop_due = self._loop.call_later(_SOON, self._publish_estop)
+
+    def _publish_estop(self) -> None:
+        self._estop_due = None
+        self._publish("estop", self._estop.everything())
+
+    @property
+    def backend(self) -> Backend | None:
+        """The gateway is always there."""
+        return self
+
+    def unit(self, robot: str | None) -> StopGroup:
+        """Return what no e-stop holds."""
+        return self._unit
+
+    @property
+    def units(self) -> list[StopGroup]:
+        """There is nothing to stop."""
+        return []
+
+    def unavailable(self) -> RcpError:
+        """Never asked for."""
+        return UnknownPath("the gateway is closing")
+
+    def fault(self, detail: str) -> None:
+        """A value of the gateway's own that does not fit is a bug, and raises where it is made."""
+
+    def _open_audit(self, entry: Entry) -> None:
+        audit = self._audit
+        self._hub.keep(entry)
+        for record in audit.past(_AUDIT):
+            entry.publish(record, None)
+        audit.on_record.append(lambda record: entry.publish(record, None))
+
+    def _logged(self, record: dict[str, Any]) -> None:
+        # Warnings come from any thread.
+        loop = self._loop
+        if not loop.is_closed():
+            loop.call_soon_threadsafe(self._publish_record, record)
+
+    def _publish_record(self, record: dict[str, Any]) -> None:
+        self.entries[_LOG].publish(record | {"tenant": self._status.tenant_of(record)}, None)
+
+    def _shown(self, session: Session, record: LogRecord) -> LogRecord | None:
+        """Return a log record that is of a session's tenants, and of what it may see there."""
+        plain = {"message": record.message, "facts": record.facts}
+        return record if self._status.concerns(plain, session.rights) else None
+
+    @asynccontextmanager
+    async def watch(self, name: str, rate: float | None) -> AsyncGenerator[None]:
+        """Publish what has to be looked at to be known, while somebody watches it."""
+        if name not in _POLLED:
+            yield
+            return
+        task = asyncio.create_task(self._repeat(name, 1.0 / min(rate or 1.0, 10.0)))
+        try:
+            yield
+        finally:
+            task.cancel()
+
+    async def _repeat(self, name: str, period: float) -> None:
+        """Say again and again that a view may have changed; each subscriber's is its own."""
+        entry = self.entries["/system/" + name.partition("/")[2]]
+        while True:
+            entry.publish([] if name != "sensor/status" else {}, None)
+            await asyncio.sleep(period)
+
+    # -- views ---------------------------------------------------------------------------------
+
+    def _health(self, session: Session) -> dict[str, Any]:
+        audit = self._audit
+        report = self._status.plain(session.rights)
+        return report | {
+            "record": audit.state(head=self._disclosure.concerns(session, {})),
+            "quotas": self._quotas.plain(session),
+        }
+
+    def _list_sessions(self, session: Session) -> list[dict[str, Any]]:
+        mine = session.principal
+        places = session.rights.places("/system/sessions", Operation.EXECUTE)
+        return [
+            s.plain()
+            for s in self._sessions.known.values()
+            if "*" in places or s.tenant in places or s.principal == mine
+        ]
+
+    def _list_commands(self, session: Session) -> Iterator[Body | None]:
+        return (command and command.listed for command in self._access.judged(session))
+
+    async def execute(self, name: str, value: Any, progress: Progress) -> Any:
+        """What is executable here is done before it gets this far."""
+        raise UnknownPath(f"{name} cannot be executed")
+
+
+def _resources() -> list[Resource]:
+    return [
+        Resource(
+            name="sensor/status",
+            description="Health of the gateway and everything connected to it.",
+            value=dict[str, Any],
+            history=1,
+        ),
+        Resource(
+            name="event/log",
+            description="Log records of level warning and above.",
+            value=LogRecord,
+            history=100,
+        ),
+        Resource(
+            name="event/audit",
+            description="Records of commands, writes, refusals and logins in your tenants.",
+            value=dict[str, Any],
+            history=_AUDIT,
+        ),
+        Resource(
+            name="sensor/sessions",
+            description="Sessions of this principal; of everybody for an administrator.",
+            value=list[dict[str, Any]],
+            history=1,
+        ),
+        Resource(
+            name="sensor/commands",
+            description="Running and recent commands on paths that you may see.",
+            value=list[dict[str, Any]],
+            history=1,
+        ),
+        Resource(
+            name="service/estop",
+            description="Emergency stop: latches and halts every robot in scope; reset is a right.",
+            value=EstopState,
+            input=EstopRequest | None,
+            output=EstopState,
+            operations=_LOOK | Operation.EXECUTE,
+            examples=({}, {"scope": "/tenant/alpha", "reason": "person in the cell"}),
+            timeout=LONGEST_WAIT + 1,
+        ),
+        Resource(
+            name="service/leases",
+            description="Exclusive control of a part of the tree: list, acquire, renew, release.",
+            value=list[LeaseState],
+            input=LeaseRequest,
+            output=LeaseState,
+            operations=_LOOK | Operation.EXECUTE,
+            examples=(
+                {"do": "acquire", "scope": "/tenant/alpha", "ttl": 10},
+                {"do": "acquire", "scope": "/actuator", "take": True, "reason": "by hand"},
+                {"do": "hand_over", "scope": "/tenant/alpha", "to": "robin"},
+                {"do": "release", "scope": "/tenant/alpha"},
+            ),
+            history=1,
+        ),
+        Resource(
+            name="action/plans",
+            description="Many operations as one command: checked whole first, then run step by step.",
+            value=list[PlanState],
+            input=Plan,
+            output=PlanResult,
+            feedback=StepState,
+            operations=_LOOK | Operation.EXECUTE,
+            policy="parallel",
+            examples=EXAMPLES,
+            history=1,
+        ),
+    ]

@@ -1,1 +1,0 @@
-"""What keeps robots from doing harm: dead-man, e-stop, leases, envelopes and fences."""

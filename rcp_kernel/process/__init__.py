@@ -1,1 +1,0 @@
-"""One gateway as one process: its command line, its life, and what it says of itself."""

@@ -1,1 +1,0 @@
-"""What is kept: the audit with its chain, the store, and why replies wait for it."""

@@ -1,0 +1,139 @@
+"""What a write or an execute must pass: once when it comes in, and again at the moment it acts.
+
+Between the two a command may wait in a queue, and the world may change meanwhile. A dry run
+passes the first and ends there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+from rcp_kernel.contract.pending import to_internal_error
+from rcp_kernel.contract.shutdown import Shutdown
+from rcp_kernel.errors import RcpError
+from rcp_kernel.features import Call, Guard
+from rcp_kernel.model import Operation
+from rcp_kernel.requests.audit_writer import AuditWriter
+from rcp_kernel.safety.leases import Leases
+from rcp_kernel.safety.motion_limits import MotionLimits
+from rcp_kernel.safety.safety import check_age, check_motion
+from rcp_kernel.sessions.resolver import Resolver
+from rcp_kernel.spi import Backend
+from rcp_kernel.tree.entry import Entry
+
+__all__ = ["Admission"]
+
+
+class Admission:
+    """The checks, in the order in which a client should learn of them."""
+
+    def __init__(
+        self,
+        resolver: Resolver,
+        leases: Leases,
+        motion_limits: MotionLimits,
+        audit_writer: AuditWriter,
+        shutdown: Shutdown,
+        check_thaw: Callable[[Entry], None],
+        guards: Sequence[Guard],
+    ) -> None:
+        self._resolver = resolver
+        self._leases = leases
+        self._motion_limits = motion_limits
+        self._audit_writer = audit_writer
+        self._shutdown = shutdown
+        self._check_thaw = check_thaw
+        """Refuses what may have waited while the event loop stood still and its robot was stopped."""
+        self._every = sorted(guards, key=lambda guard: guard.slot)
+        self.active: tuple[Guard, ...] = ()
+        """Those that the configuration in force needs, in the order in which they are asked."""
+        self.configure()
+
+    def configure(self) -> None:
+        """Find out which guards the configuration in force needs."""
+        self.active = tuple(guard for guard in self._every if guard.active)
+
+    def admit(self, call: Call) -> None:
+        """Refuse what may not be done now, whatever features there are.
+
+        :raises StaleCommand: the request is older than its path allows, or came in a freeze.
+        :raises EstopActive: the path moves something, and its robot is stopped.
+        :raises LeaseHeld, LeaseLost, LeaseRequired: somebody else has control, or nobody.
+        :raises AdapterUnavailable: the gateway is closing, or there is no robot.
+        :raises QueueFull: it could not be put on record.
+        :raises OutOfRange, ModeForbids, PreconditionFailed: an envelope does not hold.
+        """
+        entry = call.entry
+        check_age(entry, call.request.timestamp)
+        if entry.is_hold:  # bringing a robot to rest is open to whoever may execute it
+            self._shutdown.check()
+            return
+        check_motion(entry, entry.unit.latch)
+        self._check_thaw(entry)
+        self._leases.check(call.session, entry)
+        self._shutdown.check()
+        self._audit_writer.check()
+        if entry.owner.backend is None:
+            raise entry.owner.unavailable()
+        self._motion_limits.check(call.session, entry, call.value)
+
+    def ask(self, call: Call) -> None:
+        """Ask the guards of features, when nothing else is in the way.
+
+        :raises RcpError: one refuses.
+        """
+        for guard in self._asked(call):
+            try:
+                guard.admit(call)
+            except RcpError:
+                raise
+            except Exception as error:
+                raise _broken(guard, call, error) from None
+
+    def _asked(self, call: Call) -> tuple[Guard, ...]:
+        """Return the guards that a call has to pass.
+
+        None keeps anybody from bringing something to rest. A plan passes none: its steps do.
+        """
+        if not self.active or call.entry.tenant is None or call.rests:
+            return ()
+        return self.active
+
+    def confirm(self, call: Call) -> Backend:
+        """Return the robot that takes it, or refuse what must not reach it any more.
+
+        Its session has the rights that it has by now.
+
+        :raises StaleCommand: it has become too old while it waited.
+        :raises Forbidden: its rights are not there any more, or their condition does not hold.
+        :raises EstopActive, LeaseHeld, LeaseLost, LeaseRequired: as above.
+        :raises AdapterUnavailable: there is no robot any more.
+        :raises OutOfRange, ModeForbids, PreconditionFailed: as above.
+        :raises RcpError: a guard refuses.
+        """
+        entry, session = call.entry, call.session
+        called = entry.operations & Operation.EXECUTE
+        self._resolver.check(session, entry, called or Operation.WRITE)
+        check_age(entry, call.request.timestamp)
+        if not entry.is_hold:
+            check_motion(entry, entry.unit.latch)
+            self._leases.check(session, entry)
+        backend = entry.owner.backend
+        if backend is None:
+            raise entry.owner.unavailable()
+        if entry.is_hold:
+            return backend
+        for guard in self._asked(call):
+            try:
+                guard.confirm(call)
+            except RcpError:
+                raise
+            except Exception as error:
+                raise _broken(guard, call, error) from None
+        self._motion_limits.send(session, entry, call.value)  # last: it takes note of what is sent
+        return backend
+
+
+def _broken(guard: Guard, call: Call, error: Exception) -> RcpError:
+    """Refuse what a guard could not decide on: its exception is in the log."""
+    return to_internal_error(error, guard=type(guard).__module__, path=call.entry.path)

@@ -1,0 +1,424 @@
+"""`execute` and `cancel`: from an envelope to a command, whose replies answer the request."""
+
+from __future__ import annotations
+
+import asyncio
+import secrets
+from collections.abc import Coroutine, Generator, Mapping
+from copy import copy
+from functools import partial
+from time import perf_counter
+from typing import Any, Protocol
+
+import msgspec
+
+from rcp_kernel.access.token_bucket import is_exempt
+from rcp_kernel.clock import iso, now
+from rcp_kernel.config.settings import Settings
+from rcp_kernel.contract.turns import at_once
+from rcp_kernel.errors import RcpError
+from rcp_kernel.features import Call, Service
+from rcp_kernel.model import Kind, Operation
+from rcp_kernel.plans.resource import PATH as PLANS
+from rcp_kernel.plans.resource import Plans
+from rcp_kernel.plans.resource import Work as PlanWork
+from rcp_kernel.plans.stops import only_stops
+from rcp_kernel.plans.waiting import WaitingPlan
+from rcp_kernel.requests.admission import Admission
+from rcp_kernel.requests.audit_writer import AuditWriter
+from rcp_kernel.requests.command_access import CommandAccess, is_own
+from rcp_kernel.requests.commands import Commands
+from rcp_kernel.requests.idempotency import Keys
+from rcp_kernel.requests.inflight import InFlight
+from rcp_kernel.requests.write import DryRun, dry_run_reply
+from rcp_kernel.safety.hold import Hold
+from rcp_kernel.safety.motion_limits import MotionLimits
+from rcp_kernel.safety.partners import Partners
+from rcp_kernel.safety.safety import Deadman
+from rcp_kernel.sessions.command import Command
+from rcp_kernel.sessions.counts import RequestCounts
+from rcp_kernel.sessions.quotas import QuotaTracker
+from rcp_kernel.sessions.resolver import Resolver
+from rcp_kernel.sessions.session import Answer, OwnCommand, Session
+from rcp_kernel.tree.entry import Entry
+from rcp_kernel.values import value_type
+from rcp_kernel.wire import Reply, Request
+
+__all__ = ["EstopLane", "ExecuteHandler"]
+
+_SERVICE_TIMEOUT = 10.0  # s for a service that declares none
+
+
+class EstopLane(Protocol):
+    """The e-stop's own lane, past every queue and limit."""
+
+    def names(self, session: Session, asked: Any, /) -> list[str]:
+        """Refuse what `request` would, or name the robots that it means; do nothing."""
+        ...
+
+    def request(self, session: Session, asked: Any, sent: Request, /) -> Coroutine[Any, Any, Any]:
+        """Latch when called, not when awaited; return what waits for the robots."""
+        ...
+
+
+class _Cancel(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    command: str | None = None
+
+
+_CANCEL = value_type(_Cancel | None)
+
+
+class ExecuteHandler:
+    """The handlers of both requests."""
+
+    def __init__(
+        self,
+        resolver: Resolver,
+        admission: Admission,
+        commands: Commands,
+        access: CommandAccess,
+        *,
+        estop: EstopLane,
+        services: Mapping[str, Service],
+        plans: Plans,
+        dry_run: DryRun,
+        motion_limits: MotionLimits,
+        quotas: QuotaTracker,
+        keys: Keys,
+        inflight: InFlight,
+        counts: RequestCounts,
+        audit_writer: AuditWriter,
+        partners: Partners,
+        deadman: Deadman,
+        settings: Settings,
+        loop: asyncio.AbstractEventLoop,
+    ) -> None:
+        self._resolver = resolver
+        self._admission = admission
+        self._commands = commands
+        self._access = access
+        self._estop_lane = estop
+        self._services = services
+        self._plans = plans
+        self._dry_run = dry_run
+        self._motion_limits = motion_limits
+        self._quotas = quotas
+        self._keys = keys
+        self._inflight = inflight
+        self._counts = counts
+        self._audit_writer = audit_writer
+        self._partners = partners
+        self._deadman = deadman
+        self._settings = settings
+        self._loop = loop
+
+    def execute_in_steps(
+        self, session: Session, request: Request, answer: Answer
+    ) -> Generator[None, None, Reply | None]:
+        """Start a command; a plan waits from now on, and is checked in steps first."""
+        waiting = self._plans.waiting.enter(session) if request.path == PLANS else None
+        return self._execute_checked(session, request, answer, waiting)
+
+    def _execute_checked(
+        self, session: Session, request: Request, answer: Answer, waiting: WaitingPlan | None
+    ) -> Generator[None, None, Reply | None]:
+        if waiting is None or self._keys.find(session, request, PLANS) is not None:
+            return self.execute(session, request, answer)
+        try:
+            self._quotas.check_command(session, PLANS)
+            self._plans.check_running(session)
+            plan = yield from self._plans.prepare(session, request, waiting)
+            return self.execute(session, request, answer, plan)
+        finally:
+            self._plans.waiting.leave(waiting)
+
+    def execute(
+        self, session: Session, request: Request, answer: Answer, plan: PlanWork | None = None
+    ) -> Reply | None:
+        """Start a command, or follow the one that the same key started; `plan` is checked already."""
+        started = perf_counter()
+        entry = self._resolver.resolve(session, request.path, Operation.EXECUTE)
+        value = self._input(request, entry) if plan is None else plan.plan
+        if entry.path == "/system/estop":
+            return self._estop(session, request, answer, entry, value)
+        if (service := self._services.get(entry.path)) is not None:
+            self._serve(service, session, request, entry, value, answer)
+            return None
+        known = self._keys.find(session, request, entry.path)
+        if isinstance(known, Command):
+            self._follow(session, request, known, answer, started)
+            return None
+        call = Call(session, request, entry, value)
+        self._admission.admit(call)
+        self._commands.admit(entry)
+        halts = entry.is_hold or (entry.path == PLANS and self.stops(session, request))
+        if not halts:
+            self._quotas.check_command(session, entry.path)
+            if entry.path == PLANS:
+                self._plans.check_running(session)
+        if entry.is_hold and not request.dry_run:
+            self._hold(call, answer, started)
+            return None
+        work = self._plan(session, request, plan) if entry.path == PLANS else None
+        self._admission.ask(call)
+        if request.dry_run:
+            if work is not None:
+                return dry_run_reply(request, entry, work.would())
+            held = self._motion_limits.applied(session, entry)
+            facts = {"envelopes": held or None, **self._dry_run(call)}
+            return dry_run_reply(request, entry, {"execute": value, **facts})
+        if work is not None:
+            work.approve(session, request, entry)
+        command = Command(
+            id="cmd-" + secrets.token_hex(8) if work is None else work.waiting.command,
+            path=entry.path,
+            principal=session.principal.name,
+            proof=session.principal.proof,
+            tenant=entry.tenant if work is None else work.tenant,
+            work=work,
+            touches=() if work is None else work.touches,
+            request_id=request.id,
+            custom=request.custom,
+            timestamp=request.timestamp,
+            input=value,
+            session=session.id,
+            entry=entry,
+        )
+        if work is not None:
+            command.followers.append(work.told)
+        if request.idempotency_key is not None:
+            command.ready = self._audit_writer.committed
+            command.followers.append(self._settling(session, request, entry.path))
+        self._follow(session, request, command, answer, started)
+        self._audit_writer.started(session, request, command)
+        self._keys.note(session, request, entry.path, command)
+        timeout = self._timeout(request, entry)
+        self._quotas.charge(session, command)
+        self._commands.start(
+            command,
+            session,
+            entry,
+            value,
+            timeout,
+            request.deadline,
+            confirm=partial(self._admission.confirm, call),
+        )
+        if work is not None:
+            self._plans.waiting.settle(work.waiting, command)
+        return None
+
+    def _plan(self, session: Session, request: Request, plan: PlanWork | None) -> PlanWork:
+        """Return a checked plan that may begin now.
+
+        :raises EstopActive: a robot of it was stopped since it was sent.
+        :raises RcpError: something is wrong with it.
+        """
+        if plan is None:
+            waiting = self._plans.waiting.enter(session)
+            plan = at_once(self._plans.prepare(session, request, waiting))
+        plan.check_stops()
+        return plan
+
+    def _hold(self, call: Call, answer: Answer, started: float) -> None:
+        """Bring a robot to rest without an e-stop, past leases, envelopes, quotas and guards."""
+        session, request, entry = call.session, call.request, call.entry
+        command = Command(
+            id="cmd-" + secrets.token_hex(8),
+            path=entry.path,
+            principal=session.principal.name,
+            proof=session.principal.proof,
+            tenant=entry.tenant,
+            work=Hold([entry.unit, *self._partners.of(entry)], self._commands, self._deadman),
+            request_id=request.id,
+            custom=request.custom,
+            timestamp=request.timestamp,
+            session=session.id,
+            entry=entry,
+        )
+        self._follow(session, request, command, answer, started)
+        self._audit_writer.started(session, request, command)
+        timeout = self._timeout(request, entry)
+        self._commands.start(
+            command,
+            session,
+            entry,
+            None,
+            timeout,
+            request.deadline,
+            confirm=partial(self._admission.confirm, call),
+        )
+
+    def stops(self, session: Session, request: Request) -> bool:
+        """Tell whether a request brings a robot to rest."""
+        if request.type != "execute":
+            return False
+        if only_stops(request, lambda step: is_exempt(step) or self.stops(session, step)):
+            return True
+        try:
+            return self._resolver.resolve(session, request.path, Operation.EXECUTE).is_hold
+        except RcpError:
+            return False
+
+    def _settling(self, session: Session, request: Request, path: str) -> Answer:
+        def settle(reply: Reply) -> None:
+            if reply.final:
+                self._keys.settle(session, request, path, reply)
+
+        return settle
+
+    def _estop(
+        self, session: Session, request: Request, answer: Answer, entry: Entry, value: Any
+    ) -> Reply | None:
+        asked = value or entry.input_type.convert({})
+        if request.dry_run:
+            robots = self._estop_lane.names(session, asked)
+            return dry_run_reply(request, entry, {"execute": value, "robots": robots})
+
+        def done(state: Any) -> Reply:
+            text = "E-stop latched." if state.active else "E-stop released."
+            now_ = iso(now())
+            return Reply(
+                type="execute",
+                id=request.id,
+                path=entry.path,
+                body=state,
+                message=text,
+                timestamp=now_,
+            )
+
+        work = self._estop_lane.request(session, asked, request)
+        self._inflight.later(
+            session,
+            request,
+            self._audit_writer.hold_estop(answer),
+            work,
+            done,
+            entry.resource.timeout or 6.0,
+            entry.path,
+            urgent=True,
+        )
+        return None
+
+    def _serve(
+        self,
+        service: Service,
+        session: Session,
+        request: Request,
+        entry: Entry,
+        value: Any,
+        answer: Answer,
+    ) -> None:
+        """Do what the gateway does itself, at once; the answer leaves when that is kept."""
+        started = perf_counter()
+        reply = self._served(service, session, request, entry, value)
+        self._counts.conclude(session, reply, started)
+        self._audit_writer.held(answer, request)(reply)
+
+    def _served(
+        self, service: Service, session: Session, request: Request, entry: Entry, value: Any
+    ) -> Reply:
+        """Return the answer of a service; a repeat under the same key does nothing."""
+        known = self._keys.find(session, request, entry.path)
+        if isinstance(known, asyncio.Future):
+            again = copy(known.result())
+            again.id = request.id
+            return again
+        body = service(session, value, dry_run=request.dry_run)
+        if request.dry_run:
+            return dry_run_reply(request, entry, {"execute": value})
+        reply = Reply(
+            type="execute",
+            id=request.id,
+            path=entry.path,
+            body=body,
+            message=f"{entry.path} done.",
+            timestamp=iso(now()),
+            custom=request.custom,
+        )
+        if request.idempotency_key is not None:
+            outcome: asyncio.Future[Reply] = self._loop.create_future()
+            outcome.set_result(reply)
+            self._keys.note(session, request, entry.path, outcome)
+            self._keys.settle(session, request, entry.path, reply)
+        return reply
+
+    def _input(self, request: Request, entry: Entry) -> Any:
+        if entry.resource.input is None and bytes(request.body) in (b"", b"{}", b"null", b"\x80"):
+            return None
+        return request.decode_body(entry.input_type, f"input of {entry.label}")
+
+    def _timeout(self, request: Request, entry: Entry) -> float:
+        default = (
+            _SERVICE_TIMEOUT if entry.kind is Kind.SERVICE else self._settings.limits.action_timeout
+        )
+        own = entry.resource.timeout or default
+        return min(own, request.deadline) if request.deadline is not None else own
+
+    def _follow(
+        self, session: Session, request: Request, command: Command, answer: Answer, started: float
+    ) -> None:
+        """Have the request answered by the command's replies, those of its past included."""
+        key = self._inflight.claim(session, request)
+        answer = self._audit_writer.held(answer, request)
+        if not session.stateless:
+            session.commands[command.id] = command
+            if len(session.commands) > 256:
+                _forget_finished(session.commands)
+
+        def told(reply: Reply) -> None:
+            reply = copy(reply)  # other requests may follow the same command under ids of theirs
+            reply.id = request.id
+            if reply.final:
+                session.inflight.pop(key, None)
+                self._counts.conclude(session, reply, started)
+            answer(reply)
+
+        if command.history and command.final:
+            told(command.reply())
+            return
+        command.followers.append(told)
+        if command.history:
+            told(command.reply())
+
+    def cancel(self, session: Session, request: Request, answer: Answer) -> Reply | None:
+        """Cancel a command by its id, or whatever runs on a path; the robot is told at once."""
+        body = request.decode_body(_CANCEL, "cancel")
+        wanted = request.command or (body.command if body is not None else None)
+        found = [self._access.to_cancel(session, wanted)] if wanted is not None else []
+        path = found[0].path if found else request.path
+        entry = self._resolver.resolve(session, path, Operation.EXECUTE, anyway=True)
+        if wanted is None:
+            running = [c for c in self._commands.running.values() if c.path == entry.path]
+            found = [c for c in running if self._access.sees(session, c)]
+        waiting = self._plans.waiting if wanted is None and entry.path == PLANS else None
+        own = found or (waiting is not None and waiting.own(session))
+        if not own or not all(is_own(session, command) for command in found):
+            # Whoever set something going may stop it, whatever has become of the conditions.
+            self._resolver.check(session, entry, Operation.EXECUTE)
+        live = [command for command in found if not command.final]
+        for command in live:
+            self._commands.cancel(command, f"requested by {session.principal.name}")
+        ended = [command.id for command in live]
+        if waiting is not None:
+            others = session.rights.permits(entry, Operation.EXECUTE)
+            ended += waiting.cancel(session, others=others)
+        text = (
+            f"Cancel request for {entry.path} sent."
+            if ended
+            else f"Nothing is running on {entry.path}."
+        )
+        return Reply(
+            type="cancel",
+            id=request.id,
+            path=entry.path,
+            body={"cancelled": ended},
+            message=text,
+            timestamp=iso(now()),
+            custom=request.custom,
+        )
+
+
+def _forget_finished(commands: dict[str, OwnCommand]) -> None:
+    known = [id_ for id_, command in commands.items() if command.finished is not None]
+    for id_ in known[:128]:
+        del commands[id_]

@@ -1,0 +1,58 @@
+"""Commands that have ended: so many are remembered, and no more than fit in so many bytes."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+from rcp_kernel.values import Encoding, dump
+from rcp_kernel.wire import NO_BODY
+
+if TYPE_CHECKING:
+    from rcp_kernel.sessions.command import Command
+
+__all__ = ["Finished"]
+
+_KEPT = 1000
+_BYTES = 32 * 1024 * 1024  # of inputs, feedback and results
+_EMPTY = 1024  # bytes that any command counts for
+
+
+class Finished:
+    """The most recent ones, by id; `forget` is told of each that has to go."""
+
+    def __init__(self, forget: Callable[[Command], None]) -> None:
+        self._forget = forget
+        self._known: OrderedDict[str, tuple[Command, int]] = OrderedDict()
+        self._bytes = 0
+
+    def get(self, id_: str) -> Command | None:
+        """Return a command by the gateway's id."""
+        found = self._known.get(id_)
+        return None if found is None else found[0]
+
+    def newest_first(self) -> list[Command]:
+        """Return all of them."""
+        return [command for command, _ in reversed(self._known.values())]
+
+    def add(self, command: Command) -> None:
+        """Remember a command, at the cost of the oldest."""
+        size = _size(command)
+        self._known[command.id] = (command, size)
+        self._bytes += size
+        while len(self._known) > _KEPT or (self._bytes > _BYTES and len(self._known) > 1):
+            _, (oldest, freed) = self._known.popitem(last=False)
+            self._bytes -= freed
+            self._forget(oldest)
+
+
+def _size(command: Command) -> int:
+    bodies = [record.body for record in command.history if record.body is not NO_BODY]
+    size = _EMPTY
+    for value in [command.input, *bodies]:
+        try:
+            size += len(dump(value, Encoding.MSGPACK))
+        except Exception:  # what cannot be written is not told to anybody either
+            size += _EMPTY
+    return size

@@ -1,0 +1,377 @@
+"""`read`: from the latest sample at once, else from the robot, of fields, of patterns."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Generator, Iterator, Mapping
+from functools import partial
+from itertools import islice
+from time import perf_counter
+from typing import Annotated, Any
+
+import msgspec
+from msgspec import Meta
+
+from rcp_kernel.access.sights import Sights
+from rcp_kernel.clock import iso, now
+from rcp_kernel.config.settings import Settings
+from rcp_kernel.contract.pending import attribute_error
+from rcp_kernel.contract.turns import Turns, at_once
+from rcp_kernel.errors import (
+    AdapterUnavailable,
+    FilterUnsupported,
+    RcpError,
+    UnsupportedOperation,
+)
+from rcp_kernel.features.resource import Filter, View
+from rcp_kernel.model import Operation, Pattern
+from rcp_kernel.requests.inflight import InFlight
+from rcp_kernel.requests.pages import LONGEST, MOST, cursor_of, place_of, room
+from rcp_kernel.requests.parts import Parts, expected, is_listing, listed
+from rcp_kernel.requests.pattern_read import PatternRead
+from rcp_kernel.sessions.counts import RequestCounts
+from rcp_kernel.sessions.resolver import Resolver
+from rcp_kernel.sessions.session import Answer, Session
+from rcp_kernel.spi import Backend, has_watch
+from rcp_kernel.tree.entry import Entry
+from rcp_kernel.tree.registry import Registry
+from rcp_kernel.tree.samples import READ_PIECE, Sample, masked, project
+from rcp_kernel.values import value_type
+from rcp_kernel.wire import Body, Reply, Request
+
+__all__ = ["READ_OPTIONS", "ReadHandler", "ReadOptions"]
+
+_READ = int(Operation.READ)
+_to_json = msgspec.json.Encoder().encode
+_STEP = 16  # samples that are judged at once
+
+
+class ReadOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """The body of `read`; everything is optional."""
+
+    fields: tuple[str, ...] | None = None
+    """Projection: only these fields of the value."""
+    fresh: bool = False
+    """Ask the robot, even where a sample is at hand."""
+    limit: Annotated[int, Meta(ge=1, le=MOST)] = MOST
+    """Items of one page, where a pattern reads many."""
+    cursor: Annotated[str, Meta(max_length=LONGEST)] | None = None
+    """Of the last page."""
+
+
+READ_OPTIONS = value_type(ReadOptions | None)
+
+
+class ReadHandler:
+    """The handler of `read`, and of `status`."""
+
+    def __init__(
+        self,
+        registry: Registry,
+        resolver: Resolver,
+        inflight: InFlight,
+        counts: RequestCounts,
+        turns: Turns,
+        sights: Sights,
+        *,
+        views: Mapping[str, View],
+        filters: Mapping[str, Filter],
+        settings: Settings,
+    ) -> None:
+        self._registry = registry
+        self._resolver = resolver
+        self._inflight = inflight
+        self._seconds = counts.seconds
+        self._outcomes = counts.outcomes
+        self._turns = turns
+        self._sights = sights
+        self._views = views
+        self._filters = filters
+        self._settings = settings
+
+    def read(self, session: Session, request: Request, answer: Answer) -> Reply | None:
+        """Answer the read that nearly all reads are; leave any other to what takes longer."""
+        path = request.path
+        known = session.rights.masks.get(path, 0) & _READ
+        entry = self._registry.entries.get(path) if known else None  # pyright: ignore[reportArgumentType]
+        if (
+            entry is not None
+            and entry.live
+            and (sample := entry.latest) is not None
+            and not request.body
+            and entry.owner.backend is not None
+        ):
+            return Reply(
+                type="read",
+                id=request.id,
+                path=entry.path,
+                body=sample,
+                seq=sample.seq,
+                source_timestamp=sample.time,
+                # Its backend is there, so only its age can make it stale.
+                state="stale" if entry.deadline is not None and entry.stale else "fresh",
+                timestamp=iso(now()),
+                custom=request.custom,
+            )
+        return self._read_any(session, request, answer)
+
+    def read_at_once(self, session: Session, request: Request) -> bytes | None:
+        """Return the JSON reply to the read that nearly all reads are, or None for any other.
+
+        The same answer as `read` gives, spliced around what the sample has encoded already.
+        """
+        started = perf_counter()
+        path = request.path
+        if not session.rights.masks.get(path, 0) & _READ:
+            return None
+        entry = self._registry.entries.get(path)  # pyright: ignore[reportArgumentType]
+        if (
+            entry is None
+            or not entry.live
+            or (sample := entry.latest) is None
+            or request.body
+            or request.custom is not None
+            or entry.owner.backend is None
+        ):
+            return None
+        try:
+            piece = sample.tails.get(READ_PIECE) or sample.read_piece()
+        except RcpError:
+            return None
+        if (meter := session.token_bucket) is not None and not meter.take(started):
+            return None
+        id_ = b"" if request.id is None else b'"id":%b,' % _to_json(request.id)
+        state = b"stale" if entry.deadline is not None and entry.stale else b"fresh"
+        reply = b'{"type":"read",%b%b%b","timestamp":"%b"}' % (
+            id_,
+            piece,
+            state,
+            iso(now()).encode(),
+        )
+        self._seconds.observe(perf_counter() - started)
+        key = session.read_key
+        self._outcomes[key] = self._outcomes.get(key, 0) + 1
+        return reply
+
+    def status(
+        self, session: Session, request: Request, answer: Answer
+    ) -> Generator[None, None, Reply | None]:
+        """Answer with the health report."""
+        request.path = "/system/status"
+        return (yield from self.read_in_steps(session, request, answer))
+
+    def _read_any(self, session: Session, request: Request, answer: Answer) -> Reply | None:
+        """Answer from the latest sample where it will do, else from the backend."""
+        options = request.decode_body(READ_OPTIONS, "read") or ReadOptions()
+        if request.path is not None and "*" in request.path:
+            return self._read_many(session, request, answer, options)
+        entry = self._entry(session, request, options)
+        if entry.path in self._views or entry.path in self._filters:
+            return at_once(self._read_own(session, request, entry, options))
+        if (sample := _at_hand(entry, options)) is not None:
+            return _reply(request, entry, sample, options)
+        timeout = self._inflight.deadline(request, entry)
+        self._inflight.later(
+            session,
+            request,
+            answer,
+            self.fetch(entry),
+            lambda sample: _reply(request, entry, sample, options),
+            timeout,
+            entry.path,
+        )
+        return None
+
+    def _entry(self, session: Session, request: Request, options: ReadOptions) -> Entry:
+        entry = self._resolver.resolve(session, request.path, Operation.READ)
+        if options.cursor is not None:
+            raise FilterUnsupported(
+                "`cursor` needs a pattern, and this is a single path",
+                path=entry.path,
+                remedy="Send the pattern that the cursor belongs to.",
+            )
+        for field in options.fields or ():
+            if not entry.value_type.has_field(field):
+                raise FilterUnsupported(f"{entry.path} has no field '{field}'", path=entry.path)
+        return entry
+
+    def read_in_steps(
+        self, session: Session, request: Request, answer: Answer
+    ) -> Generator[None, None, Reply | None]:
+        """Do as `read` does; what shows each reader its own is looked through in steps."""
+        path = request.path
+        if path not in self._views and path not in self._filters:
+            return self.read(session, request, answer)
+        options = request.decode_body(READ_OPTIONS, "read") or ReadOptions()
+        entry = self._entry(session, request, options)
+        return (yield from self._read_own(session, request, entry, options))
+
+    def _read_own(
+        self, session: Session, request: Request, entry: Entry, options: ReadOptions
+    ) -> Generator[None, None, Reply]:
+        yield from self._sights.catch_up(session.rights)  # what is shown depends on it
+        view = self._views.get(entry.path)
+        if view is None:
+            shown = partial(self._filters[entry.path], session)
+            sample = yield from _last_shown(entry, shown)
+            return _reply(request, entry, sample, options)
+        value = view(session)
+        if is_listing(value):
+            longest = room(self._settings.limits.message)
+            value = yield from listed(value, expected(session, request), longest)
+        return _viewed(request, entry, value, options)
+
+    async def fetch(self, entry: Entry) -> Sample:
+        """Ask the backend for a value; wait for the next sample where it can only publish."""
+        backend = entry.owner.backend
+        if backend is None:
+            raise entry.owner.unavailable()
+        started = perf_counter()
+        try:
+            value = await backend.read(entry.name)
+        except UnsupportedOperation:
+            return await _first(entry, backend)
+        except RcpError as error:
+            error.origin = error.origin or entry.owner.name
+            raise
+        except Exception as error:
+            raise attribute_error(error, entry.owner.name, entry.path) from error
+        entry.owner.latency = perf_counter() - started
+        return entry.publish(value, None)
+
+    def _read_many(
+        self, session: Session, request: Request, answer: Answer, options: ReadOptions
+    ) -> Reply | None:
+        pattern = Pattern(request.path or "", session.tenant)
+        after = "" if options.cursor is None else place_of(options.cursor)
+        entries = list(islice(self._readable(session, pattern, after), options.limit + 1))
+        more = len(entries) > options.limit
+        del entries[options.limit :]
+        page = PatternRead(
+            entries,
+            options.fields,
+            at_hand=partial(_at_hand, options=options),
+            fetch=self.fetch,
+            page=Parts(expected(session, request)),
+            longest=room(self._settings.limits.message),
+        )
+
+        def done(items: Parts) -> Reply:
+            cut = more or len(items) < len(entries)
+            return Reply(
+                type="read",
+                id=request.id,
+                path=pattern.text,
+                body=items,
+                truncated=cut,
+                cursor=cursor_of(entries[len(items) - 1].path) if cut else None,
+                timestamp=iso(now()),
+            )
+
+        patience = (
+            min(request.deadline or self._settings.limits.deadline, self._settings.limits.deadline)
+            * 0.9
+        )
+        self._inflight.later(
+            session,
+            request,
+            answer,
+            page.run(self._turns, session.principal.identity, patience),
+            done,
+            request.deadline or self._settings.limits.deadline,
+            pattern.text,
+        )
+        return None
+
+    def _readable(self, session: Session, pattern: Pattern, after: str) -> Iterator[Entry]:
+        """Find what a pattern reads, in order of path; not what shows each reader its own."""
+        for entry in self._registry.match(pattern, after):
+            if entry.path in self._views or entry.path in self._filters:
+                continue
+            if entry.operations & Operation.READ and session.rights.permits(entry, Operation.READ):
+                yield entry
+
+
+def _at_hand(entry: Entry, options: ReadOptions) -> Sample | None:
+    if options.fresh or entry.latest is None or entry.owner.backend is None:
+        return None
+    if entry.live or entry.listeners:
+        return entry.latest
+    # An actuator's value is the last one commanded, which nobody knows better than the gateway.
+    return entry.latest if entry.kind == "actuator" else None
+
+
+def _last_shown(entry: Entry, shown: Callable[[Any], Any]) -> Generator[None, None, Sample]:
+    for number, sample in enumerate(reversed(tuple(entry.ring)), 1):
+        if (told := masked(sample, shown)) is not None:
+            return told
+        if not number % _STEP:
+            yield
+    raise AdapterUnavailable(
+        f"no event on {entry.path} yet",
+        path=entry.path,
+        remedy="Subscribe to it.",
+    )
+
+
+def _viewed(request: Request, entry: Entry, value: Any, options: ReadOptions) -> Reply:
+    cut = isinstance(value, Body) and value.cut
+    if options.fields:
+        value = project(value.value if isinstance(value, Body) else value, options.fields)
+    moment = iso(now())
+    return Reply(
+        type=request.type,
+        id=request.id,
+        path=entry.path,
+        body=value,
+        truncated=cut,
+        source_timestamp=moment,
+        state="fresh",
+        timestamp=moment,
+        custom=request.custom,
+    )
+
+
+def _reply(request: Request, entry: Entry, sample: Sample, options: ReadOptions) -> Reply:
+    body: Any = sample
+    if options.fields:
+        body = project(sample.value, options.fields)
+    return Reply(
+        type=request.type,
+        id=request.id,
+        path=entry.path,
+        body=body,
+        seq=sample.seq,
+        source_timestamp=sample.time,
+        state="stale" if entry.stale else "fresh",
+        timestamp=iso(now()),
+        custom=request.custom,
+    )
+
+
+class _Waiter:
+    def __init__(self) -> None:
+        self.arrived: asyncio.Future[Sample] = asyncio.get_running_loop().create_future()
+
+    def offer(self, sample: Sample) -> None:
+        if not self.arrived.done():
+            self.arrived.set_result(sample)
+
+
+async def _first(entry: Entry, backend: Backend) -> Sample:
+    """Watch until the first sample comes; what is published unasked has to have come already."""
+    if not has_watch(backend):
+        raise AdapterUnavailable(
+            f"{entry.path} has no value yet",
+            path=entry.path,
+            origin=entry.owner.name,
+            remedy="Wait until the robot publishes it, or subscribe to it.",
+        )
+    waiter = _Waiter()
+    entry.listeners.append(waiter)
+    try:
+        async with backend.watch(entry.name, None):
+            return await waiter.arrived
+    finally:
+        if waiter in entry.listeners:
+            entry.listeners.remove(waiter)

@@ -1,0 +1,188 @@
+"""The hot path: admit → resolve → check → call. Every request of every client passes here.
+
+A handler returns its reply, or None when the answer comes later; whatever goes wrong in between
+becomes the one final reply of that request.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Generator
+from time import perf_counter
+
+from rcp_kernel.access.token_bucket import is_exempt
+from rcp_kernel.clock import iso, now
+from rcp_kernel.config.settings import Settings
+from rcp_kernel.contract.pending import to_internal_error
+from rcp_kernel.contract.structure import LONG, check_structure
+from rcp_kernel.contract.turns import Turns
+from rcp_kernel.errors import Cancelled, RcpError, UnsupportedOperation
+from rcp_kernel.model import Pattern
+from rcp_kernel.plans.model import PATH as PLANS
+from rcp_kernel.requests.audit_writer import ACTS, DENIALS, AuditWriter
+from rcp_kernel.sessions.counts import RequestCounts
+from rcp_kernel.sessions.session import Answer, Session
+from rcp_kernel.wire import Reply, Request, failure
+
+__all__ = ["RequestRouter", "Route", "SteppedRoute"]
+
+Route = Callable[[Session, Request, Answer], Reply | None]
+"""Handles a request at once; returns None if the answer comes later."""
+
+SteppedRoute = Callable[[Session, Request, Answer], Generator[None, None, Reply | None]]
+"""Handles a request that takes long, in steps between which others have their turn.
+
+It is called when the request comes in, and the first step is done when its turn has come."""
+
+
+class RequestRouter:
+    """Has each request handled by what was added for its type.
+
+    It is there before the handlers are: some of them send requests themselves.
+    """
+
+    def __init__(
+        self,
+        settings: Settings,
+        turns: Turns,
+        counts: RequestCounts,
+        audit_writer: AuditWriter,
+    ) -> None:
+        self._settings = settings
+        self._turns = turns
+        self._counts = counts
+        self._audit_writer = audit_writer
+        self._routes: dict[str, Route] = {"ping": _ping, "hello": _hello}
+        self._stepped: dict[str, SteppedRoute] = {}
+        self._stopping: dict[str, Callable[[Session, Request], bool]] = {}
+
+    def add(
+        self,
+        type_: str,
+        route: Route | None = None,
+        *,
+        stepped: SteppedRoute | None = None,
+        stops: Callable[[Session, Request], bool] | None = None,
+    ) -> None:
+        """Have requests of a type handled by `route`; by `stepped` those that take long.
+
+        `stops` tells whether one brings something to rest, which no rate may keep it from.
+        """
+        if route is not None:
+            self._routes[type_] = route
+        if stepped is not None:
+            self._stepped[type_] = stepped
+        if stops is not None:
+            self._stopping[type_] = stops
+
+    def handle(self, session: Session, request: Request, answer: Answer) -> None:
+        """Have a request handled, and answered with exactly one final reply."""
+        started = perf_counter()
+        try:
+            meter = session.token_bucket
+            if (
+                meter is not None
+                and not is_exempt(request)
+                and not meter.take(started)
+                # Its parts pay for themselves, and one may be a stop.
+                and request.type != "batch"
+                and not self._stops(session, request)
+            ):
+                raise meter.refusal(started)
+            if _dear(session, request) and not self._stops(session, request):
+                stepped = self._stepped.get(request.type)
+                steps = None if stepped is None else stepped(session, request, answer)
+                work = self._slowly(session, request, answer, started, steps)
+                self._turns.run(session.principal.identity, work, len(bytes(request.body)))
+                return
+            reply = self._routes[request.type](session, request, answer)
+        except Exception as error:
+            reply, answer = self._refuse(session, request, answer, error)
+        if reply is not None:
+            self._counts.conclude(session, reply, started)
+            answer(reply)
+
+    def _slowly(
+        self,
+        session: Session,
+        request: Request,
+        answer: Answer,
+        started: float,
+        steps: Generator[None, None, Reply | None] | None,
+    ) -> Generator[None]:
+        """Handle a request that takes long, when its turn has come."""
+        try:
+            if session.successor is not None:
+                raise Cancelled("a later `hello` replaced the session of this request")
+            if len(request.body) > LONG and session.connection is None:
+                limit = self._settings.limits.values
+                yield from check_structure(bytes(request.body), request.encoding, limit)
+            if steps is not None:
+                reply = yield from steps
+            else:
+                reply = self._routes[request.type](session, request, answer)
+        except Exception as error:
+            reply, answer = self._refuse(session, request, answer, error)
+        if reply is not None:
+            self._counts.conclude(session, reply, started)
+            answer(reply)
+
+    def is_stop(self, session: Session, request: Request) -> bool:
+        """Tell whether a request stops something or lets go, which no quota keeps anybody from."""
+        return is_exempt(request) or self._stops(session, request)
+
+    def _stops(self, session: Session, request: Request) -> bool:
+        """Tell whether a request brings something to rest, which no rate may keep it from."""
+        stops = self._stopping.get(request.type)
+        return stops is not None and stops(session, request)
+
+    def _refuse(
+        self, session: Session, request: Request, answer: Answer, error: Exception
+    ) -> tuple[Reply, Answer]:
+        """Make a refusal's reply, in a frame that the error's traceback does not lead to.
+
+        One that kept the error would be a cycle: for a flood of refusals, garbage without end.
+        """
+        told = to_internal_error(error, type=request.type, path=request.path)
+        path = told.path or _full(request.path, session.tenant)
+        reply = failure(told, request.type, request.id, path)
+        reply.custom = request.custom
+        if told.code in DENIALS or request.type in ACTS:
+            answer = self._audit_writer.refused(session, request, reply, answer)
+        return reply, answer
+
+
+def _ping(_session: Session, request: Request, _answer: Answer) -> Reply:
+    return Reply(type="ping", id=request.id, timestamp=iso(now()), custom=request.custom)
+
+
+def _hello(_session: Session, _request: Request, _answer: Answer) -> Reply:
+    raise UnsupportedOperation(
+        "`hello` is not available over this transport",
+        remedy="Send `hello` as a separate message over WebSocket; HTTP does not need it.",
+    )
+
+
+def _full(path: str | None, tenant: str | None) -> str | None:
+    """Return the full path or pattern that a refusal is about; what is none, as it came."""
+    if path is None:
+        return None
+    try:
+        return Pattern(path, tenant).text
+    except RcpError:
+        return path
+
+
+def _dear(session: Session, request: Request) -> bool:
+    """Tell whether a request takes longer than a fraction of a millisecond, of all that it is."""
+    path = request.path
+    if len(request.body) > LONG and session.connection is None:
+        return True  # a connection has waited with a long message until it was its turn
+    match request.type:
+        case "discover" | "batch" | "subscribe" | "unsubscribe" | "status":
+            return True
+        case "read":
+            return path is not None and ("*" in path or path.startswith("/system/"))
+        case "execute":
+            return path == PLANS
+        case _:
+            return False

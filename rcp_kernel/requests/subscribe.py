@@ -1,0 +1,351 @@
+"""`subscribe` and `unsubscribe`: from an envelope to feeds linked to the tree, and back."""
+
+from __future__ import annotations
+
+import secrets
+import sys
+from collections.abc import Callable, Generator, Mapping
+from functools import partial
+from itertools import chain
+from typing import Any
+
+import msgspec
+
+from rcp_kernel.access.acl import reach
+from rcp_kernel.clock import iso, now
+from rcp_kernel.config.settings import Settings
+from rcp_kernel.contract.turns import Work, at_once
+from rcp_kernel.errors import (
+    AdapterUnavailable,
+    BadRequest,
+    DuplicateRequest,
+    PayloadTooLarge,
+    QueueFull,
+    RcpError,
+    UnknownPath,
+    UnsupportedOperation,
+)
+from rcp_kernel.features.resource import Filter, View
+from rcp_kernel.model import Operation, Pattern
+from rcp_kernel.requests.pages import MOST, MOST_BYTES, cursor_of
+from rcp_kernel.requests.parts import is_listing, listed
+from rcp_kernel.sessions.conditional import ConditionalSubscriptions
+from rcp_kernel.sessions.quotas import QuotaTracker
+from rcp_kernel.sessions.resolver import Resolver
+from rcp_kernel.sessions.resume import SessionResume
+from rcp_kernel.sessions.session import Answer, Session
+from rcp_kernel.sessions.sessions import Sessions
+from rcp_kernel.streams.filters import Change, Options, check_fields, parse_where, seconds
+from rcp_kernel.streams.hub import Hub
+from rcp_kernel.streams.links import Links
+from rcp_kernel.streams.notices import notice
+from rcp_kernel.streams.path_subscription import PathSubscription
+from rcp_kernel.streams.subscription import Subscription
+from rcp_kernel.tree.entry import Entry
+from rcp_kernel.values import Encoding, value_type
+from rcp_kernel.wire import Reply, Request, error_body
+
+__all__ = ["SubscribeHandler"]
+
+
+class _Which(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    subscription: str | None = None
+
+
+_LONGEST = 131_072  # bytes of a subscription's options
+_STEP = 32  # resources that are matched at once
+_OPTIONS = value_type(Options | None)
+_WHICH = value_type(_Which | None)
+
+
+class SubscribeHandler:
+    """The handlers of both requests."""
+
+    def __init__(
+        self,
+        resolver: Resolver,
+        hub: Hub,
+        links: Links,
+        conditional: ConditionalSubscriptions,
+        quotas: QuotaTracker,
+        resume: SessionResume,
+        sessions: Sessions,
+        *,
+        views: Mapping[str, View],
+        filters: Mapping[str, Filter],
+        settings: Settings,
+    ) -> None:
+        self._resolver = resolver
+        self._hub = hub
+        self._links = links
+        self._registry = hub.registry
+        self._conditional = conditional
+        self._quotas = quotas
+        self._resume = resume
+        self._views = views
+        self._filters = filters
+        self._settings = settings
+        sessions.on_renewal.append(self._renew_all)
+
+    def subscribe(
+        self, session: Session, request: Request, answer: Answer
+    ) -> Generator[None, None, Reply]:
+        """Start a subscription in steps; its id is the request's.
+
+        :raises RcpError: a path, right or option is wrong; nothing is subscribed then.
+        """
+        connection = session.connection
+        if connection is None:
+            raise UnsupportedOperation(
+                "this transport does not support subscriptions",
+                remedy="Subscribe over WebSocket, or GET /rcp/v1/events for SSE.",
+            )
+        if len(bytes(request.body)) > _LONGEST:
+            raise PayloadTooLarge(
+                f"the options of a subscription are limited to {_LONGEST} bytes",
+                remedy="Use fewer paths, use patterns, or split it into several subscriptions.",
+                details={"limit": _LONGEST},
+            )
+        options: Options = request.decode_body(_OPTIONS, "subscribe") or Options()
+        id_ = request.id or "sub-" + secrets.token_hex(4)
+        self._check_room(session, id_)
+        patterns = self._patterns(session, request, options)
+        entries = yield from self._entries(session, patterns, options)
+        if session.connection is not connection:  # the client has gone or come back meanwhile
+            raise AdapterUnavailable("the connection was lost", remedy="Subscribe again.")
+        self._check_room(session, id_)
+        subscription = self._begin(session, id_, patterns, options)
+        paths = [entry.path for entry in entries]
+        cut = len(paths) > MOST
+        if cut:  # in the order of discovery, whose cursor then leads to the rest
+            paths = sorted(paths)[:MOST]
+        reply = Reply(
+            type="subscribe",
+            id=request.id,
+            path=patterns[0].text,
+            body={"subscription": id_, "paths": paths, "count": len(entries)},
+            truncated=cut,
+            cursor=cursor_of(paths[-1]) if cut else None,
+            message=f"Subscribed to {len(entries)} paths.",
+            timestamp=iso(now()),
+            custom=request.custom,
+        )
+        # Control messages leave before updates, so the client knows the id before it sees one.
+        self._links.add(subscription, entries)
+        return reply
+
+    def _check_room(self, session: Session, id_: str) -> None:
+        if id_ in session.subscriptions or id_ in session.inflight:
+            raise DuplicateRequest(f"the id '{id_}' is already in use in this session")
+        if len(session.subscriptions) >= self._settings.limits.subscriptions:
+            raise QueueFull(
+                f"a session holds at most {self._settings.limits.subscriptions} subscriptions"
+            )
+        self._quotas.check_subscription(session)
+
+    def restore(self, session: Session, id_: str, texts: list[str], options: Options) -> None:
+        """Start a subscription of an earlier run on what is there; the rest joins when it comes."""
+        patterns = [Pattern(text, session.tenant) for text in texts]
+        subscription = self._begin(
+            session, id_, patterns, msgspec.structs.replace(options, history=None)
+        )
+        found = chain.from_iterable(map(self._registry.match, patterns))
+        self._links.search(subscription, found)
+
+    def _begin(
+        self, session: Session, id_: str, patterns: list[Pattern], options: Options
+    ) -> Subscription:
+        connection = session.connection
+        assert connection is not None
+
+        def may(entry: Entry) -> bool:
+            mask = reach(session.rights.mask(entry.path))
+            return bool(entry.operations & mask & Operation.SUBSCRIBE)
+
+        def end(subscription: Subscription, reason: str, error: RcpError | None) -> None:
+            self._ended(session, subscription, reason, error)
+
+        def view(entry: Entry) -> Callable[[Encoding], Any] | None:
+            shown = self._views.get(entry.path)
+            return None if shown is None else partial(_whole, shown, session)
+
+        def visibility_filter(entry: Entry) -> Callable[[Any], Any] | None:
+            shown = self._filters.get(entry.path)
+            return None if shown is None else partial(shown, session)
+
+        subscription = Subscription(
+            self._hub,
+            id_,
+            patterns,
+            options,
+            connection.outbox,
+            owner=session.principal.identity,
+            may=may,
+            end=end,
+            view=view,
+            visibility_filter=visibility_filter,
+            placed=partial(self._conditional.place, session),
+        )
+        session.subscriptions[id_] = subscription
+        self._resume.subscribed(session, subscription)
+        return subscription
+
+    def _patterns(self, session: Session, request: Request, options: Options) -> list[Pattern]:
+        texts = [request.path, *options.paths] if request.path is not None else [*options.paths]
+        if not texts:
+            raise BadRequest("`path` is missing", remedy="Send `path`, or `paths` in the body.")
+        if len(texts) > self._settings.limits.subscriptions:
+            raise PayloadTooLarge("too many paths in one subscription")
+        return [Pattern(text, session.tenant) for text in texts]
+
+    def _entries(
+        self, session: Session, patterns: list[Pattern], options: Options
+    ) -> Generator[None, None, list[Entry]]:
+        """Find what the patterns reach now; a plain path must be there and allowed."""
+        if options.where is not None:
+            parse_where(options.where)
+        if isinstance(options.history, str):
+            seconds(options.history)
+        if options.deadband is not None:
+            Change(options.deadband, options.fields)
+        found: dict[str, Entry] = {}
+        for pattern in patterns:
+            if pattern.literal:
+                entry = self._resolver.resolve(session, pattern.text, Operation.SUBSCRIBE)
+                check_fields(options, entry)
+                found[entry.path] = entry
+                continue
+            for number, entry in enumerate(self._registry.match(pattern), 1):
+                mask = entry.operations & reach(session.rights.mask(entry.path))
+                if mask & Operation.SUBSCRIBE:
+                    found[entry.path] = entry
+                if not number % _STEP:
+                    yield
+        held = sum(len(one.feeds) + len(one.awaited) for one in session.subscriptions.values())
+        if held + len(found) > self._settings.limits.paths:
+            raise PayloadTooLarge(
+                f"the patterns match {len(found)} paths and the session already has {held}; its "
+                f"subscriptions have at most {self._settings.limits.paths} together",
+                remedy="Use narrower patterns, or unsubscribe from what you no longer need.",
+                details={"limit": self._settings.limits.paths},
+            )
+        return list(found.values())
+
+    def _renew_all(self, session: Session) -> None:
+        """Unlink in steps the feeds that a session's rights do not allow any more."""
+        for subscription in session.subscriptions.values():
+            self._links.begin(subscription, self._renew(session, subscription))
+
+    def _renew(self, session: Session, subscription: Subscription) -> Work:
+        """Bring a subscription under its session's new rights: what is forbidden now goes first."""
+        for number, feed in enumerate(tuple(subscription.feeds.values()), 1):
+            if subscription.feeds.get(feed.entry.path) is feed:
+                self._renew_feed(session, subscription, feed)
+            if not number % _STEP:
+                yield
+        found = chain.from_iterable(map(self._registry.match, subscription.patterns))
+        for number, entry in enumerate(found, 1):
+            if subscription not in self._hub.subscriptions:  # it has ended
+                return
+            known = entry.path in subscription.feeds or entry.path in subscription.awaited
+            if not known and subscription.may(entry):
+                self._hub.join(subscription, entry)
+            if not number % _STEP:
+                yield
+
+    def _renew_feed(
+        self, session: Session, subscription: Subscription, feed: PathSubscription
+    ) -> None:
+        if subscription.may(feed.entry):
+            self._conditional.place(session, feed)
+            return
+        self._hub.drop(feed)
+        notice(
+            subscription.outbox,
+            "resource_removed",
+            id=subscription.id,
+            path=feed.entry.path,
+            message="the access rules have changed",
+        )
+
+    def unsubscribe(
+        self, session: Session, request: Request, answer: Answer
+    ) -> Generator[None, None, Reply]:
+        """End a subscription, named by `body.subscription`, by the request's `id`, or by its path.
+
+        It is done in steps; nothing of it is sent after the reply.
+
+        :raises UnknownPath: this session has no such subscription.
+        """
+        body = request.decode_body(_WHICH, "unsubscribe")
+        found = self._find(session, request, body.subscription if body is not None else None)
+        for subscription in found:
+            # It may have come to its end by itself meanwhile.
+            if session.subscriptions.get(subscription.id) is subscription:
+                del session.subscriptions[subscription.id]
+                self._resume.unsubscribed(session, subscription.id)
+                yield from self._links.remove(subscription)
+        return Reply(
+            type="unsubscribe",
+            id=request.id,
+            path=found[0].patterns[0].text,
+            body={"subscriptions": [subscription.id for subscription in found]},
+            message="Unsubscribed.",
+            timestamp=iso(now()),
+            custom=request.custom,
+        )
+
+    def _find(self, session: Session, request: Request, named: str | None) -> list[Subscription]:
+        known = session.subscriptions
+        for id_ in (named, request.id if named is None else None):
+            if id_ is not None and id_ in known:
+                return [known[id_]]
+        if named is None and request.path is not None:
+            text = Pattern(request.path, session.tenant).text
+            found = [s for s in known.values() if any(p.text == text for p in s.patterns)]
+            if found:
+                return found
+        raise UnknownPath(
+            "this session has no such subscription",
+            path=request.path,
+            remedy='Send {"subscription": "<id of the subscribe>"} in the body.',
+            details={"subscriptions": list(known)[:20]},
+        )
+
+    def _ended(
+        self, session: Session, subscription: Subscription, reason: str, error: RcpError | None
+    ) -> None:
+        if session.subscriptions.pop(subscription.id, None) is None:
+            return
+        self._resume.unsubscribed(session, subscription.id)
+        facts: dict[str, Any] = {"id": subscription.id, "reason": reason}
+        if error is not None:
+            self._hub.dropped["overrun"] += 1
+            facts |= {"error": error_body(error), "message": error.message}
+
+        def told() -> None:
+            code = reason if error is not None else "subscription_ended"
+            notice(subscription.outbox, code, **facts)
+
+        # What was delivered to the queue before the end goes out before the notice of it.
+        self._links.end(subscription, _send_rest if error is None else None, told)
+
+
+def _whole(view: Callable[[Session], Any], session: Session, encoding: Encoding) -> Any:
+    """Make the value of a view; of a list as much as fits in one page."""
+    value = view(session)
+    return at_once(listed(value, encoding, MOST_BYTES)) if is_listing(value) else value
+
+
+def _send_rest(feed: PathSubscription) -> None:
+    """Send what waits of a path: as control messages, so that nothing comes behind the end."""
+    outbox = feed.outbox
+    if outbox is None or not feed.waiting:
+        return
+    out: list[bytes] = []
+    # Whole messages, not frames: they are framed with the other control messages.
+    framing, outbox.framing = outbox.framing, None
+    feed.drain(out, sys.maxsize, None, None)
+    outbox.framing = framing
+    for data in out:
+        outbox.put(data)

@@ -1,0 +1,223 @@
+"""`write`: check the value, the age and the e-stop, bring it into force, arm the dead-man."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Mapping
+from copy import copy
+from functools import partial
+from time import perf_counter
+from typing import Any
+
+from rcp_kernel.clock import iso, now
+from rcp_kernel.contract.fence import permitted
+from rcp_kernel.contract.pending import attribute_error
+from rcp_kernel.contract.structure import LONG
+from rcp_kernel.errors import DeviceRejected, EstopActive, RcpError, Refused
+from rcp_kernel.features import Call
+from rcp_kernel.model import Operation
+from rcp_kernel.requests.admission import Admission
+from rcp_kernel.requests.audit_writer import AuditWriter
+from rcp_kernel.requests.idempotency import Keys
+from rcp_kernel.requests.inflight import InFlight
+from rcp_kernel.safety.leases import Leases
+from rcp_kernel.safety.motion_limits import MotionLimits
+from rcp_kernel.safety.safety import ANSWER, Deadman, check_motion, safe_value
+from rcp_kernel.sessions.resolver import Resolver
+from rcp_kernel.sessions.session import Answer, Session
+from rcp_kernel.spi import Backend
+from rcp_kernel.tree.entry import Entry
+from rcp_kernel.tree.samples import Sample
+from rcp_kernel.wire import Reply, Request
+
+__all__ = ["DryRun", "WriteHandler", "dry_run_reply"]
+
+DryRun = Callable[[Call], Mapping[str, Any]]
+"""Returns what features tell of a dry run."""
+
+_UNCHANGED = (Refused, DeviceRejected)
+"""Errors by which a backend says that its robot goes on as before."""
+
+
+class WriteHandler:
+    """The handler of `write`."""
+
+    def __init__(
+        self,
+        resolver: Resolver,
+        admission: Admission,
+        inflight: InFlight,
+        deadman: Deadman,
+        *,
+        motion_limits: MotionLimits,
+        leases: Leases,
+        dry_run: DryRun,
+        keys: Keys,
+        audit_writer: AuditWriter,
+        loop: asyncio.AbstractEventLoop,
+    ) -> None:
+        self._resolver = resolver
+        self._admission = admission
+        self._inflight = inflight
+        self._deadman = deadman
+        self._motion_limits = motion_limits
+        self._leases = leases
+        self._dry_run = dry_run
+        self._keys = keys
+        self._audit_writer = audit_writer
+        self._loop = loop
+
+    def write(self, session: Session, request: Request, answer: Answer) -> Reply | None:
+        """Start a write; a repeat under the same key waits for the first one's outcome."""
+        entry = self._resolver.resolve(session, request.path, Operation.WRITE)
+        value = request.decode_body(entry.value_type, entry.label)
+        first = self._keys.find(session, request, entry.path)
+        if isinstance(first, asyncio.Future):
+            held = self._audit_writer.held(answer, request, entry)
+            self._repeat(first, session, request, entry, held)
+            return None
+        call = Call(session, request, entry, value)
+        self._admission.admit(call)
+        window = self._deadman.window(entry, request)
+        self._admission.ask(call)
+        if request.dry_run:
+            held = self._motion_limits.applied(session, entry)
+            facts = {"valid_for": window, "envelopes": held or None, **self._dry_run(call)}
+            return dry_run_reply(request, entry, {"write": value, **facts})
+        noted = self._audit_writer.written(session, request, entry, answer)
+        if request.idempotency_key is not None:
+            noted = self._noting(session, request, entry, noted)
+        try:
+            self._inflight.later(
+                session,
+                request,
+                noted,
+                self._bring_into_force(call, window, entry.unit.stops),
+                partial(_written, request, entry),
+                self._inflight.deadline(request, entry),
+                entry.path,
+            )
+        except RcpError:
+            self._keys.forget(session, request, entry.path)
+            raise
+        return None
+
+    def stops(self, session: Session, request: Request) -> bool:
+        """Tell whether a request brings an actuator to rest, which no rate may keep it from."""
+        if request.type != "write" or len(request.body) > LONG:
+            return False
+        try:
+            entry = self._resolver.resolve(session, request.path, Operation.WRITE)
+            if entry.resource.safe is None:
+                return False
+            return request.decode_body(entry.value_type, entry.label) == safe_value(entry)
+        except RcpError:
+            return False
+
+    async def _bring_into_force(self, call: Call, window: float | None, stops: int) -> Sample:
+        request, entry, value = call.request, call.entry, call.value
+        if request.idempotency_key is not None:
+            await self._audit_writer.committed()
+        with self._deadman.in_flight(entry), permitted(entry.unit, stops):
+            try:
+                if entry.path in self._deadman.leaving:
+                    await self._deadman.cleared(entry)
+                backend = self._admission.confirm(call)
+                if entry.unit.stops != stops and entry.barred:
+                    self._motion_limits.refused(entry, value)
+                    text = "an e-stop was latched and reset since this was sent"
+                    raise EstopActive(text, path=entry.path)
+                return await self._send(backend, entry, value, window)
+            except BaseException:
+                # An e-stop or a lost lease is why, whatever came of the write.
+                check_motion(entry, entry.unit.latch)
+                self._leases.check(call.session, entry)
+                raise
+
+    async def _send(
+        self, backend: Backend, entry: Entry, value: Any, window: float | None
+    ) -> Sample:
+        deadman, envelopes = self._deadman, self._motion_limits
+        started = perf_counter()
+        superseded = deadman.begin(entry)
+        # Nobody knows what a robot makes of a write that it does not answer.
+        guard = None if window is None else deadman.arm(entry, window + ANSWER)
+        try:
+            actual = await backend.write(entry.name, value)
+        except BaseException as error:
+            if isinstance(error, _UNCHANGED):
+                envelopes.refused(entry, value)
+            if superseded or (guard is not None and not isinstance(error, _UNCHANGED)):
+                deadman.arm(entry, 0)
+            else:
+                deadman.disarm(entry, guard)
+            if isinstance(error, RcpError):
+                error.origin = error.origin or entry.owner.name
+            elif isinstance(error, Exception):
+                raise attribute_error(error, entry.owner.name, entry.path) from error
+            raise
+        entry.owner.latency = perf_counter() - started
+        actual = value if actual is None else actual
+        envelopes.took(entry, value, actual)
+        deadman.disarm(entry, guard)
+        if window is not None and value != safe_value(entry):
+            deadman.arm(entry, window)
+        return entry.publish(actual, None)
+
+    def _noting(self, session: Session, request: Request, entry: Entry, answer: Answer) -> Answer:
+        """Remember a write under its key from now on, so that a repeat of it runs nothing."""
+        outcome: asyncio.Future[Reply] = self._loop.create_future()
+        self._keys.note(session, request, entry.path, outcome)
+
+        def noted(reply: Reply) -> None:
+            outcome.set_result(reply)
+            self._keys.settle(session, request, entry.path, reply)
+            answer(reply)
+
+        return noted
+
+    def _repeat(
+        self,
+        first: asyncio.Future[Reply],
+        session: Session,
+        request: Request,
+        entry: Entry,
+        answer: Answer,
+    ) -> None:
+        def again(done: Reply) -> Reply:
+            reply = copy(done)
+            reply.id = request.id
+            return reply
+
+        timeout = self._inflight.deadline(request, entry)
+        self._inflight.later(session, request, answer, _outcome(first), again, timeout, entry.path)
+
+
+async def _outcome(first: asyncio.Future[Reply]) -> Reply:
+    return await asyncio.shield(first)
+
+
+def _written(request: Request, entry: Entry, sample: Sample) -> Reply:
+    return Reply(
+        type="write",
+        id=request.id,
+        path=entry.path,
+        body=sample,
+        message=f"{entry.path} written.",
+        seq=sample.seq,
+        timestamp=iso(now()),
+    )
+
+
+def dry_run_reply(request: Request, entry: Entry, what: dict[str, Any]) -> Reply:
+    """Answer a dry run: everything was checked, nothing was changed."""
+    return Reply(
+        type=request.type,
+        id=request.id,
+        path=entry.path,
+        body={key: item for key, item in what.items() if item is not None},
+        message=f"Dry run: {entry.path} would accept this. Nothing was changed.",
+        dry_run=True,
+        timestamp=iso(now()),
+        custom=request.custom,
+    )

@@ -1,0 +1,392 @@
+"""The e-stop: latched per robot, tenant or gateway, past every queue and limit.
+
+The latch stands before anything else happens; each robot's `Backend.halt` is entered next, and
+what ran or waited is ended after that. Nothing of it resumes when the latch is reset. How a stop
+goes on from there, to its confirmation and for as long as it is latched, is `safety.stop`'s.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Coroutine, Iterable, Sequence
+from typing import Annotated, Any, Protocol
+
+import msgspec
+from msgspec import Meta
+
+from rcp_kernel.access.identities import Identities
+from rcp_kernel.clock import now
+from rcp_kernel.config.settings import Settings
+from rcp_kernel.errors import DeviceTimeout, Forbidden, UnknownPath
+from rcp_kernel.safety.safety import Deadman
+from rcp_kernel.safety.scope import Scope
+from rcp_kernel.safety.stop import Stop, StopController
+from rcp_kernel.sessions.command import CommandTable
+from rcp_kernel.sessions.session import Session
+from rcp_kernel.tree.entry import Owner, StopGroup
+from rcp_kernel.tree.latches import GATEWAY, Latches, tenant_key
+from rcp_kernel.wire import Request
+
+__all__ = ["HALT_WAIT", "LONGEST_WAIT", "Estop", "EstopRequest", "EstopState"]
+
+HALT_WAIT = 5.0  # s an e-stop waits for robots to come to rest; it goes on trying after that
+LONGEST_WAIT = 60.0  # s, where the request's `deadline` allows as much
+
+
+class EstopRequest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Stop, or with `reset` let commands through again; nothing moves until a new one."""
+
+    scope: Annotated[str, Meta(max_length=256)] | None = None
+    """`/tenant/<tenant>`, a robot or sub-tree of one, a group of the configuration, the name of a
+    backend, or of one of its robots (`<backend>/<robot>`); None is every robot that you may see."""
+    reset: bool = False
+    reason: Annotated[str, Meta(max_length=500)] | None = None
+
+
+class EstopState(msgspec.Struct, frozen=True):
+    """Which robots are latched."""
+
+    active: bool
+    robots: dict[str, dict[str, Any]]
+    """Latched robots by the backend's name, or `<backend>/<robot>`: by whom, since when, why; how
+    far the stop has come (`state`: requested, commanded, confirmed at rest) and when; in `detail` why
+    it is not confirmed; and in `alarm` whether the robot has moved again under the latch."""
+    scopes: dict[str, dict[str, Any]] = {}
+    """Latches of whole tenants and of the gateway (`*`), which hold also robots that appear."""
+    groups: tuple[str, ...] = ()
+    """Groups of the configuration that can be named as a scope."""
+
+
+class EstopRecord(Protocol):
+    """Where e-stops and their resets are written down."""
+
+    def __call__(
+        self,
+        session: Session,
+        request: Request,
+        asked: EstopRequest,
+        keys: dict[str, str | None],
+        robots: list[StopGroup],
+        /,
+    ) -> None:
+        """Note what was latched or let go; must not block."""
+        ...
+
+
+class Estop:
+    """Latches, halts and resets."""
+
+    def __init__(
+        self,
+        supervisors: Sequence[Owner],
+        stops: StopController,
+        latches: Latches,
+        deadman: Deadman,
+        commands: CommandTable,
+        *,
+        identities: Identities,
+        settings: Settings,
+        drop_leases: Callable[[Iterable[str], str, str], None],
+        record: EstopRecord,
+        loop: asyncio.AbstractEventLoop,
+    ) -> None:
+        """Act on the robots of `supervisors`; `drop_leases` ends the leases on paths that stop."""
+        self._supervisors = supervisors
+        self._stops = stops
+        self._latches = latches
+        self._deadman = deadman
+        self._commands = commands
+        self._identities = identities
+        self._settings = settings
+        self._drop_leases = drop_leases
+        self._record = record
+        self._loop = loop
+        self._due: list[tuple[list[StopGroup], str, str | None]] = []
+        """E-stops after which what ran has not been ended yet."""
+        self._ending: set[asyncio.Task[None]] = set()
+
+    # -- what is latched -----------------------------------------------------------------------
+
+    def state(self, session: Session) -> EstopState:
+        """Return what a session may see of the latches."""
+        mine = {tenant_key(t) for t in self._identities.tenants_of(session.principal)} | {GATEWAY}
+        wide = {key: latch.plain() for key, latch in self._wide().items() if key in mine}
+        groups = tuple(name for name in self._groups() if self._members(session, name))
+        return self._state_of(self._visible(session), wide, groups)
+
+    def everything(self) -> EstopState:
+        """Return all that is latched."""
+        units = [unit for supervisor in self._supervisors for unit in supervisor.units]
+        wide = {key: latch.plain() for key, latch in self._wide().items()}
+        return self._state_of(units, wide, tuple(self._groups()))
+
+    def _state_of(
+        self, units: list[StopGroup], wide: dict[str, dict[str, Any]], groups: tuple[str, ...]
+    ) -> EstopState:
+        robots: dict[str, dict[str, Any]] = {}
+        for unit in units:
+            if (latch := unit.latch) is not None:
+                stop = self._stops.of(unit)
+                robots[unit.name] = latch.plain() | ({} if stop is None else stop.plain())
+        return EstopState(bool(robots or wide), robots, wide, groups)
+
+    def _groups(self) -> dict[str, tuple[str, ...]]:
+        return self._settings.config.safety.groups
+
+    def _wide(self) -> dict[str, Any]:
+        return self._latches.wide
+
+    def _visible(self, session: Session) -> list[StopGroup]:
+        """List the robots that a session may see, one by one."""
+        seen = session.rights.mask
+        return [
+            unit
+            for supervisor in self._supervisors
+            for unit in supervisor.units
+            if any(seen(entry.path) for entry in unit.own.values())
+        ]
+
+    # -- stop and reset ------------------------------------------------------------------------
+
+    def request(
+        self, session: Session, asked: EstopRequest, sent: Request
+    ) -> Coroutine[Any, Any, EstopState]:
+        """Latch or reset what is in scope, at once; return what waits for robots to come to rest.
+
+        :raises UnknownPath: the scope holds no robot that the session may see.
+        :raises Forbidden: a reset by somebody whose role may not, in all of the scope; or a stop of
+            several tenants without the right to that.
+        """
+        keys, robots = self.check(session, asked)
+        if asked.reset:
+            freed = self._reset(keys, robots)
+            self._record(session, sent, asked, keys, freed)
+            return self._state_now(session)
+        latches, by = self._latches, session.principal.name
+        fresh = [robot for robot in robots if robot.latch is None]
+        for key in keys:
+            latches.set(key, by, asked.reason)
+        for robot in _merged(robots):
+            robot.count_stop()
+        stops = self._stops.begin(robots)
+        # After the halts: the latch keeps everything that waits from the robots meanwhile.
+        self._due.append((robots, by, asked.reason))
+        self._loop.call_soon(self._end_due)
+        self._record(session, sent, asked, keys, fresh)
+        return self._halted(session, stops, sent.deadline)
+
+    def check(
+        self, session: Session, asked: EstopRequest
+    ) -> tuple[dict[str, str | None], list[StopGroup]]:
+        """Return the latches and robots that a request means; refuse it as `request` does."""
+        keys, robots = self._meant(session, asked.scope)
+        if not asked.reset:
+            return keys, robots
+        known = self._settings.config.tenant_names
+        touched = {robot.tenant for robot in robots}
+        for key, tenant in keys.items():
+            touched.update(known if key == GATEWAY else [tenant or ""])
+        if not all(session.rights.may_reset(tenant) for tenant in touched):
+            raise Forbidden(
+                f"{session.principal.name} may not reset an e-stop",
+                remedy="Ask someone whose role has `reset = true`.",
+            )
+        return keys, robots
+
+    def names(self, session: Session, asked: EstopRequest) -> list[str]:
+        """Name the robots that a request means, as far as the session sees them; refuse as it would."""
+        _, robots = self.check(session, asked)
+        seen = set(self._visible(session))
+        return sorted(robot.name for robot in robots if robot in seen)
+
+    def _reset(self, keys: dict[str, str | None], robots: list[StopGroup]) -> list[StopGroup]:
+        """Let go of robots; return those that were held."""
+        self._end_due()
+        freed = [robot for robot in robots if robot.latch is not None]
+        latches = self._latches
+        for robot in robots:
+            latches.reset(robot.identity, robot.keys)
+            latches.reset(robot.name, robot.keys)
+        for key, tenant in keys.items():
+            latches.reset(key, () if tenant is None else (tenant_key(tenant),))
+        for robot in _merged(freed):
+            robot.release(now())
+        self._stops.end(robot for robot in robots if robot.latch is None)
+        return freed
+
+    # -- what a scope means --------------------------------------------------------------------
+
+    def _meant(
+        self, session: Session, scope: str | None
+    ) -> tuple[dict[str, str | None], list[StopGroup]]:
+        """Return the keys of the latches that a scope means, with their tenants, and the robots."""
+        tenants = self._identities.tenants_of(session.principal)
+        if scope is None and not session.rights.may_stop_all():
+            scope = self._own_tenant(session)
+        if scope is None:
+            robots = self._visible(session)
+            if "*" in session.rights.tenants and not self._hidden(session, None):
+                keys: dict[str, str | None] = {GATEWAY: None}
+            else:
+                keys = self._widest(session, tenants, robots)
+        elif scope in self._groups():
+            robots = self._members(session, scope)
+            keys = _keys(robots)
+        elif not scope.startswith("/"):
+            visible = self._visible(session)
+            robots = [unit for unit in visible if scope in (unit.name, unit.whole.name)]
+            keys = _keys(robots)
+        else:
+            found = Scope(scope, session.tenant)
+            robots = self._in(session, found)
+            if found.whole and found.tenant in tenants:
+                keys = self._widest(session, [found.tenant], robots)
+            else:
+                keys = _keys(robots)
+        if not keys:
+            raise UnknownPath(
+                f"no robot in the scope {scope or 'of this session'!r}",
+                remedy="/system/estop and /system/status list the robots and groups.",
+            )
+        return keys, self._with_partners(robots)
+
+    def _own_tenant(self, session: Session) -> str:
+        if session.tenant is None:
+            raise Forbidden(
+                f"{session.principal.name} may not stop robots of several tenants at once",
+                remedy="Set `scope` to a tenant (/tenant/<tenant>), a robot, or a group.",
+            )
+        return tenant_key(session.tenant)
+
+    def _members(self, session: Session, group: str) -> list[StopGroup]:
+        """List the robots of a group that a session may see."""
+        found: dict[StopGroup, None] = {}
+        for scope in self._groups()[group]:
+            found |= dict.fromkeys(self._in(session, Scope(scope)))
+        return list(found)
+
+    def _in(self, session: Session, scope: Scope) -> list[StopGroup]:
+        return [unit for unit in self._visible(session) if self._within(session, unit, scope)]
+
+    def _with_partners(self, units: list[StopGroup]) -> list[StopGroup]:
+        """Add what else fronts the same robots: other backends, whoever may see their resources."""
+        meant = {unit.identity for unit in units}
+        partners = (
+            unit
+            for supervisor in self._supervisors
+            for unit in supervisor.units
+            if unit.identity in meant and unit.own
+        )
+        return list(dict.fromkeys((*units, *partners)))
+
+    def _widest(
+        self, session: Session, tenants: list[str], robots: list[StopGroup]
+    ) -> dict[str, str | None]:
+        """Mean whole tenants where the session sees all their robots, else the robots it sees."""
+        keys: dict[str, str | None] = {}
+        for tenant in tenants:
+            if not self._hidden(session, tenant):
+                keys[tenant_key(tenant)] = tenant
+            else:
+                keys |= _keys([unit for unit in robots if unit.tenant == tenant])
+        return keys
+
+    def _hidden(self, session: Session, tenant: str | None) -> bool:
+        """Tell whether there is a robot that the session may not see, or none at all to go by."""
+        units = [
+            u
+            for supervisor in self._supervisors
+            for u in supervisor.units
+            if tenant in (None, supervisor.tenant)
+        ]
+        visible = self._visible(session)
+        return not units or any(unit.own and unit not in visible for unit in units)
+
+    @staticmethod
+    def _within(session: Session, unit: StopGroup, scope: Scope) -> bool:
+        if unit.tenant != scope.tenant:
+            return False
+        if scope.whole or (scope.robot is not None and scope.robot == unit.place):
+            return True
+        rights = session.rights
+        return any(scope.covers(e.path) and rights.mask(e.path) for e in unit.own.values())
+
+    # -- carrying it out -----------------------------------------------------------------------
+
+    def _end_due(self) -> None:
+        while self._due:
+            self._end_all(*self._due.pop())
+
+    def _end_all(self, robots: list[StopGroup], by: str, reason: str | None) -> None:
+        """End what runs, waits or is under way on stopped robots, and the leases on them."""
+        ending: list[asyncio.Task[Any]] = []
+        paths: set[str] = set()
+        for robot in robots:
+            for entry in robot.entries.values():
+                paths.add(entry.path)
+                if entry.moves:
+                    ending += self._deadman.cancel_writes(entry)
+        for command in list(self._commands.running.values()):
+            if command.path in paths or not paths.isdisjoint(command.touches):
+                if command.task is not None:
+                    ending.append(command.task)
+                self._commands.cancel(command, "emergency stop")
+        if ending:
+            self._ending.add(task := self._loop.create_task(self._again(robots, ending)))
+            task.add_done_callback(self._ending.discard)
+        why = "emergency stop" + (f": {reason}" if reason else "")
+        self._drop_leases(paths, by, why)
+
+    async def _again(self, robots: list[StopGroup], ending: list[asyncio.Task[Any]]) -> None:
+        """Halt once more when all that was cancelled has ended.
+
+        Backends fence it off, but for those that do not, the halt must be what came last.
+        """
+        await asyncio.wait(ending)
+        self._stops.again(robots)
+
+    async def _state_now(self, session: Session) -> EstopState:
+        return self.state(session)
+
+    async def _halted(
+        self, session: Session, stops: Sequence[Stop], deadline: float | None
+    ) -> EstopState:
+        """Wait until every robot is confirmed at rest.
+
+        :raises DeviceTimeout: one is not yet; it stays latched and the stop is repeated.
+        """
+        wait = HALT_WAIT if deadline is None else min(deadline, LONGEST_WAIT)
+        late = await self._stops.wait(stops, wait)
+        if late:
+            raise self._unconfirmed(session, late)
+        return self.state(session)
+
+    def _unconfirmed(self, session: Session, late: Iterable[Stop]) -> DeviceTimeout:
+        visible = set(self._visible(session))
+        shown = [stop for stop in late if stop.unit in visible]
+        names = [f"{stop.unit.name} ({stop.detail})" for stop in shown]
+        names = names or ["another part of the robot"]
+        return DeviceTimeout(
+            f"latched, but not confirmed at rest: {', '.join(names)}; the gateway keeps "
+            "sending the stop",
+            path="/system/estop",
+            remedy="Use the robot's own emergency stop. /system/estop shows when it is at rest.",
+            details={"robots": {stop.unit.name: stop.plain() for stop in shown}},
+        )
+
+
+def _merged(units: list[StopGroup]) -> list[StopGroup]:
+    """Have backends halt as a whole of which all robots are to stop."""
+    meant = set(units)
+    return list(
+        dict.fromkeys(
+            unit.whole if unit.whole in meant or meant.issuperset(unit.owner.units) else unit
+            for unit in units
+        )
+    )
+
+
+def _keys(units: list[StopGroup]) -> dict[str, str | None]:
+    """Return the keys of the latches for robots, those of whole backends where they can be."""
+    names = {unit.name: unit.tenant for unit in _merged(units)}
+    return names | {unit.identity: unit.tenant for unit in units}

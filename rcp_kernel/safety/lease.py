@@ -1,0 +1,61 @@
+"""One lease as it is now, and what somebody is told whom it stands in the way of."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from rcp_kernel.clock import iso, now
+from rcp_kernel.errors import LeaseHeld
+from rcp_kernel.safety.scope import Scope
+
+__all__ = ["Lease", "refusal"]
+
+
+@dataclass(slots=True, eq=False)
+class Lease:
+    """One lease, as it is now."""
+
+    id: str
+    scope: Scope
+    key: str
+    """Whose it is: `Session.holder`."""
+    holder: str
+    """The principal's name."""
+    session: str | None
+    """The beginning of the session's id; None for a holder without connections."""
+    priority: int
+    since: int
+    expires: int
+    reason: str | None = None
+
+    @property
+    def left(self) -> float:
+        """Seconds until it lapses."""
+        return max(0.0, (self.expires - now()) / 1e9)
+
+    def facts(self) -> dict[str, Any]:
+        """Say whose it is, for whoever is refused because of it."""
+        return {
+            "scope": self.scope.text,
+            "holder": self.holder,
+            "since": iso(self.since),
+            "expires": iso(self.expires),
+            "priority": self.priority,
+        }
+
+    def kept(self) -> dict[str, Any]:
+        """Write it for the store."""
+        fields = (f for f in self.__slots__ if f not in ("id", "scope"))
+        return {"scope": self.scope.text, **{name: getattr(self, name) for name in fields}}
+
+
+def refusal(lease: Lease, path: str, *, of: str | None = None) -> LeaseHeld:
+    """Say that somebody else holds a lease, `of` what the refused may see of its scope."""
+    scope = of or lease.scope.text
+    return LeaseHeld(
+        f"{lease.holder} holds the lease on {scope} until {iso(lease.expires)}",
+        path=path,
+        retry_after=round(lease.left, 3),
+        details=lease.facts() | {"scope": scope},
+    )

@@ -1,0 +1,194 @@
+"""`/system/leases`: acquire, renew, release and hand over, as requests of a session."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+import msgspec
+from msgspec import Meta
+
+from rcp_kernel.access.identities import Identities
+from rcp_kernel.clock import iso
+from rcp_kernel.config.settings import Settings
+from rcp_kernel.contract.shutdown import Shutdown
+from rcp_kernel.errors import BadRequest, Forbidden, LeaseLost, OutOfRange, UnknownPath
+from rcp_kernel.safety.lease import Lease
+from rcp_kernel.safety.leases import Leases
+from rcp_kernel.safety.scope import Scope
+from rcp_kernel.sessions.session import Session
+from rcp_kernel.sessions.sessions import Sessions
+from rcp_kernel.tree.registry import Registry
+from rcp_kernel.types import Time
+
+__all__ = ["LeaseRequest", "LeaseService", "LeaseState"]
+
+
+class LeaseRequest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """What to do with a lease, which is named by its scope or by its id."""
+
+    do: Literal["acquire", "renew", "release", "hand_over"]
+    scope: Annotated[str, Meta(max_length=512)] | None = None
+    """`/tenant/<tenant>`, a sub-tree of a branch (`/actuator`), or a robot of a tenant."""
+    lease: Annotated[str, Meta(max_length=64)] | None = None
+    """The id that `acquire` answered, instead of the scope."""
+    ttl: Annotated[float, Meta(gt=0, extra_json_schema={"unit": "s"})] | None = None
+    """Seconds until it lapses unless it is renewed; the gateway's own if not given."""
+    take: bool = False
+    """Take it over from holders of a lower priority; needs a `reason`."""
+    to: Annotated[str, Meta(max_length=128)] | None = None
+    """Whom it is handed over to: a principal's name, or the beginning of a session's id."""
+    reason: Annotated[str, Meta(max_length=500)] | None = None
+
+
+class LeaseState(msgspec.Struct, frozen=True):
+    """A lease."""
+
+    lease: str
+    scope: str
+    holder: str
+    """The principal who holds it."""
+    session: str | None
+    """The beginning of the holding session's id; None for a holder without connections."""
+    priority: int
+    since: Time
+    expires: Time
+    reason: str | None = None
+
+
+class LeaseService:
+    """The gateway's answers to lease requests."""
+
+    def __init__(
+        self,
+        leases: Leases,
+        registry: Registry,
+        sessions: Sessions,
+        identities: Identities,
+        settings: Settings,
+        shutdown: Shutdown,
+    ) -> None:
+        self._leases = leases
+        self._registry = registry
+        self._sessions = sessions
+        self._identities = identities
+        self._settings = settings
+        self._shutdown = shutdown
+
+    def view(self, session: Session) -> list[dict[str, Any]]:
+        """List the leases on robots that a session may see."""
+        mask, registry = session.rights.mask, self._registry
+        return [
+            msgspec.to_builtins(_state(lease))
+            for lease in self._leases.held.values()
+            if any(mask(entry.path) for entry in lease.scope.entries(registry))
+        ]
+
+    def request(self, session: Session, asked: LeaseRequest, *, dry_run: bool) -> LeaseState | None:
+        """Carry a request out and return the lease as it is then; None for a dry run.
+
+        :raises LeaseHeld, LeaseLost, LeaseRequired, UnknownPath, Forbidden: it may not be.
+        :raises BadRequest, OutOfRange: something is missing, or too much is asked.
+        """
+        scope = None if asked.scope is None else Scope(asked.scope, session.tenant)
+        if scope is None and (asked.lease is None or asked.do == "acquire"):
+            raise BadRequest(
+                "`scope` and `lease` are both missing", remedy="Set `scope` or `lease`."
+            )
+        if asked.do == "acquire":
+            assert scope is not None
+            return self._acquire(session, asked, scope, dry_run=dry_run)
+        try:
+            lease = self._leases.find(session, asked.lease, scope)
+        except LeaseLost:
+            if asked.do == "release" and not dry_run:
+                self._leases.forgive(session, asked.lease, scope)
+            raise
+        if asked.do == "hand_over":
+            heir = self._heir(session, asked.to, lease.scope)
+            if not dry_run:
+                self._leases.hand_over(session, lease, heir)
+        elif asked.do == "renew":
+            ttl = self._ttl(asked)
+            if not dry_run:
+                self._leases.renew(session, lease, ttl)
+        elif not dry_run:
+            self._leases.release(session, lease)
+        return None if dry_run else _state(lease)
+
+    def _acquire(
+        self, session: Session, asked: LeaseRequest, scope: Scope, *, dry_run: bool
+    ) -> LeaseState | None:
+        registry, mask = self._registry, session.rights.mask
+        ttl = self._ttl(asked)
+        if not any(mask(entry.path) for entry in scope.entries(registry)):
+            raise UnknownPath(f"no resources in {scope.text}", path=scope.text)
+        if not self._leases.commands_in(session, scope):
+            raise Forbidden(
+                f"{session.principal.name} may not command anything in {scope.text}",
+                path=scope.text,
+            )
+        self._shutdown.check()
+        if dry_run:
+            self._leases.check_free(session, scope, asked.reason, take=asked.take)
+            return None
+        return _state(self._leases.acquire(session, scope, ttl, asked.reason, take=asked.take))
+
+    def _ttl(self, asked: LeaseRequest) -> float:
+        safety = self._settings.config.safety
+        ttl = asked.ttl if asked.ttl is not None else safety.lease_ttl
+        if ttl > safety.lease_ttl_max:
+            raise OutOfRange(
+                f"`ttl` is {ttl:g} s; the limit is {safety.lease_ttl_max:g} s",
+                remedy="Use a shorter `ttl` and renew the lease in time.",
+                details={"field": "ttl", "value": ttl, "maximum": safety.lease_ttl_max},
+            )
+        return ttl
+
+    def _heir(self, session: Session, to: str | None, scope: Scope) -> Session:
+        """Find whom a lease is handed over to.
+
+        :raises BadRequest: it is not said, or not clearly.
+        :raises UnknownPath: there is nobody of that name who may command in the scope.
+        """
+        if not to:
+            raise BadRequest("`hand_over` needs `to`")
+        sessions = self._sessions
+        others = [s for s in sessions.everyone() if s is not session]
+        able = [
+            s
+            for s in others
+            if to in (s.id[:8], s.principal.name)
+            and scope.tenant in self._identities.tenants_of(s.principal)
+            and self._leases.commands_in(s, scope)
+        ]
+        present = [s for s in able if not (s.stateless or s.listening)] or [
+            sessions.stateless(s.principal, s.transport, s.tenant) if s.listening else s
+            for s in able
+        ]
+        if not present:
+            raise UnknownPath(
+                f"no session of '{to[:64]}' may command {scope.text}",
+                remedy="Set `to` to a principal or session of the same tenant; "
+                "/system/sessions lists them.",
+            )
+        if len({s.holder for s in present}) > 1:
+            raise BadRequest(
+                f"{to[:64]} has {len(present)} sessions",
+                remedy="Set `to` to the first characters of a session id: "
+                + ", ".join(s.id[:8] for s in present[:10])
+                + ".",
+            )
+        return present[0]
+
+
+def _state(lease: Lease) -> LeaseState:
+    return LeaseState(
+        lease=lease.id,
+        scope=lease.scope.text,
+        holder=lease.holder,
+        session=lease.session,
+        priority=lease.priority,
+        since=iso(lease.since),
+        expires=iso(lease.expires),
+        reason=lease.reason,
+    )

@@ -1,0 +1,407 @@
+"""Leases: exclusive control of a part of the tree, for a time, by priority.
+
+While somebody holds a lease, nobody else's write or execute in its scope is admitted, nor reaches
+the robot if it was admitted before. Who loses a lease loses what it commanded there as well: its
+commands and writes are cancelled, and what they held in motion is brought to rest.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import secrets
+from collections.abc import Callable, Iterable
+from typing import Any
+
+import structlog
+
+from rcp_kernel.access.acl import reach
+from rcp_kernel.clock import iso, now
+from rcp_kernel.config.settings import Settings
+from rcp_kernel.contract.shutdown import Shutdown
+from rcp_kernel.errors import BadRequest, LeaseLost, LeaseRequired, RcpError
+from rcp_kernel.model import Kind, Operation, Pattern
+from rcp_kernel.safety.lease import Lease, refusal
+from rcp_kernel.safety.losses import Loss, Losses
+from rcp_kernel.safety.safety import Deadman
+from rcp_kernel.safety.scope import Scope
+from rcp_kernel.sessions.command import CommandTable
+from rcp_kernel.sessions.session import Session
+from rcp_kernel.sessions.sessions import Sessions
+from rcp_kernel.store.audit import Audit
+from rcp_kernel.store.store import Store
+from rcp_kernel.tree.entry import Entry
+from rcp_kernel.tree.registry import Registry
+
+__all__ = ["COMMANDING", "Leases"]
+
+log = structlog.get_logger("rcp.store")
+COMMANDING = Operation.WRITE | Operation.EXECUTE
+_TABLE = "leases"
+
+
+class Leases:
+    """Every lease of the gateway, and what each write and execute is told of them."""
+
+    def __init__(
+        self,
+        settings: Settings,
+        registry: Registry,
+        sessions: Sessions,
+        commands: CommandTable,
+        deadman: Deadman,
+        *,
+        store: Store,
+        audit: Audit,
+        shutdown: Shutdown,
+        loop: asyncio.AbstractEventLoop,
+    ) -> None:
+        self._settings = settings
+        self._registry = registry
+        self._sessions = sessions
+        self._commands = commands
+        self._deadman = deadman
+        self._store = store
+        self._audit = audit
+        self._shutdown = shutdown
+        self._loop = loop
+        self.held: dict[str, Lease] = {}
+        """By id."""
+        self.on_change: list[Callable[[], None]] = []
+        """Called after every change."""
+        self._lost = Losses()
+        self._timers: dict[str, asyncio.TimerHandle] = {}
+        self._over: dict[str, Lease | None] = {}
+        """The lease over each path that somebody asked about; forgotten with every change."""
+        self._needed: dict[str, bool] = {}
+        self._required: tuple[Pattern, ...] = ()
+        self._active = False
+        self.configure()
+        self._restore()
+        sessions.on_end.append(self._ended)
+        sessions.on_review.append(self.review)
+
+    def configure(self) -> None:
+        """Take over the configuration's patterns of what is commanded only under a lease."""
+        texts = self._settings.config.safety.lease_required
+        self._required = tuple(
+            Pattern(text if text.startswith("/tenant/") else f"/tenant/*{text}") for text in texts
+        )
+        self._needed.clear()
+        self._refresh()
+
+    def _refresh(self) -> None:
+        self._over.clear()
+        self._active = bool(self.held or self._lost or self._required)
+
+    def _restore(self) -> None:
+        for id_, kept in self._store.load(_TABLE).items():
+            try:
+                lease = Lease(id_, Scope(kept.pop("scope")), **kept)
+            except (RcpError, TypeError, KeyError, AttributeError) as error:
+                log.warning("store_row_unreadable", table=_TABLE, key=id_, error=str(error))
+                continue
+            self.held[id_] = lease
+            if lease.left:
+                self._set_timer(lease)
+            else:
+                self._lapse(lease)
+        self._refresh()
+
+    # -- what commands ask ---------------------------------------------------------------------
+
+    def check(self, session: Session, entry: Entry) -> None:
+        """Refuse to command what somebody else holds, or what the session has lost or must hold.
+
+        :raises LeaseHeld, LeaseLost, LeaseRequired: as they say.
+        """
+        if not self._active or entry.tenant is None:
+            return
+        path, holders = entry.path, session.holders
+        lease = self.over(path)
+        if lease is not None and lease.key in holders:
+            return
+        for loss in self._lost.of(holders):
+            if loss.scope.covers(path):
+                details = {"lease": loss.lease, "scope": loss.scope.text, "by": loss.by}
+                details["reason"] = loss.reason
+                raise LeaseLost(loss.told, path=path, details=details)
+        if lease is not None:
+            raise refusal(lease, path)
+        if self._requires(path):
+            raise LeaseRequired(f"{path} accepts commands only under a lease", path=path)
+
+    def over(self, path: str) -> Lease | None:
+        """Return the lease that a path is under."""
+        try:
+            lease = self._over[path]
+        except KeyError:
+            found = [one for one in self.held.values() if one.scope.covers(path)]
+            lease = self._over[path] = max(found, key=lambda one: one.expires, default=None)
+        if lease is not None and lease.expires <= now():  # its timer is a little late
+            self._lapse(lease)
+            return self.over(path)
+        return lease
+
+    def _requires(self, path: str) -> bool:
+        if not self._required:
+            return False
+        needed = self._needed.get(path)
+        if needed is None:
+            if len(self._needed) > 100_000:
+                self._needed.clear()
+            needed = self._needed[path] = any(p.matches(path) for p in self._required)
+        return needed
+
+    # -- what holders do -----------------------------------------------------------------------
+
+    def acquire(
+        self, session: Session, scope: Scope, ttl: float, reason: str | None, *, take: bool
+    ) -> Lease:
+        """Give a session the lease on a scope that it may command; one that it has is renewed.
+
+        :raises LeaseHeld: somebody holds a part of it who does not give way.
+        :raises BadRequest: a take-over without a reason.
+        """
+        self.check_free(session, scope, reason, take=take)
+        by = session.principal.name
+        for rival in self.rivals(session, scope):
+            self.lose(rival, by, reason or "")
+        priority = session.rights.priority(scope.tenant)
+        lease = self.own(session, scope)
+        if lease is None:
+            lease = Lease(
+                id="l-" + secrets.token_hex(8),
+                scope=scope,
+                key=session.holder,
+                holder=by,
+                session=None if session.stateless else session.id[:8],
+                priority=priority,
+                since=now(),
+                expires=0,
+                reason=reason,
+            )
+            self.held[lease.id] = lease
+        lease.priority = priority
+        for key in session.holders:
+            self._lost.forgive(key, scope)
+        self._extend(session, lease, ttl)
+        self._note("acquire", lease, session, take=take, reason=reason)
+        return lease
+
+    def check_free(self, session: Session, scope: Scope, reason: str | None, *, take: bool) -> None:
+        """Make sure that nobody is in the way of a session that wants a scope.
+
+        :raises LeaseHeld, BadRequest: as `acquire` does.
+        """
+        if take and not reason:
+            raise BadRequest(
+                "`take` needs a `reason`", remedy="Set `reason`; the previous holder is shown it."
+            )
+        priority = session.rights.priority(scope.tenant)
+        for rival in self.rivals(session, scope):
+            if not take or priority <= rival.priority:
+                raise refusal(rival, scope.text, of=self._told(session, rival, scope))
+
+    def _told(self, session: Session, rival: Lease, scope: Scope) -> str:
+        """Name the scope of a rival's lease, or the one asked for if the other's is hidden."""
+        mask, entries = session.rights.mask, rival.scope.entries(self._registry)
+        return rival.scope.text if any(mask(entry.path) for entry in entries) else scope.text
+
+    def rivals(self, session: Session, scope: Scope) -> list[Lease]:
+        """List the leases of others that share something with a scope."""
+        for lease in [one for one in self.held.values() if one.expires <= now()]:
+            self._lapse(lease)
+        others = (lease for lease in self.held.values() if lease.key != session.holder)
+        return [lease for lease in others if lease.scope.overlaps(scope)]
+
+    def own(self, session: Session, scope: Scope) -> Lease | None:
+        """Return the session's lease on exactly this scope."""
+        mine = [one for key in session.holders for one in self.held.values() if one.key == key]
+        return next((one for one in mine if one.scope.text == scope.text), None)
+
+    def find(self, session: Session, id_: str | None, scope: Scope | None) -> Lease:
+        """Return a lease of the session's by its id or its scope.
+
+        :raises LeaseLost: it was the session's.
+        :raises LeaseRequired: it never was.
+        """
+        if id_ is not None:
+            lease = self.held.get(id_)
+            if lease is not None and lease.key in session.holders:
+                return lease
+        elif scope is not None and (lease := self.own(session, scope)) is not None:
+            return lease
+        for loss in self._lost.of(session.holders):
+            if loss.lease == id_ or (scope is not None and loss.scope.text == scope.text):
+                raise LeaseLost(loss.told, details={"by": loss.by, "reason": loss.reason})
+        what = id_ if scope is None else scope.text
+        raise LeaseRequired(f"this session holds no lease {what}")
+
+    def renew(self, session: Session, lease: Lease, ttl: float) -> None:
+        """Let a lease last `ttl` seconds from now on."""
+        lease.priority = session.rights.priority(lease.scope.tenant)
+        self._extend(session, lease, ttl)
+
+    def _extend(self, session: Session, lease: Lease, ttl: float) -> None:
+        lease.expires = now() + int(ttl * 1e9)
+        if session.principal.expires is not None:
+            lease.expires = min(lease.expires, session.principal.expires)
+        self._set_timer(lease)
+        self._keep(lease)
+
+    def release(self, session: Session, lease: Lease) -> None:
+        """Give a lease up; what runs goes on."""
+        self._remove(lease)
+        self._note("release", lease, session)
+
+    def forgive(self, session: Session, id_: str | None, scope: Scope | None) -> None:
+        """Let a session that gives up what it has lost go on without a lease."""
+        for key in session.holders:
+            for loss in self._lost.of((key,)):
+                if loss.lease == id_ or (scope is not None and loss.scope.overlaps(scope)):
+                    self._lost.forgive(key, loss.scope)
+        self._refresh()
+
+    def hand_over(self, session: Session, lease: Lease, heir: Session) -> None:
+        """Give a lease, and the commands that run under it, to another session."""
+        before = lease.key
+        for command in self._commands_under(lease):
+            command.asker, command.session = heir, heir.id
+            if not heir.stateless:
+                heir.commands[command.id] = command
+        lease.key = heir.holder
+        lease.holder = heir.principal.name
+        lease.session = None if heir.stateless else heir.id[:8]
+        lease.priority = heir.rights.priority(lease.scope.tenant)
+        if heir.principal.expires is not None:
+            lease.expires = min(lease.expires, heir.principal.expires)
+            self._set_timer(lease)
+        self._lost.forgive(lease.key, lease.scope)
+        self._keep(lease)
+        facts = {"lease": lease.id, "scope": lease.scope.text, "by": session.principal.name}
+        tell = self._sessions.tell
+        tell(lease.key, "lease_given", **facts, to=lease.holder, expires=iso(lease.expires))
+        if before != lease.key:
+            tell(before, "lease_given", **facts, to=lease.holder)
+        self._note("hand_over", lease, session, to=lease.holder)
+
+    # -- how leases end ------------------------------------------------------------------------
+
+    def lose(self, lease: Lease, by: str, reason: str, *, stop: bool = True) -> None:
+        """Take a lease from its holder, with all that the holder commands under it.
+
+        Without `stop` the robots are being halted anyway.
+        """
+        if lease.id not in self.held:
+            return
+        running = self._commands_under(lease)
+        self._remove(lease)
+        loss = Loss(lease.id, lease.scope, by, reason)
+        self._lost.add(lease.key, loss)
+        self._refresh()
+        for command in running:
+            if not self._held_still(lease, command.path):
+                self._commands.withdraw(command, LeaseLost(loss.told, path=command.path))
+        if stop:
+            self._bring_to_rest(lease)
+        facts = {"lease": lease.id, "scope": lease.scope.text, "by": by, "reason": reason}
+        self._sessions.tell(lease.key, "lease_lost", **facts)
+        self._note("lost", lease, None, by=by, reason=reason)
+
+    def _bring_to_rest(self, lease: Lease) -> None:
+        deadman = self._deadman
+        for entry in lease.scope.entries(self._registry):
+            if entry.operations & Operation.WRITE and not self._held_still(lease, entry.path):
+                if entry.kind is Kind.ACTUATOR and deadman.holds(entry):
+                    deadman.stop(entry)
+                else:
+                    deadman.cut(entry)
+
+    def _held_still(self, lease: Lease, path: str) -> bool:
+        """Tell whether the holder of a lost lease has another one over a path."""
+        other = self.over(path)
+        return other is not None and other.key == lease.key
+
+    def _commands_under(self, lease: Lease) -> list[Any]:
+        return [
+            command
+            for command in self._commands.running.values()
+            if command.asker is not None
+            and lease.key in command.asker.holders
+            and lease.scope.covers(command.path)
+        ]
+
+    def _lapse(self, lease: Lease) -> None:
+        self.lose(lease, "the gateway", "the lease expired")
+
+    def drop_on(self, paths: Iterable[str], by: str, reason: str) -> None:
+        """End the leases that reach one of some paths whose robots are halted."""
+        stopped = list(paths)
+        for lease in list(self.held.values()):
+            if any(map(lease.scope.covers, stopped)):
+                self.lose(lease, by, reason, stop=False)
+
+    def _ended(self, session: Session) -> None:
+        """End the leases of a session that is no more, unless it is for the next run to find."""
+        if self._shutdown.begun:
+            return
+        for lease in [one for one in self.held.values() if one.key == session.holder]:
+            self.lose(lease, "the gateway", "its session ended")
+
+    def review(self) -> None:
+        """End the leases whose holders may command nothing in them any more."""
+        self.configure()
+        for lease in list(self.held.values()):
+            holders = self._sessions.holding(lease.key)
+            if holders and not any(self.commands_in(one, lease.scope) for one in holders):
+                self.lose(lease, "the gateway", "the holder no longer has access")
+
+    def commands_in(self, session: Session, scope: Scope) -> bool:
+        """Tell whether a session may write or execute anything in a scope."""
+        mask = session.rights.mask
+        return any(
+            entry.operations & reach(mask(entry.path)) & COMMANDING
+            for entry in scope.entries(self._registry)
+        )
+
+    # -- bookkeeping ---------------------------------------------------------------------------
+
+    def _set_timer(self, lease: Lease) -> None:
+        if (timer := self._timers.pop(lease.id, None)) is not None:
+            timer.cancel()
+        self._timers[lease.id] = self._loop.call_later(lease.left, self._lapse, lease)
+
+    def _keep(self, lease: Lease) -> None:
+        self._store.put(_TABLE, lease.id, lease.kept())
+        self._refresh()
+        self._changed()
+
+    def _remove(self, lease: Lease) -> None:
+        del self.held[lease.id]
+        if (timer := self._timers.pop(lease.id, None)) is not None:
+            timer.cancel()
+        self._store.put(_TABLE, lease.id, None)
+        self._refresh()
+        self._changed()
+
+    def _changed(self) -> None:
+        for changed in self.on_change:
+            changed()
+
+    def _note(self, did: str, lease: Lease, session: Session | None, **facts: Any) -> None:
+        self._audit.note(
+            "lease",
+            principal=None if session is None else session.principal,
+            tenant=lease.scope.tenant,
+            path=lease.scope.text,
+            session=session,
+            did=did,
+            lease=lease.id,
+            holder=lease.holder,
+            **facts,
+        )
+
+    def close(self) -> None:
+        """Let no lease lapse any more; what is held is found again by the next run."""
+        for timer in self._timers.values():
+            timer.cancel()

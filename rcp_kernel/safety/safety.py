@@ -1,0 +1,287 @@
+"""Motion safety that every transport shares: stale commands, the dead-man, the e-stop latch.
+
+Whatever moves is an actuator or an action. The e-stop has a lane of its own: it goes to
+`Backend.halt` past every queue, is repeated until the robot confirms, and stays latched.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from typing import Any
+
+from rcp_kernel.clock import iso, now, parse_time
+from rcp_kernel.contract.fence import unfenced
+from rcp_kernel.errors import BadRequest, EstopActive, StaleCommand
+from rcp_kernel.safety.retry import retry_until_confirmed
+from rcp_kernel.tree.entry import Entry
+from rcp_kernel.tree.latches import Latch
+from rcp_kernel.wire import Request
+
+__all__ = [
+    "ANSWER",
+    "Deadman",
+    "check_age",
+    "check_motion",
+    "safe_value",
+]
+
+_UNTAKEN = 0.25  # s that the robot may not take a safe value before its other backends are halted
+ANSWER = 1.0  # s that a write's window is longer until the robot has answered it
+
+
+def check_motion(entry: Entry, latch: Latch | None) -> None:
+    """Refuse motion under a latched e-stop.
+
+    :raises EstopActive: the path moves something, and its robot is stopped.
+    """
+    if latch is not None and entry.barred:
+        raise EstopActive(
+            f"{latch.by} has latched an e-stop" + (f": {latch.reason}" if latch.reason else ""),
+            path=entry.path,
+            details=latch.plain(),
+        )
+
+
+def check_age(entry: Entry, timestamp: str | float | None) -> None:
+    """Refuse a command that is older, or further in the future, than its path allows.
+
+    What moves something is not to be older than the last reset of an e-stop either.
+
+    :raises StaleCommand: it is.
+    :raises BadRequest: its timestamp is not a time.
+    """
+    if timestamp is None:
+        return
+    sent = parse_time(timestamp)
+    if sent < entry.unit.released and entry.barred:
+        raise StaleCommand(
+            f"the command was sent before the e-stop on {entry.unit.name} was reset",
+            path=entry.path,
+            remedy="Check the robot, then send a new command.",
+            details={"reset": iso(entry.unit.released)},
+        )
+    limit = entry.resource.max_age
+    if limit is None:
+        return
+    age = (now() - sent) / 1e9
+    if abs(age) > limit:
+        raise StaleCommand(
+            f"the command is {age:.3f} s old; the limit of {entry.path} is {limit:g} s",
+            path=entry.path,
+            details={"age": age, "max_age": limit},
+        )
+
+
+class _Flight:
+    """A write under way, while entered."""
+
+    __slots__ = ("_flights", "_path", "_task")
+
+    def __init__(self, flights: dict[str, set[asyncio.Task[Any]]], path: str) -> None:
+        self._flights, self._path = flights, path
+        self._task = asyncio.current_task()
+
+    def __enter__(self) -> None:
+        if self._task is not None:
+            self._flights.setdefault(self._path, set()).add(self._task)
+
+    def __exit__(self, *_: object) -> None:
+        if self._task is None:
+            return
+        flights = self._flights.get(self._path)
+        if flights is not None:
+            flights.discard(self._task)
+            if not flights:
+                del self._flights[self._path]
+
+
+class Deadman:
+    """Writes the safe value when an actuator's last command lapses, until the device takes it."""
+
+    def __init__(
+        self,
+        loop: asyncio.AbstractEventLoop,
+        *,
+        began: Callable[[Entry], None],
+        sending: Callable[[Entry, Any], None],
+        at_rest: Callable[[Entry, Any], None],
+        untaken: Callable[[Entry], list[asyncio.Task[None]]],
+        note: Callable[[Entry, str], None],
+    ) -> None:
+        """Bring to rest what lapses.
+
+        `began` is told before a write leaves, and when its window starts, and must cost next to
+        nothing; `sending`, when a safe value is on its way; `at_rest`, when it is in force, or the
+        robot is brought to rest as a whole. `untaken` is asked to stop the robot by other means
+        while a safe value is not taken, and returns what does. `note` keeps for the record that a
+        command lapsed, and that a safe value was taken.
+        """
+        self._loop = loop
+        self._began = began
+        self._sending = sending
+        self._at_rest = at_rest
+        self._untaken = untaken
+        self._note = note
+        self._timers: dict[str, asyncio.TimerHandle] = {}
+        self._stops: dict[str, asyncio.Task[None]] = {}
+        self._flights: dict[str, set[asyncio.Task[Any]]] = {}
+        """Writes that the robot has not answered yet."""
+        self.leaving: dict[str, set[asyncio.Task[Any]]] = {}
+        """Cancelled writes that have not ended yet: nothing may overtake them."""
+        self.lapsed = 0
+        """How many commands have lapsed."""
+
+    def window(self, entry: Entry, request: Request) -> float | None:
+        """Return for how many seconds a write stands, or None for ever.
+
+        :raises BadRequest: `valid_for` was asked of a path that has no safe value.
+        """
+        if request.valid_for is None:
+            return entry.resource.valid_for
+        if entry.resource.safe is None:
+            raise BadRequest(
+                f"{entry.path} has no safe value to apply after `valid_for`",
+                path=entry.path,
+                remedy="Omit `valid_for`, or use an actuator with a dead-man.",
+            )
+        return request.valid_for
+
+    def in_flight(self, entry: Entry) -> _Flight:
+        """Have the present task known as one that writes to an entry, for `ground` to cancel."""
+        self._began(entry)
+        return _Flight(self._flights, entry.path)
+
+    def cancel_writes(self, entry: Entry) -> list[asyncio.Task[Any]]:
+        """Cut what commands an entry whose robot is brought to rest as a whole.
+
+        Return the writes that were cancelled and have not ended yet.
+        """
+        self.cut(entry)
+        self._at_rest(entry, safe_value(entry))
+        return list(self.leaving.get(entry.path, ()))
+
+    def stop(self, entry: Entry) -> None:
+        """Bring an actuator to rest at once, whatever is in force or on its way."""
+        self.cut(entry)
+        self._start(entry)
+
+    def _start(self, entry: Entry) -> None:
+        task = self._loop.create_task(self._stop(entry), name=f"dead-man {entry.path}")
+        self._stops[entry.path] = task
+        helping: list[asyncio.Task[None]] = []
+        late = self._loop.call_later(_UNTAKEN, lambda: helping.extend(self._untaken(entry)))
+
+        def forget(done: asyncio.Task[None]) -> None:
+            late.cancel()
+            for helper in helping:
+                helper.cancel()
+            if self._stops.get(entry.path) is done:
+                del self._stops[entry.path]
+
+        task.add_done_callback(forget)
+
+    def cut(self, entry: Entry) -> None:
+        """Cancel every write to an entry that is under way, and forget its window."""
+        self.begin(entry)
+        for task in self._flights.get(entry.path, ()):
+            self._cancel(entry.path, task)
+
+    def _cancel(self, path: str, task: asyncio.Task[Any]) -> None:
+        if task.done():
+            return
+        task.cancel()
+        leaving = self.leaving.setdefault(path, set())
+        leaving.add(task)
+
+        def left(done: asyncio.Task[Any]) -> None:
+            leaving.discard(done)
+            if not leaving and self.leaving.get(path) is leaving:
+                del self.leaving[path]
+
+        task.add_done_callback(left)
+
+    async def cleared(self, entry: Entry) -> None:
+        """Wait until what was cancelled on an entry has let go of the robot, within a bound."""
+        leaving = self.leaving.get(entry.path, set()) - {asyncio.current_task()}
+        if leaving:
+            await asyncio.wait(leaving, timeout=ANSWER)
+
+    @property
+    def driving(self) -> bool:
+        """Whether any command stands for a time, is under way, or has to be stopped."""
+        return bool(self._timers or self._stops or self._flights)
+
+    @property
+    def paths(self) -> set[str]:
+        """The paths of which a command stands for a time, is under way, or has to be stopped."""
+        return {*self._timers, *self._stops, *self._flights}
+
+    def holds(self, entry: Entry) -> bool:
+        """Tell whether a command, or a stop that is not acknowledged, is in force on an actuator."""
+        path = entry.path
+        if path in self._timers or path in self._stops:
+            return True
+        if entry.resource.safe is None:
+            return False
+        if path in self._flights:
+            return True
+        return entry.latest is not None and entry.latest.value != safe_value(entry)
+
+    def begin(self, entry: Entry) -> bool:
+        """Let a new command take over: an older one's stop must not cut into it.
+
+        Return whether an older command was in force; if the new one fails, `arm(entry, 0)`.
+        """
+        timer = self._timers.pop(entry.path, None)
+        stop = self._stops.pop(entry.path, None)
+        for handle in (timer, stop):
+            if handle is not None:
+                handle.cancel()
+        return timer is not None or stop is not None
+
+    def arm(self, entry: Entry, seconds: float) -> asyncio.TimerHandle:
+        """Start the window of a write that is in force now; return what `disarm` takes."""
+        self._began(entry)
+        self.begin(entry)
+        with unfenced():  # it outlives the write whose window it is
+            timer = self._timers[entry.path] = self._loop.call_later(seconds, self._lapse, entry)
+        return timer
+
+    def disarm(self, entry: Entry, timer: asyncio.TimerHandle | None) -> None:
+        """End a window, unless that of another write has taken its place."""
+        if timer is not None and self._timers.get(entry.path) is timer:
+            timer.cancel()
+            del self._timers[entry.path]
+
+    def _lapse(self, entry: Entry) -> None:
+        del self._timers[entry.path]
+        self.lapsed += 1
+        self._start(entry)
+        self._note(entry, "lapsed")
+
+    async def _stop(self, entry: Entry) -> None:
+        safe = safe_value(entry)
+
+        async def once() -> None:
+            backend = entry.owner.backend
+            if backend is None:  # it may still be driving: it is told when the link is back
+                raise entry.owner.unavailable()
+            self._sending(entry, safe)
+            await backend.write(entry.name, safe)
+
+        await retry_until_confirmed(once, "deadman_stop_failed", path=entry.path)
+        self._at_rest(entry, safe)
+        entry.publish(safe, None)
+        self._note(entry, "ok")
+
+    def close(self) -> None:
+        """Forget all windows; the backends are halted by whoever closes them."""
+        for handle in (*self._timers.values(), *self._stops.values()):
+            handle.cancel()
+
+
+def safe_value(entry: Entry) -> Any:
+    """Return the value that brings an actuator to rest, in the type of its path."""
+    safe = entry.resource.safe
+    return entry.value_type.convert(safe) if isinstance(safe, (dict, list)) else safe

@@ -1,0 +1,91 @@
+"""The part of the tree that a lease or an e-stop is about.
+
+A tenant, a sub-tree below one of its branches, or a robot: its part of every branch.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_left
+from collections.abc import Iterator
+
+from rcp_kernel.errors import InvalidPath
+from rcp_kernel.model import BRANCHES, parse_path
+from rcp_kernel.tree.entry import Entry
+from rcp_kernel.tree.registry import Registry
+
+__all__ = ["Scope"]
+
+_ROBOT = 4  # segments of `/tenant/<tenant>/<robot>`, the empty one before the first `/` included
+
+
+class Scope:
+    """A sub-tree of one tenant, by whole segments.
+
+    :raises InvalidPath: the text is none.
+    """
+
+    __slots__ = ("_below", "robot", "tenant", "text")
+
+    def __init__(self, text: str, tenant: str | None = None) -> None:
+        self.text = parse_path(text, tenant)
+        """The scope with its tenant written out."""
+        parts = self.text.split("/")
+        if parts[1] != "tenant" or len(parts) < 3:
+            raise _bad(text)
+        self.tenant = parts[2]
+        self.robot: str | None = None
+        """The robot that is meant, in every branch; None for a sub-tree of one branch or all."""
+        if len(parts) >= _ROBOT and parts[3] not in BRANCHES:
+            if len(parts) > _ROBOT:
+                raise _bad(text)
+            self.robot = parts[3]
+        self._below = self.text + "/"
+
+    @property
+    def whole(self) -> bool:
+        """Whether it is all of its tenant."""
+        return self.text.count("/") == 2
+
+    def covers(self, path: str) -> bool:
+        """Tell whether a full path lies in the scope, whether or not it exists."""
+        if self.robot is None:
+            return path == self.text or path.startswith(self._below)
+        parts = path.split("/", 5)
+        return len(parts) > 4 and parts[1:3] == ["tenant", self.tenant] and parts[4] == self.robot
+
+    def overlaps(self, other: Scope) -> bool:
+        """Tell whether some path, of now or later, may lie in both."""
+        if self.tenant != other.tenant:
+            return False
+        if self.robot is not None and other.robot is not None:
+            return self.robot == other.robot
+        if self.robot is None and other.robot is None:
+            return self.covers(other.text) or other.covers(self.text)
+        robot, tree = (self, other) if self.robot is not None else (other, self)
+        # A whole branch may hold a part of any robot; what lies deeper names the robot it is of.
+        return tree.text.count("/") <= 3 or robot.covers(tree.text)
+
+    def entries(self, registry: Registry) -> Iterator[Entry]:
+        """Find the resources in the scope."""
+        if self.robot is None:
+            starts = [self.text]
+        else:
+            starts = [f"/tenant/{self.tenant}/{branch}/{self.robot}" for branch in sorted(BRANCHES)]
+        index = registry.index
+        for start in starts:
+            for path in index[bisect_left(index, start) :]:
+                if not path.startswith(start):
+                    break
+                if self.covers(path):
+                    yield registry.entries[path]
+
+    def __repr__(self) -> str:
+        return f"Scope({self.text!r})"
+
+
+def _bad(text: str) -> InvalidPath:
+    return InvalidPath(
+        f"{text[:80]!r} is not a scope",
+        remedy="Use a tenant (/tenant/<tenant>), a sub-tree of a branch "
+        "(/tenant/<tenant>/actuator/…) or a robot (/tenant/<tenant>/<robot>).",
+    )

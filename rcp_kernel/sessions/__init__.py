@@ -1,0 +1,1 @@
+"""Sessions, connections and resume; the commands and quotas of a session."""

@@ -1,0 +1,99 @@
+"""What waits for one client that takes slower than it is sent, and how that is made less.
+
+Samples are counted when somebody looks, never with each update: a queue weighs as many times its
+path's newest sample as it holds samples. What the operating system took already is not counted.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Collection, Container
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from rcp_kernel.sessions.session import Session
+    from rcp_kernel.streams.outbound import Outbound
+    from rcp_kernel.streams.outbox import Outbox
+
+__all__ = ["Relief", "shed", "waiting_bytes"]
+
+_SWEEP = 0.25  # s between looks at what waits
+_SLOW = "ended: this client has more unread bytes than `limits.queue_bytes` allows"
+
+
+def waiting_bytes(session: Session) -> int:
+    """Return about how many bytes wait for a session's client."""
+    if session.connection is None:
+        return session.missed_bytes
+    pending = session.connection.outbox.pending
+    return session.waiting_bytes + sum(feed.weight() for feed in pending)
+
+
+def shed(session: Session, reason: str) -> int:
+    """Let go of what may be let go of; return what still waits.
+
+    Best effort conflates, a reliable subscription ends with `overrun` for the `reason`, replies for
+    a client that is away are lost and their loss is told; those for one that is there stay.
+    """
+    if session.connection is None:
+        while session.missed:
+            session.lose()
+        return 0
+    _conflate(session.connection.outbox, session.subscriptions, reason)
+    return waiting_bytes(session)
+
+
+def _conflate(outbox: Outbox, known: Container[str], reason: str) -> None:
+    for feed in list(outbox.pending):
+        feed.shed(known, reason)
+
+
+class Relief:
+    """Lets go of samples that wait for slow clients, where they are more than may wait.
+
+    The newest sample of a path is not counted: it is there in any case, whoever waits for it.
+    """
+
+    def __init__(
+        self,
+        loop: asyncio.AbstractEventLoop,
+        sessions: Callable[[], Collection[Session]],
+        outbound: Outbound,
+    ) -> None:
+        self._loop = loop
+        self._sessions = sessions
+        self._outbound = outbound
+        self._timer: asyncio.TimerHandle | None = None
+
+    def start(self) -> None:
+        """Look from now on, again and again while there are sessions."""
+        if self._timer is None:
+            self._timer = self._loop.call_later(_SWEEP, self._look)
+
+    def _look(self) -> None:
+        sessions = self._sessions()
+        self._timer = self._loop.call_later(_SWEEP, self._look) if sessions else None
+        held: list[tuple[int, Session]] = []
+        for session in sessions:
+            connection = session.connection
+            if connection is not None and connection.outbox.pending:
+                size = sum(feed.weight() for feed in connection.outbox.pending if feed.depth > 1)
+                if size:
+                    held.append((size, session))
+        total = sum(size for size, _ in held)
+        for size, session in sorted(held, key=_by_size, reverse=True):
+            if size <= self._outbound.each and total <= self._outbound.limit:
+                return
+            total -= size
+            assert session.connection is not None
+            _conflate(session.connection.outbox, session.subscriptions, _SLOW)
+
+    def close(self) -> None:
+        """Look no more."""
+        if self._timer is not None:
+            self._timer.cancel()
+            self._timer = None
+
+
+def _by_size(item: tuple[int, Session]) -> int:
+    return item[0]

@@ -1,0 +1,264 @@
+"""One command: its steps from the request to the one final status, and how these are told."""
+
+from __future__ import annotations
+
+import asyncio
+import secrets
+from collections.abc import Awaitable, Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Protocol
+
+import structlog
+
+from rcp_kernel.access.visibility import names_in
+from rcp_kernel.clock import iso, now
+from rcp_kernel.errors import (
+    AdapterUnavailable,
+    Cancelled,
+    DeviceRejected,
+    EstopActive,
+    InternalError,
+    RcpError,
+    Refused,
+)
+from rcp_kernel.spi import Progress
+from rcp_kernel.tree.entry import Entry
+from rcp_kernel.values import ANY, Encoding, to_plain
+from rcp_kernel.wire import FINAL, NO_BODY, Body, Reply, Status
+
+if TYPE_CHECKING:
+    from rcp_kernel.sessions.session import Session
+
+__all__ = ["Command", "CommandTable", "Record", "Work", "outcome_of", "status_of"]
+
+log = structlog.get_logger("rcp.commands")
+_SHORT = 16_384  # bytes of a command that are kept as they are written
+Follower = Callable[[Reply], None]
+
+
+class Work(Protocol):
+    """What the gateway itself carries out as a command."""
+
+    async def run(self, command: Command, session: Session, progress: Progress) -> Any:
+        """Do it, in the name of whoever sent the command, and return its result."""
+        ...
+
+    def report(self, *, over: bool) -> Any:
+        """Return how far it has come; with `over` it goes no further."""
+        ...
+
+
+class CommandTable(Protocol):
+    """The commands of the gateway, for who ends those that have lost their ground."""
+
+    @property
+    def running(self) -> Mapping[str, Command]:
+        """Those that have not ended, by id."""
+        ...
+
+    def every(self) -> Iterable[Command]:
+        """Go through all that are known, newest first."""
+        ...
+
+    def cancel(self, command: Command, reason: str) -> None:
+        """Have a command cancelled: the robot is told at once, the final status follows."""
+        ...
+
+    def withdraw(self, command: Command, error: Refused) -> None:
+        """End a command that has lost its ground: refused if it waits, else cancelled."""
+        ...
+
+
+@dataclass(slots=True)
+class Record:
+    """What is remembered of one step of a command."""
+
+    status: Status
+    time: int
+    body: Any = field(default_factory=lambda: NO_BODY)
+    progress: float | None = None
+    message: str | None = None
+    error: dict[str, Any] | None = None
+
+    def plain(self) -> dict[str, Any]:
+        """Write the step as plain data."""
+        out: dict[str, Any] = {"status": self.status, "timestamp": iso(self.time)}
+        if self.body is not NO_BODY:
+            out["body"] = to_plain(self.body)
+        for key in ("progress", "message", "error"):
+            if (value := getattr(self, key)) is not None:
+                out[key] = value
+        return out
+
+
+class _Listed(Body):
+    """A command as lists tell of it; what has ended and is short is written once."""
+
+    __slots__ = ("_command", "_written")
+
+    def __init__(self, command: Command) -> None:
+        self._command = command
+        self._written: dict[Encoding, bytes] = {}
+
+    @property
+    def value(self) -> dict[str, Any]:
+        """The command with its history as plain data."""
+        return self._command.plain()
+
+    def encoded(self, encoding: Encoding) -> bytes:
+        """Return it as bytes of the encoding."""
+        data = self._written.get(encoding)
+        if data is None:
+            final = self._command.final
+            data = ANY.encode(self._command.plain(), encoding)
+            if final and len(data) <= _SHORT:
+                self._written[encoding] = data
+        return data
+
+
+@dataclass(slots=True, eq=False)
+class Command:
+    """One execute, from request to its one final status."""
+
+    id: str
+    path: str
+    principal: str
+    tenant: str | None
+    proof: str = "none"
+    """How the principal proved itself."""
+    request_id: str | None = None
+    custom: dict[str, Any] | None = None
+    timestamp: str | float | None = None
+    """When the client says that it sent it."""
+    input: Any = None
+    created: int = field(default_factory=now)
+    finished: int | None = None
+    history: list[Record] = field(default_factory=list[Record])
+    session: str | None = None
+    asker: Session | None = None
+    """In whose name it runs; None once it has ended."""
+    work: Work | None = None
+    """What the gateway itself does for it; None for the work of a robot."""
+    touches: tuple[str, ...] = ()
+    """Paths beside its own that it is about: of the steps of a plan."""
+    ready: Callable[[], Awaitable[None]] | None = None
+    """Awaited before the robot is told."""
+    entry: Entry | None = None
+    task: asyncio.Task[Any] | None = None
+    followers: list[Follower] = field(default_factory=list[Follower])
+    cancelling: str | None = None
+    """Why a cancel was asked for."""
+    expired: bool = False
+    timer: asyncio.TimerHandle | None = None
+    """Ends the command at its deadline."""
+    _listed: _Listed | None = None
+    _names: frozenset[str] | None = None
+    """What is named once it has ended: nothing changes after that."""
+
+    @property
+    def status(self) -> Status:
+        """The present status."""
+        return self.history[-1].status
+
+    @property
+    def final(self) -> bool:
+        """Whether the command has ended."""
+        return self.status in FINAL
+
+    @property
+    def names(self) -> frozenset[str]:
+        """What may be a path or the name of a resource in what is told of the command."""
+        names = self._names
+        if names is None:
+            names = names_in(self.plain())
+            if self.final:
+                self._names = names
+        return names
+
+    def reply(self, record: Record | None = None) -> Reply:
+        """Write a step (the latest if not given) as a reply envelope."""
+        record = record or self.history[-1]
+        return Reply(
+            type="execute",
+            id=self.request_id,
+            path=self.path,
+            status=record.status,
+            body=record.body,
+            message=record.message,
+            error=record.error,
+            command=self.id,
+            progress=record.progress,
+            timestamp=iso(record.time),
+            custom=self.custom,
+        )
+
+    @property
+    def age(self) -> tuple[int, str]:
+        """By what commands are ordered, which never changes: when it came, and its id."""
+        return self.created, self.id
+
+    def plain(self, *, history: bool = True) -> dict[str, Any]:
+        """Write the command as plain data, for lists and `/system/commands`."""
+        last = self.history[-1]
+        out: dict[str, Any] = {
+            "command": self.id,
+            "path": self.path,
+            "status": last.status,
+            "principal": self.principal,
+            "created": iso(self.created),
+            "updated": iso(last.time),
+        }
+        facts = {"id": self.request_id, "finished": self.finished and iso(self.finished)}
+        facts |= {"progress": self.progress, "message": last.message, "error": last.error}
+        out |= {key: value for key, value in facts.items() if value is not None}
+        if last.body is not NO_BODY:
+            out["body"] = to_plain(last.body)
+        if self.input is not None:
+            out["input"] = to_plain(self.input)
+        if history:
+            out["history"] = [record.plain() for record in self.history]
+        return out | (self.custom or {})
+
+    @property
+    def listed(self) -> Body:
+        """What `plain` returns, to be written with others."""
+        if self._listed is None:
+            self._listed = _Listed(self)
+        return self._listed
+
+    @property
+    def progress(self) -> float | None:
+        """The last fraction that the backend reported, 0…1."""
+        return next((r.progress for r in reversed(self.history) if r.progress is not None), None)
+
+
+def outcome_of(command: Command, task: asyncio.Task[Any]) -> Any:
+    """Return what a command's task came to: its result, or the error that is told."""
+    error = None if task.cancelled() else task.exception()
+    fenced = isinstance(error, EstopActive) and command.cancelling is not None
+    if task.cancelled() or fenced:  # what it did last was fenced off by the stop that ended it
+        reason = command.cancelling or "the backend gave up"
+        return Cancelled(f"{command.path} was cancelled: {reason}", path=command.path)
+    if error is None:
+        return task.result()
+    if isinstance(error, RcpError):
+        return error
+    if isinstance(error, (ConnectionError, TimeoutError)):
+        return AdapterUnavailable(f"the link to the robot failed: {error or type(error).__name__}")
+    trace = secrets.token_hex(8)
+    log.error(
+        "command_crashed", command=command.id, path=command.path, trace_id=trace, exc_info=error
+    )
+    failure = InternalError("the backend failed; see the gateway's log")
+    failure.trace_id = trace
+    return failure
+
+
+def status_of(command: Command, error: RcpError) -> Status:
+    """A refusal by the robot before anything was seen to move is `rejected`, later it is `failed`."""
+    if isinstance(error, Cancelled):
+        return "cancelled"
+    moved = any(record.status == "in_progress" for record in command.history)
+    refused = isinstance(error, (DeviceRejected, Refused))
+    # A cancel that fails is no refusal: the robot may have begun, and may go on.
+    return "rejected" if refused and not moved and command.cancelling is None else "failed"

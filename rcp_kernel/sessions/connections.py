@@ -1,0 +1,322 @@
+"""The connections that sessions come in by: whole messages in, replies and updates out."""
+
+from __future__ import annotations
+
+import asyncio
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+from rcp_kernel.access.identities import Identities
+from rcp_kernel.clock import iso, now
+from rcp_kernel.config.settings import Settings
+from rcp_kernel.contract.identity import Principal
+from rcp_kernel.contract.peer import UNKNOWN, Peer
+from rcp_kernel.contract.pending import to_internal_error
+from rcp_kernel.contract.structure import LONG, check_structure
+from rcp_kernel.contract.turns import Turns, Work
+from rcp_kernel.errors import QueueFull, RcpError
+from rcp_kernel.sessions.counts import RequestCounts
+from rcp_kernel.sessions.handshake import Handshake
+from rcp_kernel.sessions.hello import Hello
+from rcp_kernel.sessions.session import Answer, Handler, Session
+from rcp_kernel.sessions.sessions import Sessions
+from rcp_kernel.sessions.unsent import ESTOP, left_out
+from rcp_kernel.streams.outbound import SHARE, SMALL, Outbound
+from rcp_kernel.streams.outbox import FlushScheduler, Outbox
+from rcp_kernel.values import Encoding, value_type
+from rcp_kernel.wire import (
+    NO_BODY,
+    Reply,
+    Request,
+    check_size,
+    decode_request,
+    encode_reply,
+    failure,
+    peek_header,
+)
+
+__all__ = ["Connection", "ConnectionParts"]
+
+_HELD = 256  # messages that wait for a `hello`
+
+
+_HELLO = value_type(Hello)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ConnectionParts:
+    """What connections use of the gateway, the same for all of them."""
+
+    handle: Handler
+    read_at_once: Callable[[Session, Request], bytes | None]
+    """Answers the read that nearly all reads are."""
+    handshake: Handshake
+    sessions: Sessions
+    identities: Identities
+    unwelcome: Callable[[Session, Reply, Answer], Answer]
+    """Records that a `hello` was refused; returns what its reply goes to."""
+    counts: RequestCounts
+    outbound: Outbound
+    settings: Settings
+    scheduler: FlushScheduler
+    turns: Turns
+    loop: asyncio.AbstractEventLoop
+
+
+class Connection:
+    """The gateway's end of one client connection.
+
+    The transport feeds `receive` with whole messages, is called by `flush` when there is
+    something to send, and takes it with `outbox.collect`. All on the event loop's thread.
+    """
+
+    __slots__ = (
+        "_handle",
+        "_held",
+        "_identifying",
+        "_parts",
+        "_read_at_once",
+        "_settings",
+        "_splices",
+        "closed",
+        "encoding",
+        "expelled",
+        "greetings",
+        "on_hello",
+        "outbox",
+        "peer",
+        "released",
+        "session",
+    )
+
+    def __init__(
+        self,
+        parts: ConnectionParts,
+        session: Session,
+        encoding: Encoding,
+        flush: Callable[[], None],
+        peer: Peer = UNKNOWN,
+    ) -> None:
+        self._parts = parts
+        self._handle, self._read_at_once = parts.handle, parts.read_at_once
+        self._settings = parts.settings
+        self.peer = peer
+        self.encoding = encoding
+        self.outbox = Outbox(parts.scheduler, encoding, flush, parts.outbound.open())
+        self.session = session
+        self.closed = False
+        self.expelled = False
+        """The session was ended by the gateway; the transport closes once it has said so."""
+        self.greetings = 0
+        self.on_hello: Callable[[Hello], dict[str, Any]] | None = None
+        """The transport's part of `hello`: what it adopts, and the limits it answers with."""
+        self.released: Callable[[deque[bytes]], None] = self._receive_all
+        """Takes what came while `hello` waited; a transport that takes turns sets its own."""
+        self._held: deque[bytes] | None = None
+        """Messages since a `hello` or a long message that is not handled yet."""
+        self._identifying: asyncio.Task[None] | None = None
+        self._splices = encoding is Encoding.JSON
+        session.connection = self
+        session.encoding = encoding
+
+    @property
+    def limit(self) -> int:
+        """Longest message that the client may send now, in bytes."""
+        return self._parts.identities.longest(self.session.principal)
+
+    @property
+    def holds(self) -> bool:
+        """Whether a `hello` or a long message is not handled yet, and everything else waits."""
+        return self._held is not None
+
+    def receive(self, data: bytes) -> None:
+        """Handle one whole message from the client; every reply goes through the outbox.
+
+        One that comes after `close` is nobody's: the session may be another connection's by now.
+        """
+        if self.closed:
+            return
+        if self._held is not None:
+            self._hold(data)
+            return
+        try:
+            if len(data) > LONG:
+                self._take_long(data)
+            else:
+                self._carry_out(decode_request(data, self.encoding))
+        except RcpError as error:
+            self._refuse(data, error)
+        except Exception as error:
+            self.stumbled(data, error)
+
+    def _take_long(self, data: bytes) -> None:
+        """Have a message handled when its turn has come, and before all that come after it."""
+        check_size(data, self.limit)
+        if len(data) > self._settings.limits.unproved:
+            self.session.check_pace()
+        held = self._held = deque()
+        work = self._unfold(data, held)
+        try:
+            self._parts.turns.run(self.session.principal.identity, work, len(data))
+        except RcpError:
+            self._held = None
+            raise
+
+    def _unfold(self, data: bytes, held: deque[bytes]) -> Work:
+        """Handle a long message in steps: count what is in it, decode the envelope, then the rest."""
+        try:
+            yield from check_structure(data, self.encoding, self._settings.limits.values)
+            request = decode_request(data, self.encoding)
+            yield
+            if not self.closed:
+                self._held = None  # a `hello` may begin to hold messages by itself
+                self._carry_out(request)
+        except RcpError as error:
+            self._refuse(data, error)
+        except Exception as error:
+            self.stumbled(data, error)
+        if self._held is held:
+            self._held = None
+        if self._held is None:
+            self.released(held)
+        else:
+            self._held.extend(held)
+
+    def _refuse(self, data: bytes, error: RcpError) -> None:
+        type_, id_ = peek_header(data, self.encoding)
+        self._parts.counts.count(self.session.transport, type_, error.code)
+        self.send(failure(error, type_, id_))
+
+    def _carry_out(self, request: Request) -> None:
+        if request.type == "hello":
+            self._hello(request)
+            return
+        session = self.session
+        outbox = self.outbox
+        if request.type == "read" and self._splices and outbox.waiting <= SHARE:
+            reply = self._read_at_once(session, request)
+            if reply is not None:
+                if len(reply) > SMALL and outbox.backlog.refuses(len(reply)):
+                    reply = self._left_out(request, len(reply))
+                outbox.put(reply)
+                return
+        self._handle(session, request, session.deliver)
+
+    def stumbled(self, data: bytes, error: Exception) -> None:
+        """Answer a message that nothing else could be done with, and log why."""
+        told = to_internal_error(error, session=self.session.id)
+        type_, id_ = peek_header(data, self.encoding)
+        self._parts.counts.count(self.session.transport, type_, told.code)
+        self.send(failure(told, type_, id_))
+
+    def send(self, reply: Reply) -> None:
+        """Queue a reply; feedback that a slow client has not taken yet gives way to newer."""
+        if self.closed:
+            return
+        outbox = self.outbox
+        if reply.command is not None:
+            if reply.status == "in_progress":
+                outbox.feedback[reply.command] = partial(self._encode_feedback, reply)
+                outbox.mark()
+                return
+            last = outbox.feedback.pop(reply.command, None)
+            if last is not None:
+                outbox.put(last())
+        data = self.encode(reply)
+        if reply.path != ESTOP and outbox.backlog.refuses(len(data)):
+            data = self.encode(left_out(reply, len(data)))
+        outbox.put(data)
+
+    def _left_out(self, request: Request, size: int) -> bytes:
+        """Write what is told in place of the answer to a read, which is counted already."""
+        answer = Reply(type="read", id=request.id, path=request.path)
+        return self.encode(left_out(answer, size))
+
+    def encode(self, reply: Reply) -> bytes:
+        """Write a reply; one whose body cannot be written becomes the error that says so."""
+        try:
+            return encode_reply(reply, self.encoding)
+        except Exception as error:
+            told = to_internal_error(error, path=reply.path)
+            said = failure(told, reply.type, reply.id, reply.path, command=reply.command)
+            return encode_reply(said, self.encoding)
+
+    def _encode_feedback(self, reply: Reply) -> bytes:
+        """Write feedback, which never ends its command: without the body if that cannot be written."""
+        try:
+            return encode_reply(reply, self.encoding)
+        except Exception as error:
+            to_internal_error(error, path=reply.path)
+            reply.body, reply.custom = NO_BODY, None
+            return encode_reply(reply, self.encoding)
+
+    def _hello(self, request: Request) -> None:
+        try:
+            self.greetings += 1
+            if self.greetings > 1:  # the first one is free: who wants to stop a robot must get in
+                self.session.charge()
+            hello = request.decode_body(_HELLO, "hello") if request.body else Hello()
+            token = self._parts.handshake.offered(hello)
+            principal = None
+            if token is not None:
+                principal = self._parts.identities.known(token, self.peer)
+                if principal is None:
+                    self._held = deque()
+                    self._identifying = self._parts.loop.create_task(
+                        self._identify(request, hello, token)
+                    )
+                    return
+            self._greet(request, hello, principal)
+        except Exception as error:
+            self._unwelcome(request, error)
+
+    def _greet(self, request: Request, hello: Hello, principal: Principal | None) -> None:
+        body = self._parts.handshake.greet(self, hello, principal)
+        self._parts.counts.count(self.session.transport, "hello", "ok")
+        reply = Reply(type="hello", id=request.id, body=body, timestamp=iso(now()))
+        # Ahead of what a resumed session has to say: the client must know first whose it is.
+        self.outbox.put_first(encode_reply(reply, self.encoding))
+
+    def _unwelcome(self, request: Request, error: Exception) -> None:
+        told = to_internal_error(error)
+        self._parts.counts.count(self.session.transport, "hello", told.code)
+        reply = failure(told, "hello", request.id)
+        self._parts.unwelcome(self.session, reply, self.send)(reply)
+
+    async def _identify(self, request: Request, hello: Hello, token: str) -> None:
+        """Find out whose token it is, while what the client says next waits for that."""
+        try:
+            principal = await self._parts.identities.wait(token, self.peer)
+            if not self.closed:
+                self._greet(request, hello, principal)
+        except Exception as error:
+            self._unwelcome(request, error)
+        held, self._held = self._held or deque(), None
+        self.released(held)
+
+    def _receive_all(self, messages: deque[bytes]) -> None:
+        for data in messages:
+            self.receive(data)
+
+    def _hold(self, data: bytes) -> None:
+        held = self._held
+        assert held is not None
+        if len(held) < _HELD and sum(map(len, held)) + len(data) <= self.limit:
+            held.append(data)
+            return
+        type_, id_ = peek_header(data, self.encoding)
+        self._parts.counts.count(self.session.transport, type_, QueueFull.code)
+        self.send(failure(QueueFull("an earlier message is not handled yet"), type_, id_))
+
+    def close(self) -> None:
+        """Tell the gateway that the client is gone."""
+        if not self.closed:
+            self.closed = True
+            if self._identifying is not None:
+                self._identifying.cancel()
+            self._parts.sessions.tally(self)
+            self.outbox.close()
+            self._parts.sessions.cut(self.session)

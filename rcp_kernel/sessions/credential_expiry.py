@@ -1,0 +1,65 @@
+"""The end of a proof: the client is told ahead, then what the proof had opened is closed."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+from rcp_kernel.clock import iso, now
+from rcp_kernel.streams.notices import notice
+
+if TYPE_CHECKING:
+    from rcp_kernel.sessions.session import Session
+
+__all__ = ["CredentialExpiry"]
+
+_AHEAD = 30.0  # s before the end that the client is told
+_LOOK = 30.0  # s: clocks are set, so what is left is worked out anew so often
+
+
+class CredentialExpiry:
+    """Watches the sessions whose proof ends."""
+
+    def __init__(self, loop: asyncio.AbstractEventLoop, expel: Callable[[Session], None]) -> None:
+        self._loop = loop
+        self._expel = expel
+
+    def watch(self, session: Session) -> None:
+        """Watch a session's present principal, in place of an earlier one."""
+        self.forget(session)
+        if session.principal.expires is not None:
+            # Not at once: its connection is only made when there is a session.
+            session.lapse = self._loop.call_later(0.0, self._look, session, False)
+
+    def forget(self, session: Session) -> None:
+        """Watch a session no more."""
+        if session.lapse is not None:
+            session.lapse.cancel()
+            session.lapse = None
+
+    def _look(self, session: Session, told: bool) -> None:  # noqa: FBT001 - for `call_later`
+        session.lapse = None
+        expires = session.principal.expires
+        if expires is None:
+            return
+        left = (expires - now()) / 1e9
+        if left <= 0:
+            self._expel(session)
+            return
+        if left <= _AHEAD and not told:
+            told = True
+            _tell(session, expires, left)
+        wait = min(left if told else left - _AHEAD, _LOOK)
+        session.lapse = self._loop.call_later(wait, self._look, session, told)
+
+
+def _tell(session: Session, expires: int, left: float) -> None:
+    if session.connection is not None:
+        notice(
+            session.connection.outbox,
+            "session_expiring",
+            expires=iso(expires),
+            message=f"your credentials expire in {left:.0f} s",
+            remedy="Send `hello` with a new token of the same principal to keep the session.",
+        )

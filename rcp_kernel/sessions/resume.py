@@ -1,0 +1,204 @@
+"""Sessions that their clients may come back to although the gateway was started anew.
+
+Kept of each: hashes of its id and of its resume token, never these themselves; whose it is, and
+its subscriptions. It becomes a session again when its client returns and proves to be its owner.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import hashlib
+import hmac
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+import structlog
+
+from rcp_kernel.clock import now
+from rcp_kernel.config.settings import Settings
+from rcp_kernel.contract.identity import Principal
+from rcp_kernel.contract.shutdown import Shutdown
+from rcp_kernel.store.store import Store
+from rcp_kernel.streams.filters import Options
+from rcp_kernel.streams.notices import notice
+
+if TYPE_CHECKING:
+    from rcp_kernel.sessions.session import Session
+    from rcp_kernel.streams.subscription import Subscription
+
+__all__ = ["SessionResume", "StoredSession", "hashed"]
+
+Subscribe = Callable[["Session", str, list[str], Options], None]
+log = structlog.get_logger("rcp.store")
+_TABLE = "sessions"
+_SUBSCRIPTIONS = "subscriptions"
+_LIFE = "life"
+_BEAT = 5.0  # s between notes that the gateway is alive: how exactly the moment of a crash is known
+
+
+def hashed(secret: str) -> str:
+    """Return what is kept of an id or a token."""
+    return hashlib.sha256(secret.encode()).hexdigest()
+
+
+class StoredSession(msgspec.Struct):
+    """What survives of a session."""
+
+    secret: str
+    """Hash of its resume token."""
+    principal: Principal
+    tenant: str | None
+    transport: str
+    created: int
+    cut: int | None = None
+    """When its connection was lost; None: it had one when the gateway ended."""
+    subscriptions: dict[str, Any] = {}
+
+
+class SessionResume:
+    """The sessions of earlier runs, and notes of those of this one."""
+
+    def __init__(
+        self,
+        store: Store,
+        settings: Settings,
+        shutdown: Shutdown,
+        loop: asyncio.AbstractEventLoop,
+    ) -> None:
+        self._store = store
+        self._settings = settings
+        self._shutdown = shutdown
+        self._loop = loop
+        self._kept: dict[str, StoredSession] = {}
+        self.ended = 0
+        """When the earlier run was last known to be alive, ns."""
+        self._beat: asyncio.TimerHandle | None = None
+        if store.keeps:
+            self._load()
+
+    def _load(self) -> None:
+        store = self._store
+        rows = store.load(_TABLE)
+        self.ended = store.load(_LIFE).get("alive", 0)
+        limit = int(self._settings.limits.session_ttl * 1e9)
+        subscriptions = store.load(_SUBSCRIPTIONS)
+        for name, row in rows.items():
+            try:
+                kept = msgspec.convert(row, StoredSession)
+            except msgspec.ValidationError as error:
+                log.warning("store_row_unreadable", table=_TABLE, error=str(error))
+                self._delete(name, [])
+                continue
+            left = (kept.cut or self.ended) + limit - now()
+            mine = {key: row for key, row in subscriptions.items() if key.startswith(name)}
+            if left <= 0:
+                self._delete(name, list(mine))
+                continue
+            kept.subscriptions = {key.partition("/")[2]: row for key, row in mine.items()}
+            self._kept[name] = kept
+            self._loop.call_later(left / 1e9, self._expire, name)
+
+    def start(self) -> None:
+        """Note from time to time that the gateway is alive."""
+        self._store.put(_LIFE, "alive", now())
+        self._beat = self._loop.call_later(_BEAT, self.start)
+
+    def stop(self) -> None:
+        """Note it a last time."""
+        if self._beat is not None:
+            self._beat.cancel()
+        self._store.put(_LIFE, "alive", now())
+
+    # -- what becomes of sessions now ----------------------------------------------------------
+
+    def note(self, session: Session) -> None:
+        """Keep a session that its client knows, as it is now."""
+        store = self._store
+        if not store.keeps or not session.greeted:
+            return
+        kept = StoredSession(
+            hashed(session.secret),
+            session.principal,
+            session.tenant,
+            session.transport,
+            session.created,
+            session.cut,
+        )
+        row = msgspec.to_builtins(kept)
+        del row["subscriptions"]
+        store.put(_TABLE, hashed(session.id), row)
+        if session.cut is None:
+            for subscription in session.subscriptions.values():
+                self.subscribed(session, subscription)
+
+    def subscribed(self, session: Session, subscription: Subscription) -> None:
+        """Keep a subscription of a session that its client knows."""
+        if not self._store.keeps or not session.greeted:
+            return
+        options = subscription.options
+        if options.count is not None or options.duration is not None:
+            return  # how much of it is left is not kept
+        row = {
+            "paths": [pattern.text for pattern in subscription.patterns],
+            "options": msgspec.to_builtins(options),
+        }
+        self._store.put(_SUBSCRIPTIONS, f"{hashed(session.id)}/{subscription.id}", row)
+
+    def unsubscribed(self, session: Session, id_: str) -> None:
+        """Let go of a subscription."""
+        if self._store.keeps and session.greeted:
+            self._store.put(_SUBSCRIPTIONS, f"{hashed(session.id)}/{id_}", None)
+
+    def forget(self, session: Session) -> None:
+        """Let go of a session that has ended; one that the gateway's end ends may come back."""
+        if self._store.keeps and not self._shutdown.begun:
+            name = hashed(session.id)
+            self._delete(name, [f"{name}/{id_}" for id_ in session.subscriptions])
+
+    def _delete(self, name: str, subscriptions: list[str]) -> None:
+        self._store.put(_TABLE, name, None)
+        for key in subscriptions:
+            self._store.put(_SUBSCRIPTIONS, key, None)
+
+    # -- what comes back -----------------------------------------------------------------------
+
+    def find(self, named: str) -> StoredSession | None:
+        """Return the session of an earlier run that a client names by its id or its token."""
+        text = hashed(named)
+        found = self._kept.get(text)
+        return found or next((kept for kept in self._kept.values() if _same(kept, text)), None)
+
+    def take(self, kept: StoredSession) -> None:
+        """Let a session go that comes back."""
+        self._expire(next(name for name, other in self._kept.items() if other is kept))
+
+    def _expire(self, name: str) -> None:
+        kept = self._kept.pop(name, None)
+        if kept is not None:
+            self._delete(name, [f"{name}/{id_}" for id_ in kept.subscriptions])
+
+    def restore(self, session: Session, kept: StoredSession, subscribe: Subscribe) -> None:
+        """Have `subscribe` start a session's subscriptions, with a notice of what is missing."""
+        connection = session.connection
+        assert connection is not None
+        for id_, row in kept.subscriptions.items():
+            try:
+                options = msgspec.convert(row["options"], Options)
+                subscribe(session, id_, row["paths"], options)
+            except Exception as error:  # one that cannot be had again must not keep the others
+                log.warning("subscription_lost", subscription=id_, error=str(error))
+                notice(connection.outbox, "subscription_ended", id=id_, reason="restart")
+                continue
+            notice(
+                connection.outbox,
+                "gap",
+                id=id_,
+                reason="restart",
+                message="the gateway was restarted: samples in between are lost, and sample "
+                "numbers start again",
+            )
+
+
+def _same(kept: StoredSession, text: str) -> bool:
+    return hmac.compare_digest(kept.secret, text)

@@ -1,0 +1,315 @@
+"""All sessions: how they begin, wait for their client, come under new rules, and end.
+
+Subscriptions and commands live in the session. A connection can be cut: the session waits for its
+return, notes what it would have said, and says it then; it expires if nobody comes.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections import Counter
+from collections.abc import Callable
+from typing import Any, Protocol
+
+from rcp_kernel.access.acl import Rights, Rules
+from rcp_kernel.access.identities import Identities
+from rcp_kernel.clock import now
+from rcp_kernel.config.settings import Settings
+from rcp_kernel.contract.identity import Principal, same
+from rcp_kernel.contract.peer import UNKNOWN, Peer
+from rcp_kernel.contract.shutdown import Shutdown
+from rcp_kernel.errors import QueueFull, TokenExpired
+from rcp_kernel.sessions.backpressure import Relief
+from rcp_kernel.sessions.command import CommandTable
+from rcp_kernel.sessions.credential_expiry import CredentialExpiry
+from rcp_kernel.sessions.resume import SessionResume
+from rcp_kernel.sessions.session import Link, Session
+from rcp_kernel.store.audit import Audit
+from rcp_kernel.streams.links import Links
+from rcp_kernel.streams.notices import notice
+from rcp_kernel.streams.outbound import Outbound
+from rcp_kernel.wire import error_body, failure
+
+__all__ = ["SessionQuotas", "Sessions"]
+
+_STATELESS = 10_000  # principals whose shared session is kept at hand
+
+
+class SessionQuotas(Protocol):
+    """How many sessions a tenant or principal may have, and what their requests are counted by."""
+
+    def enter(self, session: Session, drop: Callable[[Session], None]) -> None:
+        """Count a new session; `drop` ends one that has to make room.
+
+        :raises QueueFull: as many as allowed are connected.
+        """
+        ...
+
+    def attach(self, session: Session) -> None:
+        """Give a session what its requests are counted by."""
+        ...
+
+    def leave(self, session: Session) -> None:
+        """Count a session no more."""
+        ...
+
+    def move(self, session: Session) -> None:
+        """Bring a session under the quotas that concern it now."""
+        ...
+
+    def change_tenant(self, session: Session, tenant: str | None) -> None:
+        """Have a session act for another tenant.
+
+        :raises QueueFull: that tenant has as many sessions as it may; nothing changed.
+        """
+        ...
+
+    def recount(self) -> None:
+        """Count what is held afresh: the quotas have changed."""
+        ...
+
+
+class Sessions:
+    """Every session, by id."""
+
+    def __init__(
+        self,
+        known: dict[str, Session],
+        *,
+        settings: Settings,
+        shutdown: Shutdown,
+        rules: Rules,
+        identities: Identities,
+        quotas: SessionQuotas,
+        commands: CommandTable,
+        resume: SessionResume,
+        audit: Audit,
+        links: Links,
+        outbound: Outbound,
+        loop: asyncio.AbstractEventLoop,
+    ) -> None:
+        self.known = known
+        self._settings = settings
+        self._shutdown = shutdown
+        self._rules = rules
+        self._identities = identities
+        self._quotas = quotas
+        self._commands = commands
+        self._resume = resume
+        self._audit = audit
+        self._links = links
+        self._outbound = outbound
+        self._loop = loop
+        self.updates: dict[str, int] = {}
+        """Updates sent over connections that are closed, by transport."""
+        self._stateless: dict[tuple[Principal, str | None, str], Session] = {}
+        self.on_end: list[Callable[[Session], None]] = []
+        """Called with each session that ends, first of all."""
+        self.on_renewal: list[Callable[[Session], None]] = []
+        """Called with a session that goes on under other rights."""
+        self.on_review: list[Callable[[], None]] = []
+        """Called when who holds what may have other rights than before."""
+        self._lapsing = CredentialExpiry(loop, self._expel)
+        self.relief = Relief(loop, known.values, outbound)
+        identities.on_change.append(self.review)
+
+    def open(
+        self,
+        principal: Principal,
+        transport: str,
+        tenant: str | None = None,
+        peer: Peer = UNKNOWN,
+    ) -> Session:
+        """Make a session.
+
+        :raises Forbidden: the principal does not act in `tenant`.
+        :raises QueueFull: there are too many sessions.
+        """
+        chosen = self._identities.tenant_for(principal, tenant)
+        if len(self.known) >= self._settings.limits.sessions:
+            self._make_room()
+        if len(self.known) >= self._settings.limits.sessions:
+            raise QueueFull("the gateway has reached its limit of sessions")
+        session = Session(principal, self._rules.rights(principal), chosen, transport)
+        self._quotas.enter(session, self.drop)
+        self.known[session.id] = session
+        self.relief.start()
+        self.logged_in(session, peer)
+        return session
+
+    def everyone(self) -> list[Session]:
+        """List the sessions of connections, and those that requests without one share."""
+        return [*self.known.values(), *self._stateless.values()]
+
+    def holding(self, key: str) -> list[Session]:
+        """List the sessions whose a holder's leases are: one, or all that its principal has."""
+        own = self.known.get(key)
+        return [own] if own else [s for s in self.everyone() if key in s.holders]
+
+    def tell(self, key: str, code: str, **facts: Any) -> None:
+        """Send a notice to whoever acts for a holder of leases."""
+        for session in self.holding(key):
+            session.tell(code, **facts)
+
+    def logged_in(self, session: Session, peer: Peer) -> None:
+        """Put on record who came in, and watch how long its proof holds."""
+        principal = session.principal
+        self.watch(session)
+        if not principal.anonymous:
+            self._audit.note(
+                "login",
+                principal=principal,
+                session=session,
+                transport=session.transport,
+                address=peer.address,
+            )
+
+    def watch(self, session: Session) -> None:
+        """End a session once the proof of its principal does not hold any more."""
+        self._lapsing.watch(session)
+
+    def _make_room(self) -> None:
+        """Drop the session that has waited longest for its client, of the tenant that has most.
+
+        Who is here goes first, and nobody loses his place to a tenant that takes them all.
+        """
+        held = Counter(session.tenant for session in self.known.values())
+        waiting = [session for session in self.known.values() if session.cut is not None]
+        if waiting:
+            self.drop(min(waiting, key=lambda s: (-held[s.tenant], s.cut or 0)))
+
+    def stateless(
+        self, principal: Principal, transport: str, tenant: str | None, peer: Peer = UNKNOWN
+    ) -> Session:
+        """Return the session that all HTTP requests of a principal share; it holds nothing."""
+        key = (principal, tenant, transport)
+        session = self._stateless.get(key)
+        if session is None:
+            chosen = self._identities.tenant_for(principal, tenant)
+            rights = self._rules.rights(principal)
+            session = Session(principal, rights, chosen, transport, shared=True)
+            self._quotas.attach(session)
+            if len(self._stateless) >= _STATELESS:
+                self._lapsing.forget(self._stateless.pop(next(iter(self._stateless))))
+            self._stateless[key] = session
+            self.logged_in(session, peer)
+        return session
+
+    def review(self) -> None:
+        """Bring every session under new rules; end those whose proof is not good any more."""
+        for command in self._commands.running.values():  # what is under way in somebody's name
+            if (asker := command.asker) is not None:
+                principal = self._identities.renewed(asker.principal)
+                asker.rights = (
+                    Rights((), {}) if principal is None else self._rules.rights(principal)
+                )
+        shared = list(self._stateless.items())
+        self._stateless.clear()
+        self._quotas.recount()
+        for (_, tenant, transport), session in shared:
+            if self._reviewed(session):
+                tenants = self._identities.tenants_of(session.principal)
+                if tenant is None:  # as for a request that comes first
+                    session.tenant = tenants[0] if tenants else None
+                elif tenant not in tenants:
+                    self._lapsing.forget(session)
+                    continue
+                self._stateless[session.principal, tenant, transport] = session
+        for session in list(self.known.values()):
+            self._reviewed(session)
+        self.reviewed()
+
+    def reviewed(self) -> None:
+        """Have whoever hands out what sessions hold look whether they may still have it."""
+        for review in self.on_review:
+            review()
+
+    def _reviewed(self, session: Session) -> bool:
+        principal = self._identities.renewed(session.principal)
+        if principal is None:
+            self._expel(session)
+            return False
+        self.renew(session, principal)
+        return True
+
+    def renew(self, session: Session, principal: Principal) -> None:
+        """Have a session go on under what its principal's proof gives now."""
+        session.principal = principal
+        session.rights = self._rules.rights(principal)
+        tenants = self._identities.tenants_of(principal)
+        if session.tenant not in tenants:
+            session.tenant = tenants[0] if tenants else None
+        self._quotas.move(session)
+        for renewed in self.on_renewal:
+            renewed(session)
+        self._lapsing.watch(session)
+
+    def _expel(self, session: Session) -> None:
+        """End a session whose proof is not good any more, and all that it holds."""
+        told = TokenExpired("the session's credentials are no longer valid")
+        connection = session.connection
+        if connection is not None:
+            for id_ in session.subscriptions:
+                notice(
+                    connection.outbox,
+                    "subscription_ended",
+                    id=id_,
+                    reason=told.code,
+                    error=error_body(told),
+                    message=told.message,
+                )
+            connection.send(failure(told, "hello"))
+            connection.expelled = True
+            connection.outbox.mark()
+        for ending in list(session.endings):
+            ending(told)
+        session.rights = Rights((), {})  # for what is under way to the gateway
+        self._lapsing.forget(session)
+        if session.id in self.known or not self._elsewhere(session):
+            self.drop(session)
+
+    def _elsewhere(self, session: Session) -> bool:
+        """Take a shared session out; tell whether its principal has another, by a newer proof."""
+        for key in [k for k, shared in self._stateless.items() if shared is session]:
+            del self._stateless[key]
+        return any(same(s.principal, session.principal) for s in self._stateless.values())
+
+    def tally(self, connection: Link) -> None:
+        """Add a closing connection's updates to its transport's sum."""
+        name = connection.session.transport
+        self.updates[name] = self.updates.get(name, 0) + connection.outbox.updates
+
+    def cut(self, session: Session) -> None:
+        """Take notice that the connection is gone; the session waits if its client knows it."""
+        session.connection = None
+        session.cut = now()
+        session.away = self._outbound.open()
+        running = self._commands.running
+        for command in [running[id_] for id_ in session.commands if id_ in running]:
+            entry = command.entry
+            if entry is not None and not entry.resource.outlives:
+                self._commands.cancel(command, "the session was disconnected")
+        if not session.greeted or self._shutdown.begun:
+            self.drop(session)
+            return
+        for subscription in session.subscriptions.values():
+            self._links.detach(subscription)
+        session.expiry = self._loop.call_later(
+            self._settings.limits.session_ttl, self.drop, session
+        )
+        self._resume.note(session)
+
+    def drop(self, session: Session) -> None:
+        """End a session and its leases; its commands go on."""
+        self.known.pop(session.id, None)
+        for ended in self.on_end:
+            ended(session)
+        self._resume.forget(session)
+        self._quotas.leave(session)
+        self._lapsing.forget(session)
+        if session.expiry is not None:
+            session.expiry.cancel()
+        for subscription in session.subscriptions.values():
+            self._links.forget(subscription)
+        session.subscriptions.clear()
+        session.let_missed_go()

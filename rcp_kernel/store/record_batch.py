@@ -1,0 +1,60 @@
+"""What is written to the store in one transaction."""
+
+from __future__ import annotations
+
+import sqlite3
+from collections.abc import Callable
+from typing import Any
+
+import structlog
+
+from rcp_kernel.store.chain import Row
+
+__all__ = ["Batch", "commit", "looked_up"]
+
+log = structlog.get_logger("rcp.store")
+
+
+class Batch:
+    """What one transaction writes."""
+
+    __slots__ = ("before", "latches", "looks", "puts", "rows", "upto")
+
+    def __init__(self) -> None:
+        self.latches: bytes | None = None
+        """What the latch file is to hold, if a latch has changed."""
+        self.looks: list[tuple[Callable[[sqlite3.Connection], Any], Callable[[Any], None]]] = []
+        self.puts: dict[tuple[str, str], bytes | None] = {}
+        self.rows: list[Row] = []
+        self.before = 0
+        self.upto = 0
+
+    def take(self, later: Batch) -> None:
+        """Add what came after it."""
+        self.puts.update(later.puts)
+        self.rows += later.rows
+        self.looks += later.looks
+        self.latches = later.latches or self.latches
+        self.before = max(self.before, later.before)
+        self.upto = later.upto
+
+
+def commit(base: sqlite3.Connection, batch: Batch) -> None:
+    """Write a batch in one transaction."""
+    kept = [(place, key, data) for (place, key), data in batch.puts.items() if data is not None]
+    gone = [key for key, data in batch.puts.items() if data is None]
+    with base:
+        base.executemany("INSERT OR REPLACE INTO kept VALUES (?, ?, ?)", kept)
+        base.executemany("DELETE FROM kept WHERE place = ? AND key = ?", gone)
+        base.executemany("INSERT OR REPLACE INTO audit VALUES (?, ?, ?)", batch.rows)
+        if batch.before:
+            base.execute("DELETE FROM audit WHERE seq < ?", (batch.before,))
+
+
+def looked_up(base: sqlite3.Connection, work: Callable[[sqlite3.Connection], Any]) -> Any:
+    """Return the result of a look-up; None if it failed."""
+    try:
+        return work(base)
+    except Exception:  # nobody's question may end the thread that writes
+        log.exception("store_look_failed")
+        return None

@@ -1,0 +1,114 @@
+"""How long the record is kept: the oldest rows are deleted by age and size, and that is on record."""
+
+from __future__ import annotations
+
+import asyncio
+import sqlite3
+from typing import Any
+
+import msgspec
+
+from rcp_kernel.clock import now, parse_time
+from rcp_kernel.config.file import AuditConfig
+from rcp_kernel.store.audit import Audit
+from rcp_kernel.store.chain import Head
+from rcp_kernel.store.file import ROWS
+from rcp_kernel.store.store import Store
+
+__all__ = ["Retention"]
+
+_LOOK = 60.0  # s between looks
+_AT_ONCE = 10_000  # records deleted in one transaction
+_SLACK = 0.05  # part of the age or size by which it may be exceeded: so that few deletions do
+_DAY = 86_400 * 10**9  # ns
+
+
+class Retention:
+    """Looks at age and size of the record now and then."""
+
+    def __init__(
+        self, audit: Audit, store: Store, loop: asyncio.AbstractEventLoop, config: AuditConfig
+    ) -> None:
+        self._audit = audit
+        self._store = store
+        self._loop = loop
+        self.config = config
+        self._timer: asyncio.TimerHandle | None = None
+        self._stopped = False
+
+    def start(self) -> None:
+        """Look now, and again from time to time."""
+        self._timer = None
+        self._store.look(self._surplus, self._delete)
+
+    def stop(self) -> None:
+        """Look no more."""
+        if self._timer is not None:
+            self._timer.cancel()
+        self._stopped = True
+
+    def _surplus(self, base: sqlite3.Connection) -> Head | None:
+        """Return the last record that is to be deleted, on the store's thread."""
+        first, last = base.execute("SELECT min(seq), max(seq) FROM audit").fetchone()
+        if first is None:
+            return None
+        gone = max(self._too_old(base, first, last), self._too_many(base, first, last))
+        gone = min(gone, first + _AT_ONCE - 1, last)
+        if gone < first:
+            return None
+        row = base.execute(f"{ROWS} WHERE seq <= ? ORDER BY seq DESC LIMIT 1", (gone,)).fetchone()
+        return row[:2]
+
+    def _too_old(self, base: sqlite3.Connection, first: int, last: int) -> int:
+        days = self.config.keep_days
+        if days is None:
+            return 0
+        limit = now() - int(days * _DAY)
+        if _time(base, first) > limit - int(days * _DAY * _SLACK):
+            return 0
+        low, high = first, min(first + _AT_ONCE, last)
+        while low < high:
+            middle = (low + high + 1) // 2
+            if _time(base, middle) <= limit:
+                low = middle
+            else:
+                high = middle - 1
+        return low
+
+    def _too_many(self, base: sqlite3.Connection, first: int, last: int) -> int:
+        limit = self.config.keep_mb
+        if limit is None:
+            return 0
+        pages, free, size = (
+            base.execute(f"PRAGMA {name}").fetchone()[0]
+            for name in ("page_count", "freelist_count", "page_size")
+        )
+        used = (pages - free) * size
+        if used <= limit * 1e6:
+            return 0
+        share = 1 - limit * 1e6 * (1 - _SLACK) / used
+        return first + int((last - first + 1) * share)
+
+    def _delete(self, gone: Head | None) -> None:
+        if self._stopped:
+            return
+        if gone is None:
+            self._timer = self._loop.call_later(_LOOK, self.start)
+            return
+        seq, digest = gone
+        # All in one transaction: the chain begins after what the record of it names.
+        self._store.put("audit", "anchor", {"seq": seq, "hash": digest})
+        self._store.prune(seq + 1)
+        self._audit.note("prune", principal=None, to=seq, hash=digest.hex())
+        self.start()
+
+
+def _time(base: sqlite3.Connection, seq: int) -> int:
+    row = base.execute(
+        "SELECT record FROM audit WHERE seq <= ? ORDER BY seq DESC LIMIT 1", (seq,)
+    ).fetchone()
+    try:
+        record: Any = msgspec.json.decode(row[0])
+        return parse_time(record["time"])
+    except Exception:  # a record that was tampered with is as old as any
+        return 0

@@ -1,1 +1,0 @@
-"""From a sample to everybody who subscribed to it."""

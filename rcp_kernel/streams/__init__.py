@@ -1,0 +1,1 @@
+"""From a sample to its subscribers, and what waits for them."""

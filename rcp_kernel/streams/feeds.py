@@ -1,0 +1,31 @@
+"""Which kind of feed a path of a subscription gets."""
+
+from __future__ import annotations
+
+from rcp_kernel.streams.filtered import (
+    FilteredPathSubscription,
+    ViewSubscription,
+    VisibilityFilteredSubscription,
+)
+from rcp_kernel.streams.path_subscription import PathSubscription
+from rcp_kernel.streams.shared_fanout import SharedPathSubscription
+from rcp_kernel.streams.subscription import Subscription
+from rcp_kernel.tree.entry import Entry
+
+__all__ = ["new_path_subscription"]
+
+
+def new_path_subscription(subscription: Subscription, entry: Entry) -> PathSubscription:
+    """Make the feed of an entry."""
+    outbox = subscription.outbox
+    view = subscription.view(entry)
+    if view is not None:
+        return ViewSubscription(subscription, entry, outbox, view)
+    if (shown := subscription.visibility_filter(entry)) is not None:
+        return VisibilityFilteredSubscription(subscription, entry, outbox, shown)
+    options = subscription.options
+    if not options.plain:
+        return FilteredPathSubscription(subscription, entry, outbox)
+    alone = options.qos.reliability == "reliable" or (outbox is not None and outbox.alone)
+    kind = PathSubscription if alone or options.count is not None else SharedPathSubscription
+    return kind(subscription, entry, outbox)

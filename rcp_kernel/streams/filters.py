@@ -1,0 +1,308 @@
+"""What a subscription lets through: its options as data, compiled to small functions."""
+
+from __future__ import annotations
+
+import math
+import operator
+from collections.abc import Callable
+from typing import Annotated, Any, Literal
+
+import msgspec
+from msgspec import Meta
+
+from rcp_kernel._plain import is_list, is_map
+from rcp_kernel.errors import FilterUnsupported, InvalidValue
+from rcp_kernel.tree.entry import Entry
+from rcp_kernel.tree.samples import getter
+from rcp_kernel.values import Encoding
+
+__all__ = ["Deadband", "Options", "Qos", "Where", "parse_where", "seconds"]
+
+_MAX_DEPTH = 65_536
+_MAX_TERMS = 64  # of a `where`; fields of a `deadband`, and of `fields`
+_AGES = 3.2e9  # s: a century is as good as any longer time
+Deadband = float | str | dict[str, float | str]
+Predicate = Callable[[Any], bool]
+
+
+class Qos(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Quality of service of one subscription."""
+
+    reliability: Literal["best_effort", "reliable"] = "best_effort"
+    depth: Annotated[int, Meta(ge=1, le=_MAX_DEPTH)] | None = None
+    """Samples queued for each path; 1 for best effort and 1024 for reliable if not given."""
+    priority: Annotated[int, Meta(ge=0, le=7)] = 4
+    """7 leaves first."""
+    deadline: Annotated[float, Meta(gt=0)] | None = None
+    """Seconds between updates after which the client is told that they stay away."""
+    lifespan: Annotated[float, Meta(gt=0)] | None = None
+    """Seconds after which a sample is too old to be delivered."""
+
+
+class Options(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """The body of `subscribe`; everything is optional and everything is ANDed."""
+
+    paths: tuple[str, ...] = ()
+    rate: Annotated[float, Meta(gt=0, le=10_000)] | None = None
+    on: Literal["sample", "change"] = "sample"
+    deadband: Deadband | None = None
+    where: dict[str, Any] | None = None
+    fields: tuple[Annotated[str, Meta(min_length=1, max_length=256)], ...] | None = None
+    history: Annotated[int, Meta(ge=0, le=_MAX_DEPTH)] | str | None = None
+    initial: bool = True
+    qos: Qos = Qos()
+    encoding: Literal["json", "cbor", "msgpack", "native"] | None = None
+    duration: Annotated[float, Meta(gt=0)] | None = None
+    count: Annotated[int, Meta(ge=1)] | None = None
+
+    def __post_init__(self) -> None:
+        # Each one costs time for every sample, in the loop that carries e-stops too.
+        several = {"fields": self.fields, "deadband": self.deadband}
+        for name, given in several.items():
+            if isinstance(given, (tuple, dict)) and len(given) > _MAX_TERMS:
+                text = f"`{name}` has {len(given)} fields; the limit is {_MAX_TERMS}"
+                raise ValueError(text)
+
+    @property
+    def plain(self) -> bool:
+        """Whether every sample goes through as it comes."""
+        return (
+            self.rate is None
+            and self.on == "sample"
+            and self.deadband is None
+            and self.where is None
+            and self.qos.lifespan is None
+        )
+
+    @property
+    def depth(self) -> int:
+        """The queue's length, by the reliability's default if none was asked for."""
+        return self.qos.depth or (1024 if self.qos.reliability == "reliable" else 1)
+
+    @property
+    def splice(self) -> Encoding | None:
+        """The encoding asked for, or None for the connection's own or `native`."""
+        return None if self.encoding in (None, "native") else Encoding(self.encoding)
+
+
+def seconds(text: str) -> float:
+    """Read a duration such as `"30s"`, `"500ms"`, `"2m"` or `"1h"`.
+
+    :raises InvalidValue: it is not one.
+    """
+    for unit, factor in (("ms", 1e-3), ("s", 1.0), ("m", 60.0), ("h", 3600.0)):
+        number = text.removesuffix(unit)
+        if number != text:
+            try:
+                value = float(number) * factor
+            except ValueError:
+                break
+            if math.isfinite(value) and value >= 0:
+                return min(value, _AGES)
+            break
+    raise InvalidValue(f"{text[:40]!r} is not a duration", remedy='Use "30s", "500ms" or "2m".')
+
+
+_COMPARE: dict[str, Callable[[Any, Any], bool]] = {
+    "lt": operator.lt,
+    "le": operator.le,
+    "gt": operator.gt,
+    "ge": operator.ge,
+    "eq": operator.eq,
+    "ne": operator.ne,
+}
+
+
+class Where:
+    """A compiled `where`, with its memory if it fires on an edge."""
+
+    __slots__ = ("_before", "edge", "holds")
+
+    def __init__(self, holds: Predicate, edge: str | None) -> None:
+        self.holds = holds
+        self.edge = edge
+        self._before: bool | None = None
+
+    def passes(self, value: Any) -> bool:
+        """Tell whether a value fires; an edge needs a value before it that did not hold."""
+        now = self.holds(value)
+        if self.edge is None:
+            return now
+        before, self._before = self._before, now
+        if before is None:
+            return False
+        if self.edge == "rise":
+            return now and not before
+        return before and not now if self.edge == "fall" else now != before
+
+    def fresh(self) -> Where:
+        """Return a copy without memory: every path has its own edges."""
+        return Where(self.holds, self.edge)
+
+
+def parse_where(node: dict[str, Any]) -> Where:
+    """Compile `{"field": …, "lt": …}` with `and`/`or`/`not`; `edge` stands at the top.
+
+    :raises FilterUnsupported: it is not such an expression.
+    """
+    edge = node.get("edge")
+    if edge not in (None, "rise", "fall", "both"):
+        raise _bad("`edge` is one of rise, fall, both")
+    rest = {key: item for key, item in node.items() if key != "edge"}
+    budget = [_MAX_TERMS]
+    return Where(_predicate(rest, budget), edge)
+
+
+def _bad(why: str) -> FilterUnsupported:
+    return FilterUnsupported(
+        f"`where` is malformed: {why}",
+        remedy='Use {"field": "voltage", "lt": 11.1}, combined with {"and": […]}, {"or": […]}, '
+        '{"not": …}; "edge": "rise" at the top level.',
+    )
+
+
+def _predicate(node: Any, budget: list[int]) -> Predicate:
+    budget[0] -= 1
+    if budget[0] < 0:
+        raise _bad(f"it has more than {_MAX_TERMS} terms")
+    if not is_map(node) or not node:
+        raise _bad("each term is an object")
+    terms = [_term(key, item, node, budget) for key, item in node.items() if key != "field"]
+    if not terms:
+        raise _bad("a field has no comparison")
+    return terms[0] if len(terms) == 1 else lambda value: all(term(value) for term in terms)
+
+
+def _term(key: str, item: Any, node: dict[str, Any], budget: list[int]) -> Predicate:
+    if key in ("and", "or"):
+        if not is_list(item) or not item:
+            raise _bad(f"`{key}` takes a list")
+        parts = [_predicate(part, budget) for part in item]
+        join = all if key == "and" else any
+        return lambda value: join(part(value) for part in parts)
+    if key == "not":
+        inner = _predicate(item, budget)
+        return lambda value: not inner(value)
+    compare = _COMPARE.get(key)
+    if compare is None:
+        raise _bad(f"{key[:40]!r} is not one of {', '.join(_COMPARE)}, and, or, not, field, edge")
+    field = node.get("field", "")
+    if not isinstance(field, str):
+        raise _bad("`field` is a text")
+    return _comparison(getter(field) if field else lambda value: value, compare, item)
+
+
+def _comparison(
+    get: Callable[[Any], Any], compare: Callable[[Any, Any], bool], item: Any
+) -> Predicate:
+    def holds(value: Any) -> bool:
+        found = get(value)
+        if found is None and item is not None:
+            return False
+        try:
+            return bool(compare(found, item))
+        except TypeError:
+            return False
+
+    return holds
+
+
+def fields_of(where: dict[str, Any]) -> list[str]:
+    """List the fields that an expression looks at, to be checked against the type."""
+    out: list[str] = []
+    for key, item in where.items():
+        if key == "field" and isinstance(item, str) and item:
+            out.append(item)
+        elif key in ("and", "or") and is_list(item):
+            for part in item:
+                out += fields_of(part) if is_map(part) else []
+        elif key == "not" and is_map(item):
+            out += fields_of(item)
+    return out
+
+
+class Change:
+    """Whether a value differs enough from the last one that went out."""
+
+    __slots__ = ("_bands", "_get", "_last")
+
+    def __init__(self, deadband: Deadband | None, fields: tuple[str, ...] | None) -> None:
+        self._bands: dict[str, Callable[[float, float], bool]] | None = None
+        if isinstance(deadband, (float, int, str)):
+            self._bands = dict.fromkeys(fields or ("",), _band(deadband))
+        elif deadband is not None:
+            self._bands = {field: _band(size) for field, size in deadband.items()}
+        looked_at = tuple(self._bands) if self._bands is not None else fields
+        gets = [getter(f) if f else _whole for f in looked_at] if looked_at else None
+        self._get = gets
+        self._last: Any = None
+
+    def passes(self, value: Any) -> bool:
+        """Tell whether it differs, and if so take it as the new reference."""
+        seen = value if self._get is None else [get(value) for get in self._get]
+        last = self._last
+        if last is not None and not self._differs(last, seen):
+            return False
+        self._last = seen
+        return True
+
+    def _differs(self, last: Any, seen: Any) -> bool:
+        if self._bands is None:
+            return last != seen
+        pairs = zip(self._bands.values(), last, seen, strict=True)
+        return any(_apart(band, old, new) for band, old, new in pairs)
+
+
+def _whole(value: Any) -> Any:
+    return value
+
+
+def _apart(band: Callable[[float, float], bool], old: Any, new: Any) -> bool:
+    numbers = isinstance(old, (int, float)) and isinstance(new, (int, float))
+    return band(old, new) if numbers else old != new
+
+
+def _band(size: float | str) -> Callable[[float, float], bool]:
+    try:
+        percent = isinstance(size, str)
+        number = float(size.removesuffix("%")) if isinstance(size, str) else float(size)
+        if (percent and not str(size).endswith("%")) or not (math.isfinite(number) and number >= 0):
+            raise ValueError(size)
+    except ValueError:
+        raise FilterUnsupported(
+            f"{str(size)[:40]!r} is not a deadband", remedy='Use a number, or "5%".'
+        ) from None
+    if percent:
+        return lambda old, new: _beyond(old, new, abs(old) * number / 100)
+    return lambda old, new: _beyond(old, new, number)
+
+
+def _beyond(old: float, new: float, size: float) -> bool:
+    if math.isfinite(old) and math.isfinite(new):
+        return abs(new - old) >= size and new != old
+    return old != new and not (math.isnan(old) and math.isnan(new))
+
+
+def check_fields(options: Options, entry: Entry) -> None:
+    """Refuse options that name what the entry's type does not have.
+
+    :raises FilterUnsupported: a field or the native encoding is not there.
+    """
+    named = list(options.fields or ())
+    if options.where is not None:
+        named += fields_of(options.where)
+    if isinstance(options.deadband, dict):
+        named += options.deadband
+    for field in named:
+        if field and not entry.value_type.has_field(field):
+            raise FilterUnsupported(
+                f"{entry.path} has no field '{field}'",
+                path=entry.path,
+                remedy="Use a field of its schema; `discover` returns the schema.",
+            )
+    if options.encoding == "native" and entry.resource.native is None:
+        raise FilterUnsupported(
+            f"{entry.path} has no native encoding",
+            path=entry.path,
+            remedy="Use json, cbor or msgpack.",
+        )

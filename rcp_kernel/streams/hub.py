@@ -1,0 +1,267 @@
+"""The hub links feeds to entries, and keeps them linked as the tree changes."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Callable
+from typing import Any
+
+from rcp_kernel.contract.timers import Timers
+from rcp_kernel.streams.deadline_monitor import DeadlineMonitor
+from rcp_kernel.streams.demand import AbsentListener, DemandTracker, absent_listener
+from rcp_kernel.streams.feeds import new_path_subscription
+from rcp_kernel.streams.notices import notice
+from rcp_kernel.streams.outbox import FlushScheduler
+from rcp_kernel.streams.path_subscription import PathSubscription
+from rcp_kernel.streams.shared_fanout import (
+    SharedPathSubscription,
+    join_fanout,
+    leave_fanout,
+    path_subscriptions_of,
+)
+from rcp_kernel.streams.subscription import Subscription
+from rcp_kernel.tree.entry import Entry, Listener
+from rcp_kernel.tree.registry import Registry
+
+__all__ = ["Hub"]
+
+
+class Hub:
+    """Every subscription of the gateway."""
+
+    def __init__(
+        self, registry: Registry, loop: asyncio.AbstractEventLoop, pattern_value: int
+    ) -> None:
+        self.registry = registry
+        self.loop = loop
+        self.pattern_value = pattern_value
+        """Longest value, bytes, that is sent whole to a subscription that did not name its path."""
+        self.flush_scheduler = FlushScheduler(loop)
+        self.subscriptions: set[Subscription] = set()
+        self.dropped: dict[str, int] = {"conflated": 0, "overrun": 0, "gap": 0}
+        self._timers = Timers(loop)
+        self.later = self._timers.later
+        self.deadline_monitor = DeadlineMonitor(registry, loop)
+        self.demand = DemandTracker(registry, loop, self.later)
+        registry.on_added.append(self._added)
+        registry.on_removed.append(self._removed)
+
+    def soon(self, function: Callable[..., object], *args: Any) -> None:
+        """Call a function in the coming loop turn."""
+        self.loop.call_soon(function, *args)
+
+    # -- subscriptions -------------------------------------------------------------------------
+
+    def first(self, feed: PathSubscription, last: int) -> None:
+        """Send the value that was the present one with number `last`, and all that came since."""
+        entry = feed.entry
+        if entry.latest is None:
+            return
+        samples = [entry.latest]
+        if entry.seq != last:
+            samples = [sample for sample in entry.ring if sample.seq >= last]
+        if not feed.subscription.options.initial and samples[0].seq == last:
+            feed.prime(samples.pop(0))
+        if samples:
+            feed.replay([told for one in samples if (told := feed.admit(one)) is not None])
+        if self.deadline_monitor.known(entry):
+            self.deadline_monitor.tell(feed)
+
+    def let_go(self, feed: PathSubscription) -> None:
+        """Offer a feed nothing more, for good; what it has queued is forgotten."""
+        self.release(feed)
+        self.unlink(feed)
+        feed.leave()
+
+    def link(self, subscription: Subscription, feed: PathSubscription) -> None:
+        """Offer a new feed every sample from now on."""
+        entry = feed.entry
+        feed.sent = entry.seq
+        subscription.feeds[entry.path] = feed
+        if subscription.outbox is None:
+            feed.outbox = None
+            self.hold(feed)
+        else:
+            feed.outbox = subscription.outbox
+            self.relink(feed)
+            if feed.priority != 4:
+                subscription.outbox.prioritised = True
+        subscription.placed(feed)
+
+    def join(self, subscription: Subscription, entry: Entry) -> None:
+        """Add an entry to a subscription that stands, and tell its client."""
+        feed = new_path_subscription(subscription, entry)
+        self.link(subscription, feed)
+        notice(subscription.outbox, "resource_added", id=subscription.id, path=entry.path)
+        if not feed.paused:
+            self.first(feed, entry.seq)
+
+    def pause(self, feed: PathSubscription) -> None:
+        """Send nothing more of a path for now; what waits is forgotten."""
+        self.release(feed)
+        self.unlink(feed)
+        feed.leave()
+        feed.outbox = feed.subscription.outbox
+        feed.paused = True
+
+    def unpause(self, feed: PathSubscription) -> None:
+        """Go on with the present value; what came meanwhile is not missed."""
+        entry = feed.entry
+        feed.paused = False
+        feed.sent = entry.seq
+        feed.outbox = feed.subscription.outbox
+        if entry.path not in self.registry.entries:
+            return
+        if feed.subscription.outbox is None:
+            self.hold(feed)
+            return
+        self.relink(feed)
+        self.first(feed, entry.seq)
+
+    def hold(self, feed: PathSubscription) -> None:
+        """Have the history of a feed's path kept while its client is away."""
+        if not feed.kept:
+            feed.kept = True
+            self._keep(feed)
+
+    def release(self, feed: PathSubscription) -> None:
+        """Have the history kept no more for a feed."""
+        if feed.kept:
+            feed.kept = False
+            self._unkeep(feed)
+
+    def _keep(self, feed: PathSubscription) -> None:
+        """Have the history of a path kept for a client that is away."""
+        _hold(feed.entry, feed.subscription.options.rate)
+        self.demand.retune(feed.entry)
+
+    def relink(self, feed: PathSubscription) -> None:
+        """Offer a feed samples again."""
+        entry = feed.entry
+        if isinstance(feed, SharedPathSubscription):
+            join_fanout(feed, entry, self.flush_scheduler)
+        else:
+            entry.listeners.append(feed)
+        if len(entry.listeners) == 1:
+            entry.size_ring()
+        feed.heard = time.monotonic()
+        if entry.deadline is not None or feed.subscription.options.qos.deadline is not None:
+            self.deadline_monitor.follow(entry)
+        self.demand.retune(entry)
+
+    def unlink(self, feed: PathSubscription) -> None:
+        """Offer a feed nothing more."""
+        if self._cut(feed):
+            self._left(feed.entry)
+
+    def _left(self, entry: Entry) -> None:
+        if not entry.listeners:
+            self.deadline_monitor.forget(entry)
+            entry.size_ring()
+        self.demand.retune(entry)
+
+    @staticmethod
+    def _cut(feed: PathSubscription) -> bool:
+        """Take a feed from its entry's listeners; tell whether it was among them."""
+        if isinstance(feed, SharedPathSubscription):
+            return leave_fanout(feed, feed.entry)
+        entry = feed.entry
+        if feed not in entry.listeners:
+            return False
+        # A new list: the old one may be the one that a sample is being offered to right now.
+        entry.listeners = [listener for listener in entry.listeners if listener is not feed]
+        return True
+
+    @staticmethod
+    def keep(entry: Entry) -> None:
+        """Have the whole history of a path kept although nobody may be listening."""
+        _hold(entry, 0.0)
+
+    def listen(self, entry: Entry, listener: Listener) -> None:
+        """Offer the gateway's own listener every sample, and keep the source running for it."""
+        if listener not in entry.listeners:
+            entry.listeners.append(listener)
+            if len(entry.listeners) == 1:
+                entry.size_ring()
+        self.demand.retune(entry)
+
+    def unlisten(self, entry: Entry, listener: Listener) -> None:
+        """Offer a listener nothing more."""
+        if listener in entry.listeners:
+            entry.listeners = [known for known in entry.listeners if known is not listener]
+            self._left(entry)
+
+    def drop(self, feed: PathSubscription) -> None:
+        """Take one path out of a subscription."""
+        subscription = feed.subscription
+        del subscription.feeds[feed.entry.path]
+        self.release(feed)
+        self.unlink(feed)
+        feed.leave()
+
+    def _unkeep(self, feed: PathSubscription) -> None:
+        entry, absent = feed.entry, absent_listener(feed.entry)
+        if absent is not None and absent.discard(feed.subscription.options.rate):
+            if not absent:
+                entry.listeners.remove(absent)
+            self._left(entry)
+
+    def sustain(self, entry: Entry, rate: float) -> None:
+        """Have an entry published at `rate` Hz at least, whoever listens; 0.0: no more."""
+        if entry.sustained != rate:
+            entry.sustained = rate
+            self.demand.retune(entry)
+
+    # -- the tree changes ----------------------------------------------------------------------
+
+    def _added(self, entry: Entry) -> None:
+        for subscription in list(self.subscriptions):
+            known = subscription.feeds.get(entry.path)
+            if known is not None:
+                returned = known.entry is not entry and known.entry.listeners is not entry.listeners
+                known.entry = entry
+                if known.paused:
+                    continue
+                if known.outbox is None:
+                    if returned:
+                        known.kept = False  # with the entry that has gone
+                        self.hold(known)
+                elif known not in path_subscriptions_of(entry):
+                    self.relink(known)
+                    notice(
+                        subscription.outbox, "resource_added", id=subscription.id, path=entry.path
+                    )
+            elif entry.path not in subscription.awaited and subscription.wants(entry):
+                self.join(subscription, entry)
+        if entry.listeners:
+            if entry.deadline is not None:
+                self.deadline_monitor.follow(entry)
+            self.demand.retune(entry)
+
+    def _removed(self, entry: Entry) -> None:
+        for feed in list(path_subscriptions_of(entry)):
+            if self._cut(feed):
+                subscription = feed.subscription
+                notice(subscription.outbox, "resource_removed", id=subscription.id, path=entry.path)
+        self.deadline_monitor.forget(entry)
+        entry.listeners = []
+        entry.sustained = 0.0
+        self.demand.retune(entry)
+
+    async def close(self) -> None:
+        """Leave every watch and stop the timers."""
+        self._timers.close()
+        self.deadline_monitor.close()
+        await self.demand.close()
+
+
+def _hold(entry: Entry, rate: float | None) -> None:
+    """Have an entry's history kept for somebody who wants `rate` of its source."""
+    absent = absent_listener(entry)
+    if absent is None:
+        absent = AbsentListener()
+        entry.listeners.append(absent)
+        if len(entry.listeners) == 1:
+            entry.size_ring()
+    absent.add(rate)

@@ -1,0 +1,20 @@
+"""Notices: what a client is told that it did not ask for."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from rcp_kernel.clock import iso, now
+from rcp_kernel.streams.outbox import Outbox
+from rcp_kernel.wire import encode_frame
+
+__all__ = ["notice"]
+
+
+def notice(outbox: Outbox | None, code: str, **facts: Any) -> None:
+    """Tell a client something it did not ask for; without a connection nobody is told."""
+    if outbox is None:
+        return
+    kept = {key: value for key, value in facts.items() if value is not None}
+    fields = {"type": "notice", "code": code, **kept, "timestamp": iso(now())}
+    outbox.put(encode_frame(fields, b"", outbox.encoding))

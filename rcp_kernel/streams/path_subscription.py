@@ -1,0 +1,393 @@
+"""A feed is one path of one subscription: what waits to be sent, and how it is put into updates.
+
+The plain feed, which every 50 Hz pose rides on, does a list access and a deque append for a sample.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Container, Iterable
+from typing import Any, Protocol
+from weakref import WeakValueDictionary
+
+from rcp_kernel.clock import now
+from rcp_kernel.errors import RcpError
+from rcp_kernel.streams.filters import Options, Where
+from rcp_kernel.streams.frames import first_native, shortened, spliced
+from rcp_kernel.streams.outbox import Framing, Outbox, Wrap
+from rcp_kernel.tree.entry import Entry
+from rcp_kernel.tree.samples import NATIVE, Sample
+from rcp_kernel.values import Encoding
+from rcp_kernel.wire import encode_frame
+
+__all__ = ["SHARED", "PathSubscription", "Subscriber"]
+
+SHARED = 16_384  # bytes; a longer update is not copied into a frame that its receivers share
+
+
+class _Share:
+    """What all feeds have in common whose updates are the same bytes."""
+
+    __slots__ = ("__weakref__",)
+
+
+_shares: WeakValueDictionary[Any, _Share] = WeakValueDictionary()
+"""By what makes the bytes; each is gone with the last of its feeds."""
+
+
+class Subscriber(Protocol):
+    """The subscription that a path belongs to, as far as the path needs it."""
+
+    remaining: int | None
+    skipped: int
+
+    @property
+    def id(self) -> str:
+        """What its updates name it by."""
+        ...
+
+    @property
+    def options(self) -> Options:
+        """What the client wants of its paths."""
+        ...
+
+    @property
+    def where(self) -> Where | None:
+        """The condition that its samples must meet."""
+        ...
+
+    @property
+    def outbox(self) -> Outbox | None:
+        """Where its updates go; None while its client is away."""
+        ...
+
+    @property
+    def feeds(self) -> dict[str, PathSubscription]:
+        """Its paths."""
+        ...
+
+    def later(self, seconds: float, function: Callable[[], None]) -> None:
+        """Call a function in so many seconds."""
+        ...
+
+    def longest(self, entry: Entry) -> int | None:
+        """Return the longest value of an entry that is sent whole; None: every one is."""
+        ...
+
+    def delivered(self) -> bool:
+        """Count one update; tell whether it was the last of a limited number."""
+        ...
+
+    def overrun(self, feed: PathSubscription, why: str | None = None) -> None:
+        """End the subscription: nothing of this path may be skipped, and something has to be."""
+        ...
+
+
+class PathSubscription:
+    """One path of one subscription, without filters."""
+
+    judges = False
+    """Whether `admit` may keep a sample back, or a part of it."""
+
+    __slots__ = (
+        "_heads",
+        "_lifespan",
+        "_plain",
+        "backlog",
+        "depth",
+        "dropped",
+        "entry",
+        "fields",
+        "heard",
+        "kept",
+        "longest",
+        "marked",
+        "missed",
+        "named",
+        "native",
+        "outbox",
+        "paused",
+        "priority",
+        "queue",
+        "reliable",
+        "sent",
+        "share",
+        "subscription",
+    )
+
+    def __init__(self, subscription: Subscriber, entry: Entry, outbox: Outbox | None) -> None:
+        options = subscription.options
+        self.subscription = subscription
+        self.entry = entry
+        self.outbox = outbox
+        self.queue: deque[Sample] = deque()
+        self.backlog: deque[Sample] | None = None
+        """Samples to replay before the queue; not subject to its depth."""
+        self.depth = options.depth
+        self.reliable = options.qos.reliability == "reliable"
+        self.priority = options.qos.priority
+        self.native = options.encoding == "native"
+        self.named = not self.native
+        """Whether the client knows the name of the native type, if it wants native bytes."""
+        self.dropped = 0
+        """Samples skipped since the last update that went out."""
+        self.sent = entry.seq
+        """Number of the last sample that the client has, or has no claim to: what came before it
+        subscribed is not missed."""
+        self.heard = 0.0
+        """Monotonic time of the last sample, kept where a deadline was asked for."""
+        self.missed = False
+        self.marked = False
+        self.paused = False
+        """The rules do not allow it at present."""
+        self.kept = False
+        """The history of its path is kept for a client that is away."""
+        self.fields = NATIVE if self.native else options.fields
+        self.longest = subscription.longest(entry)
+        """Longest value that is sent whole, bytes, to a client that does not take long messages;
+        None: every one is."""
+        self._lifespan = options.qos.lifespan
+        self._plain = self._lifespan is None and options.count is None
+        self._heads: tuple[Encoding, bytes, bytes] | None = None
+        self.share: object = None
+        """Under what a sample keeps the frame that all feeds with the same head send."""
+
+    @property
+    def waiting(self) -> int:
+        """How many samples wait to be collected."""
+        return len(self.queue) + (len(self.backlog) if self.backlog else 0)
+
+    def offer(self, sample: Sample) -> None:
+        """Queue a sample; a full queue lets its oldest go, or ends a reliable subscription."""
+        queue = self.queue
+        if len(queue) >= self.depth:
+            if self.reliable:
+                self.subscription.overrun(self)
+                return
+            queue.popleft()
+            self.dropped += 1
+            self.subscription.skipped += 1
+        queue.append(sample)
+        if not self.marked:
+            self.mark()
+
+    def conflate(self) -> None:
+        """Let go of all that waits but the newest."""
+        old = self.waiting - 1
+        if old > 0:
+            if self.backlog and not self.queue:
+                self.queue.append(self.backlog[-1])
+            self.backlog = None
+            while len(self.queue) > 1:
+                self.queue.popleft()
+            self.dropped += old
+            self.subscription.skipped += old
+
+    def weight(self) -> int:
+        """Estimate how many bytes wait."""
+        latest, waiting = self.entry.latest, self.waiting
+        if latest is None or not waiting:
+            return 0
+        tails = latest.tails
+        if tails:
+            return waiting * max(map(len, tails.values()))
+        try:
+            return waiting * latest.weight()
+        except RcpError:
+            return 0
+
+    def shed(self, known: Container[str], reason: str) -> None:
+        """Conflate, or end a reliable subscription whose id is `known`, for a reason."""
+        if not self.reliable:
+            self.conflate()
+        elif self.waiting > 1 and self.subscription.id in known:
+            self.subscription.overrun(self, reason)
+            for other in self.subscription.feeds.values():
+                other.conflate()
+
+    def mark(self) -> None:
+        """Have the outbox collect this feed in the coming tick."""
+        outbox = self.outbox
+        if outbox is not None:
+            self.marked = True
+            outbox.pending.append(self)
+            if not outbox.dirty:
+                outbox.mark()
+
+    def replay(self, samples: Iterable[Sample]) -> None:
+        """Queue earlier samples ahead of everything else."""
+        self.backlog = deque(samples)
+        if self.backlog:
+            self.sent = min(self.sent, self.backlog[0].seq - 1)
+        if self.backlog and not self.marked:
+            self.mark()
+
+    def admit(self, sample: Sample) -> Sample | None:
+        """Return what passes the filters of an earlier sample, for history and resume."""
+        return sample
+
+    def prime(self, sample: Sample) -> None:
+        """Take the present value as known, without sending it."""
+
+    def drain(self, out: list[bytes], budget: int, wrap: Wrap | None, big: int | None) -> int:
+        """Move queued samples to `out` as framed updates; return how many bytes that were."""
+        if self._plain and big is None and not self.backlog and self.named:
+            return self._drain_plain(out, budget, wrap)
+        size = 0
+        remaining = self.subscription.remaining
+        if remaining is not None and remaining <= 0:  # another path had the last of the count
+            self.queue.clear()
+            self.backlog = None
+            return 0
+        while size < budget:
+            queue = self.backlog or self.queue
+            if not queue:
+                break
+            sample = queue[0]
+            if self._lifespan is not None and now() - sample.received > self._lifespan * 1e9:
+                queue.popleft()
+                self.dropped += 1
+                self.subscription.skipped += 1
+                continue
+            try:
+                data = self._frame(sample)
+            except RcpError:  # reported as the backend's fault where it was found
+                queue.popleft()
+                continue
+            if big is not None and len(data) > big:
+                break
+            queue.popleft()
+            self.dropped = 0
+            self.sent = sample.seq
+            size += len(data)
+            outbox = self.outbox
+            assert outbox is not None
+            if wrap is not None:
+                data = wrap(data, sample)
+            elif outbox.framing is not None:
+                data = outbox.framing(len(data), data[:1] == b"{") + data
+            out.append(data)
+            outbox.updates += 1
+            if self.subscription.remaining is not None and self.subscription.delivered():
+                self.queue.clear()
+                self.backlog = None
+                break
+        return size
+
+    def _drain_plain(self, out: list[bytes], budget: int, wrap: Wrap | None) -> int:
+        """Drain a feed that has nothing to look at but its queue: the hot loop of every fan-out."""
+        outbox = self.outbox
+        if outbox is None:  # it ended after it was marked
+            return 0
+        encoding, head, _ = self._heads or self._make_heads()
+        if outbox.framing is not None and wrap is None:
+            return self._drain_framed(out, budget, outbox, outbox.framing)
+        key = encoding if self.fields is None else (encoding, self.fields)
+        queue = self.queue
+        size = 0
+        while queue and size < budget:
+            sample = queue.popleft()
+            try:
+                tail = sample.tails.get(key) or sample.tail(encoding, self.fields)
+                special = self.dropped or len(tail) > SHARED
+                data = self._frame(sample) if special else head + tail
+            except RcpError:  # reported as the backend's fault where it was found
+                continue
+            self.dropped = 0
+            self.sent = sample.seq
+            size += len(data)
+            out.append(data if wrap is None else wrap(data, sample))
+            outbox.updates += 1
+        return size
+
+    def _drain_framed(self, out: list[bytes], budget: int, outbox: Outbox, framing: Framing) -> int:
+        """Drain with frames of the transport's own making, made once for all alike receivers."""
+        share = self.share
+        queue = self.queue
+        size = count = 0
+        while queue and size < budget:
+            sample = queue.popleft()
+            data = None if self.dropped else sample.tails.get(share)
+            if data is None:
+                try:
+                    data = self._make_frame(sample, out, framing)
+                except RcpError:  # reported as the backend's fault where it was found
+                    continue
+            self.sent = sample.seq
+            size += len(data)
+            count += 1
+            out.append(data)
+        outbox.updates += count
+        return size
+
+    @property
+    def head(self) -> tuple[Encoding, bytes]:
+        """The encoding, and what every update that skips nothing begins with."""
+        encoding, head, _ = self._heads or self._make_heads()
+        return encoding, head
+
+    def _make_frame(self, sample: Sample, out: list[bytes], framing: Framing) -> bytes:
+        """Return an update as a frame; of a long one the head goes to `out` before it."""
+        encoding, head, _ = self._heads or self._make_heads()
+        text = encoding is Encoding.JSON
+        if self.dropped:
+            data = self._frame(sample)
+            self.dropped = 0
+            return framing(len(data), text) + data
+        tail = sample.tail(encoding, self.fields)
+        start = framing(len(head) + len(tail), text) + head
+        if len(tail) > SHARED:
+            if self._is_too_long(tail):
+                data = shortened(self.subscription.id, sample, 0, self.fields, encoding)
+                return framing(len(data), text) + data
+            out.append(start)
+            return tail
+        data = sample.tails[self.share] = start + tail
+        return data
+
+    def _frame(self, sample: Sample) -> bytes:
+        encoding, head, head_dropped = self._heads or self._make_heads()
+        tail = sample.tail(encoding, self.fields)
+        if len(tail) > SHARED and self._is_too_long(tail):
+            return shortened(self.subscription.id, sample, self.dropped, self.fields, encoding)
+        if not self.named:
+            data = first_native(
+                self.subscription.id, sample, self.dropped, self.entry.resource.native, encoding
+            )
+            self.named = True
+            return data
+        if not self.dropped:
+            return head + tail
+        return (
+            head_dropped
+            + encode_frame({"dropped": self.dropped}, b"", encoding)[
+                1 : -1 if encoding is Encoding.JSON else None
+            ]
+            + (b"," + tail if encoding is Encoding.JSON else tail)
+        )
+
+    def _is_too_long(self, tail: bytes) -> bool:
+        """Tell whether the client should not be sent a value that only a pattern asks for."""
+        outbox = self.outbox
+        limit = self.longest
+        return limit is not None and len(tail) > limit and not (outbox and outbox.takes_long)
+
+    def _make_heads(self) -> tuple[Encoding, bytes, bytes]:
+        assert self.outbox is not None
+        encoding = self.subscription.options.splice or self.outbox.encoding
+        facts = {"type": "update", "id": self.subscription.id, "path": self.entry.path}
+        if self.native:
+            facts["encoding"] = "native"
+        head = encode_frame(facts, b"", encoding)
+        self.share = _shares.setdefault((head, self.fields, self.outbox.framing), _Share())
+        self._heads = encoding, *spliced(head, len(facts), encoding)
+        return self._heads
+
+    def leave(self) -> None:
+        """Forget what waits; the connection is gone."""
+        self.queue.clear()
+        self.backlog = None
+        self.marked = False
+        self.outbox = None
+        self._heads = None
+        self.named = not self.native

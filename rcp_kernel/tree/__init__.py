@@ -1,0 +1,1 @@
+"""The tree: resources with their samples, robots' stop groups and latches."""

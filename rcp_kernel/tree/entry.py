@@ -1,0 +1,332 @@
+"""A resource in its place in the tree, the backend behind it, and what an e-stop stops with it.
+
+They know one another: an entry its backend and its stop group, both of them their entries.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from typing import Any, Protocol
+
+from rcp_kernel.clock import now
+from rcp_kernel.errors import RcpError
+from rcp_kernel.model import BRANCHES, MOVING, Kind, Operation, Resource, kind_of
+from rcp_kernel.spi import Backend, MotionState
+from rcp_kernel.tree.latches import Latch, Latches, robot_key, tenant_key
+from rcp_kernel.tree.samples import Sample
+from rcp_kernel.values import ValueType, value_type
+
+__all__ = ["Entry", "Listener", "Owner", "StopGroup"]
+
+_IDLE_HISTORY = 16  # samples kept of a resource nobody subscribes to
+_HISTORY_BYTES = 4 * 1024 * 1024  # kept of one resource, at least its latest sample
+
+
+class Owner(Protocol):
+    """The backend behind an entry, as the supervisor keeps it."""
+
+    samples: int
+    latency: float | None
+    entries: dict[str, Entry]
+    """Its resources, by the backend's own names."""
+
+    @property
+    def name(self) -> str:
+        """The backend's name in the configuration."""
+        ...
+
+    @property
+    def tenant(self) -> str | None:
+        """Whose robot it is; None for the gateway's own branch."""
+        ...
+
+    @property
+    def robot(self) -> str | None:
+        """The segment after the branch in all its paths; None without one."""
+        ...
+
+    @property
+    def on_loss(self) -> str:
+        """What becomes of a robot whose command was lost with its link: see `Backend.on_loss`."""
+        ...
+
+    @property
+    def units(self) -> list[StopGroup]:
+        """What an e-stop can stop alone, each."""
+        ...
+
+    def unit(self, robot: str | None) -> StopGroup:
+        """Return what an e-stop stops: one of its robots, or all of them."""
+        ...
+
+    @property
+    def backend(self) -> Backend | None:
+        """The open backend, or None while it is not ready."""
+        ...
+
+    def unavailable(self) -> RcpError:
+        """Return the error that says why there is no backend now."""
+        ...
+
+    def fault(self, detail: str) -> None:
+        """Note a fault of the backend's own making."""
+        ...
+
+
+class Listener(Protocol):
+    """Somebody to whom an entry's samples are offered."""
+
+    def offer(self, sample: Sample) -> None:
+        """Take notice of a new sample; must neither block nor raise."""
+        ...
+
+
+class Entry:
+    """A resource in its place in the tree."""
+
+    __slots__ = (
+        "_heard",
+        "barred",
+        "deadline",
+        "feedback_type",
+        "input_type",
+        "is_hold",
+        "kind",
+        "label",
+        "latest",
+        "listeners",
+        "live",
+        "moves",
+        "name",
+        "operations",
+        "output_type",
+        "owner",
+        "path",
+        "resource",
+        "ring",
+        "robot",
+        "seq",
+        "sustained",
+        "tenant",
+        "unit",
+        "value_type",
+        "written",
+    )
+
+    def __init__(
+        self, path: str, resource: Resource, owner: Owner, tenant: str | None, robot: str | None
+    ) -> None:
+        self.path = path
+        self.name = resource.name
+        self.resource = resource
+        self.owner = owner
+        self.unit = owner.unit(resource.robot)
+        """What an e-stop stops together with it."""
+        self.tenant = tenant
+        self.robot = robot
+        self.kind: Kind = kind_of(resource.name)
+        offered = BRANCHES[self.kind] if resource.operations is None else resource.operations
+        self.operations: Operation = offered
+        self.moves = self.kind in MOVING if resource.moves is None else resource.moves
+        """Whether it may move something."""
+        self.barred = self.moves or resource.energises
+        """Whether a latched e-stop refuses it."""
+        self.is_hold = False
+        """Whether it is the gateway's own verb that brings the robot to rest without an e-stop."""
+        self.live = resource.live
+        self.deadline = resource.deadline
+        self.value_type: ValueType = value_type(resource.value)
+        self.input_type: ValueType = value_type(resource.input)
+        self.output_type: ValueType = value_type(resource.output)
+        self.feedback_type: ValueType = value_type(resource.feedback)
+        noun = "parameter" if self.kind is Kind.PARAM else self.kind.value
+        self.label = f"{noun} '{resource.name.rpartition('/')[2]}'"
+        self.latest: Sample | None = None
+        self.seq = 0
+        self.ring: deque[Sample] = deque(maxlen=min(resource.history, _IDLE_HISTORY) or 1)
+        self.listeners: list[Listener] = []
+        self.sustained = 0.0
+        """Rate in Hz at which it is published whoever listens."""
+        self.written: float | None = None
+        """Monotonic time of the last write, for rates of change and the dead-man."""
+        self._heard = 0.0
+
+    @property
+    def age(self) -> float | None:
+        """Seconds since the latest sample came in, or None if none ever did."""
+        return None if self.latest is None else time.monotonic() - self._heard
+
+    @property
+    def stale(self) -> bool:
+        """Whether the latest value has a successor overdue, or its backend is gone."""
+        if self.latest is None or self.owner.backend is None:
+            return True
+        return self.deadline is not None and time.monotonic() - self._heard > self.deadline
+
+    def publish(self, value: Any, timestamp: int | None) -> Sample:
+        """Make the next sample and offer it to every listener."""
+        received = now()
+        self.seq += 1
+        sample = Sample(self, value, timestamp or received, received, self.seq)
+        if self.latest is not None:
+            self.latest.forget_encodings()
+        self.latest = sample
+        self._heard = time.monotonic()
+        self.ring.append(sample)
+        self.owner.samples += 1
+        for listener in self.listeners:
+            listener.offer(sample)
+        if self.seq & 63 == 1:
+            self.size_ring()
+        return sample
+
+    def size_ring(self) -> None:
+        """Keep as many samples as history and memory allow, fewer while nobody listens."""
+        wanted = self.resource.history if self.listeners else _IDLE_HISTORY
+        wanted = min(wanted, self.resource.history)
+        if self.latest is not None and self.value_type.grows:
+            try:
+                wanted = min(wanted, _HISTORY_BYTES // max(1, self.latest.weight()))
+            except RcpError:
+                wanted = 1
+        wanted = max(1, wanted)
+        if wanted != self.ring.maxlen:
+            self.ring = deque(self.ring, maxlen=wanted)
+
+    def adopt(self, old: Entry) -> None:
+        """Go on where an entry of the same path left off: number, samples and listeners."""
+        self.seq = old.seq
+        self.listeners = old.listeners
+        self.sustained = old.sustained
+        self.written = old.written
+        if old.resource.value == self.resource.value:
+            self.latest, self.ring, self._heard = old.latest, old.ring, old._heard
+
+
+class StopGroup:
+    """What an e-stop stops as one: all robots of a backend, or one of them that it can halt alone."""
+
+    __slots__ = (
+        "_latches",
+        "_released",
+        "_stopped",
+        "_stops",
+        "identity",
+        "keys",
+        "lost",
+        "name",
+        "own",
+        "owner",
+        "retired",
+        "robot",
+        "whole",
+    )
+
+    def __init__(self, owner: Owner, latches: Latches | None, robot: str | None = None) -> None:
+        self.owner = owner
+        self.robot = robot
+        """The one robot's name in the tree; None means all of the backend."""
+        self.whole: StopGroup = self if robot is None else owner.unit(None)
+        self.name = owner.name if robot is None else f"{owner.name}/{robot}"
+        """The key of its own latch."""
+        tenant = "" if owner.tenant is None else tenant_key(owner.tenant)
+        self.identity = "" if owner.tenant is None else robot_key(owner.tenant, self._segments())
+        """The robot that it is, or is a part of: backends whose resources lie at the same place in
+        the tree front one robot, and share this key of its latch."""
+        own = (self.name,) if robot is None else (self.name, owner.name)
+        self.keys = (*own, self.identity, tenant)
+        """The keys of all latches that hold it but the gateway's, the narrowest first."""
+        self.lost: str | None = None
+        """The path of a command that ended with the link, or with an earlier gateway, and that the
+        robot may still carry out."""
+        self.retired: Latch | None = None
+        """What holds it for good."""
+        self._latches = latches
+        self.own: dict[str, Entry] = {}
+        """The resources that are its own: of all of a backend, those of none of its robots."""
+        self._stops = 0
+        self._stopped = float("-inf")
+        self._released = 0
+
+    @property
+    def place(self) -> str | None:
+        """The segment after the branch in all of its paths; None without one."""
+        return self.owner.robot or self.robot
+
+    def _segments(self) -> str:
+        return "/".join(filter(None, (self.owner.robot, self.robot)))
+
+    @property
+    def tenant(self) -> str | None:
+        """Whose it is."""
+        return self.owner.tenant
+
+    @property
+    def latch(self) -> Latch | None:
+        """The e-stop that holds it, or None."""
+        if self._latches is None:
+            return None
+        return self.whole.retired or self._latches.of(self.keys)
+
+    @property
+    def stops(self) -> int:
+        """How many e-stops it has had: what was admitted before one never reaches it."""
+        return self._stops if self.robot is None else self._stops + self.whole.stops
+
+    @property
+    def stopped(self) -> float:
+        """When its last e-stop was, by the monotonic clock; -inf if none was in this run."""
+        return self._stopped if self.robot is None else max(self._stopped, self.whole.stopped)
+
+    @property
+    def released(self) -> int:
+        """When the last e-stop on it was reset, ns; 0 if none was in this run."""
+        return self._released if self.robot is None else max(self._released, self.whole.released)
+
+    @property
+    def entries(self) -> dict[str, Entry]:
+        """The resources that stop with it, by the backend's own names."""
+        return self.owner.entries if self.robot is None else self.own
+
+    @property
+    def backend(self) -> Backend | None:
+        """The open backend, or None."""
+        return self.owner.backend
+
+    def count_stop(self) -> None:
+        """Let nothing that was admitted until now reach it."""
+        self._stops += 1
+        self._stopped = time.monotonic()
+
+    def release(self, moment: int) -> None:
+        """Let nothing that was sent before `moment`, in ns, reach it."""
+        self._released = moment
+
+    async def halt(self) -> None:
+        """Bring it to rest; return when it is measured to be, as far as the backend measures.
+
+        :raises AdapterUnavailable: there is no backend, or it cannot reach the robot.
+        """
+        backend = self._open()
+        await (backend.halt() if self.robot is None else backend.halt_robot(self.robot))
+
+    async def hold(self) -> None:
+        """Bring it to rest without an e-stop.
+
+        :raises AdapterUnavailable: as `halt` does.
+        """
+        await self._open().hold(self.robot)
+
+    def motion(self) -> MotionState | None:
+        """Return what is measured of its motion; None: nothing is.
+
+        :raises AdapterUnavailable: there is no backend.
+        """
+        return self._open().motion(self.robot)
+
+    def _open(self) -> Backend:
+        backend = self.backend
+        if backend is None:
+            raise self.owner.unavailable()
+        return backend

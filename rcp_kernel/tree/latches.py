@@ -1,0 +1,118 @@
+"""Which e-stops are latched: for a robot, a tenant or the whole gateway; they survive the process.
+
+A latch of a tenant or of the gateway holds also the robots that appear later. One robot (or
+tenant) can be freed from it without the others.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from typing import Any
+
+from rcp_kernel.clock import iso, now
+from rcp_kernel.store.latch_file import GATEWAY, LATCHES
+from rcp_kernel.store.store import Store
+
+__all__ = ["GATEWAY", "Latch", "Latches", "robot_key", "tenant_key"]
+
+_TENANT = 2  # slashes in the key of a tenant; a robot's has more
+
+
+class Latch:
+    """A latched e-stop: who, when and why."""
+
+    __slots__ = ("by", "freed", "reason", "since")
+
+    def __init__(
+        self, by: str, reason: str | None, since: int | None = None, freed: Iterable[str] = ()
+    ) -> None:
+        self.by = by
+        self.reason = reason
+        self.since = since or now()
+        self.freed = set(freed)
+        """Narrower keys that it holds no longer."""
+
+    def plain(self) -> dict[str, Any]:
+        """Describe the latch."""
+        return {"by": self.by, "reason": self.reason, "since": iso(self.since)}
+
+
+def tenant_key(tenant: str) -> str:
+    """Return the key of a tenant's latch; that of a part of a robot is its backend's name."""
+    return f"/tenant/{tenant}"
+
+
+def robot_key(tenant: str, place: str) -> str:
+    """Return the key that all backends of a robot share; `place` is empty for a tenant's only one."""
+    return f"/tenant/{tenant}/{place}"
+
+
+class Latches:
+    """Every latched e-stop, by key."""
+
+    def __init__(self, store: Store) -> None:
+        self._store = store
+        self.on_change: list[Callable[[], None]] = []
+        """Called after every change."""
+        self._held = {key: _read(kept) for key, kept in store.load(LATCHES, unreadable={}).items()}
+
+    def of(self, keys: tuple[str, ...]) -> Latch | None:
+        """Return what holds a robot: its keys below the gateway's, the narrowest first."""
+        held = self._held
+        if not held:
+            return None
+        for key in (*keys, GATEWAY):
+            latch = held.get(key)
+            if latch is not None and latch.freed.isdisjoint(keys):
+                return latch
+        return None
+
+    @property
+    def wide(self) -> dict[str, Latch]:
+        """The latches of tenants and of the gateway, by key."""
+        return {key: latch for key, latch in self._held.items() if _wide(key)}
+
+    def set(self, key: str, by: str, reason: str | None) -> None:
+        """Latch; an older latch of the same key stands, and holds again whom it let go."""
+        latch = self._held.get(key)
+        if latch is None:
+            latch = self._held[key] = Latch(by, reason)
+        latch.freed.clear()
+        self._keep(key, latch)
+
+    def reset(self, key: str, wider: Iterable[str]) -> None:
+        """Let go of whom a key stands for, also where a wider one holds it: all but the gateway's."""
+        for narrower in self._within(key):
+            del self._held[narrower]
+            self._keep(narrower, None)
+        for other in {*wider, GATEWAY} - {key}:
+            latch = self._held.get(other)
+            if latch is not None:
+                latch.freed.add(key)
+                self._keep(other, latch)
+
+    def _within(self, key: str) -> list[str]:
+        if key == GATEWAY:
+            return list(self._held)
+        below = key + "/"  # the robots of a backend, or of a tenant
+        return [held for held in self._held if held == key or held.startswith(below)]
+
+    def _keep(self, key: str, latch: Latch | None) -> None:
+        kept: dict[str, Any] | None = None
+        if latch is not None:
+            freed = sorted(latch.freed)
+            kept = {"by": latch.by, "reason": latch.reason, "since": latch.since, "freed": freed}
+        self._store.put(LATCHES, key, kept)
+        for changed in self.on_change:
+            changed()
+
+
+def _read(kept: Any) -> Latch:
+    try:
+        return Latch(kept["by"], kept["reason"], int(kept["since"]), kept["freed"])
+    except (KeyError, TypeError, ValueError):  # somebody had latched it: that is what matters
+        return Latch("the gateway", "the stored state of this e-stop cannot be read")
+
+
+def _wide(key: str) -> bool:
+    return key == GATEWAY or (key.startswith("/") and key.count("/") == _TENANT)
