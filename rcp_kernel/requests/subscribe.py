@@ -232,17 +232,18 @@ class SubscribeHandler:
         return list(found.values())
 
     def _renew_all(self, session: Session) -> None:
-        """Unlink in steps the feeds that a session's rights do not allow any more."""
-        for subscription in session.subscriptions.values():
-            self._links.begin(subscription, self._renew(session, subscription))
+        """Bring a session's subscriptions under its new rights.
 
-    def _renew(self, session: Session, subscription: Subscription) -> Work:
-        """Bring a subscription under its session's new rights: what is forbidden now goes first."""
-        for number, feed in enumerate(tuple(subscription.feeds.values()), 1):
-            if subscription.feeds.get(feed.entry.path) is feed:
+        What is forbidden now goes at once, however much that is: no sample of it may follow. What is
+        allowed now joins in steps.
+        """
+        for subscription in session.subscriptions.values():
+            for feed in tuple(subscription.feeds.values()):
                 self._renew_feed(session, subscription, feed)
-            if not number % _STEP:
-                yield
+            self._links.begin(subscription, self._join(subscription))
+
+    def _join(self, subscription: Subscription) -> Work:
+        """Link what a subscription may have by now."""
         found = chain.from_iterable(map(self._registry.match, subscription.patterns))
         for number, entry in enumerate(found, 1):
             if subscription not in self._hub.subscriptions:  # it has ended

@@ -87,7 +87,6 @@ key = "{LOCAL}"
 
 [limits]
 message = 262144
-values = 65536
 subscriptions = 40
 batch = 64
 deadline = 2.0

@@ -14,7 +14,7 @@ from rcp_kernel.values import Encoding
 __all__ = ["Values"]
 
 PARCEL = "/param/parcel"
-MANY = 20_000  # lists, each of which counts for nine values
+MANY = 40_000  # lists, each of which counts for nine values
 ODD = {
     "NaN": math.nan,
     "Infinity": math.inf,
