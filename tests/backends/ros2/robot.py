@@ -166,8 +166,11 @@ class Peer:
 
     script = "peer.py"
 
-    def __init__(self, domain: int, *args: str) -> None:
-        self._domain = domain
+    def __init__(self, domain: int, *args: str, shared_memory: bool = True) -> None:
+        """Without shared memory a peer that is killed leaves nothing damaged to the one after it."""
+        self._environment = {"ROS_DOMAIN_ID": str(domain)}
+        if not shared_memory:
+            self._environment["FASTDDS_BUILTIN_TRANSPORTS"] = "UDPv4"
         self._args = args
         self._process: subprocess.Popen[str] | None = None
 
@@ -175,7 +178,7 @@ class Peer:
         """Start it and wait until it offers everything."""
         self._process = subprocess.Popen(
             [sys.executable, str(Path(__file__).with_name(self.script)), *self._args],
-            env={**os.environ, "ROS_DOMAIN_ID": str(self._domain)},
+            env=os.environ | self._environment,
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,

@@ -16,7 +16,7 @@ from backends.ros2.robot import Peer, fresh_domain
 from rcp_kernel.testing import BackendSuite, Goal, eventually
 
 DOMAIN = fresh_domain()
-PEER = Peer(DOMAIN)
+PEER = Peer(DOMAIN, shared_memory=False)  # killed again and again, and started anew
 MESH = "package://peer_description/base.stl"
 _QUIET = 4  # times in a row that the peer must tell the same
 
