@@ -92,7 +92,7 @@ async def test_updates_in_another_encoding_come_in_the_right_frames(gateway: Sit
         assert json.loads(text)["type"] == "update"
 
 
-@pytest.mark.parametrize("garbage", ["", "[]", "{", '{"type":"fly"}', "\x00", "[" * 100_000])
+@pytest.mark.parametrize("garbage", ["", "[]", "{", '{"type":"fly"}', "\x00", "[" * 20_000])
 async def test_malformed_messages_are_answered_and_the_connection_kept(
     gateway: Site, garbage: str
 ) -> None:
