@@ -17,12 +17,13 @@ from rcp_kernel.access.conditions import Conditions
 from rcp_kernel.access.identities import Identities
 from rcp_kernel.access.sights import Sights
 from rcp_kernel.access.visibility import Visibility
-from rcp_kernel.app.feature_host import GatewayFeatureHost
+from rcp_kernel.app.feature_host import GatewayFeatureHost, Notices
 from rcp_kernel.app.features import ActiveFeature, Features, make
 from rcp_kernel.app.guard import GuardLink
 from rcp_kernel.app.guard_arming import GuardArming
 from rcp_kernel.app.kernel import Kernel
 from rcp_kernel.app.log import Recent
+from rcp_kernel.app.robots import GatewayRobots
 from rcp_kernel.app.status import StatusReport
 from rcp_kernel.app.supervisor import BackendSupervisor
 from rcp_kernel.app.system import System
@@ -32,6 +33,7 @@ from rcp_kernel.config.settings import Settings
 from rcp_kernel.contract.shutdown import Shutdown
 from rcp_kernel.contract.turns import Turns
 from rcp_kernel.features.approval import APPROVALS, NoApprovals
+from rcp_kernel.features.commands import CommandEvents
 from rcp_kernel.features.resource import ViewChanges
 from rcp_kernel.plans.checks import PlanChecker
 from rcp_kernel.plans.resource import PlanList, Plans
@@ -53,10 +55,8 @@ from rcp_kernel.requests.router import RequestRouter
 from rcp_kernel.requests.subscribe import SubscribeHandler
 from rcp_kernel.requests.write import WriteHandler
 from rcp_kernel.safety.estop import Estop
-from rcp_kernel.safety.fence_guard import FenceGuard
 from rcp_kernel.safety.lease_service import LeaseService
 from rcp_kernel.safety.leases import Leases
-from rcp_kernel.safety.motion_limits import MotionLimits
 from rcp_kernel.safety.partners import Partners
 from rcp_kernel.safety.safety import Deadman
 from rcp_kernel.safety.stop import StopController
@@ -99,6 +99,8 @@ class _Base:
     counts: RequestCounts
     inflight: InFlight
     changes: ViewChanges
+    notices: Notices
+    events: CommandEvents
     supervisors: list[BackendSupervisor]
 
 
@@ -117,7 +119,6 @@ class _Motion:
     """What moves robots, and what brings them to rest."""
 
     arming: GuardArming
-    limits: MotionLimits
     partners: Partners
     deadman: Deadman
     commands: Commands
@@ -179,8 +180,8 @@ def compose(
     """Build a gateway that serves nobody yet and has no backends."""
     base = _base(config, loop)
     records = _records(base, store)
-    made = _features(base, records, features)
     motion = _motion(base, records)
+    made = _features(base, records, motion, features)
     clients = _clients(base, records, motion, made.authenticators)
     requests = _requests(base, records, motion, clients, made)
     system = _system(base, records, motion, clients, recent, made)
@@ -200,7 +201,7 @@ def compose(
         retention=Retention(records.audit, store, loop, config.audit),
         history=records.history,
         disclosure=system.disclosure,
-        motion_limits=motion.limits,
+        events=base.events,
         deadman=motion.deadman,
         commands=motion.commands,
         stops=motion.stops,
@@ -242,6 +243,8 @@ def _base(config: GatewayConfig, loop: asyncio.AbstractEventLoop) -> _Base:
         counts=counts,
         inflight=InFlight(settings, counts, turns, loop),
         changes=ViewChanges(),
+        notices=Notices(),
+        events=CommandEvents(),
         supervisors=[],
     )
 
@@ -252,9 +255,20 @@ def _records(base: _Base, store: Store) -> _Records:
     return _Records(store, audit, writer, History(store))
 
 
-def _features(base: _Base, records: _Records, active: Sequence[ActiveFeature]) -> Features:
+def _features(
+    base: _Base, records: _Records, motion: _Motion, active: Sequence[ActiveFeature]
+) -> Features:
     host = partial(
         GatewayFeatureHost,
+        robots=partial(
+            GatewayRobots,
+            hub=base.hub,
+            conditions=base.conditions,
+            deadman=motion.deadman,
+            commands=motion.commands,
+        ),
+        notices=base.notices,
+        turns=base.turns,
         changes=base.changes,
         store=records.store,
         audit=records.audit,
@@ -262,19 +276,20 @@ def _features(base: _Base, records: _Records, active: Sequence[ActiveFeature]) -
         place=base.inflight.place,
         loop=base.loop,
     )
-    return make(active, host)
+    made = make(active, host)
+    base.events.configure(made.observers)
+    return made
 
 
 def _motion(base: _Base, records: _Records) -> _Motion:
     config = base.settings.config
     arming = GuardArming(base.loop, config.safety)
-    limits = MotionLimits(base.registry, base.conditions, config.envelopes)
     partners = Partners(base.registry)
     deadman = Deadman(
         base.loop,
         began=arming.arm,
-        sending=limits.note_stop,
-        at_rest=limits.note_rest,
+        sending=base.events.stopping,
+        at_rest=base.events.rested,
         untaken=partners.halt,
         note=records.writer.dead_man,
     )
@@ -282,7 +297,6 @@ def _motion(base: _Base, records: _Records) -> _Motion:
     commands.remember(records.history.load())
     return _Motion(
         arming,
-        limits,
         partners,
         deadman,
         commands,
@@ -325,7 +339,7 @@ def _clients(
         shutdown=base.shutdown,
         loop=loop,
     )
-    FenceGuard(motion.limits, base.hub, motion.deadman, commands, sessions, records.audit)
+    base.notices.on_notice.append(sessions.tell)
     access = CommandAccess(commands, base.visibility, identities)
     return _Clients(identities, outbound, quotas, resume, sessions, access, leases)
 
@@ -341,7 +355,7 @@ def _requests(
     admission = Admission(
         resolver,
         clients.leases,
-        motion.limits,
+        base.events,
         records.writer,
         base.shutdown,
         motion.arming.check_thaw,
@@ -401,7 +415,7 @@ def _system(
         quotas=clients.quotas,
         commands=motion.commands,
         counts=base.counts,
-        motion_limits=motion.limits,
+        features=features.status,
         store=records.store,
         loop=base.loop,
     )
@@ -476,7 +490,7 @@ def _handlers(
         requests.admission,
         inflight,
         motion.deadman,
-        motion_limits=motion.limits,
+        events=base.events,
         leases=clients.leases,
         dry_run=features.dry_run,
         keys=requests.keys,
@@ -492,7 +506,6 @@ def _handlers(
         services=system.branch.services,
         plans=_plans(base, records, motion, clients, requests, system, features),
         dry_run=features.dry_run,
-        motion_limits=motion.limits,
         quotas=clients.quotas,
         keys=requests.keys,
         inflight=inflight,
@@ -530,7 +543,7 @@ def _plans(
         resolver=requests.resolver,
         conditions=base.conditions,
         leases=clients.leases,
-        motion_limits=motion.limits,
+        foresee=features.foresee,
         approvals=approvals,
         settings=base.settings,
         views=system.branch.views,
@@ -580,7 +593,7 @@ def _client_api(
     handlers: _Handlers,
     features: Features,
 ) -> ClientApi:
-    discovery = Discovery(base.registry, base.sights, motion.limits)
+    discovery = Discovery(base.registry, base.sights, features.describe)
     requests.router.add("discover", stepped=DiscoverHandler(discovery, base.settings).discover)
     handshake = Handshake(
         clients.sessions,

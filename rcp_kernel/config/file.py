@@ -18,7 +18,6 @@ import msgspec
 from msgspec import Meta
 
 from rcp_kernel._plain import is_list, is_map
-from rcp_kernel.config.envelopes import EnvelopeConfig, check_envelopes
 from rcp_kernel.config.features import active_features
 from rcp_kernel.config.identity import (
     Anonymous,
@@ -123,7 +122,8 @@ class GatewayConfig(Table, frozen=True):
     jwt: tuple[dict[str, Any], ...] = ()
     """The tables that the feature's own type decodes."""
     anonymous: Anonymous = Anonymous()
-    envelopes: tuple[EnvelopeConfig, ...] = ()
+    envelopes: tuple[dict[str, Any], ...] = ()
+    """As `jwt`."""
     limits: Limits = Limits()
     safety: Safety = Safety()
     quotas: Quotas = Quotas()
@@ -145,6 +145,8 @@ class GatewayConfig(Table, frozen=True):
             used.add("approvals")
         if self.jwt:
             used.add("jwt")
+        if self.envelopes:
+            used.add("motion_limits")
         return frozenset(used)
 
     @property
@@ -364,7 +366,6 @@ def _check(config: GatewayConfig, source: str) -> None:
         raise ConfigError(f"{source}: [safety] lease_ttl is greater than lease_ttl_max")
     check_groups(config.safety.groups, names, config.tenant_names, source)
     check_roles(config.roles, source)
-    check_envelopes(config.envelopes, source, roles, config.tenant_names)
     check_plans(config.plans, source)
     off = sorted(name for name in config.used_features if config.features.get(name) is False)
     if off:

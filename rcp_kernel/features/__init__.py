@@ -2,22 +2,30 @@
 
 from __future__ import annotations
 
+from rcp_kernel.features.commands import CommandObserver
 from rcp_kernel.features.feature import Feature, FeatureKind
 from rcp_kernel.features.guard import Call, Guard, Slot
 from rcp_kernel.features.host import FeatureHost
 from rcp_kernel.features.resource import Filter, Service, SystemResource, View
+from rcp_kernel.features.robots import RobotConditions, Robots, RunningCommand
 from rcp_kernel.features.services import ServiceKey
+from rcp_kernel.features.status import StatusPart
 
 __all__ = [
     "Call",
+    "CommandObserver",
     "Feature",
     "FeatureHost",
     "FeatureKind",
     "Filter",
     "Guard",
+    "RobotConditions",
+    "Robots",
+    "RunningCommand",
     "Service",
     "ServiceKey",
     "Slot",
+    "StatusPart",
     "SystemResource",
     "View",
 ]

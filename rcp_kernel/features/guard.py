@@ -1,8 +1,8 @@
 """Guards: what a feature may refuse, and when it is asked.
 
-The kernel asks in one order, whatever is configured: rights, age, e-stop, lease, motion limits,
-quota, then the guards of features by their slot. It never asks a guard about what brings a robot to
-rest: an e-stop, a hold, the safe value of an actuator.
+The kernel asks in one order, whatever is configured: rights, age, e-stop, lease, guards of the slot
+`MOTION_LIMIT`, quota, then the other guards by their slot. It never asks a guard about what brings a
+robot to rest: an e-stop, a hold, the safe value of an actuator.
 """
 
 from __future__ import annotations
@@ -23,9 +23,11 @@ __all__ = ["Call", "Guard", "Slot"]
 class Slot(IntEnum):
     """Where in the admission a guard is asked; within one slot by the feature's name."""
 
-    POLICY = 1
+    MOTION_LIMIT = 20
+    """What a value, or the state of the robot, must be like; before a quota is used."""
+    POLICY = 40
     """A rule of the site: maintenance, opening hours."""
-    APPROVAL = 2
+    APPROVAL = 50
     """Last, because it uses something up that others gave: nothing else refuses any more."""
 
 

@@ -8,6 +8,8 @@ from typing import Any, Protocol
 
 from rcp_kernel.access.acl import Rights
 from rcp_kernel.contract.identity import Principal
+from rcp_kernel.contract.turns import Work
+from rcp_kernel.features.robots import Robots
 from rcp_kernel.sessions.session import Session
 from rcp_kernel.store.plugin_store import PluginStore
 from rcp_kernel.wire import Request
@@ -21,6 +23,19 @@ class FeatureHost(Protocol):
     @property
     def loop(self) -> asyncio.AbstractEventLoop:
         """The event loop, with the gateway's monotonic time; it runs when the feature does."""
+        ...
+
+    @property
+    def robots(self) -> Robots:
+        """All robots: their resources, what they say, what they do, and how to stop one."""
+        ...
+
+    def in_steps(self, work: Work) -> None:
+        """Do work of any length beside everything else; it yields after a millisecond at most."""
+        ...
+
+    def tell(self, session: Session, code: str, **facts: Any) -> None:
+        """Send a notice to the client of a session, or to all that share the session's principal."""
         ...
 
     def changed(self, path: str) -> None:

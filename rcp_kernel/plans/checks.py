@@ -7,7 +7,7 @@ request.
 
 from __future__ import annotations
 
-from collections.abc import Container, Generator
+from collections.abc import Callable, Container, Generator
 from dataclasses import dataclass
 from itertools import islice
 from typing import Any
@@ -39,7 +39,6 @@ from rcp_kernel.plans.reading import ConditionReader
 from rcp_kernel.plans.symbolic import from_symbolic
 from rcp_kernel.requests.read import READ_OPTIONS
 from rcp_kernel.safety.leases import Leases
-from rcp_kernel.safety.motion_limits import MotionLimits
 from rcp_kernel.safety.safety import check_motion
 from rcp_kernel.safety.scope import Scope
 from rcp_kernel.sessions.resolver import Resolver
@@ -70,7 +69,8 @@ class PlanChecker:
     resolver: Resolver
     conditions: Conditions
     leases: Leases
-    motion_limits: MotionLimits
+    foresee: Callable[[Session, Entry, Any], None]
+    """Refuses a value that features would let pass at no later moment either."""
     approvals: ApprovalService
     settings: Settings
     views: Container[str]
@@ -366,7 +366,7 @@ class _Check:
         if entry.owner.backend is None:
             raise entry.owner.unavailable()
         if not refers:
-            self._against.motion_limits.check_later(self._session, entry, value)
+            self._against.foresee(self._session, entry, value)
 
     def _acquires(self, value: dict[str, Any]) -> None:
         scope = value.get("scope")

@@ -11,11 +11,11 @@ from collections.abc import Callable, Sequence
 from rcp_kernel.contract.pending import to_internal_error
 from rcp_kernel.contract.shutdown import Shutdown
 from rcp_kernel.errors import RcpError
-from rcp_kernel.features import Call, Guard
+from rcp_kernel.features import Call, Guard, Slot
+from rcp_kernel.features.commands import CommandEvents
 from rcp_kernel.model import Operation
 from rcp_kernel.requests.audit_writer import AuditWriter
 from rcp_kernel.safety.leases import Leases
-from rcp_kernel.safety.motion_limits import MotionLimits
 from rcp_kernel.safety.safety import check_age, check_motion
 from rcp_kernel.sessions.resolver import Resolver
 from rcp_kernel.spi import Backend
@@ -31,7 +31,7 @@ class Admission:
         self,
         resolver: Resolver,
         leases: Leases,
-        motion_limits: MotionLimits,
+        events: CommandEvents,
         audit_writer: AuditWriter,
         shutdown: Shutdown,
         check_thaw: Callable[[Entry], None],
@@ -39,7 +39,7 @@ class Admission:
     ) -> None:
         self._resolver = resolver
         self._leases = leases
-        self._motion_limits = motion_limits
+        self._events = events
         self._audit_writer = audit_writer
         self._shutdown = shutdown
         self._check_thaw = check_thaw
@@ -47,21 +47,26 @@ class Admission:
         self._every = sorted(guards, key=lambda guard: guard.slot)
         self.active: tuple[Guard, ...] = ()
         """Those that the configuration in force needs, in the order in which they are asked."""
+        self._early: tuple[Guard, ...] = ()
+        """Those that are asked before the quota."""
+        self._late: tuple[Guard, ...] = ()
         self.configure()
 
     def configure(self) -> None:
         """Find out which guards the configuration in force needs."""
         self.active = tuple(guard for guard in self._every if guard.active)
+        self._early = tuple(g for g in self.active if g.slot <= Slot.MOTION_LIMIT)
+        self._late = self.active[len(self._early) :]
 
     def admit(self, call: Call) -> None:
-        """Refuse what may not be done now, whatever features there are.
+        """Refuse what may not be done now, as far as no quota is involved.
 
         :raises StaleCommand: the request is older than its path allows, or came in a freeze.
         :raises EstopActive: the path moves something, and its robot is stopped.
         :raises LeaseHeld, LeaseLost, LeaseRequired: somebody else has control, or nobody.
         :raises AdapterUnavailable: the gateway is closing, or there is no robot.
         :raises QueueFull: it could not be put on record.
-        :raises OutOfRange, ModeForbids, PreconditionFailed: an envelope does not hold.
+        :raises RcpError: a guard before the quota refuses.
         """
         entry = call.entry
         check_age(entry, call.request.timestamp)
@@ -75,29 +80,29 @@ class Admission:
         self._audit_writer.check()
         if entry.owner.backend is None:
             raise entry.owner.unavailable()
-        self._motion_limits.check(call.session, entry, call.value)
+        self._ask(self._early, call)
 
     def ask(self, call: Call) -> None:
-        """Ask the guards of features, when nothing else is in the way.
+        """Ask the guards that come last, when nothing else is in the way.
 
         :raises RcpError: one refuses.
         """
-        for guard in self._asked(call):
+        self._ask(self._late, call)
+
+    def _ask(self, guards: tuple[Guard, ...], call: Call) -> None:
+        """Ask some guards.
+
+        None keeps anybody from bringing something to rest. A plan passes none: its steps do.
+        """
+        if not guards or call.entry.tenant is None or call.rests:
+            return
+        for guard in guards:
             try:
                 guard.admit(call)
             except RcpError:
                 raise
             except Exception as error:
                 raise _broken(guard, call, error) from None
-
-    def _asked(self, call: Call) -> tuple[Guard, ...]:
-        """Return the guards that a call has to pass.
-
-        None keeps anybody from bringing something to rest. A plan passes none: its steps do.
-        """
-        if not self.active or call.entry.tenant is None or call.rests:
-            return ()
-        return self.active
 
     def confirm(self, call: Call) -> Backend:
         """Return the robot that takes it, or refuse what must not reach it any more.
@@ -108,7 +113,6 @@ class Admission:
         :raises Forbidden: its rights are not there any more, or their condition does not hold.
         :raises EstopActive, LeaseHeld, LeaseLost, LeaseRequired: as above.
         :raises AdapterUnavailable: there is no robot any more.
-        :raises OutOfRange, ModeForbids, PreconditionFailed: as above.
         :raises RcpError: a guard refuses.
         """
         entry, session = call.entry, call.session
@@ -123,14 +127,15 @@ class Admission:
             raise entry.owner.unavailable()
         if entry.is_hold:
             return backend
-        for guard in self._asked(call):
-            try:
-                guard.confirm(call)
-            except RcpError:
-                raise
-            except Exception as error:
-                raise _broken(guard, call, error) from None
-        self._motion_limits.send(session, entry, call.value)  # last: it takes note of what is sent
+        if self.active and entry.tenant is not None and not call.rests:
+            for guard in self.active:
+                try:
+                    guard.confirm(call)
+                except RcpError:
+                    raise
+                except Exception as error:
+                    raise _broken(guard, call, error) from None
+        self._events.sent(call)
         return backend
 
 

@@ -32,7 +32,6 @@ from rcp_kernel.requests.idempotency import Keys
 from rcp_kernel.requests.inflight import InFlight
 from rcp_kernel.requests.write import DryRun, dry_run_reply
 from rcp_kernel.safety.hold import Hold
-from rcp_kernel.safety.motion_limits import MotionLimits
 from rcp_kernel.safety.partners import Partners
 from rcp_kernel.safety.safety import Deadman
 from rcp_kernel.sessions.command import Command
@@ -82,7 +81,6 @@ class ExecuteHandler:
         services: Mapping[str, Service],
         plans: Plans,
         dry_run: DryRun,
-        motion_limits: MotionLimits,
         quotas: QuotaTracker,
         keys: Keys,
         inflight: InFlight,
@@ -101,7 +99,6 @@ class ExecuteHandler:
         self._services = services
         self._plans = plans
         self._dry_run = dry_run
-        self._motion_limits = motion_limits
         self._quotas = quotas
         self._keys = keys
         self._inflight = inflight
@@ -164,9 +161,7 @@ class ExecuteHandler:
         if request.dry_run:
             if work is not None:
                 return dry_run_reply(request, entry, work.would())
-            held = self._motion_limits.applied(session, entry)
-            facts = {"envelopes": held or None, **self._dry_run(call)}
-            return dry_run_reply(request, entry, {"execute": value, **facts})
+            return dry_run_reply(request, entry, {"execute": value, **self._dry_run(call)})
         if work is not None:
             work.approve(session, request, entry)
         command = Command(
@@ -220,7 +215,7 @@ class ExecuteHandler:
         return plan
 
     def _hold(self, call: Call, answer: Answer, started: float) -> None:
-        """Bring a robot to rest without an e-stop, past leases, envelopes, quotas and guards."""
+        """Bring a robot to rest without an e-stop, past leases, quotas and guards."""
         session, request, entry = call.session, call.request, call.entry
         command = Command(
             id="cmd-" + secrets.token_hex(8),

@@ -24,7 +24,7 @@ from rcp_kernel.features import Call, Feature, FeatureHost, FeatureKind, Slot
 from rcp_kernel.features.approval import APPROVALS
 
 pytestmark = pytest.mark.anyio
-NONE = CONFIG + "\n[features]\napprovals = false\n"
+NONE = CONFIG + "\n[features]\napprovals = false\nmotion_limits = false\n"
 ASKS = '\n[roles.asks]\nallow = []\napprove = ["/action/go"]\n'
 
 
