@@ -7,7 +7,6 @@ moment the path is asked about, so that a limit is never late.
 from __future__ import annotations
 
 from collections.abc import Callable
-from itertools import islice
 from typing import Any
 
 import structlog
@@ -199,9 +198,11 @@ class MotionLimits:
     def _work_out_all(self) -> Work:
         try:
             while self._pending:
-                for path in list(islice(self._pending, _STEP)):
-                    self._work_out(path)
-                yield
+                for number, path in enumerate(list(self._pending), 1):
+                    if path in self._pending:
+                        self._work_out(path)
+                    if not number % _STEP:
+                        yield
         finally:
             self._working = False
 

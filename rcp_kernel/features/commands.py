@@ -61,42 +61,42 @@ class CommandEvents:
         for observer in self._observers:
             try:
                 observer.sent(call)
-            except Exception:
-                _failed(observer, call.entry)
+            except Exception as error:
+                _failed(observer, call.entry, error)
 
     def took(self, entry: Entry, value: Any, actual: Any) -> None:
         """Pass it on."""
         for observer in self._observers:
             try:
                 observer.took(entry, value, actual)
-            except Exception:
-                _failed(observer, entry)
+            except Exception as error:
+                _failed(observer, entry, error)
 
     def refused(self, entry: Entry, value: Any) -> None:
         """Pass it on."""
         for observer in self._observers:
             try:
                 observer.refused(entry, value)
-            except Exception:
-                _failed(observer, entry)
+            except Exception as error:
+                _failed(observer, entry, error)
 
     def stopping(self, entry: Entry, safe: Any) -> None:
         """Pass it on."""
         for observer in self._observers:
             try:
                 observer.stopping(entry, safe)
-            except Exception:
-                _failed(observer, entry)
+            except Exception as error:
+                _failed(observer, entry, error)
 
     def rested(self, entry: Entry, safe: Any) -> None:
         """Pass it on."""
         for observer in self._observers:
             try:
                 observer.rested(entry, safe)
-            except Exception:
-                _failed(observer, entry)
+            except Exception as error:
+                _failed(observer, entry, error)
 
 
-def _failed(observer: CommandObserver, entry: Entry) -> None:
+def _failed(observer: CommandObserver, entry: Entry, error: Exception) -> None:
     feature = type(observer).__module__
-    log.error("command_observer_failed", feature=feature, path=entry.path, exc_info=True)
+    log.error("command_observer_failed", feature=feature, path=entry.path, exc_info=error)
