@@ -84,7 +84,9 @@ class Leases:
             try:
                 lease = Lease(id_, Scope(kept.pop("scope")), **kept)
             except (RcpError, TypeError, KeyError, AttributeError) as error:
-                log.warning("store_row_unreadable", table=f"leases.{_TABLE}", key=id_, error=str(error))
+                log.warning(
+                    "store_row_unreadable", table=f"leases.{_TABLE}", key=id_, error=str(error)
+                )
                 continue
             self.held[id_] = lease
             if lease.left:

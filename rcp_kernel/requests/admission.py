@@ -15,7 +15,7 @@ from rcp_kernel.features import Call, Guard, Slot
 from rcp_kernel.model import Operation
 from rcp_kernel.requests.audit_writer import AuditWriter
 from rcp_kernel.safety.motion_limits import MotionLimits
-from rcp_kernel.safety.safety import check_age, check_motion
+from rcp_kernel.safety.safety import check_age, check_hold, check_motion
 from rcp_kernel.sessions.resolver import Resolver
 from rcp_kernel.spi import Backend
 from rcp_kernel.tree.entry import Entry
@@ -60,6 +60,7 @@ class Admission:
 
         :raises StaleCommand: the request is older than its path allows, or came in a freeze.
         :raises EstopActive: the path moves something, and its robot is stopped.
+        :raises AlreadyRunning: the same, and its robot is being brought to rest.
         :raises RcpError: a guard refuses that decides who has control.
         :raises AdapterUnavailable: the gateway is closing, or there is no robot.
         :raises QueueFull: it could not be put on record.
@@ -72,6 +73,7 @@ class Admission:
             return
         check_motion(entry, entry.unit.latch)
         self._check_thaw(entry)
+        check_hold(entry, call.value)
         if self.control and entry.tenant is not None:
             _ask(self.control, call)
         self._shutdown.check()
@@ -93,9 +95,11 @@ class Admission:
         :raises EstopActive: the path moves something, and its robot is stopped.
         :raises RcpError: a guard refuses that decides who has control.
         """
-        entry = call.entry
-        check_motion(entry, entry.unit.latch)
-        if self.control and entry.tenant is not None:
+        check_motion(call.entry, call.entry.unit.latch)
+        self._confirm_control(call)
+
+    def _confirm_control(self, call: Call) -> None:
+        if self.control and call.entry.tenant is not None:
             _confirm(self.control, call)
 
     def _asked(self, call: Call) -> tuple[Guard, ...]:
@@ -114,7 +118,7 @@ class Admission:
 
         :raises StaleCommand: it has become too old while it waited.
         :raises Forbidden: its rights are not there any more, or their condition does not hold.
-        :raises EstopActive: as above.
+        :raises EstopActive, AlreadyRunning: as above.
         :raises AdapterUnavailable: there is no robot any more.
         :raises OutOfRange, ModeForbids, PreconditionFailed: as above.
         :raises RcpError: a guard refuses.
@@ -124,7 +128,9 @@ class Admission:
         self._resolver.check(session, entry, called or Operation.WRITE)
         check_age(entry, call.request.timestamp)
         if not entry.is_hold:
-            self.check_control(call)
+            check_motion(entry, entry.unit.latch)
+            check_hold(entry, call.value)
+            self._confirm_control(call)
         backend = entry.owner.backend
         if backend is None:
             raise entry.owner.unavailable()
