@@ -60,18 +60,18 @@ class FenceWatch:
         driver = self._limits.drivers.get(entry.path)
         if driver is not None and (why := _trouble(bound, driver, sample)) is not None:
             self._limits.drivers.pop(entry.path)
-            self._robots.stop(entry)
+            self._host.control.stop(entry)
             self._tell(driver, bound, *why)
         elif entry.kind is Kind.ACTION:
             self._look_at_commands(bound, sample)
 
     def _look_at_commands(self, bound: BoundPath, sample: Sample) -> None:
-        for command in self._robots.running(bound.entry.path):
+        for command in self._host.control.running(bound.entry.path):
             if command.asker is None or command.cancelling:
                 continue
             why = _trouble(bound, command.asker, sample)
             if why is not None:
-                self._robots.cancel(command, why[-1])
+                self._host.control.cancel(command, why[-1])
                 self._tell(command.asker, bound, *why)
 
     def _tell(self, session: Session, bound: BoundPath, sensor: str, name: str, why: str) -> None:
@@ -79,7 +79,7 @@ class FenceWatch:
         log.warning("fence_left", path=entry.path, envelope=name, sensor=sensor, reason=why)
         text = f"{entry.path} was stopped: {why}"
         facts = {"path": entry.path, "envelope": name, "message": text}
-        self._host.tell(session, "fence_left", **facts)
+        self._host.sessions.tell(session.holder, "fence_left", **facts)
         self._host.note(
             "fence",
             principal=session.principal,

@@ -135,7 +135,7 @@ class MotionLimits:
             self._period += 1
         paths = self._robots.entries if tables else self._bound
         self._pending = dict.fromkeys(paths, commanded_values.clock())
-        moving = {*self.drivers, *(command.path for command in self._robots.running())}
+        moving = {*self.drivers, *(command.path for command in self._host.control.running())}
         for path in moving & self._pending.keys():  # a fence may stop these with the next sample
             self._work_out(path)
         self._work()

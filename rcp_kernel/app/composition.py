@@ -12,12 +12,12 @@ from dataclasses import dataclass
 from functools import partial
 
 from rcp_kernel.access.acl import Rules
-from rcp_kernel.access.authenticator import Authenticator
 from rcp_kernel.access.conditions import Conditions
 from rcp_kernel.access.identities import Identities
+from rcp_kernel.access.scope_rights import ScopeRights
 from rcp_kernel.access.sights import Sights
 from rcp_kernel.access.visibility import Visibility
-from rcp_kernel.app.feature_host import GatewayFeatureHost, Notices
+from rcp_kernel.app.feature_host import GatewayFeatureHost
 from rcp_kernel.app.features import ActiveFeature, Features, make
 from rcp_kernel.app.guard import GuardLink
 from rcp_kernel.app.guard_arming import GuardArming
@@ -34,6 +34,7 @@ from rcp_kernel.contract.shutdown import Shutdown
 from rcp_kernel.contract.turns import Turns
 from rcp_kernel.features.approval import APPROVALS, NoApprovals
 from rcp_kernel.features.commands import CommandEvents
+from rcp_kernel.features.control import CONTROL, NoControl
 from rcp_kernel.features.resource import ViewChanges
 from rcp_kernel.plans.checks import PlanChecker
 from rcp_kernel.plans.resource import PlanList, Plans
@@ -54,9 +55,8 @@ from rcp_kernel.requests.read import ReadHandler
 from rcp_kernel.requests.router import RequestRouter
 from rcp_kernel.requests.subscribe import SubscribeHandler
 from rcp_kernel.requests.write import WriteHandler
+from rcp_kernel.safety.control import Control
 from rcp_kernel.safety.estop import Estop
-from rcp_kernel.safety.lease_service import LeaseService
-from rcp_kernel.safety.leases import Leases
 from rcp_kernel.safety.partners import Partners
 from rcp_kernel.safety.safety import Deadman
 from rcp_kernel.safety.stop import StopController
@@ -99,7 +99,6 @@ class _Base:
     counts: RequestCounts
     inflight: InFlight
     changes: ViewChanges
-    notices: Notices
     events: CommandEvents
     supervisors: list[BackendSupervisor]
 
@@ -136,7 +135,6 @@ class _Clients:
     resume: SessionResume
     sessions: Sessions
     access: CommandAccess
-    leases: Leases
 
 
 @dataclass(frozen=True, slots=True)
@@ -181,9 +179,9 @@ def compose(
     base = _base(config, loop)
     records = _records(base, store)
     motion = _motion(base, records)
-    made = _features(base, records, motion, features)
-    clients = _clients(base, records, motion, made.authenticators)
-    requests = _requests(base, records, motion, clients, made)
+    clients = _clients(base, records, motion)
+    made = _features(base, records, motion, clients, features)
+    requests = _requests(base, records, motion, made)
     system = _system(base, records, motion, clients, recent, made)
     handlers = _handlers(base, records, motion, clients, requests, system, made)
     return Kernel(
@@ -210,7 +208,6 @@ def compose(
         quotas=clients.quotas,
         resume=clients.resume,
         sessions=clients.sessions,
-        leases=clients.leases,
         guard=system.guard,
         status=system.status,
         system=system.branch,
@@ -243,7 +240,6 @@ def _base(config: GatewayConfig, loop: asyncio.AbstractEventLoop) -> _Base:
         counts=counts,
         inflight=InFlight(settings, counts, turns, loop),
         changes=ViewChanges(),
-        notices=Notices(),
         events=CommandEvents(),
         supervisors=[],
     )
@@ -256,28 +252,37 @@ def _records(base: _Base, store: Store) -> _Records:
 
 
 def _features(
-    base: _Base, records: _Records, motion: _Motion, active: Sequence[ActiveFeature]
+    base: _Base,
+    records: _Records,
+    motion: _Motion,
+    clients: _Clients,
+    active: Sequence[ActiveFeature],
 ) -> Features:
+    """Make the features, and have the parts that they extend know them."""
     host = partial(
         GatewayFeatureHost,
         robots=partial(
             GatewayRobots,
             hub=base.hub,
             conditions=base.conditions,
-            deadman=motion.deadman,
-            commands=motion.commands,
         ),
-        notices=base.notices,
-        turns=base.turns,
         changes=base.changes,
         store=records.store,
         audit=records.audit,
         visibility=base.visibility,
         place=base.inflight.place,
+        sessions=clients.sessions,
+        control=Control(motion.commands, motion.deadman),
+        scopes=ScopeRights(base.registry),
+        shutdown=base.shutdown,
+        turns=base.turns,
         loop=base.loop,
     )
     made = make(active, host)
     base.events.configure(made.observers)
+    clients.identities.ask(made.authenticators)
+    clients.sessions.on_end.append(made.session_ended)
+    clients.sessions.on_review.append(made.rights_changed)
     return made
 
 
@@ -305,11 +310,9 @@ def _motion(base: _Base, records: _Records) -> _Motion:
     )
 
 
-def _clients(
-    base: _Base, records: _Records, motion: _Motion, authenticators: Sequence[Authenticator]
-) -> _Clients:
+def _clients(base: _Base, records: _Records, motion: _Motion) -> _Clients:
     settings, loop, commands = base.settings, base.loop, motion.commands
-    identities = Identities(settings, records.store, records.audit, loop, authenticators)
+    identities = Identities(settings, records.store, records.audit, loop)
     outbound = Outbound(loop, settings.limits)
     known: dict[str, Session] = {}
     quotas = QuotaTracker(settings, base.rules, loop, known, commands.running)
@@ -328,33 +331,19 @@ def _clients(
         outbound=outbound,
         loop=loop,
     )
-    leases = Leases(
-        settings,
-        base.registry,
-        sessions,
-        commands,
-        motion.deadman,
-        store=records.store,
-        audit=records.audit,
-        shutdown=base.shutdown,
-        loop=loop,
-    )
-    base.notices.on_notice.append(sessions.tell)
     access = CommandAccess(commands, base.visibility, identities)
-    return _Clients(identities, outbound, quotas, resume, sessions, access, leases)
+    return _Clients(identities, outbound, quotas, resume, sessions, access)
 
 
 def _requests(
     base: _Base,
     records: _Records,
     motion: _Motion,
-    clients: _Clients,
     features: Features,
 ) -> _Requests:
     resolver = Resolver(base.registry)
     admission = Admission(
         resolver,
-        clients.leases,
         base.events,
         records.writer,
         base.shutdown,
@@ -387,7 +376,7 @@ def _system(
         motion.commands,
         identities=clients.identities,
         settings=base.settings,
-        drop_leases=clients.leases.drop_on,
+        halted=features.halted,
         record=records.writer.estop,
         loop=base.loop,
     )
@@ -424,15 +413,6 @@ def _system(
     branch = System(
         status,
         estop,
-        lease_service=LeaseService(
-            clients.leases,
-            base.registry,
-            clients.sessions,
-            clients.identities,
-            base.settings,
-            base.shutdown,
-        ),
-        leases=clients.leases,
         plans=plans,
         access=clients.access,
         sessions=clients.sessions,
@@ -491,7 +471,6 @@ def _handlers(
         inflight,
         motion.deadman,
         events=base.events,
-        leases=clients.leases,
         dry_run=features.dry_run,
         keys=requests.keys,
         audit_writer=records.writer,
@@ -542,7 +521,7 @@ def _plans(
         registry=base.registry,
         resolver=requests.resolver,
         conditions=base.conditions,
-        leases=clients.leases,
+        control=features.service(CONTROL) or NoControl(),
         foresee=features.foresee,
         approvals=approvals,
         settings=base.settings,

@@ -7,31 +7,22 @@ from collections.abc import Callable, Iterable
 from typing import Any
 
 from rcp_kernel.access.acl import Rights
+from rcp_kernel.access.scope_rights import ScopeRights
 from rcp_kernel.access.visibility import Visibility
 from rcp_kernel.contract.identity import Principal
+from rcp_kernel.contract.shutdown import Shutdown
 from rcp_kernel.contract.turns import Turns, Work
 from rcp_kernel.features.resource import ViewChanges
 from rcp_kernel.features.robots import Robots
+from rcp_kernel.features.sessions import SessionDirectory
+from rcp_kernel.safety.control import Control
 from rcp_kernel.sessions.session import Session
 from rcp_kernel.store.audit import Audit
 from rcp_kernel.store.plugin_store import PluginStore
 from rcp_kernel.store.store import Store
 from rcp_kernel.wire import Request
 
-__all__ = ["GatewayFeatureHost", "Notices"]
-
-
-class Notices:
-    """Passes on notices for clients."""
-
-    def __init__(self) -> None:
-        self.on_notice: list[Callable[..., None]] = []
-        """Called with the holder of the session (`Session.holder`), the code and the facts by name."""
-
-    def tell(self, session: Session, code: str, facts: dict[str, Any]) -> None:
-        """Pass one on."""
-        for told in self.on_notice:
-            told(session.holder, code, **facts)
+__all__ = ["GatewayFeatureHost"]
 
 
 class GatewayFeatureHost:
@@ -42,33 +33,40 @@ class GatewayFeatureHost:
         name: str,
         *,
         robots: Callable[[str], Robots],
-        notices: Notices,
-        turns: Turns,
         changes: ViewChanges,
         store: Store,
         audit: Audit,
         visibility: Visibility,
         place: Callable[[Session, Request], object],
+        sessions: SessionDirectory,
+        control: Control,
+        scopes: ScopeRights,
+        shutdown: Shutdown,
+        turns: Turns,
         loop: asyncio.AbstractEventLoop,
     ) -> None:
         self._name = name
         self.robots = robots(name)
-        self._notices = notices
-        self._turns = turns
         self._changes = changes
         self._store = store
         self._audit = audit
         self._visibility = visibility
         self._place = place
+        self._shutdown = shutdown
+        self._turns = turns
+        self.sessions = sessions
+        self.control = control
+        self.scopes = scopes
         self.loop = loop
 
-    def in_steps(self, work: Work) -> None:
-        """Do work in the turns of the event loop that have time for it."""
-        self._turns.oblige(f"feature {self._name}", work)
+    @property
+    def closing(self) -> bool:
+        """Whether the gateway is on its way down."""
+        return self._shutdown.begun
 
-    def tell(self, session: Session, code: str, **facts: Any) -> None:
-        """Send a notice to whoever acts for a session."""
-        self._notices.tell(session, code, facts)
+    def in_steps(self, work: Work) -> None:
+        """Do something long in the turns that have time for it."""
+        self._turns.oblige(self, work)
 
     def changed(self, path: str) -> None:
         """Have the view's subscribers get it again."""

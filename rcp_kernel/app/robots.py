@@ -2,17 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from typing import cast
+from collections.abc import Callable, Iterable, Mapping
 
 import structlog
 
 from rcp_conditions import Condition
 from rcp_kernel.access.conditions import Conditions
-from rcp_kernel.features.robots import RunningCommand
-from rcp_kernel.requests.commands import Commands
-from rcp_kernel.safety.safety import Deadman
-from rcp_kernel.sessions.command import Command
 from rcp_kernel.streams.hub import Hub
 from rcp_kernel.tree.entry import Entry
 from rcp_kernel.tree.samples import Sample
@@ -57,13 +52,9 @@ class _Conditions:
 class GatewayRobots:
     """The `Robots` of one feature."""
 
-    def __init__(
-        self, feature: str, hub: Hub, conditions: Conditions, deadman: Deadman, commands: Commands
-    ) -> None:
+    def __init__(self, feature: str, hub: Hub, conditions: Conditions) -> None:
         self._feature = feature
         self._hub = hub
-        self._deadman = deadman
-        self._commands = commands
         self._watches: dict[str, list[_Watch]] = {}
         self.conditions = _Conditions(feature, conditions)
         self._following = False
@@ -101,18 +92,3 @@ class GatewayRobots:
     def _added(self, entry: Entry) -> None:
         for watch in self._watches.get(entry.path, ()):
             self._hub.listen(entry, watch)
-
-    def running(self, path: str | None = None) -> Iterator[RunningCommand]:
-        """Go through the commands that run."""
-        for command in list(self._commands.running.values()):
-            if command.task is not None and (path is None or command.path == path):
-                yield command
-
-    def cancel(self, command: RunningCommand, reason: str) -> None:
-        """Cancel a command that `running` returned."""
-        self._commands.cancel(cast("Command", command), reason)
-
-    def stop(self, entry: Entry) -> None:
-        """Bring an actuator to rest by its safe value."""
-        if entry.resource.safe is not None:
-            self._deadman.stop(entry)

@@ -7,9 +7,11 @@ from rcp_kernel.features.feature import Feature, FeatureKind
 from rcp_kernel.features.guard import Call, Guard, Slot
 from rcp_kernel.features.host import FeatureHost
 from rcp_kernel.features.resource import Filter, Service, SystemResource, View
-from rcp_kernel.features.robots import RobotConditions, Robots, RunningCommand
+from rcp_kernel.features.robots import RobotConditions, Robots
 from rcp_kernel.features.services import ServiceKey
+from rcp_kernel.features.sessions import SessionDirectory
 from rcp_kernel.features.status import StatusPart
+from rcp_kernel.tree.scope import Scope
 
 __all__ = [
     "Call",
@@ -21,9 +23,10 @@ __all__ = [
     "Guard",
     "RobotConditions",
     "Robots",
-    "RunningCommand",
+    "Scope",
     "Service",
     "ServiceKey",
+    "SessionDirectory",
     "Slot",
     "StatusPart",
     "SystemResource",

@@ -7,9 +7,12 @@ from collections.abc import Iterable
 from typing import Any, Protocol
 
 from rcp_kernel.access.acl import Rights
+from rcp_kernel.access.scope_rights import ScopeRights
 from rcp_kernel.contract.identity import Principal
 from rcp_kernel.contract.turns import Work
 from rcp_kernel.features.robots import Robots
+from rcp_kernel.features.sessions import SessionDirectory
+from rcp_kernel.safety.control import Control
 from rcp_kernel.sessions.session import Session
 from rcp_kernel.store.plugin_store import PluginStore
 from rcp_kernel.wire import Request
@@ -27,15 +30,34 @@ class FeatureHost(Protocol):
 
     @property
     def robots(self) -> Robots:
-        """All robots: their resources, what they say, what they do, and how to stop one."""
+        """All robots: their resources, what these say, and conditions on it."""
+        ...
+
+    @property
+    def sessions(self) -> SessionDirectory:
+        """Who is there, and how to tell them something."""
+        ...
+
+    @property
+    def control(self) -> Control:
+        """What robots are commanded: withdrawn, handed over, or brought to rest."""
+        ...
+
+    @property
+    def scopes(self) -> ScopeRights:
+        """Parts of the tree: what is there, and who may do what in them."""
+        ...
+
+    @property
+    def closing(self) -> bool:
+        """Whether the gateway is on its way down: sessions end that the next run resumes."""
         ...
 
     def in_steps(self, work: Work) -> None:
-        """Do work of any length beside everything else; it yields after a millisecond at most."""
-        ...
+        """Do something long in the turns of the loop that have time for it, now if there is one.
 
-    def tell(self, session: Session, code: str, **facts: Any) -> None:
-        """Send a notice to the client of a session, or to all that share the session's principal."""
+        `work` yields after each millisecond at the latest.
+        """
         ...
 
     def changed(self, path: str) -> None:

@@ -1,26 +1,15 @@
-"""What a feature may know of robots, and what it may do to bring one to rest."""
+"""What a feature may know of robots: their resources, samples, and conditions on these."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any, Protocol
 
 from rcp_conditions import Condition, Ref
-from rcp_kernel.sessions.session import Session
 from rcp_kernel.tree.entry import Entry
 from rcp_kernel.tree.samples import Sample
 
-__all__ = ["RobotConditions", "Robots", "RunningCommand"]
-
-
-class RunningCommand(Protocol):
-    """An `execute` that has not ended."""
-
-    path: str
-    asker: Session | None
-    """Whose it is; None for one that the gateway began itself."""
-    cancelling: str | None
-    """Why it is being cancelled; None while it is not."""
+__all__ = ["RobotConditions", "Robots"]
 
 
 class RobotConditions(Protocol):
@@ -64,20 +53,5 @@ class Robots(Protocol):
         """Have each sample of a path offered, and its source kept running; return what ends it.
 
         The path need not be there yet, and may come and go.
-        """
-        ...
-
-    def running(self, path: str | None = None) -> Iterator[RunningCommand]:
-        """Go through the commands that run, of one path or of all."""
-        ...
-
-    def cancel(self, command: RunningCommand, reason: str) -> None:
-        """Have a command cancelled: the robot is told at once."""
-        ...
-
-    def stop(self, entry: Entry) -> None:
-        """Bring an actuator to rest: its safe value is sent until the robot takes it.
-
-        Does nothing for what has no safe value.
         """
         ...

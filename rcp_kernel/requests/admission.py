@@ -15,8 +15,7 @@ from rcp_kernel.features import Call, Guard, Slot
 from rcp_kernel.features.commands import CommandEvents
 from rcp_kernel.model import Operation
 from rcp_kernel.requests.audit_writer import AuditWriter
-from rcp_kernel.safety.leases import Leases
-from rcp_kernel.safety.safety import check_age, check_motion
+from rcp_kernel.safety.safety import check_age, check_hold, check_motion
 from rcp_kernel.sessions.resolver import Resolver
 from rcp_kernel.spi import Backend
 from rcp_kernel.tree.entry import Entry
@@ -30,7 +29,6 @@ class Admission:
     def __init__(
         self,
         resolver: Resolver,
-        leases: Leases,
         events: CommandEvents,
         audit_writer: AuditWriter,
         shutdown: Shutdown,
@@ -38,7 +36,6 @@ class Admission:
         guards: Sequence[Guard],
     ) -> None:
         self._resolver = resolver
-        self._leases = leases
         self._events = events
         self._audit_writer = audit_writer
         self._shutdown = shutdown
@@ -47,26 +44,31 @@ class Admission:
         self._every = sorted(guards, key=lambda guard: guard.slot)
         self.active: tuple[Guard, ...] = ()
         """Those that the configuration in force needs, in the order in which they are asked."""
+        self.control: tuple[Guard, ...] = ()
+        """Those of them that decide who has control: they come first, and are asked about safe
+        values too."""
         self._early: tuple[Guard, ...] = ()
-        """Those that are asked before the quota."""
+        """Those of `active` that are asked before the quota."""
         self._late: tuple[Guard, ...] = ()
         self.configure()
 
     def configure(self) -> None:
         """Find out which guards the configuration in force needs."""
-        self.active = tuple(guard for guard in self._every if guard.active)
-        self._early = tuple(g for g in self.active if g.slot <= Slot.MOTION_LIMIT)
+        active = [guard for guard in self._every if guard.active]
+        self.control = tuple(guard for guard in active if guard.slot is Slot.LEASE)
+        self.active = tuple(guard for guard in active if guard.slot is not Slot.LEASE)
+        self._early = tuple(g for g in self.active if g.slot is Slot.MOTION_LIMIT)
         self._late = self.active[len(self._early) :]
 
     def admit(self, call: Call) -> None:
-        """Refuse what may not be done now, as far as no quota is involved.
+        """Refuse what may not be done now, before quotas and the last guards are asked.
 
         :raises StaleCommand: the request is older than its path allows, or came in a freeze.
         :raises EstopActive: the path moves something, and its robot is stopped.
-        :raises LeaseHeld, LeaseLost, LeaseRequired: somebody else has control, or nobody.
+        :raises AlreadyRunning: the same, and its robot is being brought to rest.
         :raises AdapterUnavailable: the gateway is closing, or there is no robot.
         :raises QueueFull: it could not be put on record.
-        :raises RcpError: a guard before the quota refuses.
+        :raises RcpError: a guard refuses that decides who has control, or how robots may move.
         """
         entry = call.entry
         check_age(entry, call.request.timestamp)
@@ -75,7 +77,9 @@ class Admission:
             return
         check_motion(entry, entry.unit.latch)
         self._check_thaw(entry)
-        self._leases.check(call.session, entry)
+        check_hold(entry, call.value)
+        if self.control and entry.tenant is not None:
+            _ask(self.control, call)
         self._shutdown.check()
         self._audit_writer.check()
         if entry.owner.backend is None:
@@ -90,19 +94,21 @@ class Admission:
         self._ask(self._late, call)
 
     def _ask(self, guards: tuple[Guard, ...], call: Call) -> None:
-        """Ask some guards.
+        if guards and _concerns_guards(call):
+            _ask(guards, call)
 
-        None keeps anybody from bringing something to rest. A plan passes none: its steps do.
+    def check_control(self, call: Call) -> None:
+        """Refuse what must not reach its robot any more, be it to bring something to rest.
+
+        :raises EstopActive: the path moves something, and its robot is stopped.
+        :raises RcpError: a guard refuses that decides who has control.
         """
-        if not guards or call.entry.tenant is None or call.rests:
-            return
-        for guard in guards:
-            try:
-                guard.admit(call)
-            except RcpError:
-                raise
-            except Exception as error:
-                raise _broken(guard, call, error) from None
+        check_motion(call.entry, call.entry.unit.latch)
+        self._confirm_control(call)
+
+    def _confirm_control(self, call: Call) -> None:
+        if self.control and call.entry.tenant is not None:
+            _confirm(self.control, call)
 
     def confirm(self, call: Call) -> Backend:
         """Return the robot that takes it, or refuse what must not reach it any more.
@@ -111,7 +117,7 @@ class Admission:
 
         :raises StaleCommand: it has become too old while it waited.
         :raises Forbidden: its rights are not there any more, or their condition does not hold.
-        :raises EstopActive, LeaseHeld, LeaseLost, LeaseRequired: as above.
+        :raises EstopActive, AlreadyRunning: as above.
         :raises AdapterUnavailable: there is no robot any more.
         :raises RcpError: a guard refuses.
         """
@@ -121,22 +127,45 @@ class Admission:
         check_age(entry, call.request.timestamp)
         if not entry.is_hold:
             check_motion(entry, entry.unit.latch)
-            self._leases.check(session, entry)
+            check_hold(entry, call.value)
+            self._confirm_control(call)
         backend = entry.owner.backend
         if backend is None:
             raise entry.owner.unavailable()
         if entry.is_hold:
             return backend
-        if self.active and entry.tenant is not None and not call.rests:
-            for guard in self.active:
-                try:
-                    guard.confirm(call)
-                except RcpError:
-                    raise
-                except Exception as error:
-                    raise _broken(guard, call, error) from None
+        if self.active and _concerns_guards(call):
+            _confirm(self.active, call)
         self._events.sent(call)
         return backend
+
+
+def _concerns_guards(call: Call) -> bool:
+    """Tell whether guards other than those of control are asked.
+
+    None keeps anybody from bringing something to rest. A plan passes none: its steps do.
+    """
+    return call.entry.tenant is not None and not call.rests
+
+
+def _ask(guards: Sequence[Guard], call: Call) -> None:
+    for guard in guards:
+        try:
+            guard.admit(call)
+        except RcpError:
+            raise
+        except Exception as error:
+            raise _broken(guard, call, error) from None
+
+
+def _confirm(guards: Sequence[Guard], call: Call) -> None:
+    for guard in guards:
+        try:
+            guard.confirm(call)
+        except RcpError:
+            raise
+        except Exception as error:
+            raise _broken(guard, call, error) from None
 
 
 def _broken(guard: Guard, call: Call, error: Exception) -> RcpError:

@@ -182,7 +182,7 @@ async def test_a_guard_for_motion_is_asked_before_the_quota() -> None:
         zone.closed = True
         assert (await client.ask(**echo))["error"]["code"] == "mode_forbids"
         zone.closed = False
-        assert (await client.ask(**echo))["error"]["code"] == "rate_limited"
+        assert (await client.ask(**echo))["error"]["code"] == "queue_full"
 
 
 async def test_a_plan_is_refused_for_what_could_never_pass() -> None:
@@ -253,16 +253,17 @@ async def test_it_stops_an_actuator_and_cancels_what_runs() -> None:
         client, zone = world.client(), world.zone
         robots = zone.host.robots
         assert (await client.ask(**GO, valid_for=100))["status"] == "completed"
-        robots.stop(robots.entries["/tenant/alpha/param/limit"])  # has no safe value
-        robots.stop(robots.entries[DRIVE])
+        control = zone.host.control
+        control.stop(robots.entries["/tenant/alpha/param/limit"])  # has no safe value
+        control.stop(robots.entries[DRIVE])
         await zone.until("rested")
         assert [name for name, _ in world.robot.writes] == ["actuator/drive"] * 2
         moving = client.send(type="execute", path="/action/go", body=2.0)
         await world.robot.started.get()
-        assert list(robots.running(DRIVE)) == []
-        (command,) = robots.running("/tenant/alpha/action/go")
+        assert list(control.running(DRIVE)) == []
+        (command,) = control.running("/tenant/alpha/action/go")
         assert command.asker is client.connection.session
-        robots.cancel(command, "left its zone")
+        control.cancel(command, "left its zone")
         assert "left its zone" in (await client.final(moving))["message"]
 
 
@@ -278,5 +279,5 @@ async def test_it_asks_for_the_state_of_a_robot_and_tells_its_driver() -> None:
         await until(lambda: robots.conditions.holds(high, entry) is True)
         session = client.connection.session
         assert session is not None
-        zone.host.tell(session, "zone_left", path=DRIVE)
+        zone.host.sessions.tell(session.holder, "zone_left", path=DRIVE)
         assert (await client.notice("zone_left"))["path"] == DRIVE
