@@ -12,7 +12,7 @@ from typing import Any, Protocol
 
 import msgspec
 
-from rcp_kernel.safety.safety import safe_value
+from rcp_kernel.safety.safety import is_safe
 from rcp_kernel.sessions.session import Session
 from rcp_kernel.tree.entry import Entry
 from rcp_kernel.wire import Request
@@ -44,10 +44,7 @@ class Call(msgspec.Struct, frozen=True):
     @property
     def rests(self) -> bool:
         """Whether it brings something to rest, which no guard may refuse."""
-        entry = self.entry
-        return entry.is_hold or (
-            entry.resource.safe is not None and bool(self.value == safe_value(entry))
-        )
+        return self.entry.is_hold or is_safe(self.entry, self.value)
 
 
 class Guard(Protocol):

@@ -16,7 +16,7 @@ from rcp_kernel.model import Operation
 from rcp_kernel.requests.audit_writer import AuditWriter
 from rcp_kernel.safety.leases import Leases
 from rcp_kernel.safety.motion_limits import MotionLimits
-from rcp_kernel.safety.safety import check_age, check_motion
+from rcp_kernel.safety.safety import check_age, check_hold, check_motion
 from rcp_kernel.sessions.resolver import Resolver
 from rcp_kernel.spi import Backend
 from rcp_kernel.tree.entry import Entry
@@ -58,6 +58,7 @@ class Admission:
 
         :raises StaleCommand: the request is older than its path allows, or came in a freeze.
         :raises EstopActive: the path moves something, and its robot is stopped.
+        :raises AlreadyRunning: the same, and its robot is being brought to rest.
         :raises LeaseHeld, LeaseLost, LeaseRequired: somebody else has control, or nobody.
         :raises AdapterUnavailable: the gateway is closing, or there is no robot.
         :raises QueueFull: it could not be put on record.
@@ -70,6 +71,7 @@ class Admission:
             return
         check_motion(entry, entry.unit.latch)
         self._check_thaw(entry)
+        check_hold(entry, call.value)
         self._leases.check(call.session, entry)
         self._shutdown.check()
         self._audit_writer.check()
@@ -106,7 +108,7 @@ class Admission:
 
         :raises StaleCommand: it has become too old while it waited.
         :raises Forbidden: its rights are not there any more, or their condition does not hold.
-        :raises EstopActive, LeaseHeld, LeaseLost, LeaseRequired: as above.
+        :raises EstopActive, AlreadyRunning, LeaseHeld, LeaseLost, LeaseRequired: as above.
         :raises AdapterUnavailable: there is no robot any more.
         :raises OutOfRange, ModeForbids, PreconditionFailed: as above.
         :raises RcpError: a guard refuses.
@@ -117,6 +119,7 @@ class Admission:
         check_age(entry, call.request.timestamp)
         if not entry.is_hold:
             check_motion(entry, entry.unit.latch)
+            check_hold(entry, call.value)
             self._leases.check(session, entry)
         backend = entry.owner.backend
         if backend is None:
