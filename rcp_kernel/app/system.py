@@ -16,9 +16,7 @@ from rcp_kernel.errors import RcpError, UnknownPath
 from rcp_kernel.features import Filter, Service, SystemResource, View
 from rcp_kernel.features.resource import ViewChanges
 from rcp_kernel.model import Operation, Resource
-from rcp_kernel.plans.examples import EXAMPLES
-from rcp_kernel.plans.model import Plan, PlanResult, PlanState, StepState
-from rcp_kernel.plans.resource import PlanList
+from rcp_kernel.requests.action_list import ActionList
 from rcp_kernel.requests.command_access import CommandAccess
 from rcp_kernel.requests.disclosure import PATH, Disclosure
 from rcp_kernel.safety.estop import LONGEST_WAIT, Estop, EstopRequest, EstopState
@@ -73,7 +71,6 @@ class System(BaseBackend):
         *,
         lease_service: LeaseService,
         leases: Leases,
-        plans: PlanList,
         access: CommandAccess,
         sessions: Sessions,
         quotas: QuotaTracker,
@@ -109,7 +106,6 @@ class System(BaseBackend):
             "/system/commands": self._list_commands,
             "/system/estop": lambda session: msgspec.to_builtins(estop.state(session)),
             "/system/leases": lease_service.view,
-            "/system/plans": plans.view,
         }
         """Resources whose value depends on who asks, by path."""
         self.filters: dict[str, Filter] = {PATH: disclosure.shown, _LOG: self._shown}
@@ -127,10 +123,9 @@ class System(BaseBackend):
         latches.on_change.append(self._estop_changed)
         stops.on_change(self._estop_changed)
         self._publish("estop", estop.everything())
-        for name, part in (("leases", leases), ("plans", plans)):
-            changed = partial(self._publish, name, [])
-            part.on_change.append(changed)
-            changed()
+        changed = partial(self._publish, "leases", [])
+        leases.on_change.append(changed)
+        changed()
         self._recent = recent
         recent.on_record.append(self._logged)
 
@@ -150,8 +145,11 @@ class System(BaseBackend):
             self._hub.keep(entry)
         if own.execute is not None:
             self.services[own.path] = own.execute
-        if own.view is not None:
-            self.views[own.path] = own.view
+        view = own.view
+        if own.action is not None:
+            view = ActionList(own.path, own.action, self._access).view
+        if view is not None:
+            self.views[own.path] = view
             self._changed(own.path)
 
     def _changed(self, path: str) -> None:
@@ -314,18 +312,6 @@ def _resources() -> list[Resource]:
                 {"do": "hand_over", "scope": "/tenant/alpha", "to": "robin"},
                 {"do": "release", "scope": "/tenant/alpha"},
             ),
-            history=1,
-        ),
-        Resource(
-            name="action/plans",
-            description="Many operations as one command: checked whole first, then run step by step.",
-            value=list[PlanState],
-            input=Plan,
-            output=PlanResult,
-            feedback=StepState,
-            operations=_LOOK | Operation.EXECUTE,
-            policy="parallel",
-            examples=EXAMPLES,
             history=1,
         ),
     ]

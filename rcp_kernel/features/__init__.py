@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from rcp_kernel.features.action import Action, ActionHost, ActionRun
 from rcp_kernel.features.feature import Feature, FeatureKind
 from rcp_kernel.features.guard import Call, Guard, Slot
 from rcp_kernel.features.host import FeatureHost
@@ -9,6 +10,9 @@ from rcp_kernel.features.resource import Filter, Service, SystemResource, View
 from rcp_kernel.features.services import ServiceKey
 
 __all__ = [
+    "Action",
+    "ActionHost",
+    "ActionRun",
     "Call",
     "Feature",
     "FeatureHost",

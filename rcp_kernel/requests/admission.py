@@ -7,6 +7,7 @@ passes the first and ends there.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import Any
 
 from rcp_kernel.contract.pending import to_internal_error
 from rcp_kernel.contract.shutdown import Shutdown
@@ -18,6 +19,7 @@ from rcp_kernel.safety.leases import Leases
 from rcp_kernel.safety.motion_limits import MotionLimits
 from rcp_kernel.safety.safety import check_age, check_motion
 from rcp_kernel.sessions.resolver import Resolver
+from rcp_kernel.sessions.session import Session
 from rcp_kernel.spi import Backend
 from rcp_kernel.tree.entry import Entry
 
@@ -77,6 +79,23 @@ class Admission:
             raise entry.owner.unavailable()
         self._motion_limits.check(call.session, entry, call.value)
 
+    def foresee(
+        self, session: Session, entry: Entry, value: Any, *, leased: bool, complete: bool
+    ) -> None:
+        """Refuse a later command that would be refused whatever happens until then.
+
+        No guard is asked: the state on which it decides may be another by then.
+
+        :raises RcpError: see `ActionHost.foresee`.
+        """
+        check_motion(entry, entry.unit.latch)
+        if not leased:
+            self._leases.check(session, entry)
+        if entry.owner.backend is None:
+            raise entry.owner.unavailable()
+        if complete:
+            self._motion_limits.check_later(session, entry, value)
+
     def ask(self, call: Call) -> None:
         """Ask the guards of features, when nothing else is in the way.
 
@@ -93,7 +112,8 @@ class Admission:
     def _asked(self, call: Call) -> tuple[Guard, ...]:
         """Return the guards that a call has to pass.
 
-        None keeps anybody from bringing something to rest. A plan passes none: its steps do.
+        None keeps anybody from bringing something to rest. An action of the gateway's own passes
+        none: the requests that it sends do.
         """
         if not self.active or call.entry.tenant is None or call.rests:
             return ()
