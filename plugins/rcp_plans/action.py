@@ -9,6 +9,7 @@ from rcp_kernel.clock import iso
 from rcp_kernel.errors import PayloadTooLarge, QueueFull
 from rcp_kernel.features import ActionHost
 from rcp_kernel.features.approval import APPROVALS, NoApprovals
+from rcp_kernel.features.control import CONTROL, NoControl
 from rcp_kernel.sessions.command import Command
 from rcp_kernel.sessions.session import Session
 from rcp_kernel.tree.entry import Entry
@@ -63,7 +64,8 @@ class Plans:
         plan: Plan = request.decode_body(entry.input_type, f"input of {entry.label}")
         yield
         approvals = host.service(APPROVALS) or NoApprovals()
-        checker = PlanChecker(host, approvals, self._config, self._allowance)
+        control = host.service(CONTROL) or NoControl()
+        checker = PlanChecker(host, control, approvals, self._config, self._allowance)
         checked = yield from checker.check(session, plan)
         return PlanRun(checked, approvals, host)
 

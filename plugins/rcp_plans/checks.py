@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from itertools import islice
 from typing import Any
 
-from rcp_kernel._plain import is_map
 from rcp_kernel.contract.turns import Work
 from rcp_kernel.errors import (
     BY_CODE,
@@ -26,11 +25,12 @@ from rcp_kernel.errors import (
 )
 from rcp_kernel.features import ActionHost
 from rcp_kernel.features.approval import ApprovalService
+from rcp_kernel.features.control import ControlService
 from rcp_kernel.model import Operation, Pattern
-from rcp_kernel.safety.scope import Scope
 from rcp_kernel.sessions.session import Session
 from rcp_kernel.store.touches import EVERYTHING
 from rcp_kernel.tree.entry import Entry
+from rcp_kernel.tree.scope import Scope
 from rcp_kernel.values import Encoding, ValueType, dump
 from rcp_plans.config import PlansConfig
 from rcp_plans.fault import Fault, refusal
@@ -62,6 +62,7 @@ class PlanChecker:
     """Checks plans against all that their steps will have to pass."""
 
     host: ActionHost
+    control: ControlService
     approvals: ApprovalService
     config: PlansConfig
     allowance: Allowance
@@ -81,6 +82,7 @@ class _Check:
 
     def __init__(self, against: PlanChecker, session: Session) -> None:
         self._host, self._approvals = against.host, against.approvals
+        self._control = against.control
         self._session = session
         self._limits = against.config
         self._faults: list[Fault] = []
@@ -90,8 +92,8 @@ class _Check:
         self._count = 0
         self._reader = ConditionReader(against.allowance, session.principal.name)
         self._searches = 0
-        self._leased: list[Scope] = []
-        """What earlier steps acquire."""
+        self._gained: list[Scope] = []
+        """What earlier steps gain control of."""
         self._checked: Checked | None = None
 
     def check(self, plan: Plan) -> Generator[None, None, Checked]:
@@ -283,8 +285,9 @@ class _Check:
         self._admit(entry, value, refers=refers)
         if self._approvals.wanted(self._session, entry, value):
             self._checked.asks.append(node.id)
-        if entry.path == "/system/leases" and is_map(step.value):
-            self._acquires(step.value)
+        if isinstance(step, Execute):
+            gained = self._control.gains(self._session, entry, step.value)
+            self._gained += [] if gained is None else [gained]
         yield
 
     def _pattern(self, node: Node, step: Read) -> Work:
@@ -349,13 +352,8 @@ class _Check:
         return type_.decode(dump(value, Encoding.JSON), Encoding.JSON, label)
 
     def _admit(self, entry: Entry, value: Any, *, refers: bool) -> None:
-        leased = any(scope.covers(entry.path) for scope in self._leased)
-        self._host.foresee(self._session, entry, value, leased=leased, complete=not refers)
-
-    def _acquires(self, value: dict[str, Any]) -> None:
-        scope = value.get("scope")
-        if value.get("do") == "acquire" and isinstance(scope, str):
-            self._leased.append(Scope(scope, self._session.tenant))
+        gained = any(scope.covers(entry.path) for scope in self._gained)
+        self._host.foresee(self._session, entry, value, gained=gained, complete=not refers)
 
     def _condition(self, node: Node, text: str, name: str) -> Work:
         """Compile a condition of a step, which may be about what its asker may read alone."""

@@ -73,12 +73,12 @@ class ActionHost(Protocol):
         ...
 
     def foresee(
-        self, session: Session, entry: Entry, value: Any, *, leased: bool, complete: bool
+        self, session: Session, entry: Entry, value: Any, *, gained: bool, complete: bool
     ) -> None:
         """Refuse a later write or execute that would be refused whatever happens until then.
 
-        `leased` says that the action takes the lease itself before, `complete` that the value is
-        known already.
+        `gained` says that the action gets control of the path itself before, `complete` that the
+        value is known already.
 
         :raises RcpError: as the request itself would be refused.
         """

@@ -8,12 +8,14 @@ from typing import Any, TypeVar
 
 from rcp_kernel.access.conditions import Conditions
 from rcp_kernel.contract.turns import Turns
+from rcp_kernel.features.control import CONTROL, NoControl
 from rcp_kernel.features.services import ServiceKey, ServiceLookup
 from rcp_kernel.model import Operation
-from rcp_kernel.requests.admission import Admission
 from rcp_kernel.requests.audit_writer import AuditWriter
 from rcp_kernel.requests.commands import Commands
 from rcp_kernel.requests.read import READ_OPTIONS
+from rcp_kernel.safety.motion_limits import MotionLimits
+from rcp_kernel.safety.safety import check_motion
 from rcp_kernel.sessions.command import Command
 from rcp_kernel.sessions.resolver import Resolver
 from rcp_kernel.sessions.session import Handler, Session
@@ -37,7 +39,7 @@ class GatewayActionHost:
         *,
         handle: Handler,
         resolver: Resolver,
-        admission: Admission,
+        motion_limits: MotionLimits,
         commands: Commands,
         conditions: Conditions,
         registry: Registry,
@@ -50,11 +52,12 @@ class GatewayActionHost:
         """`personal` has the paths that show each reader something else."""
         self._resolver = resolver
         self._commands = commands
+        self._motion_limits = motion_limits
         self._services = services
+        self._control = services.service(CONTROL) or NoControl()
         self._personal = personal
         self._audit_writer = audit_writer
         self.send = handle
-        self.foresee = admission.foresee
         self.cancel = commands.cancel
         self.conditions = conditions
         self.registry = registry
@@ -76,6 +79,18 @@ class GatewayActionHost:
     def check_read(self, options: Any) -> None:
         """Refuse what is no body of a `read`."""
         READ_OPTIONS.decode(dump(options, Encoding.JSON), Encoding.JSON, "read")
+
+    def foresee(
+        self, session: Session, entry: Entry, value: Any, *, gained: bool, complete: bool
+    ) -> None:
+        """Refuse a later command that would be refused whatever happens until then."""
+        check_motion(entry, entry.unit.latch)
+        if not gained:
+            self._control.check(session, entry)
+        if entry.owner.backend is None:
+            raise entry.owner.unavailable()
+        if complete:
+            self._motion_limits.check_later(session, entry, value)
 
     def started_by(self, request: Request) -> Command | None:
         """Return the command that a request has started, while it runs."""

@@ -230,7 +230,7 @@ class ExecuteHandler:
         return prepared
 
     def _hold(self, call: Call, answer: Answer, started: float) -> None:
-        """Bring a robot to rest without an e-stop, past leases, envelopes, quotas and guards."""
+        """Bring a robot to rest without an e-stop, past envelopes, quotas and all guards."""
         session, request, entry = call.session, call.request, call.entry
         command = _command(call)
         units = [entry.unit, *self._partners.of(entry)]
