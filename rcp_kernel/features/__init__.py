@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from rcp_kernel.features.action import Action, ActionHost, ActionRun
 from rcp_kernel.features.commands import CommandObserver
 from rcp_kernel.features.feature import Feature, FeatureKind
 from rcp_kernel.features.guard import Call, Guard, Slot
@@ -14,6 +15,9 @@ from rcp_kernel.features.status import StatusPart
 from rcp_kernel.tree.scope import Scope
 
 __all__ = [
+    "Action",
+    "ActionHost",
+    "ActionRun",
     "Call",
     "CommandObserver",
     "Feature",

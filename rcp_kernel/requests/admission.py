@@ -143,7 +143,8 @@ class Admission:
 def _concerns_guards(call: Call) -> bool:
     """Tell whether guards other than those of control are asked.
 
-    None keeps anybody from bringing something to rest. A plan passes none: its steps do.
+    None keeps anybody from bringing something to rest. An action of the gateway's own passes none:
+    the requests that it sends do.
     """
     return call.entry.tenant is not None and not call.rests
 

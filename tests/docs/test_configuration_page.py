@@ -29,10 +29,10 @@ from rcp_kernel.config.file import (
     TenantConfig,
     parse,
 )
-from rcp_kernel.config.plans import ActionTable, PlansConfig
 from rcp_kernel.config.role import Role, Rule
 from rcp_kernel.config.safety import Safety
 from rcp_motion_limits import Bound, EnvelopeConfig, Fence
+from rcp_plans.config import ActionTable, PlansConfig
 
 PAGE = DOCS / "configuration.md"
 _NEEDED = object()
