@@ -117,8 +117,10 @@ async def zoned(text: str = CONFIG) -> AsyncGenerator[ZonedWorld]:
     robots: list[Robot] = []
     config = parse(text, "test")
     kinds = {"zone": FeatureKind("zone", NoKeys, make)}
-    features = active(msgspec.structs.replace(config, features={"zone": True}), kinds, "test")
-    ready = msgspec.structs.replace(prepared(config, robots), features=features)
+    ready = prepared(config, robots)
+    wanted = msgspec.structs.replace(config, features={"zone": True})
+    features = (*ready.features, *active(wanted, kinds, "test"))
+    ready = msgspec.structs.replace(ready, features=features)
     async with running(ready) as server:
         world = ZonedWorld(server, robots)
         world.zone = made[-1]
