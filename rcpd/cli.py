@@ -166,7 +166,7 @@ def new_backend(name: str, into: Path) -> None:
 @main.command()
 def version() -> None:
     """Print the gateway's and the protocol's version."""
-    from rcp_kernel.app.status import gateway_version
+    from rcp_kernel.contract.version import gateway_version
     from rcp_kernel.wire import VERSION
 
     click.echo(f"rcp-gateway {gateway_version()} (protocol RCP/{VERSION})")

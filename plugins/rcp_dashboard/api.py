@@ -9,9 +9,9 @@ from rcp_dashboard.config import DashboardConfig
 from rcp_dashboard.layouts import Layouts
 from rcp_dashboard.request import DashboardRequest
 from rcp_dashboard.telemetry import Telemetry
+from rcp_kernel.api import to_internal_error
 from rcp_kernel.asgi import Headers, Receive, Scope, Send, refuse, respond
 from rcp_kernel.client_api import ClientApi
-from rcp_kernel.contract.pending import to_internal_error
 from rcp_kernel.errors import UnknownPath, UnsupportedOperation
 
 __all__ = ["PREFIX", "Api"]

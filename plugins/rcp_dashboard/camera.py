@@ -14,11 +14,11 @@ from rcp_dashboard.config import DashboardConfig
 from rcp_dashboard.picture import Picture, picture
 from rcp_dashboard.request import DashboardRequest
 from rcp_dashboard.watchers import checked
+from rcp_kernel.api import Connection
 from rcp_kernel.asgi import Headers, Receive, Send, respond
 from rcp_kernel.client_api import ClientApi
 from rcp_kernel.clock import now, parse_time
 from rcp_kernel.errors import QueueFull, RcpError
-from rcp_kernel.sessions.connections import Connection
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import Request, encode_reply
 
@@ -78,7 +78,7 @@ class Cameras:
         query.allow("path", "quality")
         quality = query.whole("quality", 1, 100, self._config.jpeg_quality)
         request = Request(type="read", path=query.path())
-        reply = checked(await self._client_api.ask(query.session, request))
+        reply = checked(await self._client_api.request(query.session, request))
         seen = _decode(encode_reply(reply, Encoding.MSGPACK))
         made = await self._picture(seen.body, quality)
         age = (now() - parse_time(seen.source_timestamp)) / 1e9
@@ -108,16 +108,20 @@ class Cameras:
         stream = Stream(query, receive, send)
         try:
             connection = self._client_api.connect(
-                query.principal, Encoding.MSGPACK, stream.wake, query.tenant, query.peer
+                query.principal,
+                Encoding.MSGPACK,
+                stream.wake,
+                query.tenant,
+                query.peer,
+                one_way=True,
             )
             try:
-                connection.session.listening = True
                 body: dict[str, Any] = {"qos": {"depth": 1}}
                 if rate is not None:
                     body["rate"] = rate
                 raw = Raw(msgspec.json.encode(body))
                 request = Request(type="subscribe", path=path, id="camera", body=raw)
-                checked(await self._client_api.ask(connection.session, request))
+                checked(await self._client_api.request(connection.session, request))
                 await stream.run(connection, lambda value: self._picture(value, quality))
             finally:
                 connection.close()

@@ -6,13 +6,11 @@ import math
 from typing import TypeVar
 from urllib.parse import parse_qsl
 
+from rcp_kernel.api import Peer, Principal, Session
 from rcp_kernel.asgi import Receive, Scope, bearer, header, peer_of
 from rcp_kernel.client_api import ClientApi
 from rcp_kernel.clock import parse_time
-from rcp_kernel.contract.identity import Principal
-from rcp_kernel.contract.peer import Peer
 from rcp_kernel.errors import BadRequest, PayloadTooLarge
-from rcp_kernel.sessions.session import Session
 
 __all__ = ["DashboardRequest"]
 

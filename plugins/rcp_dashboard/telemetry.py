@@ -79,7 +79,7 @@ class Telemetry:
         request = Request(type="read", path=query.path(pattern=True))
         if (cursor := query.text("cursor")) is not None:
             request.body = msgspec.Raw(msgspec.json.encode({"cursor": cursor}))
-        reply = checked(await self._client_api.ask(query.session, request))
+        reply = checked(await self._client_api.request(query.session, request))
         present = now()
         read = msgspec.json.decode(encode_reply(reply, Encoding.JSON))
         several = read["body"] if "*" in (request.path or "") else [read]

@@ -10,9 +10,9 @@ from litestar.exceptions import HTTPException, MethodNotAllowedException, NotFou
 
 from rcp_asgi.index import index_page
 from rcp_asgi.openapi import Documents
+from rcp_kernel.api import Session, SharedWork
 from rcp_kernel.asgi import Receive, Scope, Send, retry_after, session_of, status_of
 from rcp_kernel.client_api import Asgi, ClientApi
-from rcp_kernel.contract.shared_work import SharedWork
 from rcp_kernel.errors import (
     BadRequest,
     Forbidden,
@@ -21,7 +21,6 @@ from rcp_kernel.errors import (
     UnknownPath,
     UnsupportedOperation,
 )
-from rcp_kernel.sessions.session import Session
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import encode_reply, failure
 

@@ -12,11 +12,10 @@ from rcp_http.config import HttpConfig
 from rcp_http.context import Context
 from rcp_http.octets import range_headers
 from rcp_http.request import HttpRequest
+from rcp_kernel.api import Session, to_internal_error
 from rcp_kernel.asgi import MEDIA, Headers, Receive, Scope, Send, respond, retry_after
 from rcp_kernel.client_api import ClientApi
-from rcp_kernel.contract.pending import to_internal_error
 from rcp_kernel.errors import InvalidPath, RcpError, UnknownPath, UnsupportedOperation
-from rcp_kernel.sessions.session import Session
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import encode_reply, failure
 

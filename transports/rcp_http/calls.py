@@ -15,13 +15,12 @@ from rcp_http.context import Context, Follower
 from rcp_http.negotiate import body_encoding
 from rcp_http.request import HttpRequest, count, flag
 from rcp_http.schema_page import written
+from rcp_kernel.api import Session
+from rcp_kernel.api.pages import Parts, room
 from rcp_kernel.asgi import Receive, Send, respond
 from rcp_kernel.client_api import ClientApi
 from rcp_kernel.clock import iso, now
 from rcp_kernel.errors import RcpError, UnknownPath, UnsupportedOperation
-from rcp_kernel.requests.pages import room
-from rcp_kernel.requests.parts import Parts
-from rcp_kernel.sessions.session import Session
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import Reply, Request, decode_request, encode_reply, failure, peek_header
 

@@ -9,10 +9,9 @@ from msgspec import Raw
 
 from rcp_http.openapi_calls import ERROR, REPLY, calls
 from rcp_http.openapi_responses import COMMAND, READ, refusals, responses
+from rcp_kernel.api import Query, Session
 from rcp_kernel.client_api import ClientApi
 from rcp_kernel.model import Operation
-from rcp_kernel.requests.discovery import Query
-from rcp_kernel.sessions.session import Session
 
 __all__ = ["Described"]
 

@@ -7,9 +7,9 @@ from typing import Any
 import msgspec
 
 from rcp_http.openapi_responses import CALL, COMMAND, READ, refusals
+from rcp_kernel.api.pages import LONGEST, MOST
 from rcp_kernel.errors import BY_CODE
 from rcp_kernel.model import MAX_PATH, Kind, Operation, operation_names
-from rcp_kernel.requests.pages import LONGEST, MOST
 from rcp_kernel.wire import FINAL, VERSION, Request
 
 __all__ = ["ERROR", "REPLY", "calls"]
