@@ -9,7 +9,6 @@ from typing import Any
 from rcp_dashboard.api import PREFIX, Api
 from rcp_dashboard.config import DashboardConfig
 from rcp_dashboard.layouts import Layouts
-from rcp_dashboard.openapi import described
 from rcp_dashboard.pages import STATIC, Pages
 from rcp_kernel.client_api import ClientApi, Mount
 from rcp_kernel.client_kinds import AdapterKind
@@ -27,7 +26,7 @@ async def open_dashboard(
     api = Api(client_api, config, Layouts(client_api.shelf("layouts"), config))
     mounts = (
         Mount(name="dashboard", prefix="/", app=pages.app),
-        Mount(name="dashboard api", prefix=PREFIX, app=api, openapi=described),
+        Mount(name="dashboard api", prefix=PREFIX, app=api.app, openapi=api.openapi),
     )
     for mount in mounts:
         client_api.mount(mount)

@@ -19,7 +19,8 @@ __all__ = ["HttpConfig", "open_http", "rcp_transports"]
 @asynccontextmanager
 async def open_http(config: HttpConfig, client_api: ClientApi) -> AsyncGenerator[dict[str, Any]]:
     """Offer the calls to the listener while entered."""
-    app, described = HttpApp(config, client_api), Described(client_api)
+    app = HttpApp(config, client_api)
+    described = Described(client_api, app.calls)
     mount = Mount(name="http", prefix=PREFIX, app=app, openapi=described.part)
     client_api.mount(mount)
     try:
