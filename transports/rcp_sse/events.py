@@ -16,8 +16,9 @@ from rcp_kernel.values import Encoding
 from rcp_kernel.wire import Reply, Request, encode_frame
 from rcp_sse.config import SseConfig
 from rcp_sse.journal import Journal, Journals, parse_event_id
-from rcp_sse.options import Query, read_query, subscription
+from rcp_sse.options import MOST, Query, subscription
 from rcp_sse.stream import Stream
+from rcp_web.query import read_query
 
 __all__ = ["Events", "event"]
 
@@ -44,7 +45,7 @@ class Events:
 
         :raises RcpError: nothing was sent yet, and nothing will be.
         """
-        query = read_query(scope["query_string"])
+        query = read_query(scope["query_string"], MOST)
         stream = Stream(scope, receive, send, self._config.comment)
         token = bearer(header(scope, b"authorization"))
         principal = await self._client_api.identify(token, peer_of(scope))
